@@ -1,0 +1,62 @@
+# Everything is done with the Python of .venv, so it does not matter which virtual environment is active, or whether
+# one is. `make help` lists the targets.
+
+# The Python that .venv is made with; empty: scripts/find-python.sh looks for one.
+PYTHON ?=
+VENV := .venv
+STAMP := $(VENV)/.installed
+RUN := $(VENV)/bin/python -m
+PYTEST_FLAGS ?= -q -n 2 --dist loadfile
+
+# ROS and others put their own packages, pytest plugins among them, in front of ours.
+unexport PYTHONPATH PYTHONHOME
+
+.PHONY: help setup demo test lint bench clean
+.DEFAULT_GOAL := help
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s %s\n", $$1, $$2 }' Makefile
+
+setup: $(STAMP) ## make .venv with everything pinned; does nothing when it is up to date
+	@echo "setup: $(VENV) is ready"
+
+demo: $(STAMP) ## locate a shipped object from one shipped touch, and draw it in out/demo
+	@echo "demo: one touch, where is the object?"
+	@$(VENV)/bin/tactile-loc run --out out/demo
+	@for picture in out/demo/*.png; do if [ -e "$$picture" ]; then echo "demo: the picture is $$picture"; fi; done
+
+test: lint ## lint, check the types and run the tests
+	@echo "test: pytest"
+	@$(RUN) pytest $(PYTEST_FLAGS)
+
+lint: $(STAMP) ## check style, format and types
+	@echo "lint: ruff check"
+	@$(RUN) ruff check --quiet
+	@echo "lint: ruff format --check"
+	@$(RUN) ruff format --check --quiet
+	@echo "lint: mypy"
+	@$(RUN) mypy --no-error-summary
+
+bench: $(STAMP) ## run the benchmarks
+	@for script in benchmarks/*.py; do \
+		[ -e "$$script" ] || { echo "bench: there are no benchmarks"; break; }; \
+		echo "bench: $$script"; $(VENV)/bin/python "$$script" || exit 1; \
+	done
+
+clean: ## remove .venv, out, build and the tools' caches
+	@echo "clean: removing .venv, out, build, dist and caches"
+	@rm -rf .venv out build dist .mypy_cache .ruff_cache .pytest_cache *.egg-info
+
+# A virtual environment holds its own path: one that was copied or moved here is made anew.
+ifneq "$(shell cat $(STAMP) 2>/dev/null)" "$(CURDIR)"
+.PHONY: $(STAMP)
+endif
+
+$(STAMP): pyproject.toml constraints.txt
+	@PYTHON="$(PYTHON)" scripts/system-packages.sh
+	@if [ -e $(STAMP) ] && [ "$$(cat $(STAMP))" != "$(CURDIR)" ]; then rm -rf $(VENV); fi
+	@python=$$(PYTHON="$(PYTHON)" scripts/find-python.sh) && \
+		echo "setup: making $(VENV) with $$python" && "$$python" -m venv $(VENV)
+	@echo "setup: installing the pinned packages, a minute or two the first time"
+	@$(RUN) pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@echo "$(CURDIR)" > $(STAMP)

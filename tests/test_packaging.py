@@ -1,0 +1,133 @@
+"""What a person installs: pinned dependencies, the entry points, and the files in the wheel."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from packaging.version import Version
+
+ROOT = Path(__file__).parents[1]
+PROJECT = "tactile-loc"
+MACHINE_SPECIFIC = re.compile(r"/(home|work|opt|root|Users|mnt|tmp)/|file:|https?://\S*/simple|index-url|find-links")
+
+
+def constraints() -> dict[str, str]:
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pins = [line.split("==") for line in lines if line and not line.startswith("#")]
+    return dict(pins)
+
+
+def requirements(name: str, extras: frozenset[str]) -> list[Requirement]:
+    """The requirements of an installed distribution that hold here, with the extras that were asked for."""
+    parsed = [Requirement(text) for text in metadata.requires(name) or []]
+    environments = [{"extra": extra} for extra in extras or {""}]
+    return [r for r in parsed if r.marker is None or any(r.marker.evaluate(e) for e in environments)]
+
+
+def installed_closure(root: str, extras: frozenset[str]) -> dict[str, str]:
+    """Name and version of every installed distribution that `root` needs, directly or not."""
+    found: dict[str, str] = {}
+    seen: set[tuple[str, frozenset[str]]] = set()
+    queue = [(root, extras)]
+    while queue:
+        name, wanted = queue.pop()
+        if (name, wanted) in seen:
+            continue
+        seen.add((name, wanted))
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:  # a development tool that this environment does without
+            continue
+        queue += [(canonicalize_name(r.name), frozenset(r.extras)) for r in requirements(name, wanted)]
+    del found[root]
+    return found
+
+
+def test_constraints_pin_everything_that_is_installed():
+    closure = installed_closure(PROJECT, frozenset({"dev"}))
+    installed = {name: Version(version).public for name, version in closure.items()}
+    assert {"numpy", "open3d-cpu", "pytest", "kiwisolver"} <= installed.keys()  # runtime, dev and transitive ones
+    pins = constraints()
+    assert {name: pins.get(name, "not pinned") for name in installed} == installed
+
+
+def test_constraints_are_sorted_exact_pins_with_normalised_names():
+    lines = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if line and not line.startswith("#")]
+    assert all(re.fullmatch(r"[a-z0-9-]+==[0-9][0-9a-z.]*", line) for line in lines)
+    names = [line.split("==")[0] for line in lines]
+    assert names == sorted(set(names))
+    assert PROJECT not in names
+
+
+def test_every_direct_dependency_is_pinned_to_a_version_that_it_allows():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    declared = [Requirement(text) for text in project["dependencies"] + project["optional-dependencies"]["dev"]]
+    here = [r for r in declared if r.marker is None or r.marker.evaluate()]
+    pins = constraints()
+    refused = [str(r) for r in here if not r.specifier.contains(pins.get(canonicalize_name(r.name), "0"))]
+    assert refused == []
+
+
+def test_a_plugin_that_needs_torch_gets_the_pinned_release():
+    assert constraints()["torch"] == "2.13.0"
+
+
+def test_the_command_and_the_plugin_group_are_installed():
+    installed = metadata.distribution(PROJECT).entry_points
+    (script,) = installed.select(group="console_scripts", name=PROJECT)
+    assert script.value == "tactile_loc_cli.main:main"
+    assert "tactile_loc.plugins" in [point.value for point in installed.select(group="tactile_loc")]
+
+
+@pytest.mark.parametrize("name", ["constraints.txt", "Makefile", "pyproject.toml", "scripts/find-python.sh", ".ci/run"])
+def test_no_file_of_the_installation_is_tied_to_one_machine(name):
+    text = (ROOT / name).read_text()
+    assert [line for line in text.splitlines() if MACHINE_SPECIFIC.search(line.replace("/path/to/", ""))] == []
+
+
+@pytest.mark.parametrize("name", [".ci/run", "scripts/find-python.sh", "scripts/system-packages.sh"])
+def test_scripts_are_executable(name):
+    assert (ROOT / name).stat().st_mode & 0o111
+
+
+@pytest.fixture(scope="module")
+def wheel_names(tmp_path_factory) -> list[str]:
+    """The names of the files in a wheel that was built from a copy of the sources."""
+    source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    for name in ("tactile_loc", "cli"):
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+    build = f"from setuptools import build_meta; build_meta.build_wheel({str(out)!r})"
+    subprocess.run([sys.executable, "-c", build], cwd=source, check=True, capture_output=True)
+    (wheel,) = out.glob("*.whl")
+    return zipfile.ZipFile(wheel).namelist()
+
+
+def test_the_wheel_ships_the_licence(wheel_names):
+    assert any(name.endswith(".dist-info/licenses/LICENSE") for name in wheel_names)
+    text = (ROOT / "LICENSE").read_text()
+    assert text.startswith("MIT License")
+    assert "2026 The tactile-loc authors" in text
+
+
+def test_the_wheel_ships_every_source_and_data_file(wheel_names):
+    shipped = [("tactile_loc", ROOT / "tactile_loc"), ("tactile_loc_cli", ROOT / "cli" / "tactile_loc_cli")]
+    wanted = {
+        f"{package}/{path.relative_to(folder).as_posix()}"
+        for package, folder in shipped
+        for path in folder.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert wanted - set(wheel_names) == set()
+    assert not [name for name in wheel_names if name.startswith("tests/")]
