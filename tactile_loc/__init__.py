@@ -1,0 +1,60 @@
+"""Touch an object once; know where it is.
+
+The public API. Names are imported when they are first used, so that `import tactile_loc` costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tactile_loc.core.config import RunConfig as RunConfig
+    from tactile_loc.core.errors import TactileLocError as TactileLocError
+    from tactile_loc.core.hookspecs import ComponentSpec as ComponentSpec
+    from tactile_loc.core.hookspecs import hookimpl as hookimpl
+    from tactile_loc.core.localization import Hypothesis as Hypothesis
+    from tactile_loc.core.localization import Localization as Localization
+    from tactile_loc.core.localizer import Localizer as Localizer
+    from tactile_loc.core.meshes import load_object as load_object
+    from tactile_loc.core.objects import ObjectModel as ObjectModel
+    from tactile_loc.core.objects import TriangleMesh as TriangleMesh
+    from tactile_loc.core.poses import PoseGrid as PoseGrid
+    from tactile_loc.core.poses import PoseMetric as PoseMetric
+    from tactile_loc.core.posterior import Mode as Mode
+    from tactile_loc.core.posterior import PosePosterior as PosePosterior
+    from tactile_loc.core.sensing import ContactShape as ContactShape
+    from tactile_loc.core.sensing import SensorGeometry as SensorGeometry
+    from tactile_loc.core.sensing import Touch as Touch
+    from tactile_loc.core.store import StageStore as StageStore
+    from tactile_loc.core.touches import read_touch as read_touch
+    from tactile_loc.core.touches import write_touch as write_touch
+
+_HOMES = {
+    "config": ["RunConfig"],
+    "errors": ["TactileLocError"],
+    "hookspecs": ["ComponentSpec", "hookimpl"],
+    "localization": ["Hypothesis", "Localization"],
+    "localizer": ["Localizer"],
+    "meshes": ["load_object"],
+    "objects": ["ObjectModel", "TriangleMesh"],
+    "poses": ["PoseGrid", "PoseMetric"],
+    "posterior": ["Mode", "PosePosterior"],
+    "sensing": ["ContactShape", "SensorGeometry", "Touch"],
+    "store": ["StageStore"],
+    "touches": ["read_touch", "write_touch"],
+}
+_MODULE_OF = {name: f"tactile_loc.core.{module}" for module, names in _HOMES.items() for name in names}
+
+__version__ = version("tactile-loc")
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULE_OF:
+        return getattr(importlib.import_module(_MODULE_OF[name]), name)
+    raise AttributeError(f"module 'tactile_loc' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_MODULE_OF])

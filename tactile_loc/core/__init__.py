@@ -1,0 +1,1 @@
+"""The nouns and the interfaces. Imports no plugin and nothing heavy."""

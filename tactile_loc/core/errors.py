@@ -1,0 +1,72 @@
+"""Every error a user can meet. One sentence each: what is wrong, where, and what to do about it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class TactileLocError(Exception):
+    """Base of all errors raised on purpose. The command line prints it as one sentence and exits with code 2."""
+
+
+class ObjectError(TactileLocError):
+    """The object cannot be used: file missing, not a mesh, empty, non-finite, or of an impossible size."""
+
+
+class SymmetryError(ObjectError):
+    """A declared symmetry cannot be read, or the object's surface contradicts it."""
+
+
+class SensorError(TactileLocError):
+    """A sensor description is incomplete or contradicts itself."""
+
+
+class TouchError(TactileLocError):
+    """A touch cannot be used: wrong size, type or unit, no contact, or nothing but contact."""
+
+
+class GridError(TactileLocError):
+    """No usable pose grid comes out of the object, the sensor and the options."""
+
+
+class RenderError(TactileLocError):
+    """A renderer cannot run here, for instance without EGL."""
+
+
+class ConfigError(TactileLocError):
+    """A configuration or option is unknown or ill-typed."""
+
+
+class OutputError(TactileLocError):
+    """Results cannot be written where they were asked to go."""
+
+
+class StoreError(TactileLocError):
+    """The stage store cannot be read or written, for instance because the disk is full."""
+
+
+class PluginError(TactileLocError):
+    """A plugin cannot be used."""
+
+
+class UnknownPluginError(PluginError):
+    """No plugin of this name fills the slot."""
+
+
+class PluginLoadError(PluginError):
+    """A plugin raised while being imported or registered."""
+
+
+class PluginConflictError(PluginError):
+    """Two distributions offer a component of the same slot and name."""
+
+
+class MissingLibraryError(PluginError):
+    """A plugin needs a library that is not installed."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return " Did you mean 'x'?" for the nearest known names, or an empty string when none is near."""
+    near = difflib.get_close_matches(name, sorted(known), n=3, cutoff=0.5)
+    return f" Did you mean {' or '.join(repr(n) for n in near)}?" if near else ""

@@ -1,0 +1,67 @@
+"""From a sampler's candidate poses to a contact grid of the spacing that was asked for."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.interfaces import GridSampler
+from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses, remove_equivalent
+from tactile_loc.core.scene import Scene
+
+log = logging.getLogger(__name__)
+
+CLOSE_ENOUGH = 0.03  # of the spacing asked for
+MOST_ROUNDS = 3
+
+
+def contact_grid(sampler: GridSampler, scene: Scene) -> PoseGrid:
+    """Sample, bring to contact, drop poses without contact and symmetric duplicates, until the spacing is met.
+
+    Contact moves poses along z, so neighbours end up farther apart than the sampler set them; the sampler is asked
+    again with a corrected spacing (metres). Raises GridError when no pose is left.
+    """
+    wanted_m = sampler.options.spacing_mm * 1e-3
+    if not wanted_m > 0:
+        raise GridError(f"the grid's spacing is {wanted_m * 1e3:g} mm; give a positive spacing_mm")
+    asked_m = wanted_m
+    for _ in range(MOST_ROUNDS):
+        grid = _contact_poses(sampler, scene, asked_m)
+        spacing_m = float(grid.neighbour_spacing().mean()) if len(grid) > 1 else wanted_m
+        log.info("grid of %d poses, mean spacing %.2f mm", len(grid), spacing_m * 1e3)
+        if abs(spacing_m / wanted_m - 1) <= CLOSE_ENOUGH:
+            break
+        asked_m *= wanted_m / spacing_m
+    return grid
+
+
+def _contact_poses(sampler: GridSampler, scene: Scene, spacing_m: float) -> PoseGrid:
+    metric = PoseMetric(scene.object)
+    poses, touching = scene.in_contact(sampler.sample(scene.object, scene.geometry, spacing_m))
+    poses = poses[touching]
+    return PoseGrid(poses[remove_equivalent(poses, metric, 0.25 * spacing_m)], metric)
+
+
+def enough_contact(contact_depths_m: np.ndarray, scene: Scene, percent: float) -> np.ndarray:
+    """Mark (N,) the contact depths (N, H, W), metres, with at least `percent` of the observed pixels in contact."""
+    observed = scene.geometry.observed_mask
+    touched = (contact_depths_m < np.float32(scene.geometry.max_depth_m)) & observed
+    return touched.sum(axis=(1, 2)) >= max(1.0, percent / 100 * observed.sum())
+
+
+def random_contact_poses(sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator) -> Poses:
+    """Draw contact poses (count, 4, 4), metres, uniformly from the continuous set that the sampler's grid covers.
+
+    Raises GridError when hardly any drawn pose has contact.
+    """
+    found: list[Poses] = []
+    for _ in range(100):
+        poses, touching = scene.in_contact(sampler.random(scene.object, scene.geometry, 2 * count, rng))
+        poses = poses[touching]
+        depths = scene.contact_depths(poses)
+        found.append(poses[enough_contact(depths, scene, sampler.options.min_contact_percent)])
+        if sum(map(len, found)) >= count:
+            return np.concatenate(found)[:count]
+    raise GridError(f"hardly any random pose of {scene.object.name} touches the sensor; choose another face")

@@ -1,0 +1,114 @@
+"""Content hashes: what a stage's inputs are, as one string that changes exactly when they do."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import StoreError
+
+JsonValue = str | int | float | bool | None | list[Any] | tuple[Any, ...] | Mapping[str, Any]
+
+_STAGE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
+
+
+@dataclass(frozen=True)
+class StageKey:
+    """What an artifact is made from: the stage, the version of its code, and everything it depends on.
+
+    Two keys are equal when their digests are. The inputs are copied, so that a later change of the mapping that was
+    passed does not reach the key; large inputs enter by their hash (`hash_arrays`, `hash_file`, another key's digest).
+
+    Raises:
+        StoreError: if the stage is not a plain name or an input is not a finite JSON value.
+    """
+
+    stage: str = field(compare=False)
+    version: int = field(compare=False)
+    inputs: Mapping[str, JsonValue] = field(compare=False)
+    digest: str = field(init=False)
+    """SHA-256, 64 hexadecimal digits, over the canonical JSON of stage, version and inputs."""
+
+    def __post_init__(self) -> None:
+        if not _STAGE_NAME.fullmatch(self.stage):
+            raise StoreError(f"{self.stage!r} cannot name a stage; use letters, digits, '-' and '_'.")
+        inputs = _plain(self.inputs, f"Stage {self.stage!r}: the input")
+        text = canonical_json({"stage": self.stage, "version": self.version, "inputs": inputs})
+        object.__setattr__(self, "inputs", inputs)
+        object.__setattr__(self, "digest", hashlib.sha256(text.encode()).hexdigest())
+
+    @property
+    def short(self) -> str:
+        """The first 16 digits of the digest, which name the artifact's folder."""
+        return self.digest[:16]
+
+    def __str__(self) -> str:
+        return f"{self.stage} {self.short}"
+
+
+def canonical_json(value: JsonValue) -> str:
+    """Return the one JSON text of a value: keys sorted, no spaces, ASCII only, floats by `repr`, tuples as lists.
+
+    Raises:
+        StoreError: if the value holds NaN, an infinity, a key that is not a string, or anything JSON does not know.
+    """
+    return json.dumps(_plain(value, "The value"), sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def hash_arrays(**arrays: NDArray[Any]) -> str:
+    """Return the SHA-256 (hex) of named arrays of any shape: names, dtypes, shapes and values in C order.
+
+    Neither the order of the names nor the memory layout matters.
+
+    Raises:
+        StoreError: if an array holds Python objects, which have no stable bytes.
+    """
+    digest = hashlib.sha256()
+    for name, values in sorted(arrays.items()):
+        array = np.asarray(values)
+        if array.dtype.hasobject:
+            raise StoreError(f"Array {name!r} holds Python objects and cannot be hashed; convert it to numbers.")
+        header = json.dumps([name, str(np.lib.format.dtype_to_descr(array.dtype)), array.shape])
+        digest.update(f"{header}\n".encode())
+        digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
+    return digest.hexdigest()
+
+
+def hash_file(path: Path) -> str:
+    """Return the SHA-256 (hex) of a file's content, read in chunks.
+
+    Raises:
+        StoreError: if the file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise StoreError(
+            f"Cannot read {path}: {error.strerror or error}; check the path and its permissions."
+        ) from error
+
+
+def _plain(value: object, where: str) -> Any:
+    """Return a deep copy made of JSON's own types only, or raise a StoreError that says where another one stands."""
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    if isinstance(value, float) and math.isfinite(value):
+        return float(value)
+    if isinstance(value, list | tuple):
+        return [_plain(item, f"{where}[{i}]") for i, item in enumerate(value)]
+    if isinstance(value, Mapping) and all(isinstance(name, str) for name in value):
+        return {str(name): _plain(item, f"{where}[{name!r}]") for name, item in value.items()}
+    found = str(value) if isinstance(value, float) else f"of type {type(value).__module__}.{type(value).__qualname__}"
+    if isinstance(value, Mapping):
+        found = "a mapping whose keys are not all strings"
+    raise StoreError(f"{where} is {found}; use finite plain JSON values, and hash_arrays for arrays.")

@@ -1,0 +1,202 @@
+"""The seven slots. A component gets its own options and nothing of anybody else's; results are frozen dataclasses."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from tactile_loc.core.objects import ObjectModel, TriangleMesh
+from tactile_loc.core.poses import PoseGrid, Poses
+from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+
+if TYPE_CHECKING:
+    from tactile_loc.core.scene import Scene
+
+Float32 = NDArray[np.float32]
+
+
+class ComponentOptions(BaseModel):
+    """Base of every component's options: frozen, unknown keys refused. A field's description states its unit."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """What a component can and cannot do, so that nobody has to probe it.
+
+    `exact_undercuts`: a renderer sees surfaces below overhangs. `deterministic`: same input, same output.
+    `follows_press_depth`: an encoder's bank must be encoded at the touch's own press depth.
+    `top_k_only`: a matcher scores only some poses, the others are -inf. `needs_training`: `fit` does work.
+    `refines`: a refiner moves poses, unlike the null one. `uses_normals`, `differentiable`, `device`: as they say.
+    """
+
+    deterministic: bool = True
+    exact_undercuts: bool = True
+    follows_press_depth: bool = False
+    top_k_only: bool = False
+    needs_training: bool = False
+    refines: bool = True
+    uses_normals: bool = False
+    differentiable: bool = False
+    device: str = "cpu"
+
+
+class Component(ABC):
+    """Base of all components. `version` is part of the store's keys: raise it when the same input gives new output."""
+
+    slot: ClassVar[str]
+    version: ClassVar[int] = 1
+    capabilities: ClassVar[Capabilities] = Capabilities()
+
+    class Options(ComponentOptions):
+        """No options."""
+
+    def __init__(self, options: ComponentOptions | None = None) -> None:
+        self.options: Any = options if options is not None else self.Options()
+
+    def describe(self) -> dict[str, Any]:
+        """Return what identifies this component's output (class, version, options), as JSON values."""
+        kind = f"{type(self).__module__}:{type(self).__qualname__}"
+        return {"class": kind, "version": self.version, "options": self.options.model_dump(mode="json")}
+
+
+class SensorModel(Component):
+    """A tactile sensor: its geometry, and how an observation becomes a contact shape."""
+
+    slot = "sensor"
+
+    @property
+    @abstractmethod
+    def geometry(self) -> SensorGeometry:
+        """The camera behind the sensing surface (metres, pixels)."""
+
+    @abstractmethod
+    def contact_shape(self, image: NDArray[Any]) -> ContactShape:
+        """Turn an observation, an image (H, W, 3) uint8 or depths (H, W) in metres, into a contact shape.
+
+        Raises TouchError when the observation does not fit.
+        """
+
+
+class Renderer(Component):
+    """Draws the object as the sensor's camera would see it."""
+
+    slot = "renderer"
+
+    @abstractmethod
+    def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
+        """Return camera depth z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
+
+        Exact between standoff and standoff + max_depth; anything beyond may be inf. Poses are in contact already.
+        """
+
+
+class GridSampler(Component):
+    """Proposes the contact poses to search."""
+
+    slot = "grid"
+
+    class Options(ComponentOptions):
+        """What every grid has: how dense it is, and how much contact a pose must make."""
+
+        spacing_mm: float = Field(default=2.0, gt=0, description="mean distance between neighbouring poses, mm")
+        min_contact_percent: float = Field(
+            default=2.0, ge=0, le=100, description="least share of the observed pixels in contact, percent"
+        )
+
+    @abstractmethod
+    def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
+        """Return candidate poses (N, 4, 4), about `spacing_m` metres apart; z is free, core brings them to contact."""
+
+    @abstractmethod
+    def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
+        """Draw `count` poses (count, 4, 4) uniformly from the continuous set that the grid samples; z is free."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingProblem:
+    """What an encoder may learn from: the grid and its contact shapes, and fresh renders through the scene."""
+
+    grid: PoseGrid
+    scene: Scene
+    seed: int = 0
+
+
+class Encoder(Component):
+    """Maps contact shapes to vectors whose Euclidean distance says how alike the poses are."""
+
+    slot = "encoder"
+    temperature: ClassVar[float] = 1.0
+
+    def fit(self, problem: TrainingProblem) -> None:
+        """Learn from simulation. Does nothing unless the encoder needs training."""
+
+    @abstractmethod
+    def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
+        """Return embeddings (N, D) of contact depths (N, H, W) in metres, all cut at one press depth."""
+
+
+class Matcher(Component):
+    """Compares queries with the bank. A score is -1/2 ||query - row||^2: for unit vectors, the cosine minus one."""
+
+    slot = "matcher"
+
+    @abstractmethod
+    def index(self, bank: Float32) -> None:
+        """Take the bank (N, D), one row a grid pose."""
+
+    @abstractmethod
+    def scores(self, queries: Float32) -> Float32:
+        """Return scores (M, N) of queries (M, D), unitless, higher is more alike; -inf where it did not look."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A pose to refine: `T_sensor_object` (4, 4) in metres, its grid index and log-probability."""
+
+    T_sensor_object: NDArray[np.float64]
+    index: int
+    log_p: float
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedPose:
+    """A refined pose (4, 4) in metres. `fitness` is the share of the observed contact explained, 0 to 1 (unitless)."""
+
+    T_sensor_object: NDArray[np.float64]
+    fitness: float
+    converged: bool
+    iterations: int
+
+
+class Refiner(Component):
+    """Moves a candidate below the grid's resolution."""
+
+    slot = "refiner"
+
+    @abstractmethod
+    def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
+        """Return the refined pose; `converged` is False when nothing better than the candidate was found."""
+
+
+Prior = Callable[[Poses], NDArray[np.float64]]
+
+
+class Fuser(Component):
+    """Combines the posteriors of several touches and a prior."""
+
+    slot = "fuser"
+
+    @abstractmethod
+    def fuse(
+        self, posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None], prior: Prior | None = None
+    ) -> PosePosterior:
+        """Return the posterior over the first touch's grid. `prior` maps poses (N, 4, 4) to log-weights (N,)."""

@@ -1,0 +1,49 @@
+"""What a localisation returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.interfaces import RefinedPose
+from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.sensing import Touch
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """One distinct explanation of the touch.
+
+    `probability` is that of its whole mode; `T_sensor_object` (4, 4) the mode's peak on the grid, `refined` the pose
+    below the grid's resolution; `poses` how many grid poses the mode holds. Metres.
+    """
+
+    probability: float
+    T_sensor_object: NDArray[np.float64]
+    refined: RefinedPose
+    index: int
+    poses: int
+
+
+@dataclass(frozen=True, eq=False)
+class Localization:
+    """The answer to one touch: the posterior, its distinct hypotheses (heaviest first), and seconds a stage."""
+
+    touch: Touch
+    posterior: PosePosterior
+    hypotheses: tuple[Hypothesis, ...]
+    seconds: dict[str, float]
+
+    @property
+    def best(self) -> Hypothesis:
+        """The heaviest hypothesis."""
+        return self.hypotheses[0]
+
+    @cached_property
+    def certainty(self) -> float:
+        """1 - entropy / log N (unitless): 1 when one pose is certain, 0 when nothing is known."""
+        count = len(self.posterior.grid)
+        return 1.0 - self.posterior.entropy / np.log(count) if count > 1 else 1.0

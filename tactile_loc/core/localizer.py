@@ -1,0 +1,154 @@
+"""The method, read aloud: build an object's model once; encode a touch, match it, fuse, find the modes, refine them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tactile_loc.core.config import RunConfig
+from tactile_loc.core.interfaces import Candidate, Matcher, Prior, RefinedPose
+from tactile_loc.core.localization import Hypothesis, Localization
+from tactile_loc.core.meshes import Units, load_object
+from tactile_loc.core.model import ObjectPoseModel, build_bank, build_model
+from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.progress import Progress
+from tactile_loc.core.registry import registry
+from tactile_loc.core.scene import Scene
+from tactile_loc.core.sensing import Touch
+from tactile_loc.core.simulation import simulate_touches
+from tactile_loc.core.store import StageStore
+from tactile_loc.core.touches import read_touch
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+PRESS_STEP_M = 5e-5  # banks are kept for press depths in these steps
+MODE_RADIUS = 2.0  # grid spacings between poses that count as one hypothesis
+
+
+class Localizer:
+    """Locates one object with one sensor. Build it once, then ask it about any number of touches."""
+
+    def __init__(
+        self, config: RunConfig, obj: ObjectModel, store: StageStore | None = None, progress: Progress | None = None
+    ) -> None:
+        self.config = config
+        self.object = obj
+        self.store = StageStore() if store is None else store
+        self.progress = progress or Progress()
+        self.sensor = self._component("sensor")
+        self.sampler = self._component("grid")
+        self.encoder = self._component("encoder")
+        self.refiner = self._component("refiner")
+        self.fuser = self._component("fuser")
+        renderer = self._component("renderer")
+        self.scene = Scene(obj, self.sensor.geometry, renderer)
+        self.coarse_scene = Scene(obj, self.sensor.geometry.with_long_side(config.shape_px), renderer)
+        self._matchers: dict[float, Matcher] = {}
+
+    @classmethod
+    def create(
+        cls, object: str = "pin", *, units: Units = "auto", symmetry: str = "auto", store: StageStore | None = None,
+        progress: Progress | None = None, **settings: Any,
+    ) -> Localizer:  # fmt: skip
+        """Load an object (a mesh file or a demo object's name) and make its localizer.
+
+        `settings` are RunConfig's: slots by name (`refiner="icp"`) or with options
+        (`grid={"name": "face", "spacing_mm": 3}`), `top`, `seed`, ... Raises TactileLocError for bad input.
+        """
+        chosen = {"path": object, "units": units, "symmetry": symmetry}
+        config = RunConfig.from_dict({"object": chosen, **settings}, "Localizer.create")
+        return cls(config, load_object(object, units, symmetry), store, progress)
+
+    def read_touch(self, path: str | Path, unit: str | None = None, press_depth_m: float | None = None) -> Touch:
+        """Read a contact shape (npz, npy, 16-bit PNG) as this sensor's touch. Raises TouchError."""
+        return read_touch(Path(path), self.sensor, unit, press_depth_m)
+
+    def simulate(self, count: int = 1, seed: int = 0, press_depth_m: float | None = None) -> list[Touch]:
+        """Make touches at random poses of the continuous set that the grid covers, with their true poses; metres."""
+        return simulate_touches(self.sampler, self.scene, count, np.random.default_rng(seed), press_depth_m)
+
+    def _component(self, slot: str) -> Any:
+        chosen = getattr(self.config, slot)
+        return registry().create(slot, chosen.name, chosen.options)
+
+    @cached_property
+    def model(self) -> ObjectPoseModel:
+        """The object's grid and contact shapes: from the store, or built now."""
+        return build_model(self.coarse_scene, self.sampler, self.store, self.progress)
+
+    def localize(self, touch: Touch, prior: Prior | None = None, top: int | None = None) -> Localization:
+        """Return the distribution over poses given a touch, and its `top` distinct hypotheses, refined.
+
+        `prior` maps poses (N, 4, 4) in metres to log-weights (N,). Raises TactileLocError when nothing fits.
+        """
+        seconds: dict[str, float] = {}
+        posterior = self.posterior(touch, prior, seconds)
+        radius_m = MODE_RADIUS * self.sampler.options.spacing_mm * 1e-3
+        modes = _timed(seconds, "modes", lambda: posterior.modes(radius_m, top or self.config.top))
+        refined = _timed(seconds, "refine", lambda: [self.refine(touch, posterior, m.index) for m in modes])
+        hypotheses = tuple(
+            Hypothesis(m.probability, m.T_sensor_object, r, m.index, len(m.members))
+            for m, r in zip(modes, refined, strict=True)
+        )
+        return Localization(touch, posterior, hypotheses, seconds)
+
+    def posterior(
+        self, touch: Touch, prior: Prior | None = None, seconds: dict[str, float] | None = None
+    ) -> PosePosterior:
+        """Return the posterior over the grid's poses: encode, match, fuse. `seconds` is filled with their times."""
+        seconds = {} if seconds is None else seconds
+        matcher = self.matcher(touch.press_depth_m)
+        press_m = self._bank_press(touch.press_depth_m)
+        query = _timed(seconds, "encode", lambda: self._encode(touch, press_m))
+        scores = _timed(seconds, "match", lambda: matcher.scores(query)[0])
+        temperature = self.config.temperature or self.encoder.temperature
+        single = PosePosterior.from_scores(self.model.grid, scores, temperature)
+        return _timed(seconds, "fuse", lambda: self.fuser.fuse([single], [touch.T_base_sensor], prior))
+
+    def refine(self, touch: Touch, posterior: PosePosterior, index: int) -> RefinedPose:
+        """Refine one pose of the posterior's grid against the touch."""
+        pose = posterior.grid.T_sensor_object[index]
+        result: RefinedPose = self.refiner.refine(
+            touch, Candidate(pose, index, float(posterior.log_p[index])), self.scene
+        )
+        return result
+
+    def best_pose(self, touch: Touch) -> RefinedPose:
+        """Return the most probable pose, refined: the shortest way, for a control loop."""
+        posterior = self.posterior(touch)
+        return self.refine(touch, posterior, int(posterior.log_p.argmax()))
+
+    def matcher(self, press_depth_m: float) -> Matcher:
+        """Return the matcher whose bank was cut at this press depth (metres), built at first use."""
+        press_m = self._bank_press(press_depth_m)
+        if press_m not in self._matchers:
+            bank = build_bank(self.model, self.coarse_scene, self.encoder, press_m, self.store, self.progress)
+            matcher = self._component("matcher")
+            matcher.index(bank)
+            self._matchers[press_m] = matcher
+        return self._matchers[press_m]
+
+    def _bank_press(self, press_depth_m: float) -> float:
+        """The press depth, rounded down to a step, at which touch and bank are compared."""
+        if not self.encoder.capabilities.follows_press_depth:
+            return self.scene.geometry.max_depth_m
+        return round(max(1, int(press_depth_m / PRESS_STEP_M + 1e-6)) * PRESS_STEP_M, 9)
+
+    def _encode(self, touch: Touch, press_depth_m: float) -> NDArray[np.float32]:
+        shape = touch.contact_shape.pressed_to(press_depth_m)
+        embedding: NDArray[np.float32] = self.encoder.encode(shape.depth_m[None], press_depth_m, touch.geometry)
+        return embedding
+
+
+def _timed(seconds: dict[str, float], stage: str, work: Callable[[], Any]) -> Any:
+    start = time.perf_counter()
+    result = work()
+    seconds[stage] = time.perf_counter() - start
+    return result

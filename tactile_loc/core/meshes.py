@@ -1,0 +1,109 @@
+"""Reading a mesh file into an ObjectModel: formats, units and symmetry. trimesh is imported when a file is read."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from tactile_loc.core.errors import ObjectError, did_you_mean
+from tactile_loc.core.objects import ObjectModel, TriangleMesh, check_surface
+from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.data import DEMO_OBJECTS
+
+log = logging.getLogger(__name__)
+
+Units = Literal["m", "mm", "cm", "inch", "auto"]
+METRES_PER_UNIT: dict[str, float] = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "inch": 0.0254}
+
+
+def load_object(
+    path: str | Path, units: Units = "auto", symmetry: str = "auto", name: str | None = None
+) -> ObjectModel:
+    """Read any mesh format that trimesh reads, or a demo object by its name, and return the object in metres.
+
+    `units` is the file's unit; "auto" guesses it from the size and notes what it guessed. `symmetry` is declared
+    ("none", "z2", "z6*x2", "zinf", ...) and checked against the surface, or "auto" to detect it. What was guessed or
+    looks doubtful is in the result's `notes` and logged as a warning. Raises ObjectError or SymmetryError.
+    """
+    demo = DEMO_OBJECTS.get(str(path))
+    if demo is not None and not Path(path).is_file():
+        path, units = demo.path, "m"
+        symmetry = demo.symmetry if symmetry == "auto" else symmetry
+    path = Path(path)
+    name = name or path.stem
+    raw = _read(path)
+    scale, notes = _unit_scale(raw, units, path.name)
+    mesh = TriangleMesh(np.asarray(raw.vertices, float) * scale, np.asarray(raw.faces, np.int64))
+    check_surface(mesh, path.name)
+    if not raw.is_watertight:
+        notes.append(f"{path.name} is not watertight; touches are rendered from the faces it has")
+    group = _symmetry(symmetry, mesh, notes)
+    for note in notes:
+        log.warning(note)
+    return ObjectModel(name, mesh, group, tuple(notes), str(path))
+
+
+def _read(path: Path) -> Any:
+    """Load and merge the triangles of a file, in the file's own unit."""
+    if not path.is_file():
+        near = did_you_mean(str(path), DEMO_OBJECTS)
+        raise ObjectError(
+            f"there is no mesh file at {path}; check the path.{near} Demo objects: {', '.join(DEMO_OBJECTS)}"
+        )
+    import trimesh
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            raw = trimesh.load(path, force="mesh", process=False)
+    except Exception as error:
+        raise ObjectError(f"{path} cannot be read as a mesh ({_first_line(error)}); give an STL, OBJ or PLY") from error
+    if not isinstance(raw, trimesh.Trimesh) or len(raw.faces) == 0:
+        raise ObjectError(f"{path} is an empty mesh or no surface mesh: it has no faces; export it as a surface mesh")
+    if not np.isfinite(raw.vertices).all():
+        raise ObjectError(f"{path} has vertices that are NaN or infinite; repair or export the mesh again")
+    raw.merge_vertices(merge_tex=True, merge_norm=True)
+    raw.update_faces(raw.nondegenerate_faces(height=0))
+    raw.remove_unreferenced_vertices()  # strays would enlarge the box that bounds where the object can touch
+    if len(raw.faces) == 0:
+        raise ObjectError(f"{path} has zero extent: all its faces are points or lines; export the mesh again")
+    return raw
+
+
+def _unit_scale(raw: Any, units: str, name: str) -> tuple[float, list[str]]:
+    """Return metres per file unit, and what was guessed.
+
+    Parts that a hand-sized sensor touches are 4 mm to 1 m long: a number below 1 is read as metres, others as mm.
+    """
+    if units not in get_args(Units):
+        raise ObjectError(f"unknown unit {units!r} for {name}; give one of {', '.join(get_args(Units))}")
+    if units != "auto":
+        return METRES_PER_UNIT[units], []
+    size = float(np.ptp(raw.vertices, axis=0).max())
+    guess = "m" if size < 1.0 else "mm"
+    scale = METRES_PER_UNIT[guess]
+    return scale, [
+        f"{name} is {size:.4g} units long; guessed {guess}, so {size * scale * 1e3:.4g} mm "
+        "(say --units to be sure)"
+    ]  # fmt: skip
+
+
+def _symmetry(declared: str, mesh: TriangleMesh, notes: list[str]) -> SymmetryGroup:
+    from tactile_loc.core.symmetry_detection import detect_symmetry, require_symmetry
+
+    if declared == "auto":
+        group = detect_symmetry(mesh.vertices_m, mesh.faces)
+        notes.append(f"symmetry found: {group} (say --symmetry to be sure)")
+        return group
+    group = SymmetryGroup.parse(declared, mesh.centroid_m)
+    if not group.is_trivial:
+        require_symmetry(group, mesh.vertices_m, mesh.faces)
+    return group
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:120]

@@ -1,0 +1,119 @@
+"""Pose sets and the metric between poses: a pose is `T_sensor_object`, and a distance is millimetres of surface.
+
+The mean squared distance between an object's surface points at two poses is exactly a Euclidean distance in R^12.
+With centroid c and covariance C = L L^T of the surface, phi(T) = [R L, R c + t] gives
+||phi(T1) - phi(T2)||^2 = mean_p ||T1 p - T2 p||^2, so a KD-tree over phi answers "nearest pose" exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.objects import ObjectModel
+
+Poses = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PoseMetric:
+    """Root mean square distance, in metres, between an object's surface at two poses."""
+
+    object: ObjectModel
+
+    @cached_property
+    def _lever(self) -> NDArray[np.float64]:
+        values, vectors = np.linalg.eigh(self.object.mesh.covariance_m2)
+        return vectors * np.sqrt(np.clip(values, 0.0, None))
+
+    def embed(self, T_sensor_object: Poses) -> NDArray[np.float64]:
+        """Map poses (N, 4, 4) to points phi (N, 12) in metres; Euclidean distance there is the metric."""
+        R, t = T_sensor_object[..., :3, :3], T_sensor_object[..., :3, 3]
+        turned = (R @ self._lever).reshape(*R.shape[:-2], 9)
+        return np.concatenate([turned, R @ self.object.mesh.centroid_m + t], axis=-1)
+
+    def distance(self, T1: Poses, T2: Poses) -> NDArray[np.float64]:
+        """Return the distance (...,) in metres between poses (..., 4, 4), symmetry not regarded."""
+        return np.linalg.norm(self.embed(T1) - self.embed(T2), axis=-1)
+
+    def equivalents(self, T_sensor_object: Poses, step_m: float) -> Poses:
+        """Return the poses (K, N, 4, 4) that look the same as T (N, 4, 4) by symmetry.
+
+        A continuous symmetry is sampled so that neighbouring equivalents are at most `step_m` metres apart.
+        """
+        lever = max(float(np.sqrt(np.trace(self.object.mesh.covariance_m2))), 1e-9)
+        S = self.object.symmetry.elements(max_step_rad=float(step_m / lever))
+        return T_sensor_object[None] @ S[:, None]
+
+    def symmetric_distance(self, T1: Poses, T2: Poses, step_m: float = 2e-4) -> NDArray[np.float64]:
+        """Return the distance (N,) in metres between poses (N, 4, 4), the least over the symmetry group."""
+        same = self.equivalents(T1, step_m)
+        return np.linalg.norm(self.embed(same) - self.embed(T2)[None], axis=-1).min(axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class PoseGrid:
+    """The discrete contact poses that are searched: `T_sensor_object` (N, 4, 4), metres. Raises GridError if empty."""
+
+    T_sensor_object: Poses
+    metric: PoseMetric
+
+    def __post_init__(self) -> None:
+        if len(self.T_sensor_object) == 0:
+            raise GridError(
+                f"no pose of {self.metric.object.name} is left in the grid; choose another face or a finer spacing"
+            )
+
+    def __len__(self) -> int:
+        return len(self.T_sensor_object)
+
+    @cached_property
+    def phi(self) -> NDArray[np.float64]:
+        """The grid in the metric's space, (N, 12) metres."""
+        return self.metric.embed(self.T_sensor_object)
+
+    @cached_property
+    def _tree(self) -> Any:
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.phi)
+
+    def nearest(self, T_sensor_object: Poses) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Return distance (M,) in metres and index (M,) of the grid pose nearest to poses (M, 4, 4) or equivalents."""
+        same = self.metric.equivalents(T_sensor_object, step_m=2e-4)
+        distances, indices = self._tree.query(self.metric.embed(same))
+        best = distances.argmin(axis=0)
+        columns = np.arange(len(best))
+        return distances[best, columns], indices[best, columns]
+
+    def neighbour_spacing(self, subset: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
+        """Return each pose's distance (N,) in metres to its nearest other pose (of `subset` indices, or of all)."""
+        points = self.phi if subset is None else self.phi[subset]
+        if len(self) < 2:
+            return np.full(len(points), np.inf)
+        distances: NDArray[np.float64] = self._tree.query(points, k=2)[0]
+        return distances[:, 1]
+
+    def within(self, radius_m: float, index: int) -> NDArray[np.int64]:
+        """Return the indices (K,) of poses within `radius_m` metres of grid pose `index`, symmetry regarded."""
+        same = self.metric.equivalents(self.T_sensor_object[index : index + 1], step_m=radius_m)[:, 0]
+        found = self._tree.query_ball_point(self.metric.embed(same), radius_m)
+        return np.unique(np.concatenate([np.asarray(f, np.int64) for f in found]))
+
+
+def remove_equivalent(T_sensor_object: Poses, metric: PoseMetric, radius_m: float) -> NDArray[np.bool_]:
+    """Mark (N,) the poses (N, 4, 4) to keep so that no two kept are within `radius_m` metres up to symmetry."""
+    keep = np.ones(len(T_sensor_object), bool)
+    if len(keep) == 0 or metric.object.symmetry.is_trivial:
+        return keep
+    grid = PoseGrid(T_sensor_object, metric)
+    for i in range(len(keep)):
+        if keep[i]:
+            twins = grid.within(radius_m, i)
+            keep[twins[twins > i]] = False
+    return keep

@@ -1,0 +1,106 @@
+"""The answer: a distribution over the poses of a grid, kept in log space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.poses import PoseGrid, Poses
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """One distinct hypothesis: the most probable pose of a cluster and the probability of all its poses.
+
+    `index` is the grid index of the peak, `members` (K,) the grid indices, `T_sensor_object` (4, 4) in metres.
+    """
+
+    index: int
+    probability: float
+    T_sensor_object: NDArray[np.float64]
+    members: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class PosePosterior:
+    """Log-probabilities `log_p` (N,) over a grid's poses; -inf where a pose is excluded.
+
+    Normalised on creation. Raises GridError when no pose has any probability or a value is NaN.
+    """
+
+    grid: PoseGrid
+    log_p: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        log_p = np.asarray(self.log_p, float)
+        if log_p.shape != (len(self.grid),) or np.isnan(log_p).any() or not np.isfinite(log_p.max()):
+            raise GridError("no pose of the grid explains the touch: all probabilities are zero or undefined")
+        peak = log_p.max()
+        object.__setattr__(self, "log_p", log_p - peak - np.log(np.exp(log_p - peak).sum()))
+
+    @classmethod
+    def from_scores(cls, grid: PoseGrid, scores: NDArray[np.floating], temperature: float) -> PosePosterior:
+        """Return softmax(scores / temperature) over the grid; `scores` (N,) unitless, higher is more alike."""
+        return cls(grid, np.asarray(scores, float) / temperature)
+
+    @property
+    def probabilities(self) -> NDArray[np.float64]:
+        """The probabilities (N,), which sum to one."""
+        return np.exp(self.log_p)
+
+    def top(self, count: int) -> NDArray[np.int64]:
+        """Return the grid indices (K,) of the `count` most probable poses, most probable first."""
+        count = min(count, len(self.log_p))
+        best = np.argpartition(-self.log_p, count - 1)[:count]
+        return best[np.lexsort((best, -self.log_p[best]))]
+
+    @property
+    def entropy(self) -> float:
+        """Shannon entropy in nats: 0 when one pose is certain, log N when nothing is known (unitless)."""
+        p = self.probabilities
+        return float(-(p[p > 0] * self.log_p[p > 0]).sum())
+
+    def sample(self, count: int, rng: np.random.Generator) -> Poses:
+        """Draw poses (count, 4, 4), metres, with the posterior's probabilities."""
+        return self.grid.T_sensor_object[rng.choice(len(self.log_p), size=count, p=self.probabilities)]
+
+    def modes(self, radius_m: float, count: int = 10, mass: float = 0.99) -> list[Mode]:
+        """Cluster the posterior into at most `count` distinct hypotheses, the heaviest first.
+
+        The most probable pose takes all unclaimed poses that hang together with it in steps of at most `radius_m`
+        metres (symmetry regarded); then the next, until `mass` of the probability is claimed.
+        """
+        from scipy.sparse.csgraph import connected_components
+
+        p = self.probabilities
+        order = self.top(len(p))
+        enough = int(np.searchsorted(np.cumsum(p[order]), mass)) + 1
+        core = order[: min(enough, MOST_CLUSTERED)]
+        labels = connected_components(_adjacency(self.grid, core, radius_m), directed=False)[1]
+        modes = []
+        for label in range(labels.max() + 1):
+            members = core[labels == label]
+            modes.append(Mode(int(members[0]), float(p[members].sum()), self.grid.T_sensor_object[members[0]], members))
+        return sorted(modes, key=lambda m: (-m.probability, m.index))[:count]
+
+
+MOST_CLUSTERED = 2000
+
+
+def _adjacency(grid: PoseGrid, subset: NDArray[np.int64], radius_m: float):  # type: ignore[no-untyped-def]
+    """Sparse graph over `subset` (K,) of the grid: an edge where two poses are within `radius_m` metres."""
+    from scipy.sparse import coo_matrix
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(grid.phi[subset])
+    same = grid.metric.embed(grid.metric.equivalents(grid.T_sensor_object[subset], radius_m))
+    rows, columns = [], []
+    for row, equivalents in enumerate(np.swapaxes(same, 0, 1)):
+        near = np.unique(np.concatenate(tree.query_ball_point(equivalents, radius_m)).astype(np.int64))
+        rows.append(np.full(len(near), row))
+        columns.append(near)
+    i, j = np.concatenate(rows), np.concatenate(columns)
+    return coo_matrix((np.ones(len(i)), (i, j)), shape=(len(subset), len(subset)))

@@ -1,0 +1,284 @@
+"""What a sensor sees: its camera geometry, the contact shape, and the touch.
+
+The sensor frame is the virtual camera's: origin at the camera, +z out of the sensor towards the object, x right and
+y down in the image. The undeformed sensing surface is the plane z = standoff. Pixel centres lie at half integers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile_loc.core.errors import SensorError, TouchError
+
+Depth = NDArray[np.float32]
+
+LARGEST_PX = 8192
+
+
+@dataclass(frozen=True, eq=False)
+class SensorGeometry:
+    """The virtual camera behind the sensing surface.
+
+    `fx`, `fy` are pixels for a pinhole camera and pixels per metre for an orthographic one; `cx`, `cy` are pixels.
+    `standoff_m` is the distance from the camera to the undeformed surface, `max_depth_m` the deepest press in metres.
+    `rectangle_m` (x_min, x_max, y_min, y_max) bounds the gel on the sensing surface; by default all that the image
+    sees of it. `observed` (H, W) bool is False at pixels that carry no information; by default all pixels whose view
+    of the sensing surface lies on the rectangle count. Raises SensorError when the numbers contradict one another.
+    """
+
+    camera: Literal["pinhole", "orthographic"]
+    width_px: int
+    height_px: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    standoff_m: float
+    max_depth_m: float
+    rectangle_m: tuple[float, float, float, float] | None = None
+    observed: NDArray[np.bool_] | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.camera not in ("pinhole", "orthographic"):
+            raise SensorError(f"the camera is {self.camera!r}; it must be 'pinhole' or 'orthographic'")
+        positive = ("width_px", "height_px", "fx", "fy", "standoff_m", "max_depth_m")
+        for name in positive:
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise SensorError(f"the sensor's {name} is {value}; it must be a positive number")
+        if max(self.shape) > LARGEST_PX:
+            raise SensorError(
+                f"the sensor's image is {self.width_px} x {self.height_px} pixels; at most {LARGEST_PX} a side"
+            )
+        if self.observed is not None and (self.observed.shape != self.shape or self.observed.dtype != np.bool_):
+            raise SensorError(
+                f"the mask of observed pixels is {self.observed.shape} {self.observed.dtype}; "
+                f"it must be bool and as large as the image, {self.shape} (rows, columns)"
+            )
+        x0, x1, y0, y1 = self.rectangle
+        if not (x0 < x1 and y0 < y1):
+            raise SensorError(f"the sensing rectangle {self.rectangle} is empty; give x_min < x_max and y_min < y_max")
+        if not self.observed_mask.any():
+            raise SensorError("no pixel of the sensor is observed; check the sensing rectangle and the mask")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Image size (H, W) in pixels."""
+        return self.height_px, self.width_px
+
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether rays spread from one point (pinhole) rather than run parallel (orthographic)."""
+        return self.camera == "pinhole"
+
+    @property
+    def scale_at_surface(self) -> tuple[float, float]:
+        """Pixels per metre (x, y) on the undeformed sensing surface."""
+        k = self.standoff_m if self.is_pinhole else 1.0
+        return self.fx / k, self.fy / k
+
+    @property
+    def pixel_pitch_m(self) -> float:
+        """Mean size of a pixel on the undeformed sensing surface, metres."""
+        sx, sy = self.scale_at_surface
+        return 0.5 * (1.0 / sx + 1.0 / sy)
+
+    @property
+    def rectangle(self) -> tuple[float, float, float, float]:
+        """The sensing rectangle (x_min, x_max, y_min, y_max) in metres on the plane z = standoff."""
+        sx, sy = self.scale_at_surface
+        view = (-self.cx / sx, (self.width_px - self.cx) / sx, -self.cy / sy, (self.height_px - self.cy) / sy)
+        if self.rectangle_m is None:
+            return view
+        x0, x1, y0, y1 = self.rectangle_m
+        return max(x0, view[0]), min(x1, view[1]), max(y0, view[2]), min(y1, view[3])
+
+    @cached_property
+    def pixel_slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Per column (W,) and per row (H,): x/z and y/z of a pinhole's rays, or x and y in metres (orthographic)."""
+        u = np.arange(self.width_px, dtype=np.float64) + 0.5
+        v = np.arange(self.height_px, dtype=np.float64) + 0.5
+        return (u - self.cx) / self.fx, (v - self.cy) / self.fy
+
+    @cached_property
+    def observed_mask(self) -> NDArray[np.bool_]:
+        """Pixels (H, W) that carry information: on the sensing rectangle and not masked."""
+        k = self.standoff_m if self.is_pinhole else 1.0
+        x, y = (s * k for s in self.pixel_slopes)
+        x0, x1, y0, y1 = self.rectangle
+        inside = ((y >= y0) & (y <= y1))[:, None] & ((x >= x0) & (x <= x1))[None, :]
+        return inside if self.observed is None else inside & self.observed
+
+    def backproject(self, depth_m: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Turn depths z (..., H, W) in metres into points (..., H, W, 3) in the sensor frame, metres."""
+        x, y = np.meshgrid(*self.pixel_slopes)
+        z = np.asarray(depth_m, float)
+        k = z if self.is_pinhole else np.ones_like(z)
+        return np.stack([x * k, y * k, z], axis=-1)
+
+    def resized(self, width_px: int, height_px: int) -> SensorGeometry:
+        """Return the same sensor with another image size in pixels; intrinsics scale exactly."""
+        kx, ky = width_px / self.width_px, height_px / self.height_px
+        observed = None
+        if self.observed is not None:
+            rows = ((np.arange(height_px) + 0.5) / ky).astype(int)
+            columns = ((np.arange(width_px) + 0.5) / kx).astype(int)
+            observed = self.observed[np.ix_(rows, columns)]
+        return dataclasses.replace(
+            self, width_px=width_px, height_px=height_px, observed=observed,
+            fx=self.fx * kx, fy=self.fy * ky, cx=self.cx * kx, cy=self.cy * ky,
+        )  # fmt: skip
+
+    def every(self, step: int) -> SensorGeometry:
+        """Return the sensor that sees only every `step`-th pixel, from the first: what [::step, ::step] keeps."""
+        rows, columns = len(range(0, self.height_px, step)), len(range(0, self.width_px, step))
+        observed = None if self.observed is None else self.observed[::step, ::step]
+        return dataclasses.replace(
+            self, width_px=columns, height_px=rows, observed=observed, fx=self.fx / step, fy=self.fy / step,
+            cx=(self.cx - 0.5) / step + 0.5, cy=(self.cy - 0.5) / step + 0.5, rectangle_m=self.rectangle,
+        )  # fmt: skip
+
+    def with_long_side(self, pixels: int) -> SensorGeometry:
+        """Return the same sensor, its longer image side `pixels` long, the shorter in proportion."""
+        k = pixels / max(self.shape)
+        return self.resized(max(1, round(self.width_px * k)), max(1, round(self.height_px * k)))
+
+    def describe(self) -> dict[str, Any]:
+        """Return the numbers as JSON values (metres, pixels), with a digest of the mask: what identifies the sensor."""
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "observed"}
+        mask = None if self.observed is None else hashlib.sha256(np.packbits(self.observed).tobytes()).hexdigest()
+        rectangle = None if self.rectangle_m is None else list(self.rectangle_m)
+        return {**fields, "rectangle_m": rectangle, "observed": mask}
+
+
+@dataclass(frozen=True, eq=False)
+class ContactShape:
+    """How far the object's surface lies from full penetration: `depth_m` (H, W) float32 in metres, 0 ... press depth.
+
+    A pixel at `press_depth_m` or beyond is not in contact. Two contact shapes are comparable when both are cut at the
+    same press depth: see `pressed_to`.
+    """
+
+    depth_m: Depth
+    press_depth_m: float
+
+    @property
+    def contact(self) -> NDArray[np.bool_]:
+        """The pixels (H, W) in contact: depth below the press depth in metres."""
+        return self.depth_m < np.float32(self.press_depth_m)
+
+    def every(self, step: int) -> ContactShape:
+        """Return every `step`-th pixel; goes with `SensorGeometry.every`."""
+        return ContactShape(self.depth_m[::step, ::step], self.press_depth_m)
+
+    def pressed_to(self, press_depth_m: float) -> ContactShape:
+        """Return what a lighter press would show: depths cut at `press_depth_m` metres."""
+        return ContactShape(np.minimum(self.depth_m, np.float32(press_depth_m)), min(press_depth_m, self.press_depth_m))
+
+
+def contact_depth(depth_m: NDArray[np.floating[Any]], geometry: SensorGeometry, press_depth_m: float) -> Depth:
+    """Turn rendered camera depths (..., H, W) into contact depths (..., H, W): clip(z - standoff, 0, press depth).
+
+    All in metres; a surface that no ray meets has depth inf and becomes `press_depth_m`, no contact.
+    """
+    shape = np.subtract(depth_m, np.float32(geometry.standoff_m), dtype=np.float32)
+    return np.clip(shape, 0.0, np.float32(press_depth_m), out=shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """One tactile observation.
+
+    `contact_shape` as seen by a sensor of `geometry`; `T_base_sensor` (4, 4) where the sensor was, if known;
+    `T_sensor_object` (4, 4) the true pose, known only in simulation or experiments. Lengths in metres.
+    Raises TouchError when the shape does not fit the sensor, has no contact, or nothing but contact.
+    """
+
+    contact_shape: ContactShape
+    geometry: SensorGeometry
+    name: str = "touch"
+    T_base_sensor: NDArray[np.float64] | None = None
+    T_sensor_object: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        depth = self.contact_shape.depth_m
+        if depth.shape != self.geometry.shape:
+            got, want = " x ".join(map(str, depth.shape)), " x ".join(map(str, self.geometry.shape))
+            raise TouchError(
+                f"{self.name} is {got} pixels but the sensor's image is {want} (rows x columns); "
+                "choose the sensor that took it, or set its image_size_px"
+            )
+        contact = self.contact_shape.contact[self.geometry.observed_mask]
+        if not contact.any():
+            raise TouchError(
+                f"{self.name} shows no contact: no observed pixel is nearer than its press depth of "
+                f"{self.contact_shape.press_depth_m * 1e3:.3g} mm; press the object on the sensor, or check the unit"
+            )
+        flat = np.ptp(depth[self.geometry.observed_mask]) < 0.05 * self.contact_shape.press_depth_m
+        if contact.all() and flat:
+            raise TouchError(
+                f"{self.name} is nothing but contact: every pixel has the same depth, which fits any flat face; "
+                "touch where an edge or a feature is on the sensor, or check how the file marks 'no contact'"
+            )
+
+    @property
+    def press_depth_m(self) -> float:
+        """How deep the object was pressed, metres."""
+        return self.contact_shape.press_depth_m
+
+
+def contact_shape_from_array(
+    values: ArrayLike, max_depth_m: float, press_depth_m: float | None = None, name: str = "touch"
+) -> ContactShape:
+    """Make a contact shape from depths (H, W) in metres, 0 = deepest; NaN or at least `max_depth_m` = no contact.
+
+    Without `press_depth_m` the press depth is the deepest step the contact shows: its largest depth, at least a
+    quarter of `max_depth_m` because a flat imprint shows none. When no pixel is marked as out of contact, the shape
+    was cut at its largest depth (unless it is flat). Raises TouchError for a wrong type, unit or size.
+    """
+    depth = np.asarray(values)
+    if depth.ndim != 2 or depth.size == 0 or depth.dtype.kind not in "fiu":
+        raise TouchError(
+            f"{name} is an array of shape {depth.shape} and type {depth.dtype}; a contact shape is (H, W) numbers, "
+            "depth from full penetration"
+        )
+    with np.errstate(over="ignore"):  # beyond float32 is beyond the sensor too
+        depth = np.where(np.isnan(depth), np.inf, depth).astype(np.float32)
+    if (depth < -1e-6).any():
+        raise TouchError(f"{name} has negative depths (least {depth.min():.3g} m); 0 must mean full penetration")
+    finite = depth[np.isfinite(depth)]
+    if finite.size and finite.max() > 100 * max_depth_m:
+        raise TouchError(
+            f"{name} has depths up to {finite.max():.3g} m, far beyond the sensor's {max_depth_m * 1e3:.3g} mm; "
+            "its unit is probably another (give --touch-unit mm or um)"
+        )
+    if press_depth_m is None:
+        press_depth_m = _deepest_step(depth, max_depth_m)
+    if not 0 < press_depth_m <= max_depth_m * (1 + 1e-6):
+        raise TouchError(
+            f"{name} has a press depth of {press_depth_m * 1e3:.3g} mm; "
+            f"the sensor's range is 0 to {max_depth_m * 1e3:.3g} mm"
+        )
+    depth[_reaches(depth, press_depth_m)] = press_depth_m
+    return ContactShape(np.clip(depth, 0, np.float32(press_depth_m)), float(press_depth_m))
+
+
+def _reaches(depth_m: Depth, limit_m: float) -> NDArray[np.bool_]:
+    """Return where depths are at a limit or beyond; the rounding of a unit's conversion must not make contact."""
+    return depth_m >= np.float32(limit_m) * (1 - 1e-6)
+
+
+def _deepest_step(depth_m: Depth, max_depth_m: float) -> float:
+    contact = depth_m[~_reaches(depth_m, max_depth_m)]
+    deepest = float(contact.max(initial=0.0))
+    if contact.size == depth_m.size and np.ptp(depth_m) > 0.1 * max_depth_m:
+        return deepest
+    return min(max_depth_m, max(1.0001 * deepest, 0.25 * max_depth_m))

@@ -1,0 +1,270 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import SensorError, TouchError
+from tactile_loc.core.sensing import (
+    ContactShape,
+    SensorGeometry,
+    Touch,
+    contact_depth,
+    contact_shape_from_array,
+)
+
+MM = 1e-3
+PINHOLE = SensorGeometry("pinhole", 8, 6, fx=40.0, fy=50.0, cx=3.7, cy=3.1, standoff_m=20 * MM, max_depth_m=2 * MM)
+ORTHOGRAPHIC = SensorGeometry(
+    "orthographic", 8, 6, fx=10e3, fy=5e3, cx=4.0, cy=3.0, standoff_m=10 * MM, max_depth_m=1 * MM
+)
+BOTH = pytest.mark.parametrize("geometry", [PINHOLE, ORTHOGRAPHIC], ids=["pinhole", "orthographic"])
+
+
+def project(geometry: SensorGeometry, points_m: np.ndarray) -> np.ndarray:
+    x, y, z = np.moveaxis(points_m, -1, 0)
+    k = z if geometry.camera == "pinhole" else 1.0
+    return np.stack([geometry.fx * x / k + geometry.cx, geometry.fy * y / k + geometry.cy], axis=-1)
+
+
+def pixel_centres(geometry: SensorGeometry) -> np.ndarray:
+    v, u = np.mgrid[: geometry.height_px, : geometry.width_px] + 0.5
+    return np.stack([u, v], axis=-1)
+
+
+def slope(geometry: SensorGeometry = PINHOLE) -> np.ndarray:
+    """A contact shape that rises to the right from 0 and leaves contact in the last columns."""
+    row = np.linspace(0.0, 1.2 * geometry.max_depth_m, geometry.width_px)
+    return np.tile(row, (geometry.height_px, 1))
+
+
+@BOTH
+def test_backprojected_points_project_to_pixel_centres(geometry: SensorGeometry) -> None:
+    depth = np.random.default_rng(0).uniform(18 * MM, 24 * MM, (3, *geometry.shape))
+    points = geometry.backproject(depth)
+    assert points.shape == (3, *geometry.shape, 3)
+    np.testing.assert_array_equal(points[..., 2], depth)
+    np.testing.assert_allclose(project(geometry, points), np.broadcast_to(pixel_centres(geometry), (3, 6, 8, 2)))
+
+
+def test_x_points_right_and_y_down_in_the_image() -> None:
+    points = PINHOLE.backproject(np.full(PINHOLE.shape, 20 * MM))
+    assert (np.diff(points[..., 0], axis=1) > 0).all()
+    assert (np.diff(points[..., 1], axis=0) > 0).all()
+    np.testing.assert_allclose(points[0, 0], [(0.5 - 3.7) / 40 * 20 * MM, (0.5 - 3.1) / 50 * 20 * MM, 20 * MM])
+
+
+@BOTH
+def test_a_point_projects_to_the_scaled_pixel_after_resizing(geometry: SensorGeometry) -> None:
+    points = np.random.default_rng(1).uniform(-1 * MM, 1 * MM, (20, 3)) + np.array([0, 0, 20 * MM])
+    resized = geometry.resized(24, 9)
+    assert resized.shape == (9, 24)
+    np.testing.assert_allclose(project(resized, points), project(geometry, points) * [3.0, 1.5])
+    np.testing.assert_allclose(resized.rectangle, geometry.rectangle)
+
+
+@BOTH
+def test_resizing_back_restores_the_sensor(geometry: SensorGeometry) -> None:
+    back = geometry.resized(16, 12).resized(8, 6)
+    assert back.describe() == pytest.approx(geometry.describe())
+
+
+@BOTH
+@pytest.mark.parametrize("step", [1, 2, 3, 4])
+def test_every_nth_pixel_sees_what_it_saw_before(geometry: SensorGeometry, step: int) -> None:
+    geometry = dataclasses.replace(geometry, observed=np.random.default_rng(2).random(geometry.shape) < 0.7)
+    depth = np.random.default_rng(3).uniform(18 * MM, 24 * MM, geometry.shape)
+    sparse = geometry.every(step)
+    np.testing.assert_allclose(sparse.backproject(depth[::step, ::step]), geometry.backproject(depth)[::step, ::step])
+    np.testing.assert_array_equal(sparse.observed_mask, geometry.observed_mask[::step, ::step])
+
+
+def test_long_side_keeps_the_proportion() -> None:
+    assert PINHOLE.with_long_side(80).shape == (60, 80)
+    upright = dataclasses.replace(PINHOLE, width_px=6, height_px=8)
+    assert upright.with_long_side(80).shape == (80, 60)
+
+
+def test_the_view_is_the_default_rectangle() -> None:
+    np.testing.assert_allclose(PINHOLE.rectangle, np.array([-3.7 / 40, 4.3 / 40, -3.1 / 50, 2.9 / 50]) * 20 * MM)
+    np.testing.assert_allclose(ORTHOGRAPHIC.rectangle, [-0.4 * MM, 0.4 * MM, -0.6 * MM, 0.6 * MM])
+    assert ORTHOGRAPHIC.pixel_pitch_m == pytest.approx(0.15 * MM)
+    assert PINHOLE.pixel_pitch_m == pytest.approx(0.5 * (20 / 40 + 20 / 50) * MM)
+
+
+def test_the_rectangle_ends_with_the_view() -> None:
+    geometry = dataclasses.replace(ORTHOGRAPHIC, rectangle_m=(-0.2 * MM, 5 * MM, -5 * MM, 0.25 * MM))
+    np.testing.assert_allclose(geometry.rectangle, [-0.2 * MM, 0.4 * MM, -0.6 * MM, 0.25 * MM])
+
+
+def test_pixels_off_the_rectangle_or_masked_are_not_observed() -> None:
+    observed = np.ones((6, 8), bool)
+    observed[5, 7] = False
+    geometry = dataclasses.replace(
+        ORTHOGRAPHIC, rectangle_m=(-0.21 * MM, 1 * MM, -0.11 * MM, 1 * MM), observed=observed
+    )
+    # centres x = -0.35 ... 0.35 mm in steps of 0.1, y = -0.5 ... 0.5 mm in steps of 0.2
+    expected = np.zeros((6, 8), bool)
+    expected[2:, 2:] = True
+    expected[5, 7] = False
+    np.testing.assert_array_equal(geometry.observed_mask, expected)
+    assert ORTHOGRAPHIC.observed_mask.all()
+    assert PINHOLE.observed_mask.all()
+
+
+def test_the_pinhole_mask_is_taken_on_the_surface() -> None:
+    geometry = dataclasses.replace(PINHOLE, rectangle_m=(0.0, 1.0, -1.0, 1.0))
+    points = geometry.backproject(np.full(geometry.shape, geometry.standoff_m))
+    np.testing.assert_array_equal(geometry.observed_mask, points[..., 0] >= 0)
+    assert not geometry.observed_mask.all()
+
+
+def test_the_mask_is_resized_with_the_image() -> None:
+    observed = np.zeros((6, 8), bool)
+    observed[:3, 4:] = True
+    geometry = dataclasses.replace(PINHOLE, observed=observed)
+    expected = np.zeros((12, 16), bool)
+    expected[:6, 8:] = True
+    np.testing.assert_array_equal(geometry.resized(16, 12).observed_mask, expected)
+    np.testing.assert_array_equal(geometry.resized(4, 2).observed_mask, [[False, False, True, True], [False] * 4])
+
+
+CHANGES = {
+    "camera": "orthographic", "width_px": 9, "height_px": 7, "fx": 41.0, "fy": 51.0, "cx": 3.8, "cy": 3.2,
+    "standoff_m": 21 * MM, "max_depth_m": 1 * MM, "rectangle_m": (-1 * MM, 1 * MM, -1 * MM, 1 * MM),
+    "observed": np.eye(6, 8, dtype=bool),
+}  # fmt: skip
+
+
+def test_every_field_has_a_change_to_try() -> None:
+    assert set(CHANGES) == {f.name for f in dataclasses.fields(SensorGeometry)}
+
+
+@pytest.mark.parametrize("field", CHANGES)
+def test_the_description_changes_when_anything_does(field: str) -> None:
+    assert dataclasses.replace(PINHOLE, **{field: CHANGES[field]}).describe() != PINHOLE.describe()
+
+
+def test_the_description_tells_masks_apart() -> None:
+    one, other = np.eye(6, 8, dtype=bool), np.eye(6, 8, k=1, dtype=bool)
+    describe = [dataclasses.replace(PINHOLE, observed=mask).describe() for mask in (one, one.copy(), other)]
+    assert describe[0] == describe[1] != describe[2]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"camera": "fisheye"}, "pinhole"),
+        ({"fx": 0.0}, "fx"),
+        ({"fy": float("nan")}, "fy"),
+        ({"width_px": -1}, "width_px"),
+        ({"standoff_m": float("inf")}, "standoff_m"),
+        ({"max_depth_m": -1.0}, "max_depth_m"),
+        ({"cx": float("nan")}, "rectangle"),
+        ({"rectangle_m": (1 * MM, -1 * MM, -1 * MM, 1 * MM)}, "rectangle"),
+        ({"rectangle_m": (1.0, 2.0, 1.0, 2.0)}, "rectangle"),
+        ({"observed": np.ones((8, 6), bool)}, "mask"),
+        ({"observed": np.full((6, 8), 255, np.uint8)}, "bool"),
+        ({"observed": np.zeros((6, 8), bool)}, "observed"),
+        ({"width_px": 10**6}, "at most"),
+    ],
+)
+def test_contradictory_numbers_are_refused(change: dict, words: str) -> None:
+    with pytest.raises(SensorError, match=words):
+        dataclasses.replace(PINHOLE, **change)
+
+
+def test_contact_depth_is_clipped_between_the_surface_and_the_press_depth() -> None:
+    z = np.array([[19.0, 20.0, 20.5, 21.5, 25.0, np.inf]]) * MM
+    depth = contact_depth(z, PINHOLE, 1 * MM)
+    assert depth.dtype == np.float32
+    np.testing.assert_allclose(depth, np.array([[0.0, 0.0, 0.5, 1.0, 1.0, 1.0]]) * MM, atol=5e-9)
+    np.testing.assert_array_equal(ContactShape(depth, 1 * MM).contact, [[True, True, True, False, False, False]])
+
+
+def test_a_lighter_press_cuts_the_same_depths() -> None:
+    shape = ContactShape(np.array([[0.0, 0.4, 0.8, 2.0]], np.float32) * np.float32(MM), 2 * MM)
+    light = shape.pressed_to(0.5 * MM)
+    assert light.press_depth_m == 0.5 * MM
+    np.testing.assert_allclose(light.depth_m, np.array([[0.0, 0.4, 0.5, 0.5]]) * MM, rtol=1e-6)
+    np.testing.assert_array_equal(light.contact, [[True, True, False, False]])
+
+
+def test_a_shape_cannot_be_pressed_deeper_afterwards() -> None:
+    shape = ContactShape(np.array([[0.0, 0.5]], np.float32) * np.float32(MM), 0.5 * MM)
+    same = shape.pressed_to(2 * MM)
+    assert same.press_depth_m == 0.5 * MM
+    np.testing.assert_array_equal(same.contact, shape.contact)
+
+
+@pytest.mark.parametrize("marker", [np.nan, np.inf, 2 * MM, 50 * MM])
+def test_the_press_depth_is_the_deepest_step_in_contact(marker: float) -> None:
+    shape = contact_shape_from_array([[0.0, 0.7 * MM, 1.3 * MM, marker]], 2 * MM)
+    assert shape.press_depth_m == pytest.approx(1.3 * MM, rel=1e-3)
+    np.testing.assert_array_equal(shape.contact, [[True, True, True, False]])
+    np.testing.assert_allclose(shape.depth_m, np.array([[0.0, 0.7, 1.3, 1.3]]) * MM, rtol=1e-3)
+
+
+def test_a_flat_imprint_counts_as_a_quarter_of_the_range() -> None:
+    shape = contact_shape_from_array([[0.0, 0.01 * MM, np.nan]], 2 * MM)
+    assert shape.press_depth_m == pytest.approx(0.5 * MM)
+    np.testing.assert_array_equal(shape.contact, [[True, True, False]])
+
+
+def test_without_a_mark_the_shape_is_cut_at_its_largest_depth() -> None:
+    shape = contact_shape_from_array([[0.0, 0.7 * MM, 1.5 * MM, 1.5 * MM]], 2 * MM)
+    assert shape.press_depth_m == pytest.approx(1.5 * MM)
+    np.testing.assert_array_equal(shape.contact, [[True, True, False, False]])
+
+
+def test_a_given_press_depth_is_believed() -> None:
+    shape = contact_shape_from_array([[0.0, 0.7 * MM, 1.3 * MM, np.nan]], 2 * MM, press_depth_m=1 * MM)
+    assert shape.press_depth_m == 1 * MM
+    np.testing.assert_array_equal(shape.contact, [[True, True, False, False]])
+
+
+def test_rounding_makes_no_contact() -> None:
+    nearly = np.array([[0.0, 1.0 * (1 - 1e-7) * MM]])
+    np.testing.assert_array_equal(contact_shape_from_array(nearly, 2 * MM, 1 * MM).contact, [[True, False]])
+
+
+@pytest.mark.parametrize(
+    ("values", "press_depth_m", "words"),
+    [
+        (np.zeros((2, 3, 3)), None, "shape"),
+        (np.zeros((0, 3)), None, "shape"),
+        (np.zeros((2, 3), bool), None, "bool"),
+        (np.array([["a", "b"]]), None, "type"),
+        ([[-0.1 * MM, 1 * MM]], None, "negative"),
+        ([[0.1, 1.5]], None, "unit"),
+        ([[0.0, 1 * MM]], 3 * MM, "press depth"),
+        ([[0.0, 1 * MM]], 0.0, "press depth"),
+        ([[0.0, 1 * MM]], float("nan"), "press depth"),
+    ],
+)
+def test_bad_arrays_are_refused(values: object, press_depth_m: float | None, words: str) -> None:
+    with pytest.raises(TouchError, match=words):
+        contact_shape_from_array(values, 2 * MM, press_depth_m)
+
+
+def test_a_touch_must_fit_its_sensor() -> None:
+    shape = contact_shape_from_array(slope(), 2 * MM)
+    assert Touch(shape, PINHOLE).press_depth_m == shape.press_depth_m
+    with pytest.raises(TouchError, match=r"6 x 8 pixels.*12 x 16"):
+        Touch(shape, PINHOLE.resized(16, 12))
+
+
+def test_contact_must_be_seen_where_the_sensor_observes() -> None:
+    shape = contact_shape_from_array(slope(), 2 * MM)
+    blind = np.zeros((6, 8), bool)
+    blind[:, -1] = True
+    with pytest.raises(TouchError, match="no contact"):
+        Touch(shape, dataclasses.replace(PINHOLE, observed=blind))
+
+
+def test_nothing_but_flat_contact_is_refused() -> None:
+    with pytest.raises(TouchError, match="nothing but contact"):
+        Touch(contact_shape_from_array(np.zeros((6, 8)), 2 * MM), PINHOLE)
+    tilted = np.tile(np.linspace(0, 1 * MM, 8), (6, 1))
+    assert Touch(contact_shape_from_array(tilted, 2 * MM, 1.5 * MM), PINHOLE).contact_shape.contact.all()
