@@ -1,0 +1,49 @@
+"""The paper's baseline: contact shapes compared pixel by pixel, after binarising and averaging to coarse cells."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Encoder, Float32
+from tactile_loc.core.sensing import SensorGeometry
+
+
+class PixelEncoder(Encoder):
+    """Embeds a contact shape as the share of each coarse cell that is in contact: no training."""
+
+    capabilities = Capabilities(follows_press_depth=True)
+    temperature = 0.01
+
+    class Options(ComponentOptions):
+        """`signal` is what is compared: the binary contact mask, or the penetration depth as a share of the press."""
+
+        cells: int = Field(default=20, ge=4, le=400, description="cells along the longer image side")
+        signal: Literal["binary", "depth"] = Field(default="binary", description="contact mask, or penetration")
+
+    def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
+        """Return embeddings (N, cells) of contact depths (N, H, W) in metres cut at `press_depth_m`.
+
+        Scaled so that the squared distance of two embeddings is the mean squared difference over the observed area.
+        """
+        press = np.float32(press_depth_m)
+        binary = self.options.signal == "binary"
+        signal: Float32 = (depth_m < press).astype(np.float32) if binary else 1 - depth_m / press
+        signal = np.where(geometry.observed_mask, signal, np.float32(0))
+        height, width = geometry.shape
+        k = min(1.0, self.options.cells / max(height, width))
+        rows, columns = _averaging(height, max(1, round(k * height))), _averaging(width, max(1, round(k * width)))
+        cells = rows @ (signal.reshape(-1, width) @ columns.T).reshape(len(signal), height, -1)
+        scale = np.float32(1 / np.sqrt(len(rows) * len(columns)))
+        return (cells * scale).reshape(len(cells), -1).astype(np.float32, copy=False)
+
+
+def _averaging(pixels: int, cells: int) -> NDArray[np.float32]:
+    """Matrix (cells, pixels) that averages pixels over equal cells, by the exact share of each pixel in each cell."""
+    edges = np.linspace(0, pixels, cells + 1)
+    left, right = np.arange(pixels), np.arange(pixels) + 1.0
+    overlap = np.minimum(edges[1:, None], right) - np.maximum(edges[:-1, None], left)
+    return (np.clip(overlap, 0, None) * (cells / pixels)).astype(np.float32)

@@ -1,0 +1,98 @@
+"""Poses of an object pressed with one face: x, y and yaw, and small tilts on request."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.geometry import align_to_z, make_transform, rotation_about
+from tactile_loc.core.interfaces import GridSampler
+from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.poses import Poses
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugins.grids.lattice import plane_lattice, reachable_translations
+
+SIDES = {f"{sign}{axis}": s * np.eye(3)[i] for i, axis in enumerate("xyz") for sign, s in (("+", 1.0), ("-", -1.0))}
+
+
+class FaceGrid(GridSampler):
+    """One face of the object lies on the sensor: a lattice over x, y and yaw, times tilts up to `tilt_deg`."""
+
+    class Options(GridSampler.Options):
+        """`face` is the object's side that touches the sensor, or "auto": the side on which it rests lowest."""
+
+        face: str = Field(default="auto", description="side that touches: +x, -x, +y, -y, +z, -z, auto")
+        tilt_deg: float = Field(default=0.0, ge=0.0, le=45.0, description="largest tilt about x and y, degrees")
+        tilt_steps: int = Field(default=3, ge=2, le=15, description="tilts an axis from -tilt to +tilt")
+
+    def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
+        """Return the lattice (N, 4, 4) whose steps in x, y and yaw each move the surface by `spacing_m` metres RMS."""
+        R_face = self._face_rotation(obj)
+        lever_m = float(np.sqrt(np.diag(R_face @ obj.mesh.covariance_m2 @ R_face.T)[:2].sum()))
+        turns = max(1, int(np.ceil(2 * np.pi * lever_m / spacing_m)))
+        yaw_rad = np.arange(turns) * (2 * np.pi / turns)
+        return np.concatenate([_over_plane(obj, geometry, R, spacing_m) for R in self._rotations(R_face, yaw_rad)])
+
+    def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
+        """Draw poses (count, 4, 4) uniformly in x, y, yaw and tilt; metres."""
+        R_face = self._face_rotation(obj)
+        limit = np.radians(self.options.tilt_deg)
+        R = _tilted(R_face, rng.uniform(0, 2 * np.pi, count), *rng.uniform(-limit, limit, (2, count)))
+        low, high = reachable_translations(obj.mesh.vertices_m @ np.swapaxes(R, -1, -2), geometry.rectangle)
+        t_xy = rng.uniform(low, high)
+        return make_transform(R, np.column_stack([t_xy, np.zeros(count)]))
+
+    def _rotations(self, R_face: NDArray[np.float64], yaw_rad: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        tilts = np.radians(np.linspace(-1, 1, self.options.tilt_steps) * self.options.tilt_deg)
+        if self.options.tilt_deg == 0.0:
+            tilts = np.zeros(1)
+        yaw, about_x, about_y = (a.ravel() for a in np.meshgrid(yaw_rad, tilts, tilts, indexing="ij"))
+        return _tilted(R_face, yaw, about_x, about_y)
+
+    def _face_rotation(self, obj: ObjectModel) -> NDArray[np.float64]:
+        """Return the rotation (3, 3) that points the touching face's normal into the sensor, along -z."""
+        face = self.options.face
+        if face == "auto":
+            normal = resting_normal(obj.mesh.vertices_m, obj.mesh.centroid_m)
+        elif face in SIDES:
+            normal = SIDES[face]
+        else:
+            raise GridError(f"there is no face {face!r}; give one of {', '.join(SIDES)} or auto")
+        return align_to_z(-normal)
+
+
+def resting_normal(vertices_m: NDArray[np.float64], centroid_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the outward normal (3,), unitless, of the side on which the object's centroid lies lowest.
+
+    That side's plane is the convex hull's nearest to the centroid; its foot point is inside the facet, so the object
+    is stable on it. Of equally near sides the one with the greatest normal (x, then y, then z) is taken.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        planes = ConvexHull(vertices_m - centroid_m).equations
+    except QhullError as error:
+        raise GridError("the object is flat, so it has no resting face; choose one with -o grid.face=+z") from error
+    heights = np.round(-planes[:, 3], 7)
+    near = planes[heights <= heights.min() + 1e-6, :3]
+    return np.asarray(near[np.lexsort(np.round(near.T[::-1], 6))[-1]])
+
+
+def _tilted(
+    R_face: NDArray[np.float64], yaw_rad: NDArray[np.float64], about_x_rad: NDArray[np.float64],
+    about_y_rad: NDArray[np.float64],
+) -> NDArray[np.float64]:  # fmt: skip
+    """Rotations (N, 3, 3): the face turned by yaw (N,), then tilted about the sensor's x and y axes (N,), radians."""
+    tilt = rotation_about([1, 0, 0], about_x_rad) @ rotation_about([0, 1, 0], about_y_rad)
+    return tilt @ rotation_about([0, 0, 1], yaw_rad) @ R_face
+
+
+def _over_plane(obj: ObjectModel, geometry: SensorGeometry, R: NDArray[np.float64], pitch_m: float) -> Poses:
+    """All lattice translations (K, 4, 4) at which the object turned by R (3, 3) can be over the sensing rectangle."""
+    low, high = reachable_translations(obj.mesh.vertices_m @ R.T, geometry.rectangle)
+    t_xy = plane_lattice(low, high, pitch_m)
+    return make_transform(R, np.column_stack([t_xy, np.zeros(len(t_xy))]))

@@ -1,0 +1,132 @@
+"""Quasi-uniform rotations: Hopf coordinates over HEALPix.
+
+After A. Yershova, S. Jain, S. M. LaValle and J. C. Mitchell, "Generating Uniform Incremental Grids on SO(3) Using the
+Hopf Fibration", IJRR 2010, and K. M. Gorski et al., "HEALPix", ApJ 2005. A rotation is the direction that z turns to, a
+point of the sphere S^2, and a spin about z, a point of the circle S^1. HEALPix cuts the sphere into 12 nside^2 cells of
+equal area, so with `n_psi` spins there are 12 nside^2 n_psi cells of equal volume: 72 * 8^level for nside = 2^level and
+n_psi = 6 nside. nside may be any positive integer.
+
+Cells are numbered by (base pixel, x, y, spin). Doubling nside and n_psi cuts each into eight: `children`.
+
+On an object, distances are millimetres of surface: a turn by a small angle about an axis through the centroid moves the
+surface by that angle times a lever, the root mean square distance from the axis. The spin is put on the object's most
+distinct principal axis, so that spins and directions can each step by the angle that moves the surface by one spacing:
+a pin turns in many small steps across its length and in few about it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.geometry import align_to_z, quaternion_to_rotation
+from tactile_loc.core.objects import ObjectModel
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int64]
+
+_CHUNK = 100_000
+
+BASE_PIXELS = 12
+SPHERE_STEP_RAD = float(np.sqrt(4 * np.pi / BASE_PIXELS))
+"""Side of a base pixel, were it a square on the unit sphere: cells are this over nside wide."""
+
+
+def rotation_count(nside: int, n_psi: int) -> int:
+    """Return how many rotations the grid has."""
+    return BASE_PIXELS * nside**2 * n_psi
+
+
+def hopf_rotations(nside: int, n_psi: int, indices: Int | None = None) -> Float:
+    """Return the rotations (N, 3, 3) at the cells' centres, unitless: all, or those of `indices` (N,)."""
+    if indices is None:
+        indices = np.arange(rotation_count(nside, n_psi))
+    pixel, spin = np.divmod(indices, n_psi)
+    z, azimuth_rad = pixel_angles(nside, pixel)
+    # The smallest turn that takes z to the direction, after a spin about z: both half angles enter a quaternion.
+    cosine, sine = np.sqrt((1 + z) / 2), np.sqrt((1 - z) / 2)
+    half_spin = (spin + 0.5) * (np.pi / n_psi)
+    swing = azimuth_rad - half_spin
+    q = (cosine * np.cos(half_spin), -sine * np.sin(swing), sine * np.cos(swing), cosine * np.sin(half_spin))
+    return quaternion_to_rotation(np.stack(q, axis=-1))
+
+
+def pixel_angles(nside: int, pixel: Int) -> tuple[Float, Float]:
+    """Return z (N,), unitless, and azimuth (N,) in radians, not reduced to one turn, of HEALPix pixels' centres (N,).
+
+    Pixels are numbered base pixel by base pixel, x (towards north-east) slowest, then y (towards north-west).
+    """
+    base, x, y = np.unravel_index(pixel, (BASE_PIXELS, nside, nside))
+    row, column = np.divmod(base, 4)  # three rows of four base pixels: north, equator, south
+    ring = (row + 2) * nside - x - y - 1  # from 1 at the north pole to 4 nside - 1
+    quarter = np.minimum(np.minimum(ring, 4 * nside - ring), nside)  # pixels of this ring in a quarter of a turn
+    z = (2 * nside - ring) * (2 / (3 * nside))
+    cap = 1 - quarter**2 / (3 * nside**2)
+    z = np.where(ring < nside, cap, np.where(ring > 3 * nside, -cap, z))
+    eighths = 2 * column + (row != 1)
+    return np.asarray(z, float), np.asarray(np.pi / 4 * (eighths + (x - y) / quarter), float)
+
+
+def children(indices: Int, nside: int, n_psi: int) -> Int:
+    """Return the eight cells (N, 8) of the grid (2 nside, 2 n_psi) that cells `indices` (N,) are cut into."""
+    base, x, y, spin = np.unravel_index(indices, (BASE_PIXELS, nside, nside, n_psi))
+    dx, dy, dspin = np.unravel_index(np.arange(8), (2, 2, 2))
+    finer = (np.repeat(base[:, None], 8, axis=1), 2 * x[:, None] + dx, 2 * y[:, None] + dy, 2 * spin[:, None] + dspin)
+    return np.ravel_multi_index(finer, (BASE_PIXELS, 2 * nside, 2 * nside, 2 * n_psi))
+
+
+@dataclass(frozen=True, eq=False)
+class RotationGrid:
+    """A Hopf grid of rotations of an object: 12 nside^2 directions of its unitless `axis` (3,), `n_psi` spins each."""
+
+    obj: ObjectModel
+    axis: Float
+    nside: int
+    n_psi: int
+
+    def __len__(self) -> int:
+        return rotation_count(self.nside, self.n_psi)
+
+    def representatives(self, indices: NDArray[np.int64]) -> Float:
+        """Return R_sensor_object (K, 3, 3) of those of the cells `indices` (N,) that stand for their equivalents."""
+        R = hopf_rotations(self.nside, self.n_psi, indices) @ align_to_z(self.axis)
+        return R[self.obj.symmetry.is_representative(R, step_rad=2 * np.pi / self.n_psi)]
+
+    def all_representatives(self) -> Float:
+        """Return R_sensor_object (K, 3, 3), one for each class of rotations that look the same."""
+        starts = range(0, len(self), _CHUNK)
+        return np.concatenate([self.representatives(np.arange(s, min(s + _CHUNK, len(self)))) for s in starts])
+
+
+def spin_axis(obj: ObjectModel) -> tuple[Float, float, float]:
+    """Return the object's spin axis (3,), unitless, and the levers about it and across it in metres.
+
+    It is the axis of a continuous symmetry, or else the principal axis about which the object is most nearly round.
+    """
+    moments, axes = np.linalg.eigh(obj.mesh.covariance_m2)
+    lever_m = np.sqrt(np.clip(moments.sum() - moments, 1e-18, None))
+    others = lever_m[[[1, 2], [0, 2], [0, 1]]]
+    k = int(np.abs(np.log(others[:, 0] / others[:, 1])).argmin())
+    continuous = obj.symmetry.continuous_axis
+    if continuous is not None:
+        k = int(np.abs(axes.T @ continuous).argmax())
+    axis = axes[:, k] if continuous is None else continuous
+    return axis, float(lever_m[k]), float(np.sqrt(others[k].prod()))
+
+
+def rotation_grid(obj: ObjectModel, spacing_m: float, level: int | None = None) -> RotationGrid:
+    """Return the rotations whose neighbours are about `spacing_m` metres apart, or Yershova's 72 * 8^level.
+
+    A cell is a spacing wide about the spin axis, and of a spacing's square across it. Spins are a multiple of the
+    symmetry's turns about the axis, so that a turn takes cells to cells; with a continuous symmetry one spin does.
+    """
+    axis, spin_m, across_m = spin_axis(obj)
+    if level is not None:
+        return RotationGrid(obj, axis, 2**level, 6 * 2**level)
+    nside = max(1, round(SPHERE_STEP_RAD * across_m / spacing_m))
+    if obj.symmetry.continuous_axis is not None:
+        return RotationGrid(obj, axis, nside, 1)
+    turns = int((obj.symmetry.rotations @ axis @ axis > 1 - 1e-6).sum())
+    return RotationGrid(obj, axis, nside, turns * max(1, round(2 * np.pi * spin_m / spacing_m / turns)))

@@ -1,0 +1,17 @@
+"""No refinement: the grid pose as it is."""
+
+from __future__ import annotations
+
+from tactile_loc.core.interfaces import Candidate, Capabilities, RefinedPose, Refiner
+from tactile_loc.core.scene import Scene
+from tactile_loc.core.sensing import Touch
+
+
+class NoRefiner(Refiner):
+    """Leaves every candidate where it is; the null object among refiners."""
+
+    capabilities = Capabilities(refines=False)
+
+    def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
+        """Return the candidate's pose (4, 4) unchanged, metres."""
+        return RefinedPose(candidate.T_sensor_object.copy(), fitness=0.0, converged=True, iterations=0)

@@ -1,0 +1,213 @@
+"""The compiled loops of the height map renderer (numba). Lengths in metres; a map's cell (row, column) samples the
+lower envelope at its centre, corner + (column + 1/2, row + 1/2) * cell, in the object's turned frame."""
+
+# mypy: ignore-errors
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tactile_loc.core.compiled import njit, prange
+
+# numbers are never NaN here, but infinite ones mean "no surface": inf must keep its meaning
+FAST = {"cache": True, "error_model": "numpy", "fastmath": {"nnan", "nsz", "arcp", "contract"}}
+FINE, COARSE = 4, 16  # cells a side of a tile of extrema, at two levels
+BLOCKS = (32, 8, 4)  # pixels a side of the blocks that are skipped at once, at three levels
+WALL = 3.0  # a rise of more than this many cells from one cell to the next is a wall, not a slope
+
+
+@njit(parallel=True, **FAST)
+def rasterise(triangles, rotations, corners, ceilings, cell, maps):
+    """Draw the lower envelopes (K, rows, columns) of triangles (F, 3, 3) turned by each rotation, by all threads."""
+    for k in prange(len(rotations)):
+        rasterise_one(triangles, rotations[k], corners[k], ceilings[k], cell, maps[k])
+
+
+@njit(**FAST)
+def rasterise_one(triangles, R, corner, ceiling, cell, envelope):
+    """Draw the lower envelope (rows, columns) of triangles (F, 3, 3) turned by R; inf where there is none."""
+    envelope.fill(np.inf)
+    p = np.empty((3, 3))
+    for f in range(len(triangles)):
+        for c in range(3):
+            for a in range(3):
+                q = triangles[f, c]
+                p[c, a] = R[a, 0] * q[0] + R[a, 1] * q[1] + R[a, 2] * q[2]
+            p[c, 0] = (p[c, 0] - corner[0]) / cell - 0.5
+            p[c, 1] = (p[c, 1] - corner[1]) / cell - 0.5
+        if min(p[0, 2], p[1, 2], p[2, 2]) < ceiling:
+            _draw(p, envelope)
+
+
+@njit(**FAST)
+def _draw(p, envelope):
+    """Lower the map to one triangle whose corners (3, 3) are column, row, height."""
+    rows, columns = envelope.shape
+    ax, ay, bx, by = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[2, 0] - p[0, 0], p[2, 1] - p[0, 1]
+    area = ax * by - ay * bx
+    if abs(area) < 1e-12:
+        return
+    slope_x = ((p[1, 2] - p[0, 2]) * by - (p[2, 2] - p[0, 2]) * ay) / area
+    slope_y = ((p[2, 2] - p[0, 2]) * ax - (p[1, 2] - p[0, 2]) * bx) / area
+    first = max(0, math.ceil(min(p[0, 1], p[1, 1], p[2, 1])))
+    last = min(rows - 1, math.floor(max(p[0, 1], p[1, 1], p[2, 1])))
+    for r in range(first, last + 1):
+        left, right = _span(p, r)
+        for c in range(max(0, math.ceil(left - 1e-9)), min(columns - 1, math.floor(right + 1e-9)) + 1):
+            z = p[0, 2] + slope_x * (c - p[0, 0]) + slope_y * (r - p[0, 1])
+            if z < envelope[r, c]:
+                envelope[r, c] = z
+
+
+@njit(**FAST)
+def _span(p, r):
+    """Columns between which the scan line `r` lies in the triangle."""
+    left, right = np.inf, -np.inf
+    for i in range(3):
+        j = (i + 1) % 3
+        y0, y1 = p[i, 1], p[j, 1]
+        if (y0 <= r <= y1) or (y1 <= r <= y0):
+            if y0 == y1:
+                left, right = min(left, p[i, 0], p[j, 0]), max(right, p[i, 0], p[j, 0])
+            else:
+                x = p[i, 0] + (r - y0) / (y1 - y0) * (p[j, 0] - p[i, 0])
+                left, right = min(left, x), max(right, x)
+    return left, right
+
+
+@njit(parallel=True, **FAST)
+def extrema(maps, tile, lowest, highest):
+    """Fill the least and greatest height (K, rows / tile, columns / tile) of the maps' tiles, by all threads."""
+    for k in prange(len(maps)):
+        extrema_one(maps[k], tile, lowest[k], highest[k])
+
+
+@njit(**FAST)
+def extrema_one(envelope, tile, lowest, highest):
+    """Fill the least and greatest height (rows / tile, columns / tile) of every tile of a map."""
+    for i in range(len(lowest)):
+        for j in range(lowest.shape[1]):
+            low, high = envelope[i * tile, j * tile], envelope[i * tile, j * tile]
+            for r in range(i * tile, (i + 1) * tile):
+                for c in range(j * tile, (j + 1) * tile):
+                    low, high = min(low, envelope[r, c]), max(high, envelope[r, c])
+            lowest[i, j], highest[i, j] = low, high
+
+
+@njit(parallel=True, **FAST)
+def sample(maps, fine, coarse, corners, cell, slot, members, t, camera, slopes_x, slopes_y, depth):
+    """Fill depth (N, H, W) at `members`, each from map `slot`, seen by `camera`, by all threads."""
+    for m in prange(len(members)):
+        i, k = members[m], slot[m]
+        rough, exact = (coarse[0][k], coarse[1][k]), (fine[0][k], fine[1][k])
+        sample_one(maps[k], exact, rough, corners[k], cell, t[i], camera, slopes_x, slopes_y, depth[i])
+
+
+@njit(**FAST)
+def sample_one(envelope, exact, rough, corner, cell, t, camera, slopes_x, slopes_y, picture):
+    """Fill a picture (H, W) from one map, seen by `camera` (pinhole?, band begin, band end).
+
+    Blocks of pixels are halved until their part of the map lies above the band or they are small enough to trace.
+    """
+    picture.fill(np.inf)
+    height, width = picture.shape
+    big, middle, small = BLOCKS
+    offset = ((t[0] + corner[0]) / cell, (t[1] + corner[1]) / cell, t[2])
+    for v in range(0, height, big):
+        for u in range(0, width, big):
+            if not _in_band(rough, COARSE, slopes_x, slopes_y, u, v, big, camera, cell, offset):
+                continue
+            for v1 in range(v, min(v + big, height), middle):
+                for u1 in range(u, min(u + big, width), middle):
+                    if not _in_band(rough, COARSE, slopes_x, slopes_y, u1, v1, middle, camera, cell, offset):
+                        continue
+                    for v2 in range(v1, min(v1 + middle, height), small):
+                        for u2 in range(u1, min(u1 + middle, width), small):
+                            _trace(envelope, exact, slopes_x, slopes_y, u2, v2, camera, cell, offset, picture)
+
+
+@njit(**FAST)
+def _in_band(tiles, tile, slopes_x, slopes_y, u, v, size, camera, cell, offset):
+    """Whether any surface that a block of pixels may see lies within the contact band."""
+    low, _ = _bounds(tiles, tile, slopes_x, slopes_y, u, v, size, camera, cell, offset)
+    return low < camera[2]
+
+
+@njit(**FAST)
+def _bounds(tiles, tile, slopes_x, slopes_y, u, v, size, camera, cell, offset):
+    """Least and greatest depth of all tiles that a block's rays cross in the band, a cell of margin around."""
+    pinhole, begin, end = camera
+    near, far = (begin / cell, end / cell) if pinhole else (1.0 / cell, 1.0 / cell)
+    x0, x1 = slopes_x[u], slopes_x[min(u + size, len(slopes_x)) - 1]
+    y0, y1 = slopes_y[v], slopes_y[min(v + size, len(slopes_y)) - 1]
+    lowest, highest = tiles
+    rows, columns = lowest.shape
+    first_row = max(0, int((min(y0 * near, y0 * far) - offset[1] - 1.5) // tile))
+    last_row = min(rows - 1, int((max(y1 * near, y1 * far) - offset[1] + 1.5) // tile))
+    first_column = max(0, int((min(x0 * near, x0 * far) - offset[0] - 1.5) // tile))
+    last_column = min(columns - 1, int((max(x1 * near, x1 * far) - offset[0] + 1.5) // tile))
+    low, high = np.float32(np.inf), np.float32(-np.inf)
+    for i in range(first_row, last_row + 1):
+        for j in range(first_column, last_column + 1):
+            low, high = min(low, lowest[i, j]), max(high, highest[i, j])
+    return low + offset[2], high + offset[2]
+
+
+@njit(**FAST)
+def _trace(envelope, tiles, slopes_x, slopes_y, u, v, camera, cell, offset, picture):
+    """Trace every ray of a small block, between the depths that its tiles leave possible."""
+    pinhole, begin, end = camera
+    low, high = _bounds(tiles, FINE, slopes_x, slopes_y, u, v, BLOCKS[2], camera, cell, offset)
+    if low >= end:
+        return
+    low, high, wall = max(low, begin), min(high, end), WALL * cell
+    x0, y0, z0 = offset
+    for row in range(v, min(v + BLOCKS[2], len(slopes_y))):
+        for column in range(u, min(u + BLOCKS[2], len(slopes_x))):
+            sx, sy = slopes_x[column] / cell, slopes_y[row] / cell
+            if pinhole:
+                picture[row, column] = _march(envelope, sx, sy, x0, y0, z0, low, high, end, wall)
+            else:
+                picture[row, column] = _height(envelope, sx - x0 - 0.5, sy - y0 - 0.5, wall) + z0
+
+
+@njit(**FAST)
+def _height(envelope, c, r, wall):
+    """Height at a fractional cell: bilinear on a slope, the nearest cell's at a wall or an edge."""
+    rows, columns = envelope.shape
+    j, i = math.floor(c), math.floor(r)
+    if i < 0 or j < 0 or i >= rows - 1 or j >= columns - 1:
+        return np.inf
+    a, b, d, e = envelope[i, j], envelope[i, j + 1], envelope[i + 1, j], envelope[i + 1, j + 1]
+    x, y = c - j, r - i
+    if max(a, b, d, e) - min(a, b, d, e) < wall:
+        return (1 - y) * ((1 - x) * a + x * b) + y * ((1 - x) * d + x * e)
+    return float(envelope[i + (1 if y >= 0.5 else 0), j + (1 if x >= 0.5 else 0)])
+
+
+@njit(**FAST)
+def _march(envelope, sx, sy, x0, y0, z0, low, high, end, wall):
+    """Depth at which a pinhole ray first meets the map between `low` and `high`; inf when it meets none.
+
+    The ray is at cell (sx z - x0, sy z - y0) at depth z. It advances at most two cells a step; on a slope the crossing
+    is interpolated, at a wall halved once more.
+    """
+    steps = 1 + int(0.5 * max(abs(sx), abs(sy)) * (high - low))
+    x0, y0 = x0 + 0.5, y0 + 0.5
+    before = low
+    gap_before = _height(envelope, sx * low - x0, sy * low - y0, wall) + z0 - low
+    if gap_before <= 0.0:
+        return low
+    for k in range(1, steps + 1):
+        z = low + (high - low) * k / steps
+        gap = _height(envelope, sx * z - x0, sy * z - y0, wall) + z0 - z
+        if gap <= 0.0:
+            if gap_before < wall and gap > -wall:
+                return before + (z - before) * gap_before / (gap_before - gap)
+            middle = 0.5 * (before + z)
+            hit = _height(envelope, sx * middle - x0, sy * middle - y0, wall) + z0 <= middle
+            return 0.5 * (before + middle) if hit else 0.5 * (middle + z)
+        before, gap_before = z, gap
+    return high if high < end else np.inf

@@ -1,0 +1,81 @@
+"""Rendering with OpenGL, without a display: pyrender through EGL, on the graphics card or on Mesa's software driver."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tactile_loc.core.errors import RenderError
+from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Float32, Renderer
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.poses import Poses
+from tactile_loc.core.sensing import SensorGeometry
+
+if TYPE_CHECKING:
+    from tactile_loc.plugins.renderers.pyrender_gl import DepthScene, Offscreen
+
+
+class PyrenderRenderer(Renderer):
+    """Draws every pose with OpenGL. Depths may differ by nanometres from one graphics driver to another.
+
+    The OpenGL context is made at the first picture and lives until `close` or the end of the renderer.
+    """
+
+    capabilities = Capabilities(exact_undercuts=True, device="opengl")
+
+    def __init__(self, options: ComponentOptions | None = None) -> None:
+        super().__init__(options)
+        self._offscreen: Offscreen | None = None
+        self._scene: DepthScene | None = None
+
+    def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
+        """Return camera depth z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
+
+        Surfaces deeper than standoff + max_depth are inf, as pixels without any surface are; so are parts beside a
+        pinhole sensor that reach up to its camera (nearer than a tenth of the standoff). Raises RenderError when no
+        OpenGL context can be had.
+        """
+        offscreen, scene = self._opened(geometry), self._scene_of(mesh, geometry)
+        depth = np.empty((len(T_sensor_object), *geometry.shape), np.float32)
+        with offscreen.current():
+            for picture, T in zip(depth, T_sensor_object, strict=True):
+                picture[:] = scene.draw(offscreen, T)
+        return depth
+
+    def _opened(self, geometry: SensorGeometry) -> Offscreen:
+        """Return the OpenGL context, made at first use, set to the geometry's picture size."""
+        if self._offscreen is None:
+            self._offscreen = _open(geometry)
+        self._offscreen.viewport_height, self._offscreen.viewport_width = geometry.shape
+        return self._offscreen
+
+    def _scene_of(self, mesh: TriangleMesh, geometry: SensorGeometry) -> DepthScene:
+        """Return a scene of the mesh before the camera: the last one when it is of the very same two."""
+        from tactile_loc.plugins.renderers.pyrender_gl import DepthScene
+
+        if self._scene is None or self._scene.mesh is not mesh or self._scene.geometry is not geometry:
+            self._scene = DepthScene(mesh, geometry)
+        return self._scene
+
+    def close(self) -> None:
+        """Free the OpenGL context. The next picture makes a new one."""
+        offscreen, self._offscreen, self._scene = self._offscreen, None, None
+        if offscreen is not None:
+            offscreen.delete()
+
+
+def _open(geometry: SensorGeometry) -> Offscreen:
+    """Make an OpenGL context. Raises RenderError, which says what to install, when there is none to be had."""
+    os.environ.setdefault("PYOPENGL_PLATFORM", "egl")  # PyOpenGL reads it when it is imported
+    try:
+        from tactile_loc.plugins.renderers.pyrender_gl import Offscreen
+
+        return Offscreen(geometry.width_px, geometry.height_px)
+    except Exception as error:  # a missing library, driver or device shows as one of many kinds of error
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:120]
+        raise RenderError(
+            f"the pyrender renderer gets no OpenGL context here ({reason}); on Debian install libegl1 and "
+            "libgl1-mesa-dri, or choose --renderer heightmap or --renderer raycast"
+        ) from error

@@ -1,0 +1,138 @@
+"""The OpenGL side of the pyrender renderer. Import it only once PYOPENGL_PLATFORM is set: PyOpenGL reads it then."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pyrender
+from numpy.typing import NDArray
+from OpenGL.error import Error as OpenGLError
+from pyrender.constants import RenderFlags
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from tactile_loc.core.errors import RenderError
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.sensing import SensorGeometry
+
+# pyrender switches multisampling off for segmentation only. With it on, the depth is that of one sample off the
+# pixel's centre: tens of micrometres wrong on a slope.
+_FLAGS = RenderFlags.DEPTH_ONLY | RenderFlags.SEG
+_BLACK = (0, 0, 0)
+
+
+class DepthCamera(pyrender.Camera):  # type: ignore[misc]
+    """A camera with any principal point and focal lengths, which projects points of the sensor frame themselves.
+
+    pyrender linearises the depth buffer of every camera as if it were a perspective one with its znear and zfar. The
+    fixed 1 and 2 given here serve this alone, and `depth_m` undoes it; the true clipping planes are near and far.
+    """
+
+    def __init__(self, geometry: SensorGeometry) -> None:
+        super().__init__(znear=1.0, zfar=2.0)
+        self._geometry = geometry
+        # A tenth of the standoff keeps parts that stick out beside the sensor; 24 bits still give tens of nanometres.
+        self._near_m = 0.1 * geometry.standoff_m if geometry.is_pinhole else 0.0
+        self._far_m = geometry.standoff_m + 1.01 * geometry.max_depth_m
+
+    def get_projection_matrix(self, width: int | None = None, height: int | None = None) -> NDArray[np.float64]:
+        """Return the matrix (4, 4) from the sensor frame in metres to OpenGL's clip coordinates."""
+        g, near, far = self._geometry, self._near_m, self._far_m
+        P = np.zeros((4, 4))
+        offset = 2 if g.is_pinhole else 3  # the principal point counts times z, or as it is
+        P[0, 0], P[0, offset] = 2.0 * g.fx / g.width_px, 2.0 * g.cx / g.width_px - 1.0
+        P[1, 1], P[1, offset] = -2.0 * g.fy / g.height_px, 1.0 - 2.0 * g.cy / g.height_px
+        P[2, 2], P[2, 3] = (near + far, -2.0 * near * far) if g.is_pinhole else (2.0, -near - far)
+        P[2] /= far - near
+        P[3, offset] = 1.0
+        return P
+
+    def depth_m(self, rendered: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Turn what pyrender takes for depths (H, W), 0 where nothing is, into camera depths z in metres, or inf."""
+        scale, shift = self.get_projection_matrix()[2, 2:]
+        depth = np.full(rendered.shape, np.inf, np.float32)
+        hit = rendered > 0.0
+        ndc = 3.0 - 4.0 / rendered[hit].astype(float)
+        depth[hit] = shift / (ndc - scale) if self._geometry.is_pinhole else (ndc - shift) / scale
+        return depth
+
+
+class DepthScene:
+    """One mesh before one camera."""
+
+    def __init__(self, mesh: TriangleMesh, geometry: SensorGeometry) -> None:
+        self.mesh, self.geometry = mesh, geometry
+        surface = pyrender.Primitive(mesh.vertices_m.astype(np.float32), indices=faces_to_draw(mesh))
+        self._camera = DepthCamera(geometry)
+        self._scene = pyrender.Scene()
+        self._scene.add(self._camera)
+        self._node = self._scene.add(pyrender.Mesh([surface]))
+
+    def draw(self, offscreen: Offscreen, T_sensor_object: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Return camera depth (H, W) in metres at one pose (4, 4), inf where nothing is."""
+        self._scene.set_pose(self._node, T_sensor_object)
+        return self._camera.depth_m(offscreen.render(self._scene, _FLAGS, {self._node: _BLACK}))
+
+
+def faces_to_draw(mesh: TriangleMesh) -> NDArray[np.int64]:
+    """Return the faces (F', 3), those that may be seen from behind in both windings: pyrender drops back faces.
+
+    Only a connected part that is closed and wound outward is never seen from behind.
+    """
+    count = len(mesh.vertices_m)
+    start, end = mesh.faces[:, [0, 1, 2]].T.ravel(), mesh.faces[:, [1, 2, 0]].T.ravel()
+    _, part = connected_components(coo_array((np.ones(len(start)), (start, end)), (count, count)), directed=False)
+    a, b, c = np.moveaxis(mesh.triangles_m - mesh.vertices_m[0], 1, 0)
+    volume = np.bincount(part[mesh.faces[:, 0]], np.einsum("fk,fk->f", a, np.cross(b, c)), minlength=part.max() + 1)
+    # Every edge of a closed, consistent part runs as often one way as the other.
+    _, edge = np.unique(np.minimum(start, end) * count + np.maximum(start, end), return_inverse=True)
+    balance = np.bincount(edge, np.where(start < end, 1.0, -1.0))
+    doubtful = volume <= 0.0
+    doubtful[part[start[balance[edge] != 0.0]]] = True
+    return np.concatenate([mesh.faces, mesh.faces[doubtful[part[mesh.faces[:, 0]]], ::-1]])
+
+
+class Offscreen(pyrender.OffscreenRenderer):  # type: ignore[misc]
+    """pyrender's offscreen renderer as a good neighbour of other OpenGL contexts and threads.
+
+    The original stays current in the thread that drew last, so that no other thread can use it, and ends with
+    eglTerminate, which takes the display from every other context of the process.
+    """
+
+    _platform: Any = None
+    _renderer: Any = None
+
+    @contextmanager
+    def current(self) -> Iterator[None]:
+        """Draw in the calling thread, and let go of it afterwards. Raises RenderError when OpenGL fails meanwhile."""
+        try:
+            yield
+        except OpenGLError as error:
+            raise RenderError(f"OpenGL failed to draw ({error!r:.200}); choose --renderer heightmap") from error
+        finally:
+            self._release()
+
+    def _release(self) -> None:
+        if (display := getattr(self._platform, "_egl_display", None)) is not None:
+            from OpenGL import EGL
+
+            EGL.eglMakeCurrent(display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT)
+
+    def delete(self) -> None:
+        """Free this renderer's OpenGL resources; harmless when they are freed already."""
+        platform, renderer, self._renderer = self._platform, self._renderer, None
+        if platform is None or renderer is None:
+            return
+        platform.make_current()
+        renderer.delete()
+        self._release()
+        self._platform = None
+        if (display := getattr(platform, "_egl_display", None)) is None:
+            platform.delete_context()
+        else:
+            from OpenGL import EGL
+
+            EGL.eglDestroyContext(display, platform._egl_context)

@@ -1,0 +1,166 @@
+"""Exact rendering by ray casting, with open3d's RaycastingScene.
+
+The scene is built once a mesh, in the object frame; a pose turns the rays, not the object. Only a few per cent of a
+picture are usually within the contact band, so rays are cast only in the box of pixels that can see this part.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from tactile_loc.core.errors import RenderError
+from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Float32, Renderer
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.poses import Poses
+from tactile_loc.core.sensing import SensorGeometry
+
+PixelBox = tuple[slice, slice]
+
+
+class RaycastRenderer(Renderer):
+    """Casts one ray a pixel centre: exact also below overhangs and for any rotation, to a fraction of a micrometre."""
+
+    capabilities = Capabilities(exact_undercuts=True)
+
+    class Options(ComponentOptions):
+        """None of these changes the result."""
+
+        rays_per_batch: int = Field(1_000_000, ge=1, le=4_000_000, description="rays cast at once (60 bytes each)")
+        cached_meshes: int = Field(4, ge=1, description="meshes whose search structure is kept (count)")
+
+    def __init__(self, options: ComponentOptions | None = None) -> None:
+        super().__init__(options)
+        self._meshes: OrderedDict[str, tuple[Any, _Surface]] = OrderedDict()
+
+    def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
+        """Return camera depth z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
+
+        Surfaces deeper than standoff + max_depth may be inf, as pixels without any surface are. Raises RenderError
+        when open3d cannot be loaded.
+        """
+        scene, surface = self._prepared(mesh)
+        depth = np.full((len(T_sensor_object), *geometry.shape), np.inf, np.float32)
+        boxes = [
+            _pixel_box(surface.down_to(geometry.standoff_m + geometry.max_depth_m, T), geometry)
+            for T in T_sensor_object
+        ]
+        for batch in _batches(boxes, self.options.rays_per_batch):
+            rays = [_rays(T_sensor_object[i], boxes[i], geometry) for i in batch]
+            hits = _cast(scene, np.concatenate([r.reshape(-1, 6) for r in rays]))
+            ends = np.cumsum([r.size // 6 for r in rays])[:-1]
+            for i, r, z in zip(batch, rays, np.split(hits, ends), strict=True):
+                depth[i][boxes[i]] = z.reshape(r.shape[:2])
+        return depth
+
+    def _prepared(self, mesh: TriangleMesh) -> tuple[Any, _Surface]:
+        """Return the mesh's ray casting scene and edges, built at first use; the meshes used last are kept."""
+        if mesh.digest not in self._meshes:
+            self._meshes[mesh.digest] = _build_scene(mesh), _Surface(mesh)
+        self._meshes.move_to_end(mesh.digest)
+        while len(self._meshes) > self.options.cached_meshes:
+            self._meshes.popitem(last=False)
+        return self._meshes[mesh.digest]
+
+
+def _build_scene(mesh: TriangleMesh) -> Any:
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        raise RenderError(
+            f"the raycast renderer cannot load open3d ({error}); on Debian install libusb-1.0-0 and libgomp1, or "
+            "choose --renderer heightmap"
+        ) from error
+    scene = open3d.t.geometry.RaycastingScene()
+    vertices, faces = np.ascontiguousarray(mesh.vertices_m, np.float32), np.ascontiguousarray(mesh.faces, np.uint32)
+    scene.add_triangles(open3d.core.Tensor.from_numpy(vertices), open3d.core.Tensor.from_numpy(faces))
+    return scene
+
+
+def _cast(scene: Any, rays: Float32) -> Float32:
+    """Return how far (M,) along their direction the rays (M, 6) meet the surface; inf where they miss."""
+    import open3d
+
+    return np.asarray(scene.cast_rays(open3d.core.Tensor.from_numpy(rays))["t_hit"].numpy())
+
+
+def _rays(T_sensor_object: NDArray[np.float64], box: PixelBox, geometry: SensorGeometry) -> Float32:
+    """Return the rays (h, w, 6) of a box of pixels in the object frame: origin in metres, direction of unit depth.
+
+    The direction's z component is one in the sensor frame, so that the distance along it is the camera depth.
+    """
+    R, t = T_sensor_object[:3, :3], T_sensor_object[:3, 3]
+    x, y = geometry.pixel_slopes
+    across, down = x[box[1], None] * R[0], y[box[0], None] * R[1]
+    rays = np.empty((len(down), len(across), 6), np.float32)
+    camera, forward = -t @ R, R[2]
+    if geometry.is_pinhole:
+        rays[..., :3] = camera
+        np.add(down[:, None], across + forward, out=rays[..., 3:], casting="same_kind")
+    else:
+        np.add(down[:, None], across + camera, out=rays[..., :3], casting="same_kind")
+        rays[..., 3:] = forward
+    return rays
+
+
+class _Surface:
+    """A mesh's vertices and edges, for finding the part of it that is not deeper than a limit."""
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        count = len(mesh.vertices_m)
+        ends = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        self._edges = np.stack(np.divmod(np.unique(ends[:, 0] * count + ends[:, 1]), count))
+        self._vertices = mesh.vertices_m
+
+    def down_to(self, limit_m: float, T_sensor_object: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return points (P, 3) in the sensor frame, metres, whose convex hull holds the part with z <= limit.
+
+        They are its vertices, and where edges cross the limit.
+        """
+        R, t = T_sensor_object[:3, :3], T_sensor_object[:3, 3]
+        beyond = self._vertices @ R[2] + (t[2] - limit_m)
+        near = beyond <= 0.0
+        a, b = self._edges[:, near[self._edges[0]] != near[self._edges[1]]]
+        share = (beyond[a] / (beyond[a] - beyond[b]))[:, None]
+        crossings = (1.0 - share) * self._vertices[a] + share * self._vertices[b]
+        return np.concatenate([self._vertices[near], crossings]) @ R.T + t
+
+
+def _pixel_box(points_m: NDArray[np.float64], geometry: SensorGeometry) -> PixelBox:
+    """Return the rows and columns whose pixels can see the hull of points (P, 3) in metres; empty without points."""
+    g = geometry
+    if len(points_m) == 0:
+        return slice(0, 0), slice(0, 0)
+    x, y, z = points_m.T
+    if g.is_pinhole and z.min() <= 0.0:  # beside the sensor and behind its camera: projection bounds nothing
+        return slice(0, g.height_px), slice(0, g.width_px)
+    x, y = (x / z, y / z) if g.is_pinhole else (x, y)
+    return _span(y, g.fy, g.cy, g.height_px), _span(x, g.fx, g.cx, g.width_px)
+
+
+def _span(slopes: NDArray[np.float64], f: float, c: float, size: int) -> slice:
+    """Return the pixels whose centre lies between the least and the greatest slope, and one more at either end."""
+    first, last = np.clip([slopes.min() * f + c - 1.5, slopes.max() * f + c + 1.5], 0, size)
+    return slice(int(first), int(np.ceil(last)))
+
+
+def _batches(boxes: list[PixelBox], rays_per_batch: int) -> Iterator[list[int]]:
+    """Group the indices of non-empty boxes so that no group of several has more pixels than `rays_per_batch`."""
+    batch: list[int] = []
+    total = 0
+    for i, (rows, columns) in enumerate(boxes):
+        count = (rows.stop - rows.start) * (columns.stop - columns.start)
+        if count == 0:
+            continue
+        if batch and total + count > rays_per_batch:
+            yield batch
+            batch, total = [], 0
+        batch.append(i)
+        total += count
+    if batch:
+        yield batch

@@ -1,0 +1,78 @@
+"""Nominal sensors. Each specimen differs a little: for real work, measure yours and describe it in a sensor file."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar
+
+from pydantic import Field
+
+from tactile_loc.core.interfaces import ComponentOptions
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugins.sensors.depth import DepthSensor
+
+# Parallel rays look the same from any distance: the standoff only says where the surface lies in the sensor frame.
+ORTHOGRAPHIC_STANDOFF_M = 10e-3
+
+
+def orthographic(width_px: int, height_px: int, pixel_pitch_m: float, max_depth_m: float) -> SensorGeometry:
+    """Return a centred orthographic camera with square pixels; raises SensorError for impossible numbers."""
+    scale = 1.0 / pixel_pitch_m
+    return SensorGeometry(
+        "orthographic", width_px, height_px, scale, scale, width_px / 2, height_px / 2,
+        standoff_m=ORTHOGRAPHIC_STANDOFF_M, max_depth_m=max_depth_m,
+    )  # fmt: skip
+
+
+class Preset(DepthSensor):
+    """A sensor of a known make: `native` geometry, seen at `default_size_px` (width, height) unless asked otherwise."""
+
+    native: ClassVar[SensorGeometry]
+    default_size_px: ClassVar[tuple[int, int] | None] = None
+
+    class Options(ComponentOptions):
+        """`image_size_px` (width, height) and `max_depth_mm`; None keeps the preset's."""
+
+        image_size_px: tuple[int, int] | None = Field(None, description="image size (width, height), pixels")
+        max_depth_mm: float | None = Field(None, description="the deepest press that the sensor resolves, mm")
+
+    def _make_geometry(self) -> SensorGeometry:
+        geometry = self.native
+        if self.options.max_depth_mm is not None:
+            geometry = dataclasses.replace(geometry, max_depth_m=self.options.max_depth_mm * 1e-3)
+        size = self.options.image_size_px or self.default_size_px
+        return geometry if size is None else geometry.resized(*size)
+
+
+class GelSlim(Preset):
+    """GelSlim as in Bauza et al. (CoRL 2020): all numbers are the paper's.
+
+    Pinhole, 470 x 470 px, fx = 291.5, fy = 289, centre (235, 235), standoff 25 mm, deepest press 2 mm; images are
+    resized to 200 x 200. The field on the surface is 40.3 x 40.7 mm.
+    """
+
+    native = SensorGeometry(
+        "pinhole", 470, 470, fx=291.5, fy=289.0, cx=235.0, cy=235.0, standoff_m=25e-3, max_depth_m=2e-3
+    )
+    default_size_px = (200, 200)
+
+
+class GelSightMini(Preset):
+    """GelSight Mini, nominal: orthographic, 320 x 240 px of 0.0634 mm (20.3 x 15.2 mm), deepest press 1 mm.
+
+    The scale is the one measured for a public calibration set of 320 x 240 images (the gs_sdk repository's, balls of
+    9.47 mm); 1 mm is nominal, not measured.
+    """
+
+    native = orthographic(320, 240, 0.0634e-3, 1e-3)
+
+
+class Digit(Preset):
+    """DIGIT, nominal: orthographic, 240 x 320 px of 0.063 mm (15.1 x 20.2 mm), deepest press 1 mm; none is measured.
+
+    Public numbers disagree: a DIGIT fork of the Taxim simulator uses 0.0266 mm at 640 x 480 (12.8 x 17.0 mm), the
+    digit-depth configuration measured a gel of 18.35 x 24.6 mm. Expect the scale to be off by up to a fifth, and the
+    real gel, which is curved, to differ: measure yours and use a sensor file.
+    """
+
+    native = orthographic(240, 320, 0.063e-3, 1e-3)

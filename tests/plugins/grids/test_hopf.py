@@ -1,0 +1,192 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_loc.core.contact import bring_to_contact
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.geometry import is_rigid, make_transform, random_rotations, rotation_angle, translation
+from tactile_loc.core.objects import ObjectModel, TriangleMesh
+from tactile_loc.core.poses import PoseGrid, PoseMetric
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.plugins.grids.hopf import HopfGrid, centroid_range
+from tactile_loc.plugins.grids.hopf_rotations import rotation_grid, spin_axis
+
+GEOMETRY = SensorGeometry("orthographic", 40, 30, 2000, 2000, 20, 15, 0.025, 0.002)  # 20 x 15 mm
+
+
+def model(
+    mesh: trimesh.Trimesh, symmetry: str = "none", shift_m: tuple[float, float, float] = (0, 0, 0)
+) -> ObjectModel:
+    surface = TriangleMesh(np.asarray(mesh.vertices) + shift_m, np.asarray(mesh.faces))
+    return ObjectModel("part", surface, SymmetryGroup.parse(symmetry, shift_m))
+
+
+def box(x: float, y: float, z: float, symmetry: str = "none", shift_m=(0, 0, 0)) -> ObjectModel:
+    return model(trimesh.creation.box((x, y, z)), symmetry, shift_m)
+
+
+BRICK, ROD, PLATE = box(0.06, 0.04, 0.03), box(0.08, 0.012, 0.01), box(0.05, 0.04, 0.004)
+
+
+def centroids(obj: ObjectModel, T: np.ndarray) -> np.ndarray:
+    return T[:, :3, :3] @ obj.mesh.centroid_m + T[:, :3, 3]
+
+
+@pytest.mark.parametrize("obj", [BRICK, ROD, PLATE, model(trimesh.creation.icosphere(2, 0.02))])
+@pytest.mark.parametrize("spacing_m", [0.004, 0.005])
+def test_neighbouring_rotations_are_a_spacing_apart_whatever_the_shape(obj, spacing_m):
+    R = rotation_grid(obj, spacing_m).all_representatives()
+    turned = PoseGrid(make_transform(R, -R @ obj.mesh.centroid_m), PoseMetric(obj))
+    assert 0.85 < np.median(turned.neighbour_spacing()) / spacing_m < 1.15
+
+
+def test_poses_are_a_spacing_apart():
+    T = HopfGrid().sample(BRICK, GEOMETRY, 0.012)
+    grid = PoseGrid(T, PoseMetric(BRICK))
+    assert is_rigid(T)
+    assert 0.85 < np.median(grid.neighbour_spacing()) / 0.012 < 1.15
+
+
+def test_spin_is_about_the_axis_that_stands_out():
+    for obj, axis in ((ROD, [1, 0, 0]), (PLATE, [0, 0, 1])):
+        found, about_m, across_m = spin_axis(obj)
+        np.testing.assert_allclose(np.abs(found), axis, atol=1e-9)
+        assert (about_m < across_m) == (obj is ROD)
+    _, about_m, across_m = spin_axis(box(0.03, 0.03, 0.03))
+    mean_square = 0.03**2 * (2 * 1 / 4 + 4 * 1 / 12) / 6  # two faces at a / 2, four spread evenly from -a / 2 to a / 2
+    np.testing.assert_allclose([about_m, across_m], np.sqrt(2 * mean_square))
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_level_sets_the_rotations_and_the_spacing_only_the_plane(level):
+    T = HopfGrid(HopfGrid.Options(level=level)).sample(BRICK, GEOMETRY, 0.02)
+    assert len(np.unique(T[:, :3, :3].reshape(-1, 9), axis=0)) == 72 * 8**level
+    at_one_rotation = centroids(BRICK, T[(T[:, :3, :3] == T[0, :3, :3]).all(axis=(1, 2))])
+    apart = np.linalg.norm(at_one_rotation[1:] - at_one_rotation[0], axis=1)
+    np.testing.assert_allclose(apart.min(), 0.02)
+
+
+def test_the_plane_is_covered_wherever_boxes_overlap():
+    T = HopfGrid().sample(BRICK, GEOMETRY, 0.015)
+    R, counts = np.unique(T[:, :3, :3].reshape(-1, 9), axis=0, return_counts=True)
+    for rotation in R[::40].reshape(-1, 3, 3):
+        c = centroids(BRICK, T[(T[:, :3, :3] == rotation).all(axis=(1, 2))])
+        half = np.ptp(BRICK.mesh.vertices_m @ rotation.T, axis=0)[:2] / 2 + [0.010, 0.0075]
+        places = np.random.default_rng(0).uniform(-half, half, (200, 2))
+        off = np.abs(places[:, None] - c[None, :, :2]).max(axis=-1).min(axis=1)
+        assert off.max() <= 0.015 / 2 + 1e-9
+        assert (np.abs(c[:, :2]) <= half + 1e-9).all()
+        np.testing.assert_allclose(c[:, 2], 0, atol=1e-12)
+    assert counts.min() >= 1
+
+
+def test_poses_beyond_the_range_have_no_contact_and_most_within_have():
+    R = random_rotations(100, np.random.default_rng(3))
+    low, high = centroid_range(BRICK, R, GEOMETRY)
+    for limit_m in (low - 1e-4, high + 1e-4):
+        beyond = np.concatenate([limit_m, np.zeros((100, 1))], axis=1)
+        assert not bring_to_contact(BRICK.mesh, make_transform(R, beyond), GEOMETRY)[1].any()
+    poses = HopfGrid().sample(BRICK, GEOMETRY, 0.015)
+    assert bring_to_contact(BRICK.mesh, poses, GEOMETRY)[1].mean() > 0.5
+
+
+def test_grid_does_not_depend_on_where_the_origin_is():
+    shift = (0.03, -0.02, 0.05)
+    T = HopfGrid().sample(BRICK, GEOMETRY, 0.015)
+    moved = HopfGrid().sample(box(0.06, 0.04, 0.03, shift_m=shift), GEOMETRY, 0.015)
+    np.testing.assert_allclose(moved @ translation(shift), T, atol=1e-9)
+
+
+def test_a_box_needs_a_quarter_of_the_poses():
+    alone, symmetric = (HopfGrid().sample(box(0.06, 0.04, 0.03, s), GEOMETRY, 0.01) for s in ("none", "x2*y2"))
+    assert len(symmetric) / len(alone) == pytest.approx(0.25, abs=0.02)
+
+
+def test_half_turns_about_the_spin_axis_take_exactly_half():
+    obj = box(0.08, 0.012, 0.01, "x2")
+    grid = rotation_grid(obj, 0.006)
+    assert grid.n_psi % 2 == 0
+    assert len(grid.all_representatives()) * 2 == len(grid)
+
+
+@pytest.mark.parametrize("level", [None, 1])
+@pytest.mark.parametrize(("symmetry", "share"), [("zinf", 1.0), ("zinf*x2", 0.5)])
+def test_a_turned_part_has_one_rotation_for_each_direction(symmetry, share, level):
+    obj = model(trimesh.creation.cylinder(0.008, 0.05), symmetry)
+    grid = rotation_grid(obj, 0.004, level)
+    R = grid.all_representatives()
+    assert len(R) == pytest.approx(share * 12 * grid.nside**2, rel=0.03)
+    axes = R[:, :, 2]
+    assert len(np.unique(axes.round(6), axis=0)) == len(R)
+
+
+def test_no_pose_is_far_from_the_grid_or_an_equivalent():
+    for obj in (box(0.06, 0.04, 0.03, "x2*y2"), model(trimesh.creation.cylinder(0.008, 0.05), "zinf*x2")):
+        T = HopfGrid().sample(obj, GEOMETRY, 0.01)
+        queries = HopfGrid().random(obj, GEOMETRY, 500, np.random.default_rng(0))
+        queries[:, 2, 3] -= centroids(obj, queries)[:, 2]
+        same = PoseMetric(obj).equivalents(queries, step_m=1e-3)
+        distance = PoseGrid(T, PoseMetric(obj))._tree.query(PoseMetric(obj).embed(same))[0].min(axis=0)
+        # A cell's corner is sqrt(5) / 2 = 1.1 spacings from its centre; pixels are not squares, and seams are ragged.
+        assert distance.max() < 1.6 * 0.01
+        assert distance.mean() < 0.8 * 0.01
+
+
+def test_too_many_poses_are_refused_with_their_count_and_a_spacing_that_is_not():
+    sampler = HopfGrid(HopfGrid.Options(max_poses=20_000))
+    with pytest.raises(GridError, match=r"part at a spacing of 2 mm needs .* over the limit of 20,000") as refused:
+        sampler.sample(BRICK, GEOMETRY, 0.002)
+    words = str(refused.value).split()
+    enough_mm = float(words[words.index("take") + 4])
+    assert 2 < enough_mm < 20
+    assert 10_000 < len(sampler.sample(BRICK, GEOMETRY, enough_mm * 1e-3)) <= 20_000
+
+
+def test_the_count_that_is_stated_is_what_would_come():
+    true = len(HopfGrid().sample(BRICK, GEOMETRY, 0.012))
+    assert len(HopfGrid(HopfGrid.Options(max_poses=true)).sample(BRICK, GEOMETRY, 0.012)) == true
+    with pytest.raises(GridError, match=f"needs {true:,} poses"):
+        HopfGrid(HopfGrid.Options(max_poses=true - 1)).sample(BRICK, GEOMETRY, 0.012)
+
+
+def test_a_level_too_high_says_so():
+    with pytest.raises(GridError, match="take a lower level or a greater spacing"):
+        HopfGrid(HopfGrid.Options(level=8)).sample(BRICK, GEOMETRY, 0.01)
+
+
+@pytest.mark.parametrize("spacing_m", [0.0, -1.0, np.nan, np.inf, 1e-9])
+def test_impossible_spacing_is_refused(spacing_m):
+    with pytest.raises(GridError, match="spacing"):
+        HopfGrid().sample(BRICK, GEOMETRY, spacing_m)
+
+
+def test_a_flat_surface_is_sampled_too():
+    surface = TriangleMesh(np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.02, 0.0]]), np.array([[0, 1, 2]]))
+    sheet = ObjectModel("sheet", surface, SymmetryGroup.parse("none", np.zeros(3)))
+    assert is_rigid(HopfGrid().sample(sheet, GEOMETRY, 0.01))
+
+
+def test_random_poses_are_uniform_over_rotations_and_their_regions():
+    T = HopfGrid().random(ROD, GEOMETRY, 20_000, np.random.default_rng(0))
+    assert T.shape == (20_000, 4, 4)
+    assert is_rigid(T)
+    low, high = centroid_range(ROD, T[:, :3, :3], GEOMETRY)
+    place = (centroids(ROD, T)[:, :2] - low) / (high - low)
+    assert place.min() >= 0
+    assert place.max() <= 1
+    np.testing.assert_allclose(place.mean(axis=0), 0.5, atol=0.01)
+    np.testing.assert_allclose(place.var(axis=0), 1 / 12, atol=0.003)
+    # Uniform in the joint set: weighting each pose by 1 / area gives back uniform rotations, of mean angle pi/2 + 2/pi.
+    weight = 1 / (high - low).prod(axis=1)
+    angle = np.average(rotation_angle(T[:, :3, :3]), weights=weight)
+    assert angle == pytest.approx(np.pi / 2 + 2 / np.pi, abs=0.02)
+    np.testing.assert_allclose(np.einsum("n,nij->ij", weight / weight.sum(), T[:, :3, :3]), 0, atol=0.02)
+
+
+def test_random_poses_repeat_with_the_seed():
+    a, b = (HopfGrid().random(ROD, GEOMETRY, 5, np.random.default_rng(7)) for _ in range(2))
+    np.testing.assert_array_equal(a, b)
+    assert HopfGrid().random(ROD, GEOMETRY, 0, np.random.default_rng(7)).shape == (0, 4, 4)

@@ -1,0 +1,144 @@
+"""What is OpenGL's own: contexts that come, go and live side by side, windings, clipping, and machines without EGL."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import RenderError
+from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.plugins.renderers.pyrender import PyrenderRenderer
+
+CODE_IMPORT_ONLY = """
+import os, sys
+os.environ.pop("PYOPENGL_PLATFORM", None)
+import tactile_loc.plugins.renderers.pyrender as module
+module.PyrenderRenderer().close()
+assert "PYOPENGL_PLATFORM" not in os.environ
+assert not {"pyrender", "OpenGL"} & set(sys.modules), "heavy libraries are for the first picture"
+"""
+
+
+@pytest.fixture
+def pressed(camera):
+    """A sphere of 8 mm radius in contact."""
+    return make_transform(np.eye(3), [0.001, 0.0, camera.standoff_m + 0.008])[None]
+
+
+def test_importing_touches_neither_opengl_nor_the_environment():
+    subprocess.run([sys.executable, "-c", CODE_IMPORT_ONLY], check=True)
+
+
+def test_no_device_is_one_sentence(camera, sphere, pressed, monkeypatch, new_pyrender):
+    monkeypatch.setenv("EGL_DEVICE_ID", "99")
+    with pytest.raises(
+        RenderError, match=r"device.*libegl1 and libgl1-mesa-dri.*--renderer heightmap.*raycast"
+    ) as caught:
+        new_pyrender().render(sphere, pressed, camera)
+    assert "\n" not in str(caught.value)
+    monkeypatch.delenv("EGL_DEVICE_ID")
+    assert np.isfinite(new_pyrender().render(sphere, pressed, camera)).any(), "a later try may succeed"
+
+
+def test_missing_library_is_one_sentence(camera, sphere, pressed, monkeypatch):
+    monkeypatch.setitem(sys.modules, "tactile_loc.plugins.renderers.pyrender_gl", None)
+    with pytest.raises(RenderError, match=r"libegl1 and libgl1-mesa-dri"):
+        PyrenderRenderer().render(sphere, pressed, camera)
+
+
+def test_platform_of_the_user_is_kept(camera, sphere, pressed, monkeypatch, new_pyrender):
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "abacus")
+    with pytest.raises(RenderError, match="abacus"):
+        new_pyrender().render(sphere, pressed, camera)
+
+
+def test_failure_while_drawing_is_a_render_error(camera, sphere, pressed, monkeypatch, new_pyrender):
+    from OpenGL.error import GLError
+
+    from tactile_loc.plugins.renderers import pyrender_gl
+
+    def fail(*_):
+        raise GLError(1285)
+
+    monkeypatch.setattr(pyrender_gl.DepthScene, "draw", fail)
+    with pytest.raises(RenderError, match="failed to draw"):
+        new_pyrender().render(sphere, pressed, camera)
+
+
+def test_closing_one_renderer_leaves_the_others_alone(camera, sphere, pressed, new_pyrender):
+    one, other = new_pyrender(), new_pyrender()
+    expected = one.render(sphere, pressed, camera)
+    other.render(sphere, pressed, camera)
+    other.close()
+    np.testing.assert_array_equal(one.render(sphere, pressed, camera), expected)
+    del other
+    np.testing.assert_array_equal(one.render(sphere, pressed, camera), expected)
+
+
+def test_closed_renderer_opens_again(camera, sphere, pressed, new_pyrender):
+    renderer = new_pyrender()
+    expected = renderer.render(sphere, pressed, camera)
+    renderer.close()
+    renderer.close()
+    np.testing.assert_array_equal(renderer.render(sphere, pressed, camera), expected)
+
+
+def test_sizes_and_meshes_may_alternate(camera, sphere, bracket, pressed, new_pyrender):
+    renderer, small = new_pyrender(), camera.resized(45, 32)
+    expected = renderer.render(sphere, pressed, camera)
+    assert renderer.render(sphere, pressed, small).shape == (1, 32, 45)
+    assert (renderer.render(bracket, pressed, camera) != expected).any()
+    np.testing.assert_array_equal(renderer.render(sphere, pressed, camera), expected)
+
+
+def test_another_thread_may_draw(camera, sphere, pressed, new_pyrender):
+    renderer, results = new_pyrender(), []
+    expected = renderer.render(sphere, pressed, camera)
+    thread = threading.Thread(target=lambda: results.append(renderer.render(sphere, pressed, camera)))
+    thread.start()
+    thread.join()
+    np.testing.assert_array_equal(results[0], expected)
+
+
+@pytest.mark.parametrize("which", ["all", "half", "open"])
+def test_winding_does_not_matter(camera, sphere, pressed, new_pyrender, which):
+    """Faces wound inwards hide as much as others, whether all of them are, or some, or the surface is not closed."""
+    faces = sphere.faces.copy()
+    faces[:: 1 if which == "all" else 2] = faces[:: 1 if which == "all" else 2, ::-1]
+    if which == "open":
+        faces = faces[sphere.triangles_m[:, :, 2].mean(axis=1) < 0.0]
+    expected = new_pyrender().render(sphere, pressed, camera)
+    np.testing.assert_array_equal(
+        new_pyrender().render(TriangleMesh(sphere.vertices_m, faces), pressed, camera), expected
+    )
+
+
+def test_only_doubtful_parts_are_drawn_twice(sphere, quad, new_pyrender):
+    from tactile_loc.plugins.renderers.pyrender_gl import faces_to_draw
+
+    count = len(sphere.vertices_m)
+    both = TriangleMesh(np.r_[sphere.vertices_m, quad.vertices_m], np.r_[sphere.faces, quad.faces + count])
+    inverted = TriangleMesh(sphere.vertices_m, sphere.faces[:, ::-1])
+    assert len(faces_to_draw(sphere)) == len(sphere.faces)
+    assert len(faces_to_draw(inverted)) == 2 * len(sphere.faces)
+    assert len(faces_to_draw(both)) == len(sphere.faces) + 4
+
+
+def test_the_whole_contact_band_is_between_the_clipping_planes(camera, quad, new_pyrender):
+    for share, seen in ((0.0, True), (1.0, True), (1.1, False)):
+        z = camera.standoff_m + share * camera.max_depth_m
+        depth = new_pyrender().render(quad, make_transform(np.eye(3), [0, 0, z])[None], camera)
+        assert np.isfinite(depth).all() if seen else np.isinf(depth).all()
+
+
+def test_slopes_have_no_bias(camera, quad, new_pyrender):
+    """Multisampling would give the depth beside the pixel's centre: on a slope, tens of micrometres to one side."""
+    T = make_transform(rotation_about([0.7, 1, 0], 0.8), [0, 0, camera.standoff_m + 0.001])
+    depth = new_pyrender().render(quad, T[None], camera)
+    points = camera.backproject(depth)[0][np.isfinite(depth[0])]
+    assert np.abs((points - T[:3, 3]) @ T[:3, 2]).max() < 1e-7

@@ -1,0 +1,97 @@
+"""What is the ray caster's own: culling and batches that change nothing, and its cache."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from tactile_loc.core.contact import bring_to_contact
+from tactile_loc.core.errors import RenderError
+from tactile_loc.core.geometry import make_transform, random_rotations
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugins.renderers import raycast
+from tactile_loc.plugins.renderers.raycast import RaycastRenderer
+
+Options = RaycastRenderer.Options
+
+
+def contact_poses(mesh, g, count=12):
+    rng = np.random.default_rng(3)
+    R = random_rotations(count, rng)
+    offset = np.c_[rng.uniform(-0.012, 0.012, (count, 2)), np.zeros(count)]
+    T, touching = bring_to_contact(mesh, make_transform(R, offset), g)
+    return T[touching]
+
+
+def test_only_what_is_beyond_the_band_is_left_out(camera, bracket, monkeypatch):
+    T = contact_poses(bracket, camera)
+    culled = RaycastRenderer().render(bracket, T, camera)
+    everything = slice(0, camera.height_px), slice(0, camera.width_px)
+    monkeypatch.setattr(raycast, "_pixel_box", lambda points, g: everything)
+    full = RaycastRenderer().render(bracket, T, camera)
+    limit = camera.standoff_m + camera.max_depth_m
+    np.testing.assert_array_equal(np.minimum(culled, limit), np.minimum(full, limit))
+    assert np.isfinite(culled).sum() < np.isfinite(full).sum()
+
+
+def test_surface_that_reaches_behind_the_camera_is_drawn(quad):
+    """An upright plate beside the sensor, at x = -4 mm and on both sides of the camera: its projection is unbounded."""
+    g = SensorGeometry("pinhole", 90, 64, 62.0, 50.0, 39.3, 36.1, 0.021, 0.002)
+    T = make_transform([[0, 0, 1], [1, 0, 0], [0, 1, 0]], [-0.004, 0.0, 0.0])
+    slopes = (np.arange(g.width_px) + 0.5 - g.cx) / g.fx
+    seen = slopes < -0.004 / (g.standoff_m + g.max_depth_m)
+    depth = RaycastRenderer().render(quad, T[None], g)[0]
+    np.testing.assert_allclose(
+        depth[:, seen], np.broadcast_to(-0.004 / slopes[seen], (g.height_px, seen.sum())), rtol=1e-5
+    )
+    assert seen.sum() > 20
+
+
+@pytest.mark.parametrize("rays_per_batch", [1, 1000, 4_000_000])
+def test_batch_size_changes_nothing(camera, bracket, rays_per_batch):
+    T = contact_poses(bracket, camera)
+    expected = RaycastRenderer().render(bracket, T, camera)
+    actual = RaycastRenderer(Options(rays_per_batch=rays_per_batch)).render(bracket, T, camera)
+    np.testing.assert_array_equal(actual, expected)
+
+
+def test_batches_hold_every_box_once_and_keep_the_limit():
+    boxes = [(slice(2, 2 + h), slice(0, 10)) for h in (3, 0, 4, 9, 1, 2, 3)]  # 30, 0, 40, 90, 10, 20, 30 pixels
+    assert list(raycast._batches(boxes, 50)) == [[0], [2], [3], [4, 5], [6]]
+
+
+def test_meshes_are_told_apart_and_few_are_kept(camera, sphere, bracket):
+    renderer = RaycastRenderer(Options(cached_meshes=1))
+    T = make_transform(np.eye(3), [0, 0, camera.standoff_m + 0.008])[None]
+    first = renderer.render(sphere, T, camera)
+    other = renderer.render(bracket, T, camera)
+    assert (first != other).any()
+    np.testing.assert_array_equal(renderer.render(sphere, T, camera), first)
+    assert len(renderer._meshes) == 1
+
+
+def test_scene_is_built_once_for_equal_surfaces(camera, sphere, monkeypatch):
+    built = []
+    build = raycast._build_scene
+    monkeypatch.setattr(raycast, "_build_scene", lambda mesh: built.append(mesh) or build(mesh))
+    renderer = RaycastRenderer()
+    T = make_transform(np.eye(3), [0, 0, camera.standoff_m + 0.008])[None]
+    for mesh in (sphere, TriangleMesh(sphere.vertices_m.copy(), sphere.faces.copy())):
+        renderer.render(mesh, T, camera)
+    assert len(built) == 1
+
+
+def test_missing_open3d_is_one_sentence(camera, sphere, monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(RenderError, match=r"open3d.*libusb-1\.0-0.*heightmap"):
+        RaycastRenderer().render(sphere, np.eye(4)[None], camera)
+
+
+def test_options_are_checked():
+    for bad in ({"rays_per_batch": 0}, {"cached_meshes": 0}, {"rays": 1}):
+        with pytest.raises(ValidationError):
+            Options(**bad)

@@ -1,0 +1,155 @@
+"""What both exact renderers must draw, beside the depth that geometry says."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.contact import bring_to_contact
+from tactile_loc.core.geometry import make_transform, random_rotations, rotation_about
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.sensing import SensorGeometry, contact_depth
+
+NANOMETRES_100 = 1e-7
+
+
+def ball_depth(rays, centre_m, radius_m):
+    """Depth at which rays first meet a ball; inf where they miss."""
+    origin, direction = rays
+    a = (direction**2).sum(-1)
+    b = (direction * (centre_m - origin)).sum(-1)
+    root = b**2 - a * (((centre_m - origin) ** 2).sum(-1) - radius_m**2)
+    return np.where(root >= 0.0, (b - np.sqrt(np.maximum(root, 0.0))) / a, np.inf)
+
+
+def poses(mesh: TriangleMesh, g: SensorGeometry, count: int = 5) -> np.ndarray:
+    rng = np.random.default_rng(7)
+    R = random_rotations(count, rng)
+    offset = np.c_[rng.uniform(-0.003, 0.003, (count, 2)), np.zeros(count)]
+    T, touching = bring_to_contact(mesh, make_transform(R, offset - R @ mesh.centroid_m), g)
+    assert touching.all()
+    return T
+
+
+def assert_same_pictures(a, b, tolerance_m=NANOMETRES_100, g=None):
+    """Equal within the contact band, but for one pixel in a thousand, whose centre may lie on an edge."""
+    limit = g.standoff_m + g.max_depth_m
+    same = (np.abs(np.minimum(a, limit) - np.minimum(b, limit))) <= tolerance_m
+    assert same.mean() >= 0.999
+
+
+def test_sphere(exact_renderer, camera, sphere, inner_radius_m, rays):
+    centre = np.array([0.0023, -0.0034, camera.standoff_m + 0.008])
+    depth = exact_renderer.render(sphere, make_transform(np.eye(3), centre)[None], camera)[0]
+    outer, inner = ball_depth(rays(camera), centre, 0.008), ball_depth(rays(camera), centre, inner_radius_m)
+    band = outer < camera.standoff_m + camera.max_depth_m - 5e-6
+    assert band.sum() > 200
+    assert (depth[band] >= outer[band] - NANOMETRES_100).all()
+    assert (depth[band] <= inner[band] + NANOMETRES_100).all()
+    assert (inner[band] - outer[band]).max() < 3e-6, "the tessellation is fine enough to say something"
+    assert (depth[inner > camera.standoff_m + camera.max_depth_m + 5e-6] > camera.standoff_m + camera.max_depth_m).all()
+
+
+def test_sphere_contact_depth_in_closed_form(exact_renderer, sphere):
+    """Seen straight from above, the contact depth at distance q from the contact is r - sqrt(r^2 - q^2)."""
+    g = SensorGeometry("orthographic", 41, 41, 10_000.0, 10_000.0, 20.5, 20.5, 0.02, 0.002)
+    T = make_transform(np.eye(3), [0.0, 0.0, 0.028])[None]
+    shape = contact_depth(exact_renderer.render(sphere, T, g), g, 0.002)[0]
+    q = (np.arange(41) - 20) * 1e-4
+    np.testing.assert_allclose(shape[20], 0.008 - np.sqrt(0.008**2 - q**2), atol=2e-6)
+    np.testing.assert_allclose(shape[:, 20], 0.008 - np.sqrt(0.008**2 - q**2), atol=2e-6)
+
+
+@pytest.mark.parametrize(("axis", "tilt_rad"), [((0, 1, 0), 0.0), ((1, 0.3, 0), 0.12), ((-0.2, 1, 0.4), -0.9)])
+def test_tilted_plane(exact_renderer, camera, quad, rays, axis, tilt_rad):
+    T = make_transform(rotation_about(axis, tilt_rad), [0.001, 0.002, camera.standoff_m + 0.001])
+    depth = exact_renderer.render(quad, T[None], camera)[0]
+    origin, direction = rays(camera)
+    normal = T[:3, 2]
+    truth = ((T[:3, 3] - origin) @ normal) / (direction @ normal)
+    band = (truth >= camera.standoff_m) & (truth <= camera.standoff_m + camera.max_depth_m)
+    assert band.sum() > 50
+    np.testing.assert_allclose(depth[band], truth[band], atol=NANOMETRES_100)
+
+
+def plate(x_m: tuple[float, float], z_m: float) -> tuple[list[list[float]], list[list[int]]]:
+    (x0, x1), y = x_m, 0.003
+    return [[x0, -y, z_m], [x1, -y, z_m], [x1, y, z_m], [x0, y, z_m]], [[0, 1, 2], [0, 2, 3]]
+
+
+def test_pinhole_looks_below_an_overhang(exact_renderer):
+    """Rays spread, so one that just misses a plate's inner edge meets what lies behind the plate."""
+    g = SensorGeometry("pinhole", 200, 21, 400.0, 400.0, 20.0, 10.5, 0.02, 0.002)
+    (front, faces), (hidden, _) = plate((0.005, 0.006), 0.02), plate((0.00501, 0.006), 0.0215)
+    mesh = TriangleMesh(np.array(front + hidden), np.array(faces + [[a + 4, b + 4, c + 4] for a, b, c in faces]))
+    row = exact_renderer.render(mesh, np.eye(4)[None], g)[0, 10]
+    slope = (np.arange(200) + 0.5 - 20.0) / 400.0
+    below = (slope * 0.0215 > 0.00502) & (slope * 0.02 < 0.005)
+    assert below.sum() >= 5
+    np.testing.assert_allclose(row[below], 0.0215, atol=NANOMETRES_100)
+    np.testing.assert_allclose(row[(slope * 0.02 > 0.005) & (slope * 0.02 < 0.006)], 0.02, atol=NANOMETRES_100)
+
+
+def test_nothing_there_is_inf(exact_renderer, camera, sphere):
+    aside = make_transform(np.eye(3), [0.3, 0.0, camera.standoff_m + 0.008])
+    assert np.isinf(exact_renderer.render(sphere, aside[None], camera)).all()
+
+
+def test_type_and_shape(exact_renderer, camera, bracket):
+    depth = exact_renderer.render(bracket, poses(bracket, camera), camera)
+    assert depth.shape == (5, camera.height_px, camera.width_px)
+    assert depth.dtype == np.float32
+    assert exact_renderer.render(bracket, np.empty((0, 4, 4)), camera).shape == (0, *camera.shape)
+
+
+def test_batch_equals_singles(exact_renderer, camera, bracket):
+    T = poses(bracket, camera)
+    together = exact_renderer.render(bracket, T, camera)
+    alone = np.concatenate([exact_renderer.render(bracket, one[None], camera) for one in T])
+    np.testing.assert_array_equal(together, alone)
+    assert (together[0] != together[1]).any()
+
+
+def test_input_is_not_changed(exact_renderer, camera, bracket):
+    T = poses(bracket, camera)
+    before = T.copy(), bracket.vertices_m.copy(), bracket.faces.copy()
+    exact_renderer.render(bracket, T, camera)
+    for old, new in zip(before, (T, bracket.vertices_m, bracket.faces), strict=True):
+        np.testing.assert_array_equal(old, new)
+
+
+def test_unit_of_length_does_not_matter(exact_renderer, camera, bracket):
+    """The same numbers in millimetres give the same picture, times a thousand."""
+    k = 1.0 if camera.is_pinhole else 1e-3
+    standoff_mm, max_depth_mm = camera.standoff_m * 1e3, camera.max_depth_m * 1e3
+    in_mm = dataclasses.replace(
+        camera, fx=camera.fx * k, fy=camera.fy * k, standoff_m=standoff_mm, max_depth_m=max_depth_mm
+    )
+    T = poses(bracket, camera)
+    T_mm = T.copy()
+    T_mm[:, :3, 3] *= 1e3
+    mesh_mm = TriangleMesh(bracket.vertices_m * 1e3, bracket.faces)
+    mm = exact_renderer.render(mesh_mm, T_mm, in_mm)
+    assert_same_pictures(exact_renderer.render(bracket, T, camera), mm * np.float32(1e-3), g=camera)
+
+
+@pytest.mark.parametrize("kind", ["pinhole", "orthographic"])
+def test_quarter_turn_turns_the_picture(exact_renderer, bracket, kind):
+    f = 60.0 if kind == "pinhole" else 3000.0
+    g = SensorGeometry(kind, 64, 64, f, f, 32.0, 32.0, 0.02, 0.002)
+    T = poses(bracket, g, 3)
+    quarter = make_transform(rotation_about([0, 0, 1], np.pi / 2), np.zeros(3))
+    plain, turned = exact_renderer.render(bracket, T, g), exact_renderer.render(bracket, quarter @ T, g)
+    # x becomes y, that is, the picture's columns become its rows: clockwise, since y points down.
+    assert_same_pictures(np.rot90(plain, -1, axes=(1, 2)), turned, g=g)
+    assert np.isfinite(plain).any()
+
+
+def test_half_resolution_is_every_other_centre(exact_renderer, camera, quad):
+    """Resizing keeps the view: a plane's mean depth in 2 x 2 pixels is the depth of the larger pixel."""
+    T = make_transform(rotation_about([0.4, 1, 0], 0.03), [0, 0, camera.standoff_m + 0.001])[None]
+    fine = exact_renderer.render(quad, T, camera)[0]
+    coarse = exact_renderer.render(quad, T, camera.resized(45, 32))[0]
+    np.testing.assert_allclose(fine.reshape(32, 2, 45, 2).mean((1, 3)), coarse, rtol=1e-4)

@@ -1,0 +1,204 @@
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tactile_loc.core.errors import SensorError, TouchError
+from tactile_loc.core.registry import registry
+from tactile_loc.plugins.sensors.file import FileSensor, _Orthographic, _Pinhole, read_sensor_file
+from tactile_loc.plugins.sensors.presets import GelSightMini, GelSlim
+
+ROOT = Path(__file__).parents[3]
+EXAMPLE = ROOT / "examples" / "my_sensor.toml"
+MM = 1e-3
+
+PINHOLE = {
+    "camera": '"pinhole"', "image_size_px": "[470, 470]", "fx": "291.5", "fy": "289",
+    "standoff_mm": "25", "max_depth_mm": "2",
+}  # fmt: skip
+ORTHOGRAPHIC = {
+    "camera": '"orthographic"', "image_size_px": "[320, 240]", "mm_per_px": "0.0634", "max_depth_mm": "1.0",
+}  # fmt: skip
+
+
+def write(folder: Path, values: dict[str, str], **changes: str | None) -> Path:
+    merged = {k: v for k, v in {**values, **changes}.items() if v is not None}
+    path = folder / "sensor.toml"
+    path.write_text("".join(f"{key} = {value}\n" for key, value in merged.items()))
+    return path
+
+
+def test_the_example_is_what_it_says() -> None:
+    sensor = registry().create("sensor", "file", {"path": str(EXAMPLE)})
+    geometry = sensor.geometry
+    assert (geometry.camera, geometry.shape) == ("pinhole", (240, 320))
+    assert (geometry.fx, geometry.fy, geometry.cx, geometry.cy) == (310.0, 309.0, 161.5, 119.0)
+    assert (geometry.standoff_m, geometry.max_depth_m) == pytest.approx((20 * MM, 1.5 * MM))
+    np.testing.assert_allclose(geometry.rectangle, np.array([-9.5, 9.5, -7.0, 7.0]) * MM)
+    assert 0 < geometry.observed_mask.sum() < geometry.observed_mask.size
+
+
+def test_the_example_and_the_reference_name_every_key() -> None:
+    reference = (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")
+    example = EXAMPLE.read_text(encoding="utf-8")
+    for key in {**_Pinhole.model_fields, **_Orthographic.model_fields}:
+        assert f"`{key}`" in reference, key
+        assert re.search(rf"^(# )?{key} = ", example, re.MULTILINE), key
+
+
+def test_the_commented_lines_of_the_example_work_too(tmp_path: Path) -> None:
+    Image.fromarray(np.full((240, 320), 255, np.uint8)).save(tmp_path / "my_sensor_mask.png")
+    text = EXAMPLE.read_text()
+    masked = tmp_path / "masked.toml"
+    masked.write_text(text.replace("# mask =", "mask ="))
+    assert read_sensor_file(masked).observed is not None
+    flat = tmp_path / "flat.toml"
+    flat.write_text(
+        re.sub(r"(?m)^(fx|fy) = .*$", "", text).replace("# mm_per", "mm_per").replace('"pinhole"\n', '"orthographic"\n')
+    )
+    assert read_sensor_file(flat).pixel_pitch_m == pytest.approx(0.0634 * MM)
+
+
+def test_a_file_can_say_what_the_presets_say(tmp_path: Path) -> None:
+    gelslim = read_sensor_file(write(tmp_path, PINHOLE))
+    native = GelSlim(GelSlim.Options(image_size_px=(470, 470))).geometry
+    assert gelslim.describe() == pytest.approx(native.describe())
+    mini = read_sensor_file(write(tmp_path, ORTHOGRAPHIC))
+    assert mini.describe() == pytest.approx(GelSightMini().geometry.describe())
+
+
+def test_pixels_need_not_be_square(tmp_path: Path) -> None:
+    geometry = read_sensor_file(write(tmp_path, ORTHOGRAPHIC, mm_per_px="[0.05, 0.1]", standoff_mm="7"))
+    x0, x1, y0, y1 = geometry.rectangle
+    assert (x1 - x0, y1 - y0) == pytest.approx((16 * MM, 24 * MM))
+    assert geometry.standoff_m == pytest.approx(7 * MM)
+
+
+def test_a_mask_is_found_beside_the_sensor_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "sensors"
+    (folder / "masks").mkdir(parents=True)
+    mask = np.zeros((240, 320, 3), np.uint8)
+    mask[100:, :50] = 255
+    Image.fromarray(mask).save(folder / "masks" / "m.png")
+    write(folder, ORTHOGRAPHIC, mask='"masks/m.png"')
+    monkeypatch.chdir(tmp_path)
+    geometry = FileSensor(FileSensor.Options(path="sensors/sensor.toml")).geometry
+    np.testing.assert_array_equal(geometry.observed_mask, mask[..., 0] == 255)
+
+
+def test_what_identifies_the_sensor_is_what_the_file_says(tmp_path: Path) -> None:
+    def describe(folder: str, **changes: str) -> dict:
+        (tmp_path / folder).mkdir(exist_ok=True)
+        path = write(tmp_path / folder, PINHOLE, **changes)
+        return FileSensor(FileSensor.Options(path=str(path))).describe()
+
+    assert describe("a") == describe("b")
+    assert describe("a") != describe("a", standoff_mm="26")
+
+
+def test_a_sensor_of_a_file_takes_depths_and_no_images(tmp_path: Path) -> None:
+    sensor = FileSensor(FileSensor.Options(path=str(write(tmp_path, ORTHOGRAPHIC))))
+    depth = np.full((240, 320), np.inf)
+    depth[:10] = 0.1 * MM
+    assert sensor.contact_shape(depth).contact.sum() == 3200
+    with pytest.raises(TouchError, match="no calibration"):
+        sensor.contact_shape(np.zeros((240, 320, 3), np.uint8))
+
+
+@pytest.mark.parametrize("key", PINHOLE)
+def test_missing_keys_are_named(tmp_path: Path, key: str) -> None:
+    with pytest.raises(SensorError, match=rf"sensor\.toml: {key} is missing; it must be"):
+        read_sensor_file(write(tmp_path, PINHOLE, **{key: None}))
+
+
+def test_an_orthographic_sensor_needs_its_scale(tmp_path: Path) -> None:
+    with pytest.raises(SensorError, match="mm_per_px is missing"):
+        read_sensor_file(write(tmp_path, ORTHOGRAPHIC, mm_per_px=None))
+
+
+@pytest.mark.parametrize(
+    ("values", "key", "hint"),
+    [
+        (PINHOLE, "standof_mm", "'standoff_mm'"),
+        (PINHOLE, "mm_per_px", "a pinhole sensor"),
+        (ORTHOGRAPHIC, "fx", "an orthographic sensor"),
+        (ORTHOGRAPHIC, "name", "max_depth_mm"),
+    ],
+)
+def test_unknown_keys_are_named_with_the_known(tmp_path: Path, values: dict, key: str, hint: str) -> None:
+    with pytest.raises(SensorError, match="Its keys: camera, image_size_px") as caught:
+        read_sensor_file(write(tmp_path, values, **{key: "1.0"}))
+    assert f"no key {key!r}" in str(caught.value)
+    assert hint in str(caught.value)
+
+
+def test_a_mistyped_key_is_reported_rather_than_the_missing_one(tmp_path: Path) -> None:
+    with pytest.raises(SensorError, match=r"no key 'max_dept_mm'. Did you mean 'max_depth_mm'"):
+        read_sensor_file(write(tmp_path, PINHOLE, max_depth_mm=None, max_dept_mm="2"))
+
+
+@pytest.mark.parametrize(
+    ("values", "key", "value"),
+    [
+        (PINHOLE, "camera", '"fisheye"'),
+        (PINHOLE, "camera", "1"),
+        (PINHOLE, "image_size_px", "470"),
+        (PINHOLE, "image_size_px", "[470]"),
+        (PINHOLE, "image_size_px", "[470.5, 470]"),
+        (PINHOLE, "image_size_px", "[0, 470]"),
+        (PINHOLE, "fx", '"291"'),
+        (PINHOLE, "fx", "-291"),
+        (PINHOLE, "fy", "true"),
+        (PINHOLE, "cx", "nan"),
+        (PINHOLE, "standoff_mm", "inf"),
+        (PINHOLE, "max_depth_mm", "0"),
+        (PINHOLE, "sensing_rectangle_mm", "[1, 2, 3]"),
+        (PINHOLE, "mask", "1"),
+        (ORTHOGRAPHIC, "mm_per_px", "-0.06"),
+        (ORTHOGRAPHIC, "mm_per_px", "[0.06, 0.06, 0.06]"),
+    ],
+)
+def test_ill_typed_values_are_named_with_what_is_allowed(tmp_path: Path, values: dict, key: str, value: str) -> None:
+    with pytest.raises(SensorError, match=rf"sensor\.toml: {key} = .* is wrong; it must be "):
+        read_sensor_file(write(tmp_path, values, **{key: value}))
+
+
+def test_contradictory_numbers_name_the_file(tmp_path: Path) -> None:
+    with pytest.raises(SensorError, match=r"sensor\.toml: the sensing rectangle"):
+        read_sensor_file(write(tmp_path, PINHOLE, sensing_rectangle_mm="[5, -5, -5, 5]"))
+
+
+def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(SensorError, match="no file"):
+        read_sensor_file(tmp_path / "none.toml")
+    with pytest.raises(SensorError, match="cannot be read"):
+        read_sensor_file(tmp_path)
+    (tmp_path / "bad.toml").write_text("camera = pinhole")
+    with pytest.raises(SensorError, match=r"bad\.toml is not valid TOML"):
+        read_sensor_file(tmp_path / "bad.toml")
+
+
+def test_bad_masks_are_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, ORTHOGRAPHIC, mask='"mask.png"')
+    with pytest.raises(SensorError, match=r"sensor\.toml: the mask .*mask\.png cannot be read"):
+        read_sensor_file(path)
+    (tmp_path / "mask.png").write_text("no image")
+    with pytest.raises(SensorError, match=r"sensor\.toml: the mask"):
+        read_sensor_file(path)
+    Image.fromarray(np.full((320, 240), 255, np.uint8)).save(tmp_path / "mask.png")
+    with pytest.raises(SensorError, match=r"sensor\.toml: the mask of observed pixels is \(320, 240\)"):
+        read_sensor_file(path)
+    Image.fromarray(np.zeros((240, 320), np.uint8)).save(tmp_path / "mask.png")
+    with pytest.raises(SensorError, match="no pixel"):
+        read_sensor_file(path)
+
+
+def test_numbers_are_metres_inside(tmp_path: Path) -> None:
+    geometry = read_sensor_file(write(tmp_path, PINHOLE, sensing_rectangle_mm="[-1, 2, -3, 4.5]"))
+    assert geometry.rectangle_m == pytest.approx((-1 * MM, 2 * MM, -3 * MM, 4.5 * MM))
+    assert all(isinstance(v, float) for v in dataclasses.astuple(geometry)[3:9])

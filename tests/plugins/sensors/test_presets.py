@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import ConfigError, SensorError, TouchError
+from tactile_loc.core.registry import registry
+from tactile_loc.plugins.sensors.presets import Digit, GelSightMini, GelSlim, Preset
+
+MM = 1e-3
+NAMES = {"gelslim": GelSlim, "gelsight-mini": GelSightMini, "digit": Digit}
+ALL = pytest.mark.parametrize("sensor", [kind() for kind in NAMES.values()], ids=list(NAMES))
+
+
+def field_mm(sensor: Preset) -> tuple[float, float]:
+    x0, x1, y0, y1 = sensor.geometry.rectangle
+    return (x1 - x0) / MM, (y1 - y0) / MM
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_presets_are_registered(name: str) -> None:
+    assert isinstance(registry().create("sensor", name), NAMES[name])
+
+
+def test_gelslim_has_the_numbers_of_the_paper() -> None:
+    native = GelSlim(GelSlim.Options(image_size_px=(470, 470))).geometry
+    assert (native.camera, native.shape) == ("pinhole", (470, 470))
+    assert (native.fx, native.fy, native.cx, native.cy) == (291.5, 289.0, 235.0, 235.0)
+    assert (native.standoff_m, native.max_depth_m) == (25 * MM, 2 * MM)
+    small = GelSlim().geometry
+    assert small.shape == (200, 200)
+    assert (small.fx, small.cx) == pytest.approx((291.5 * 200 / 470, 100.0))
+    assert field_mm(GelSlim()) == pytest.approx((470 / 291.5 * 25, 470 / 289 * 25))
+
+
+def test_nominal_fields() -> None:
+    assert GelSightMini().geometry.shape == (240, 320)
+    assert field_mm(GelSightMini()) == pytest.approx((320 * 0.0634, 240 * 0.0634))
+    assert Digit().geometry.shape == (320, 240)
+    assert field_mm(Digit()) == pytest.approx((15.1, 20.2), abs=0.05)
+    assert GelSightMini().geometry.max_depth_m == Digit().geometry.max_depth_m == 1 * MM
+
+
+@ALL
+def test_the_options_change_what_they_say_and_nothing_else(sensor: Preset) -> None:
+    kind = type(sensor)
+    resized = kind(kind.Options(image_size_px=(64, 48), max_depth_mm=0.5))
+    assert resized.geometry.shape == (48, 64)
+    assert resized.geometry.max_depth_m == 0.5 * MM
+    assert resized.geometry.standoff_m == sensor.geometry.standoff_m
+    assert field_mm(resized) == pytest.approx(field_mm(sensor))
+    assert resized.describe() != sensor.describe()
+
+
+@ALL
+@pytest.mark.parametrize("options", [{"image_size_px": (0, 10)}, {"image_size_px": (10, -1)}, {"max_depth_mm": -1.0}])
+def test_impossible_options_are_refused_at_once(sensor: Preset, options: dict) -> None:
+    kind = type(sensor)
+    with pytest.raises(SensorError, match="positive"):
+        kind(kind.Options(**options))
+
+
+def test_ill_typed_options_are_refused() -> None:
+    with pytest.raises(ConfigError, match="image_size_px"):
+        registry().create("sensor", "digit", {"image_size_px": 200})
+    with pytest.raises(ConfigError, match="size"):
+        registry().create("sensor", "digit", {"size": 200})
+
+
+@ALL
+def test_depths_are_a_contact_shape_already(sensor: Preset) -> None:
+    max_depth_m = sensor.geometry.max_depth_m
+    depth = np.full(sensor.geometry.shape, np.nan)
+    depth[10:30, 10:40] = np.linspace(0, 0.6 * max_depth_m, 30)
+    shape = sensor.contact_shape(depth)
+    np.testing.assert_array_equal(shape.contact, np.isfinite(depth))
+    np.testing.assert_allclose(shape.depth_m[10:30, 10:40], depth[10:30, 10:40], rtol=1e-6)
+    assert shape.press_depth_m == pytest.approx(0.6 * max_depth_m, rel=1e-3)
+
+
+@ALL
+def test_images_are_refused(sensor: Preset) -> None:
+    for shape in ((*sensor.geometry.shape, 3), sensor.geometry.shape):
+        with pytest.raises(TouchError, match="no calibration for images"):
+            sensor.contact_shape(np.zeros(shape, np.uint8))
+
+
+@ALL
+def test_other_sizes_are_refused(sensor: Preset) -> None:
+    with pytest.raises(TouchError, match="pixels"):
+        sensor.contact_shape(np.zeros((10, 10)))
