@@ -1,0 +1,96 @@
+#!/usr/bin/env python3
+"""Errors and times of locating real objects from one clean touch, with the default components.
+
+For each mesh: one face, a grid of about `--poses` poses, `--touches` random continuous poses. Errors are ADD over
+10 000 surface points, symmetry regarded, in mm and normalised by a random pose's mean error. Meshes are given as
+FILE[:UNITS]; without any, the demo objects are used. Times are medians on this machine, in one run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from tactile_loc.core.config import RunConfig
+from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.meshes import load_object
+from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.store import StageStore
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.evaluation.single_touch import LINES, evaluate_single_touch
+
+
+def spacing_for(obj: ObjectModel, base: dict, poses: int) -> float:  # type: ignore[type-arg]
+    """Return the grid spacing (mm) that gives about `poses` poses: their number goes with its inverse cube."""
+    spacing_mm = 4.0
+    for _ in range(2):
+        config = RunConfig.from_dict({**base, "grid": {"name": "face", "spacing_mm": spacing_mm}})
+        with tempfile.TemporaryDirectory() as store:
+            spacing_mm *= (len(Localizer(config, obj, StageStore(Path(store))).model.grid) / poses) ** (1 / 3)
+    return round(spacing_mm, 2)
+
+
+def measure(obj: ObjectModel, arguments: argparse.Namespace) -> dict[str, object]:
+    """Build one object's model in an empty store, locate its touches, and return a row of the table."""
+    base = {"sensor": arguments.sensor, "refiner": arguments.refiner}
+    spacing_mm = spacing_for(obj, base, arguments.poses)
+    config = RunConfig.from_dict({**base, "grid": {"name": "face", "spacing_mm": spacing_mm}})
+    with tempfile.TemporaryDirectory() as store:
+        localizer = Localizer(config, obj, StageStore(Path(store)))
+        start = time.perf_counter()
+        localizer.matcher(localizer.scene.geometry.max_depth_m)
+        build_s = time.perf_counter() - start
+        touches = localizer.simulate(arguments.touches, arguments.seed)
+        result = evaluate_single_touch(localizer, touches, np.random.default_rng(arguments.seed))
+        poses = len(localizer.model.grid)
+    return {
+        "object": obj.name, "symmetry": str(obj.symmetry), "poses": poses, "spacing_mm": spacing_mm, "build_s": build_s,
+        "random_mm": result.scale_m * 1e3,
+        "median_mm": {k: float(np.median(v)) * 1e3 for k, v in result.errors_m.items()},
+        "mean_mm": {k: float(np.mean(v)) * 1e3 for k, v in result.errors_m.items()},
+        "median_normalised": {k: float(np.median(v)) / result.scale_m for k, v in result.errors_m.items()},
+        "median_ms": {k: float(np.median(v)) * 1e3 for k, v in result.seconds.items()},
+    }  # fmt: skip
+
+
+def report(row: dict) -> str:  # type: ignore[type-arg]
+    """Return one object's lines of the table."""
+    head = f"{row['object']:<26}{row['poses']:>7} poses {row['spacing_mm']:>5.2f} mm, built in {row['build_s']:.1f} s, "
+    times = ", ".join(f"{k} {v:.1f}" for k, v in row["median_ms"].items())
+    lines = [f"{head}symmetry {row['symmetry']}; ms: {times}"]
+    for name in LINES:
+        median, mean, share = (row[k][name] for k in ("median_mm", "mean_mm", "median_normalised"))
+        ratio = median / row["median_mm"]["closest"]
+        lines.append(
+            f"    {name:<8} median {median:7.2f} mm ({share:.3f})   mean {mean:7.2f} mm   {ratio:5.2f} x closest"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run the benchmark and print its table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("meshes", nargs="*", help="FILE[:UNITS]; default: the demo objects")
+    parser.add_argument("--poses", type=int, default=10_000, help="about how many poses a grid has")
+    parser.add_argument("--touches", type=int, default=200)
+    parser.add_argument("--sensor", default="gelslim")
+    parser.add_argument("--refiner", default="icp")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", type=Path, help="also write the rows here")
+    arguments = parser.parse_args()
+    rows = []
+    for mesh in arguments.meshes or DEMO_OBJECTS:
+        path, _, units = mesh.partition(":")
+        rows.append(measure(load_object(path, units or "auto"), arguments))
+        print(report(rows[-1]), flush=True)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
