@@ -47,7 +47,9 @@ class HeightmapRenderer(Renderer):
         rotations, starts, members = group_rotations(T[:, :3, :3])
         slot = np.repeat(np.arange(len(rotations)), np.diff(starts))
         low, cells = _footprints(mesh, rotations, T[members, :3, 3], starts, geometry, cell)
-        ceilings = np.maximum.reduceat(geometry.standoff_m + geometry.max_depth_m - T[members, 2, 3], starts[:-1])
+        # a little above the band is drawn too, for the slopes that leave it
+        end = geometry.standoff_m + geometry.max_depth_m + kernels.WALL * cell
+        ceilings = np.maximum.reduceat(end - T[members, 2, 3], starts[:-1])
         triangles, t = np.ascontiguousarray(mesh.triangles_m), np.ascontiguousarray(T[:, :3, 3])
         view = (_camera(geometry), *geometry.pixel_slopes)
         step = max(1, int(MAX_MAP_BYTES // (4 * cells[0] * cells[1])))
@@ -58,25 +60,23 @@ class HeightmapRenderer(Renderer):
             poses = slice(starts[first], starts[last])
             if len(T) == 1:  # waking the other threads would cost more than it saves
                 kernels.rasterise_one(triangles, rotations[0], low[0], ceilings[0], cell, maps[0])
-                fine, coarse = _extrema(maps, kernels.FINE), _extrema(maps, kernels.COARSE)
-                tiles = (fine[0][0], fine[1][0]), (coarse[0][0], coarse[1][0])
+                tiles = _minima(maps, kernels.FINE)[0], _minima(maps, kernels.COARSE)[0]
                 kernels.sample_one(maps[0], *tiles, low[0], cell, t[0], *view, depth[0])
                 continue
             kernels.rasterise(triangles, rotations[some], low[some], ceilings[some], cell, maps)
-            fine, coarse = _extrema(maps, kernels.FINE), _extrema(maps, kernels.COARSE)
-            kernels.sample(maps, fine, coarse, low[some], cell, slot[poses] - first, members[poses], t, *view, depth)
+            tiles = _minima(maps, kernels.FINE), _minima(maps, kernels.COARSE)
+            kernels.sample(maps, *tiles, low[some], cell, slot[poses] - first, members[poses], t, *view, depth)
         return depth
 
 
-def _extrema(maps: Float32, tile: int) -> tuple[Float32, Float32]:
-    """Return the least and greatest height (K, rows / tile, columns / tile) of every tile of the maps."""
+def _minima(maps: Float32, tile: int) -> Float32:
+    """Return the least height (K, rows / tile, columns / tile) of every tile of the maps."""
     lowest = np.empty((len(maps), maps.shape[1] // tile, maps.shape[2] // tile), np.float32)
-    highest = np.empty_like(lowest)
     if len(maps) > 1:
-        kernels.extrema(maps, tile, lowest, highest)
+        kernels.minima(maps, tile, lowest)
     else:
-        kernels.extrema_one(maps[0], tile, lowest[0], highest[0])
-    return lowest, highest
+        kernels.minima_one(maps[0], tile, lowest[0])
+    return lowest
 
 
 def _camera(geometry: SensorGeometry) -> tuple[bool, float, float]:

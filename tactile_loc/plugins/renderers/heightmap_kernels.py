@@ -13,7 +13,7 @@ from tactile_loc.core.compiled import njit, prange
 
 # numbers are never NaN here, but infinite ones mean "no surface": inf must keep its meaning
 FAST = {"cache": True, "error_model": "numpy", "fastmath": {"nnan", "nsz", "arcp", "contract"}}
-FINE, COARSE = 4, 16  # cells a side of a tile of extrema, at two levels
+FINE, COARSE = 4, 16  # cells a side of a tile whose lowest height is known, at two levels
 BLOCKS = (32, 8, 4)  # pixels a side of the blocks that are skipped at once, at three levels
 WALL = 3.0  # a rise of more than this many cells from one cell to the next is a wall, not a slope
 
@@ -78,22 +78,22 @@ def _span(p, r):
 
 
 @njit(parallel=True, **FAST)
-def extrema(maps, tile, lowest, highest):
-    """Fill the least and greatest height (K, rows / tile, columns / tile) of the maps' tiles, by all threads."""
+def minima(maps, tile, lowest):
+    """Fill the least height (K, rows / tile, columns / tile) of every tile of the maps, by all threads."""
     for k in prange(len(maps)):
-        extrema_one(maps[k], tile, lowest[k], highest[k])
+        minima_one(maps[k], tile, lowest[k])
 
 
 @njit(**FAST)
-def extrema_one(envelope, tile, lowest, highest):
-    """Fill the least and greatest height (rows / tile, columns / tile) of every tile of a map."""
+def minima_one(envelope, tile, lowest):
+    """Fill the least height (rows / tile, columns / tile) of every tile of a map."""
     for i in range(len(lowest)):
         for j in range(lowest.shape[1]):
-            low, high = envelope[i * tile, j * tile], envelope[i * tile, j * tile]
+            low = envelope[i * tile, j * tile]
             for r in range(i * tile, (i + 1) * tile):
                 for c in range(j * tile, (j + 1) * tile):
-                    low, high = min(low, envelope[r, c]), max(high, envelope[r, c])
-            lowest[i, j], highest[i, j] = low, high
+                    low = min(low, envelope[r, c])
+            lowest[i, j] = low
 
 
 @njit(parallel=True, **FAST)
@@ -101,74 +101,67 @@ def sample(maps, fine, coarse, corners, cell, slot, members, t, camera, slopes_x
     """Fill depth (N, H, W) at `members`, each from map `slot`, seen by `camera`, by all threads."""
     for m in prange(len(members)):
         i, k = members[m], slot[m]
-        rough, exact = (coarse[0][k], coarse[1][k]), (fine[0][k], fine[1][k])
-        sample_one(maps[k], exact, rough, corners[k], cell, t[i], camera, slopes_x, slopes_y, depth[i])
+        sample_one(maps[k], fine[k], coarse[k], corners[k], cell, t[i], camera, slopes_x, slopes_y, depth[i])
 
 
 @njit(**FAST)
-def sample_one(envelope, exact, rough, corner, cell, t, camera, slopes_x, slopes_y, picture):
+def sample_one(envelope, fine, coarse, corner, cell, t, camera, slopes_x, slopes_y, picture):
     """Fill a picture (H, W) from one map, seen by `camera` (pinhole?, band begin, band end).
 
-    Blocks of pixels are halved until their part of the map lies above the band or they are small enough to trace.
+    Blocks of pixels are cut smaller until their part of the map lies above the band or they are traced.
     """
     picture.fill(np.inf)
     height, width = picture.shape
     big, middle, small = BLOCKS
+    end = camera[2]
     offset = ((t[0] + corner[0]) / cell, (t[1] + corner[1]) / cell, t[2])
     for v in range(0, height, big):
         for u in range(0, width, big):
-            if not _in_band(rough, COARSE, slopes_x, slopes_y, u, v, big, camera, cell, offset):
+            if _lowest(coarse, COARSE, slopes_x, slopes_y, u, v, big, camera, cell, offset) >= end:
                 continue
             for v1 in range(v, min(v + big, height), middle):
                 for u1 in range(u, min(u + big, width), middle):
-                    if not _in_band(rough, COARSE, slopes_x, slopes_y, u1, v1, middle, camera, cell, offset):
+                    if _lowest(coarse, COARSE, slopes_x, slopes_y, u1, v1, middle, camera, cell, offset) >= end:
                         continue
                     for v2 in range(v1, min(v1 + middle, height), small):
                         for u2 in range(u1, min(u1 + middle, width), small):
-                            _trace(envelope, exact, slopes_x, slopes_y, u2, v2, camera, cell, offset, picture)
+                            low = _lowest(fine, FINE, slopes_x, slopes_y, u2, v2, small, camera, cell, offset)
+                            if low < end:
+                                _trace(envelope, low, slopes_x, slopes_y, u2, v2, camera, cell, offset, picture)
 
 
 @njit(**FAST)
-def _in_band(tiles, tile, slopes_x, slopes_y, u, v, size, camera, cell, offset):
-    """Whether any surface that a block of pixels may see lies within the contact band."""
-    low, _ = _bounds(tiles, tile, slopes_x, slopes_y, u, v, size, camera, cell, offset)
-    return low < camera[2]
-
-
-@njit(**FAST)
-def _bounds(tiles, tile, slopes_x, slopes_y, u, v, size, camera, cell, offset):
-    """Least and greatest depth of all tiles that a block's rays cross in the band, a cell of margin around."""
+def _lowest(tiles, tile, slopes_x, slopes_y, u, v, size, camera, cell, offset):
+    """Least depth of all tiles that the rays of a block of pixels cross in the band, a cell of margin around."""
     pinhole, begin, end = camera
     near, far = (begin / cell, end / cell) if pinhole else (1.0 / cell, 1.0 / cell)
     x0, x1 = slopes_x[u], slopes_x[min(u + size, len(slopes_x)) - 1]
     y0, y1 = slopes_y[v], slopes_y[min(v + size, len(slopes_y)) - 1]
-    lowest, highest = tiles
-    rows, columns = lowest.shape
+    rows, columns = tiles.shape
     first_row = max(0, int((min(y0 * near, y0 * far) - offset[1] - 1.5) // tile))
     last_row = min(rows - 1, int((max(y1 * near, y1 * far) - offset[1] + 1.5) // tile))
     first_column = max(0, int((min(x0 * near, x0 * far) - offset[0] - 1.5) // tile))
     last_column = min(columns - 1, int((max(x1 * near, x1 * far) - offset[0] + 1.5) // tile))
-    low, high = np.float32(np.inf), np.float32(-np.inf)
+    low = np.float32(np.inf)
     for i in range(first_row, last_row + 1):
         for j in range(first_column, last_column + 1):
-            low, high = min(low, lowest[i, j]), max(high, highest[i, j])
-    return low + offset[2], high + offset[2]
+            low = min(low, tiles[i, j])
+    return low + offset[2]
 
 
 @njit(**FAST)
-def _trace(envelope, tiles, slopes_x, slopes_y, u, v, camera, cell, offset, picture):
-    """Trace every ray of a small block, between the depths that its tiles leave possible."""
+def _trace(envelope, low, slopes_x, slopes_y, u, v, camera, cell, offset, picture):
+    """Trace every ray of a small block of pixels, from the least depth at which anything lies before them."""
     pinhole, begin, end = camera
-    low, high = _bounds(tiles, FINE, slopes_x, slopes_y, u, v, BLOCKS[2], camera, cell, offset)
-    if low >= end:
-        return
-    low, high, wall = max(low, begin), min(high, end), WALL * cell
+    wall = WALL * cell
     x0, y0, z0 = offset
+    low = max(low, begin)
     for row in range(v, min(v + BLOCKS[2], len(slopes_y))):
+        sy = slopes_y[row] / cell
         for column in range(u, min(u + BLOCKS[2], len(slopes_x))):
-            sx, sy = slopes_x[column] / cell, slopes_y[row] / cell
+            sx = slopes_x[column] / cell
             if pinhole:
-                picture[row, column] = _march(envelope, sx, sy, x0, y0, z0, low, high, end, wall)
+                picture[row, column] = _march(envelope, sx, sy, x0, y0, z0, low, end, wall)
             else:
                 picture[row, column] = _height(envelope, sx - x0 - 0.5, sy - y0 - 0.5, wall) + z0
 
@@ -188,26 +181,41 @@ def _height(envelope, c, r, wall):
 
 
 @njit(**FAST)
-def _march(envelope, sx, sy, x0, y0, z0, low, high, end, wall):
-    """Depth at which a pinhole ray first meets the map between `low` and `high`; inf when it meets none.
+def _march(envelope, sx, sy, x0, y0, z0, low, end, wall):
+    """Depth at which a pinhole ray first meets the map between two depths; inf when it meets none.
 
-    The ray is at cell (sx z - x0, sy z - y0) at depth z. It advances at most two cells a step; on a slope the crossing
-    is interpolated, at a wall halved once more.
+    The ray is at cell (sx z - x0, sy z - y0) at depth z and advances by at most two cells a step.
     """
-    steps = 1 + int(0.5 * max(abs(sx), abs(sy)) * (high - low))
-    x0, y0 = x0 + 0.5, y0 + 0.5
-    before = low
-    gap_before = _height(envelope, sx * low - x0, sy * low - y0, wall) + z0 - low
-    if gap_before <= 0.0:
-        return low
-    for k in range(1, steps + 1):
-        z = low + (high - low) * k / steps
-        gap = _height(envelope, sx * z - x0, sy * z - y0, wall) + z0 - z
-        if gap <= 0.0:
-            if gap_before < wall and gap > -wall:
-                return before + (z - before) * gap_before / (gap_before - gap)
+    rows, columns = envelope.shape
+    steps = 1 + int(0.5 * max(abs(sx), abs(sy)) * (end - low))
+    step = (end - low) / steps
+    c, r, z = sx * low - x0, sy * low - y0, low
+    for _ in range(steps + 1):
+        i, j = int(r), int(c)
+        if 0 <= i < rows and 0 <= j < columns and envelope[i, j] + z0 <= z:
+            hit = _crossing(envelope, sx, sy, x0 + 0.5, y0 + 0.5, z0, max(low, z - step), z, wall)
+            return hit if hit < end else np.inf
+        c, r, z = c + sx * step, r + sy * step, z + step
+    return np.inf
+
+
+@njit(**FAST)
+def _crossing(envelope, sx, sy, x0, y0, z0, before, z, wall):
+    """Depth between `before` and `z` at which the ray crosses the map: extrapolated on a slope, halved three times at a wall.
+
+    Moving the ray to the height below it, twice, and Aitken's extrapolation of the two moves solve for a slope exactly.
+    """
+    first = _height(envelope, sx * z - x0, sy * z - y0, wall) + z0
+    second = _height(envelope, sx * first - x0, sy * first - y0, wall) + z0
+    move, then = first - z, second - first
+    if abs(then) > wall:
+        for _ in range(3):
             middle = 0.5 * (before + z)
-            hit = _height(envelope, sx * middle - x0, sy * middle - y0, wall) + z0 <= middle
-            return 0.5 * (before + middle) if hit else 0.5 * (middle + z)
-        before, gap_before = z, gap
-    return high if high < end else np.inf
+            if _height(envelope, sx * middle - x0, sy * middle - y0, wall) + z0 > middle:
+                before = middle
+            else:
+                z = middle
+        return 0.5 * (before + z)
+    curve = then - move
+    crossing = second if curve == 0.0 else second - then * then / curve
+    return min(max(crossing, before), z + wall)
