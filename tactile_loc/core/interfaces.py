@@ -107,7 +107,7 @@ class GridSampler(Component):
     class Options(ComponentOptions):
         """What every grid has: how dense it is, and how much contact a pose must make."""
 
-        spacing_mm: float = Field(default=2.0, gt=0, description="mean distance between neighbouring poses, mm")
+        spacing_mm: float = Field(default=3.0, gt=0, description="mean distance between neighbouring poses, mm")
         min_contact_percent: float = Field(
             default=2.0, ge=0, le=100, description="least share of the observed pixels in contact, percent"
         )

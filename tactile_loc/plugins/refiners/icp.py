@@ -16,6 +16,7 @@ from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
 
 BURST = 8  # iterations between looks at whether the pose still moves
 SETTLED = 1e-4  # radians and mm
+DECIMALS = 7  # of radians and mm
 MILLI = 1e3  # clouds are registered in mm: open3d's thresholds suit numbers near one
 
 
@@ -85,7 +86,8 @@ def _register(moving, fixed, reach_mm, T, max_iterations):  # type: ignore[no-un
             criteria = registration.ICPConvergenceCriteria(1e-7, 1e-7, burst)
             result = registration.registration_icp(moving, fixed, reach_mm, T, method, criteria)
             converged = np.allclose(result.transformation, T, atol=SETTLED) and result.fitness > 0
-            T, fitness, done = np.array(result.transformation), float(result.fitness), done + burst
+            # open3d's threads add up in any order: rounding keeps that from growing from burst to burst
+            T, fitness, done = np.round(result.transformation, DECIMALS), float(result.fitness), done + burst
     return T, done, fitness, converged
 
 

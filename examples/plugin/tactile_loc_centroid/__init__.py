@@ -1,0 +1,18 @@
+"""A refiner for tactile-loc that puts the centre of the contact where the touch has it."""
+
+from __future__ import annotations
+
+from tactile_loc import ComponentSpec, hookimpl
+
+
+@hookimpl
+def tactile_loc_components() -> list[ComponentSpec]:
+    """Return the components that this package offers; a class is imported when it is used."""
+    return [
+        ComponentSpec(
+            slot="refiner",
+            name="centroid",
+            target="tactile_loc_centroid.refiner:CentroidRefiner",
+            summary="slides the contact's centre onto the touch's",
+        )
+    ]

@@ -1,0 +1,44 @@
+"""The centroid refiner: slide the candidate in x and y until contact is centred where the touch has it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from tactile_loc.core.interfaces import Candidate, ComponentOptions, RefinedPose, Refiner
+from tactile_loc.core.scene import Scene
+from tactile_loc.core.sensing import SensorGeometry, Touch
+
+
+class CentroidRefiner(Refiner):
+    """Slides a few times and keeps the pose whose contact overlaps best with the touch's: never worse than before."""
+
+    class Options(ComponentOptions):
+        """Every option has a default and a description, which is its help text."""
+
+        steps: int = Field(default=4, ge=1, description="how often the candidate is slid")
+
+    def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
+        """Return the pose (4, 4) in metres with the largest overlap, which is its fitness (intersection over union)."""
+        T = candidate.T_sensor_object.copy()
+        best = RefinedPose(T, fitness=0.0, converged=False, iterations=0)
+        wanted = touch.contact_shape.contact & touch.geometry.observed_mask
+        for step in range(self.options.steps + 1):
+            seen = scene.contact_shape(T, touch.press_depth_m).contact & touch.geometry.observed_mask
+            overlap = float((seen & wanted).sum() / (seen | wanted).sum())
+            if overlap > best.fitness:
+                best = RefinedPose(T, overlap, converged=step > 0, iterations=step)
+            if not seen.any():
+                break
+            slid = T.copy()
+            slid[:2, 3] += centre_m(wanted, touch.geometry) - centre_m(seen, touch.geometry)
+            T = scene.in_contact(slid[None])[0][0]
+        return best
+
+
+def centre_m(contact: NDArray[np.bool_], geometry: SensorGeometry) -> NDArray[np.float64]:
+    """Return the centre (x, y) in metres, on the sensing surface, of the pixels (H, W) in contact."""
+    surface = np.full(geometry.shape, geometry.standoff_m)
+    centre: NDArray[np.float64] = geometry.backproject(surface)[contact, :2].mean(axis=0)
+    return centre

@@ -1,0 +1,22 @@
+"""The refiner keeps every contract of its slot, and finds a slide exactly."""
+
+from __future__ import annotations
+
+from tactile_loc_centroid.refiner import CentroidRefiner
+
+from tactile_loc.testing import parametrize_with_checks
+from tactile_loc.testing.problems import pressed_block
+
+
+@parametrize_with_checks([CentroidRefiner()])
+def test_contract(component, check):
+    """Run one check of `tactile_loc.testing` on one component."""
+    check(component)
+
+
+def test_a_slide_is_undone():
+    """A candidate 1 mm beside the truth ends within a twentieth of a millimetre."""
+    problem = pressed_block()
+    refined = CentroidRefiner().refine(problem.touch, problem.candidate((0.0008, -0.0006, 0.0)), problem.scene)
+    assert problem.error_m(refined) < 5e-5
+    assert refined.converged

@@ -1,0 +1,140 @@
+"""Checks for encoders: vectors whose distances say how alike poses are, whatever the press and the image size."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from tactile_loc.core.geometry import translation
+from tactile_loc.core.interfaces import Capabilities, Encoder, Float32
+from tactile_loc.core.sensing import SensorGeometry, contact_depth
+from tactile_loc.testing.contract import Check, Untouched, require, require_close
+from tactile_loc.testing.problems import LOPSIDED_CAMERAS, block_scene, contact_poses
+from tactile_loc.testing.shapes import ReferenceRenderer, stepped_block
+
+CAMERA = LOPSIDED_CAMERAS["orthographic"]
+PRESS_M = CAMERA.max_depth_m
+
+
+def checks(capabilities: Capabilities) -> list[Check]:
+    """Return the checks for an encoder of these capabilities; one that needs training is passed trained."""
+    chosen: list[Check] = [check_output, check_batch_is_singles, check_shapes_untouched, check_distances_order_poses,
+                           check_press_depth_marks_no_contact, check_light_press_finds_its_pose,
+                           check_image_size, check_ignores_masked_pixels]  # fmt: skip
+    return [*chosen, check_deterministic] if capabilities.deterministic else chosen
+
+
+def check_output(encoder: Encoder) -> None:
+    """`encode` returns (N, D) float32, finite, with one D for any N, also for no shape and for one without contact."""
+    shapes = _shapes()
+    vectors = encoder.encode(shapes, PRESS_M, CAMERA)
+    form = isinstance(vectors, np.ndarray) and vectors.ndim == 2 and len(vectors) == len(shapes)
+    require(form, f"the embeddings of {len(shapes)} shapes must be an array ({len(shapes)}, D)")
+    require(vectors.dtype == np.float32, f"embeddings are float32, not {vectors.dtype}")
+    for what, some in (("no shape", shapes[:0]), ("a shape without contact", np.full_like(shapes[:1], PRESS_M))):
+        other = encoder.encode(some, PRESS_M, CAMERA)
+        same = other.shape == (len(some), vectors.shape[1])
+        require(same, f"{what} must be encoded as ({len(some)}, {vectors.shape[1]}), not {other.shape}")
+        require(np.isfinite(other).all(), f"{what} must have a finite embedding")
+    require(np.isfinite(vectors).all(), "embeddings must be finite")
+
+
+def check_batch_is_singles(encoder: Encoder) -> None:
+    """Encoding shapes together gives what encoding each alone gives."""
+    shapes = _shapes()
+    together = encoder.encode(shapes, PRESS_M, CAMERA)
+    singly = np.concatenate([encoder.encode(s[None], PRESS_M, CAMERA) for s in shapes])
+    require_close(together, singly, 1e-3 * _spread(together), "a batch must be encoded as its shapes one by one")
+
+
+def check_shapes_untouched(encoder: Encoder) -> None:
+    """The contact shapes are not written to."""
+    shapes = _shapes()
+    before = Untouched(depth_m=shapes)
+    encoder.encode(shapes, PRESS_M, CAMERA)
+    before.require()
+
+
+def check_distances_order_poses(encoder: Encoder) -> None:
+    """The same shape is nearest, a shape half a millimetre away is nearer than a clearly different pose."""
+    poses = contact_poses(block_scene())
+    here, moved = _render(poses), _render(translation([0.0004, 0.0003, 0.0]) @ poses)
+    bank = encoder.encode(here, PRESS_M, CAMERA)
+    found = _nearest(encoder.encode(here.copy(), PRESS_M, CAMERA), bank)
+    require(_is_order(found), f"every shape must be nearest to itself; the nearest rows are {found.tolist()}")
+    found = _nearest(encoder.encode(moved, PRESS_M, CAMERA), bank)
+    require(_is_order(found), f"a shape 0.5 mm away must be nearer than other poses; the nearest are {found.tolist()}")
+
+
+def check_press_depth_marks_no_contact(encoder: Encoder) -> None:
+    """A pixel at the press depth is not in contact, whatever the press: flat imprints look the same at any."""
+    imprint = np.stack([s < PRESS_M for s in _shapes()])
+    light, deep = (np.where(imprint, np.float32(0), np.float32(p)) for p in (0.6 * PRESS_M, PRESS_M))
+    bank = encoder.encode(deep, PRESS_M, CAMERA)
+    found = _nearest(encoder.encode(light, 0.6 * PRESS_M, CAMERA), bank)
+    require(_is_order(found), "pixels at the press depth are not in contact: the same flat imprint must look alike at "
+            f"60 % and at full press, but the nearest rows are {found.tolist()}")  # fmt: skip
+
+
+def check_light_press_finds_its_pose(encoder: Encoder) -> None:
+    """A light press finds its pose: in a bank cut at the same press if the encoder follows it, else in the full one."""
+    light = 0.75 * PRESS_M
+    press = light if encoder.capabilities.follows_press_depth else PRESS_M
+    bank = encoder.encode(np.minimum(_shapes(), np.float32(press)), press, CAMERA)
+    found = _nearest(encoder.encode(np.minimum(_shapes(), np.float32(light)), light, CAMERA), bank)
+    require(_is_order(found), f"a light press must be nearest to its own pose; the nearest rows are {found.tolist()}")
+
+
+def check_image_size(encoder: Encoder) -> None:
+    """Shapes of another image size of the same sensor have embeddings of the same D, and find their pose."""
+    fine = CAMERA.resized(2 * CAMERA.width_px, 2 * CAMERA.height_px)
+    bank = encoder.encode(_shapes(), PRESS_M, CAMERA)
+    queries = encoder.encode(_shapes(fine), PRESS_M, fine)
+    same = queries.shape == bank.shape
+    require(
+        same, f"D must not depend on the image size (banks are coarser than touches): {queries.shape}, {bank.shape}"
+    )
+    found = _nearest(queries, bank)
+    require(_is_order(found), f"twice the image must find its pose in the bank; the nearest rows are {found.tolist()}")
+
+
+def check_ignores_masked_pixels(encoder: Encoder) -> None:
+    """What unobserved pixels hold changes nothing."""
+    observed = np.ones(CAMERA.shape, bool)
+    observed[:, : CAMERA.width_px // 4] = False
+    masked = dataclasses.replace(CAMERA, observed=observed)
+    shapes = _shapes()
+    garbage = np.where(observed, shapes, np.float32(0.1 * PRESS_M))
+    a, b = (encoder.encode(s, PRESS_M, masked) for s in (shapes, garbage))
+    require_close(a, b, 1e-4 * _spread(a), "pixels outside geometry.observed_mask carry no information")
+
+
+def check_deterministic(encoder: Encoder) -> None:
+    """The same shapes have the same embeddings, to the bit."""
+    first, again = (encoder.encode(_shapes(), PRESS_M, CAMERA) for _ in range(2))
+    same = np.array_equal(first, again)
+    require(same, "the same shapes must have the same embeddings, or deterministic=False be declared")
+
+
+def _shapes(camera: SensorGeometry = CAMERA) -> Float32:
+    return _render(contact_poses(block_scene()), camera)
+
+
+def _render(poses: np.ndarray, camera: SensorGeometry = CAMERA) -> Float32:
+    """Full contact depths (N, H, W) in metres of poses that touch the surface of the block scene's sensor."""
+    there = translation([0.0, 0.0, camera.standoff_m - block_scene().geometry.standoff_m]) @ poses
+    return contact_depth(ReferenceRenderer().render(stepped_block(), there, camera), camera, camera.max_depth_m)
+
+
+def _nearest(queries: Float32, bank: Float32) -> np.ndarray:
+    return np.linalg.norm(queries[:, None] - bank[None], axis=-1).argmin(axis=1)
+
+
+def _is_order(found: np.ndarray) -> bool:
+    return bool((found == np.arange(len(found))).all())
+
+
+def _spread(vectors: Float32) -> float:
+    """The embeddings' own scale: their mean distance from one another's mean."""
+    return float(np.linalg.norm(vectors - vectors.mean(axis=0), axis=-1).mean()) + 1e-12

@@ -1,0 +1,133 @@
+"""Checks for fusers: probabilities that multiply, over the grid of the first touch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import ConfigError, TactileLocError
+from tactile_loc.core.geometry import invert, make_transform, rotation_about
+from tactile_loc.core.interfaces import Capabilities, Fuser, Prior
+from tactile_loc.core.poses import PoseGrid, Poses
+from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.testing.contract import Check, Untouched, require, require_close
+from tactile_loc.testing.problems import small_grid
+
+TOLERANCE = 1e-9  # of probabilities
+
+
+def checks(capabilities: Capabilities) -> list[Check]:
+    """Return the checks for a fuser of these capabilities; one for single touches refuses several by ConfigError."""
+    chosen: list[Check] = [check_one_touch, check_flat_prior, check_prior_multiplies, check_certain_prior,
+                           check_impossible_prior, check_order, check_sensor_poses,
+                           check_posteriors_untouched]  # fmt: skip
+    return [*chosen, check_deterministic] if capabilities.deterministic else chosen
+
+
+def check_one_touch(fuser: Fuser) -> None:
+    """One touch without a prior is returned as it is: normalised, over the same grid."""
+    posterior = _posterior(small_grid())
+    fused = fuser.fuse([posterior], [None])
+    require(isinstance(fused, PosePosterior), f"fuse must return a PosePosterior, not {type(fused).__name__}")
+    same = np.array_equal(fused.grid.T_sensor_object, posterior.grid.T_sensor_object)
+    require(same, "the fused posterior must be over the first touch's grid")
+    require_close(fused.probabilities.sum(), 1.0, TOLERANCE, "probabilities must sum to one")
+    _require_equal(fused, posterior.probabilities, "one touch without a prior must stay as it is")
+
+
+def check_flat_prior(fuser: Fuser) -> None:
+    """A prior that weighs all poses alike changes nothing, whatever the weight."""
+    posterior = _posterior(small_grid())
+    fused = fuser.fuse([posterior], [None], lambda poses: np.full(len(poses), -3.0))
+    _require_equal(fused, posterior.probabilities, "a flat prior must change nothing")
+
+
+def check_prior_multiplies(fuser: Fuser) -> None:
+    """A prior gives log-weights of poses (N, 4, 4), and counts once."""
+    posterior = _posterior(small_grid())
+
+    def prior(poses: Poses) -> NDArray[np.float64]:
+        return -((poses[:, 0, 3] / 0.002) ** 2)
+
+    expected = posterior.probabilities * np.exp(prior(posterior.grid.T_sensor_object))
+    fused = fuser.fuse([posterior], [None], prior)
+    _require_equal(
+        fused, expected / expected.sum(), "a prior's log-weights must be added once to the log-probabilities"
+    )
+
+
+def check_certain_prior(fuser: Fuser) -> None:
+    """A prior that allows one pose alone makes it certain."""
+    posterior = _posterior(small_grid())
+    fused = fuser.fuse([posterior], [None], lambda poses: np.where(np.arange(len(poses)) == 7, 0.0, -np.inf))
+    _require_equal(fused, np.arange(len(posterior.grid)) == 7, "the only pose that the prior allows must be certain")
+
+
+def check_impossible_prior(fuser: Fuser) -> None:
+    """A prior that allows no pose raises a TactileLocError, rather than return NaN."""
+    try:
+        fuser.fuse([_posterior(small_grid())], [None], lambda poses: np.full(len(poses), -np.inf))
+    except TactileLocError:
+        return
+    require(False, "a prior that allows no pose must raise a TactileLocError, as PosePosterior does")
+
+
+def check_order(fuser: Fuser) -> None:
+    """Two touches at one sensor pose say the same in either order."""
+    grid = small_grid()
+    first, second = _posterior(grid, seed=1), _posterior(grid, seed=2)
+    one, other = (_several(fuser, pair, [np.eye(4)] * 2) for pair in ([first, second], [second, first]))
+    if one is not None and other is not None:
+        _require_equal(one, other.probabilities, "the order of touches must not matter")
+
+
+def check_sensor_poses(fuser: Fuser) -> None:
+    """Touches are compared in the base frame: what one leaves open, another from elsewhere decides."""
+    T_base_first = make_transform(rotation_about([1, 2, 3], 0.4), [0.3, -0.1, 0.2])
+    T_base_second = make_transform(rotation_about([0, 0, 1], 1.1), [0.3, -0.09, 0.21])
+    here = small_grid()
+    there = PoseGrid(invert(T_base_second) @ T_base_first @ here.T_sensor_object, here.metric)
+    open_ = PosePosterior(here, np.where(np.isin(np.arange(len(here)), [3, 11]), 0.0, -30.0))
+    decides = PosePosterior(there, np.where(np.arange(len(here)) == 11, 0.0, -8.0))
+    fused = _several(fuser, [open_, decides], [T_base_first, T_base_second])
+    if fused is not None:
+        p = fused.probabilities
+        require(p[11] > 10 * p[3], "touches must be compared by T_base_sensor @ T_sensor_object, pose by pose")
+
+
+def check_posteriors_untouched(fuser: Fuser) -> None:
+    """Neither posteriors nor grids are written to."""
+    posterior = _posterior(small_grid())
+    before = Untouched(log_p=posterior.log_p, T_sensor_object=posterior.grid.T_sensor_object)
+    fuser.fuse([posterior], [np.eye(4)], lambda poses: -poses[:, 0, 3])
+    before.require()
+
+
+def check_deterministic(fuser: Fuser) -> None:
+    """The same posteriors and prior give the same posterior."""
+    prior: Prior = lambda poses: 100 * poses[:, 0, 3]  # noqa: E731
+    first, again = (fuser.fuse([_posterior(small_grid())], [None], prior) for _ in range(2))
+    same = np.array_equal(first.log_p, again.log_p)
+    require(same, "the same posteriors must give the same answer, or deterministic=False be declared")
+
+
+def _posterior(grid: PoseGrid, seed: int = 0) -> PosePosterior:
+    return PosePosterior(grid, np.random.default_rng(seed).normal(scale=2.0, size=len(grid)))
+
+
+def _several(
+    fuser: Fuser, posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None]
+) -> PosePosterior | None:
+    """Fuse several touches; None when the fuser is for one touch alone and says so."""
+    try:
+        return fuser.fuse(posteriors, T_base_sensor)
+    except ConfigError:
+        return None
+
+
+def _require_equal(
+    fused: PosePosterior, probabilities: NDArray[np.floating] | NDArray[np.bool_], sentence: str
+) -> None:
+    require_close(fused.probabilities, probabilities, TOLERANCE, f"{sentence} (probabilities)")

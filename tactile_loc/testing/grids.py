@@ -1,0 +1,118 @@
+"""Checks for grids: rigid poses at the spacing asked for, which cover what is drawn at random."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from tactile_loc.core.contact import bring_to_contact
+from tactile_loc.core.geometry import is_rigid
+from tactile_loc.core.interfaces import Capabilities, GridSampler
+from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
+from tactile_loc.testing.contract import Check, Untouched, require, require_array
+from tactile_loc.testing.problems import CAMERAS, block, larger
+from tactile_loc.testing.shapes import copied
+
+SPACING_M = 0.008
+LEAST_TOUCHING = 0.3  # share of the poses: bounding boxes overlap more often than objects touch
+
+
+def checks(capabilities: Capabilities) -> list[Check]:
+    """Return the checks for a grid of these capabilities."""
+    chosen: list[Check] = [check_poses_are_rigid, check_spacing, check_denser_grid_has_more_poses,
+                           check_poses_reach_contact, check_covers_random_poses, check_random_follows_the_seed,
+                           check_random_poses_differ, check_object_untouched, check_scale]  # fmt: skip
+    return [*chosen, check_deterministic] if capabilities.deterministic else chosen
+
+
+def check_poses_are_rigid(sampler: GridSampler) -> None:
+    """`sample` and `random` return (N, 4, 4) float64 transforms with proper rotations and finite metres."""
+    for what, poses in (("sample", _sample(sampler)), ("random", _random(sampler, 20))):
+        require(len(poses) > 0, f"{what} must return poses for an object of the sensor's size")
+        require_array(poses, (len(poses), 4, 4), np.float64, f"the poses of {what}")
+        require(is_rigid(poses), f"the poses of {what} must be rigid: proper rotations, finite, last row 0 0 0 1")
+    require(len(_random(sampler, 20)) == 20, "random must return as many poses as were asked for")
+
+
+def check_spacing(sampler: GridSampler) -> None:
+    """Neighbours of the sample, brought to contact, are about as far apart as was asked: core corrects the rest."""
+    spacing_m = float(_touching(_sample(sampler)).neighbour_spacing().mean())
+    right = 0.4 * SPACING_M <= spacing_m <= 2 * SPACING_M
+    require(right, f"asked for a spacing of {SPACING_M * 1e3:g} mm, the mean over the grid is {spacing_m * 1e3:.2g} mm")
+
+
+def check_denser_grid_has_more_poses(sampler: GridSampler) -> None:
+    """A smaller spacing gives more poses: at half the spacing at least twice as many, even along a line."""
+    coarse, fine = (len(_sample(sampler, k * SPACING_M)) for k in (1.0, 0.5))
+    require(fine >= 2 * coarse, f"at half the spacing there must be more poses; there are {fine} instead of {coarse}")
+
+
+def check_poses_reach_contact(sampler: GridSampler) -> None:
+    """Moved along z alone, a good share of the poses touches the sensing rectangle."""
+    for what, poses in (("sample", _sample(sampler)), ("random", _random(sampler, 200))):
+        share = float(bring_to_contact(block().mesh, poses, CAMERAS["orthographic"])[1].mean())
+        require(share >= LEAST_TOUCHING, f"only {100 * share:.0f} % of the poses of {what} can touch the sensor")
+
+
+def check_covers_random_poses(sampler: GridSampler) -> None:
+    """The grid covers the set that `random` draws from: no drawn pose is far from its nearest grid pose."""
+    grid = _touching(_sample(sampler))
+    drawn = _touching(_random(sampler, 200)).T_sensor_object
+    spacings = np.quantile(grid.nearest(drawn)[0], [0.5, 0.95]) / SPACING_M
+    covered = spacings[0] <= 1.5 and spacings[1] <= 2.5
+    require(covered, "sample must cover what random draws from; the nearest grid pose is "
+            f"{spacings[0]:.2g} spacings away in the median and {spacings[1]:.2g} for one in twenty")  # fmt: skip
+
+
+def check_random_follows_the_seed(sampler: GridSampler) -> None:
+    """A generator of the same seed draws the same poses; all randomness comes from it."""
+    same = np.array_equal(_random(sampler, 20), _random(sampler, 20))
+    require(same, "random must draw from the generator it is given, and from nothing else")
+
+
+def check_random_poses_differ(sampler: GridSampler) -> None:
+    """Drawn poses differ from one another and from those of another seed."""
+    poses = _random(sampler, 20)
+    distances = PoseMetric(block()).distance(poses[:, None], poses[None]) + np.eye(20)
+    require((distances > 0).all(), "random must draw different poses: it samples a continuous set")
+    require(not np.array_equal(poses, _random(sampler, 20, seed=1)), "random must draw other poses for another seed")
+
+
+def check_object_untouched(sampler: GridSampler) -> None:
+    """The object's mesh is not written to."""
+    mesh = copied(block().mesh)
+    obj, camera = dataclasses.replace(block(), mesh=mesh), CAMERAS["orthographic"]
+    before = Untouched(vertices_m=mesh.vertices_m, faces=mesh.faces)
+    sampler.sample(obj, camera, SPACING_M)
+    sampler.random(obj, camera, 5, np.random.default_rng(0))
+    before.require()
+
+
+def check_scale(sampler: GridSampler) -> None:
+    """Twice the object, sensor and spacing has as many poses, twice as far apart: no length is built in."""
+    small = _sample(sampler)
+    large = sampler.sample(block(2.0), larger(CAMERAS["orthographic"], 2.0), 2 * SPACING_M)
+    alike = abs(len(large) / len(small) - 1) <= 0.05
+    require(alike, f"everything twice as large must have as many poses; there are {len(large)} instead of {len(small)}")
+
+
+def check_deterministic(sampler: GridSampler) -> None:
+    """The same object, sensor and spacing give the same poses in the same order."""
+    same = np.array_equal(_sample(sampler), _sample(sampler))
+    require(same, "the same request must give the same poses, or deterministic=False be declared")
+
+
+def _sample(sampler: GridSampler, spacing_m: float = SPACING_M) -> Poses:
+    return sampler.sample(block(), CAMERAS["orthographic"], spacing_m)
+
+
+def _random(sampler: GridSampler, count: int, seed: int = 0) -> Poses:
+    return sampler.random(block(), CAMERAS["orthographic"], count, np.random.default_rng(seed))
+
+
+def _touching(poses: Poses) -> PoseGrid:
+    """Bring poses to contact and keep those that have any."""
+    contact, touching = bring_to_contact(block().mesh, poses, CAMERAS["orthographic"])
+    require(touching.sum() > 1, "hardly any pose can touch the sensor")
+    return PoseGrid(contact[touching], PoseMetric(block()))

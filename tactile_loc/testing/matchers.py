@@ -1,0 +1,123 @@
+"""Checks for matchers: a score is minus half the squared distance, whatever the order of rows and queries."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tactile_loc.core.interfaces import Capabilities, Float32, Matcher
+from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
+
+ROWS, QUERIES, DIMENSION = 1200, 4, 12
+TOLERANCE = 1e-4  # of squared lengths near one
+
+
+def checks(capabilities: Capabilities) -> list[Check]:
+    """Return the checks for a matcher of these capabilities."""
+    chosen: list[Check] = [check_output, check_definition, check_best_row_is_found, check_row_order,
+                           check_query_order, check_index_replaces, check_single_row,
+                           check_bank_and_queries_untouched]  # fmt: skip
+    return [*chosen, check_deterministic] if capabilities.deterministic else chosen
+
+
+def check_output(matcher: Matcher) -> None:
+    """`scores` returns (M, N) float32 without NaN; all are finite unless the matcher is declared top_k_only."""
+    scores = _scores(matcher, _bank(), _queries())
+    require_array(scores, (QUERIES, ROWS), np.float32, "the scores")
+    require(
+        not (np.isnan(scores) | np.isposinf(scores)).any(), "a score must be a number, or -inf where it did not look"
+    )
+    some = np.isfinite(scores).any(axis=1).all()
+    require(some, "every query must have a finite score somewhere")
+    if not matcher.capabilities.top_k_only:
+        require(np.isfinite(scores).all(), "every row must have a finite score, or top_k_only=True be declared")
+
+
+def check_definition(matcher: Matcher) -> None:
+    """A score is -1/2 ||query - row||^2: the posterior's temperature relies on it."""
+    scores, truth = _scores(matcher, _bank(), _queries()), _truth(_bank(), _queries())
+    looked = np.isfinite(scores)
+    require_close(scores[looked], truth[looked], TOLERANCE, "a score must be -1/2 ||query - row||^2")
+
+
+def check_best_row_is_found(matcher: Matcher) -> None:
+    """The most alike row has the highest score, also when the matcher looks at only some."""
+    found = _scores(matcher, _bank(), _queries()).argmax(axis=1)
+    truth = _truth(_bank(), _queries()).argmax(axis=1)
+    require((found == truth).all(), f"the best rows are {truth.tolist()}, but {found.tolist()} have the highest scores")
+
+
+def check_row_order(matcher: Matcher) -> None:
+    """Column i belongs to row i: another order of the rows is the same order of the columns."""
+    order = np.random.default_rng(3).permutation(ROWS)
+    plain, shuffled = _scores(matcher, _bank(), _queries()), _scores(matcher, _bank()[order], _queries())
+    both = np.isfinite(shuffled) & np.isfinite(plain[:, order])
+    require(both.any(), "scores must be in the bank's order")
+    require_close(shuffled[both], plain[:, order][both], TOLERANCE, "scores must be in the bank's order")
+
+
+def check_query_order(matcher: Matcher) -> None:
+    """Row j of the scores belongs to query j, and one query's scores do not depend on the others."""
+    together = _scores(matcher, _bank(), _queries())
+    singly = np.concatenate([matcher.scores(q[None]) for q in _queries()[::-1]])[::-1]
+    same = np.array_equal(np.isfinite(together), np.isfinite(singly))
+    require(same, "one query's scores must not depend on the others")
+    looked = np.isfinite(together)
+    require_close(together[looked], singly[looked], TOLERANCE, "one query's scores must not depend on the others")
+
+
+def check_index_replaces(matcher: Matcher) -> None:
+    """A second `index` replaces the bank of the first."""
+    matcher.index(_bank(seed=7))
+    matcher.scores(_queries())
+    again = _scores(matcher, _bank()[:50], _queries())
+    require(
+        again.shape == (QUERIES, 50), f"a new bank of 50 rows must replace the old one, but scores are {again.shape}"
+    )
+    truth = _truth(_bank()[:50], _queries())
+    looked = np.isfinite(again)
+    require_close(again[looked], truth[looked], TOLERANCE, "a new bank must replace the old one")
+
+
+def check_single_row(matcher: Matcher) -> None:
+    """A bank of one row works, and the row itself scores zero."""
+    row = _bank()[:1]
+    scores = _scores(matcher, row, row)
+    require_array(scores, (1, 1), np.float32, "the score of one query with one row")
+    require_close(scores, [[0.0]], TOLERANCE, "a row's score with itself must be zero")
+
+
+def check_bank_and_queries_untouched(matcher: Matcher) -> None:
+    """Neither the bank nor the queries are written to."""
+    bank, queries = _bank(), _queries()
+    before = Untouched(bank=bank, queries=queries)
+    _scores(matcher, bank, queries)
+    before.require()
+
+
+def check_deterministic(matcher: Matcher) -> None:
+    """The same bank and queries give the same scores, also when the index is built anew."""
+    first, again = (_scores(matcher, _bank(), _queries()) for _ in range(2))
+    same = np.array_equal(first, again)
+    require(same, "the same bank and queries must give the same scores, or deterministic=False be declared")
+
+
+def _scores(matcher: Matcher, bank: Float32, queries: Float32) -> Float32:
+    matcher.index(bank)
+    return matcher.scores(queries)
+
+
+def _bank(seed: int = 0) -> Float32:
+    """Rows (N, D) of different lengths near one."""
+    rng = np.random.default_rng(seed)
+    return (rng.normal(size=(ROWS, DIMENSION)) / np.sqrt(DIMENSION)).astype(np.float32)
+
+
+def _queries() -> Float32:
+    """Queries (M, D), each near a row of the bank."""
+    noise = np.random.default_rng(1).normal(scale=0.02, size=(QUERIES, DIMENSION))
+    return (_bank()[[5, 700, 23, 1100]] + noise).astype(np.float32)
+
+
+def _truth(bank: Float32, queries: Float32) -> np.ndarray:
+    difference = queries[:, None].astype(float) - bank[None].astype(float)
+    return -0.5 * (difference**2).sum(axis=-1)

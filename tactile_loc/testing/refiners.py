@@ -1,0 +1,187 @@
+"""Checks for refiners: the truth stays, offsets shrink, and nothing depends on frame, scale or empty pixels."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.geometry import is_rigid, make_transform, rotation_about
+from tactile_loc.core.interfaces import Candidate, Capabilities, RefinedPose, Refiner
+from tactile_loc.core.poses import PoseMetric
+from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_array
+from tactile_loc.testing.problems import CAMERAS, OFFSETS, PressedBlock, pressed_block, with_depth
+from tactile_loc.testing.shapes import copied
+
+# Answers to the same question, asked in another way, may differ by this many pixels of the sensing surface.
+TOLERANCE_PX = 0.25
+# Offsets of 0.7 to 1 mm must shrink to this share of themselves, on average.
+LEFT_OVER = 0.8
+
+
+def checks(capabilities: Capabilities) -> list[Check]:
+    """Return the checks for a refiner of these capabilities."""
+    chosen: list[Check] = [check_output, check_truth_stays, check_touch_and_candidate_untouched,
+                           check_quarter_turn, check_scale, check_ignores_masked_pixels,
+                           check_nearly_empty_contact, check_candidate_without_contact]  # fmt: skip
+    if capabilities.deterministic:
+        chosen.append(check_deterministic)
+    if capabilities.refines:
+        chosen += [check_offsets_shrink, check_offsets_shrink_after_a_light_press]
+    return chosen
+
+
+def check_output(refiner: Refiner) -> None:
+    """`refine` returns a RefinedPose: rigid float64, fitness 0 to 1, converged a bool, iterations a whole number."""
+    for problem in _problems():
+        for offset in OFFSETS:
+            _require_sound(_refine(refiner, problem, offset))
+
+
+def check_truth_stays(refiner: Refiner) -> None:
+    """A candidate that is the truth stays where it is."""
+    for problem in _problems():
+        error_px = problem.error_m(_refine(refiner, problem)) / problem.touch.geometry.pixel_pitch_m
+        require(error_px <= TOLERANCE_PX, f"the true pose must stay; it moved by {error_px:.2g} pixels")
+
+
+def check_touch_and_candidate_untouched(refiner: Refiner) -> None:
+    """Neither touch, candidate nor mesh are written to, and the result has its own memory."""
+    problem = pressed_block()
+    candidate, mesh = problem.candidate(OFFSETS[0]), copied(problem.scene.object.mesh)
+    scene = dataclasses.replace(problem.scene, object=dataclasses.replace(problem.scene.object, mesh=mesh))
+    before = Untouched(
+        T_sensor_object=candidate.T_sensor_object, depth_m=problem.touch.contact_shape.depth_m,
+        vertices_m=mesh.vertices_m, faces=mesh.faces,
+    )  # fmt: skip
+    result = refiner.refine(problem.touch, candidate, scene)
+    before.require()
+    shared = np.shares_memory(result.T_sensor_object, candidate.T_sensor_object)
+    require(not shared, "the refined pose must not be the candidate's own array; return a copy")
+
+
+def check_quarter_turn(refiner: Refiner) -> None:
+    """Turning the sensor under touch and candidate turns the answer: no direction of the image is special."""
+    turn = make_transform(rotation_about([0, 0, 1], np.pi / 2), np.zeros(3))
+    for problem in _problems():
+        turned = with_depth(problem.touch, np.ascontiguousarray(np.rot90(problem.touch.contact_shape.depth_m, -1)))
+        for offset in OFFSETS:
+            candidate = problem.candidate(offset)
+            plain = refiner.refine(problem.touch, candidate, problem.scene)
+            moved = dataclasses.replace(candidate, T_sensor_object=turn @ candidate.T_sensor_object)
+            other = refiner.refine(turned, moved, problem.scene)
+            _require_same(turn @ plain.T_sensor_object, other, problem, "a turned sensor must give the turned answer")
+
+
+def check_scale(refiner: Refiner) -> None:
+    """Twice the object on twice the sensor has the answer twice as far: no length is built in."""
+    for camera in CAMERAS:
+        small, large = pressed_block(camera), pressed_block(camera, scale=2.0)
+        for x, y, yaw in OFFSETS:
+            shrunk = _refine(refiner, large, (2 * x, 2 * y, yaw)).T_sensor_object.copy()
+            shrunk[:3, 3] /= 2
+            _require_same(shrunk, _refine(refiner, small, (x, y, yaw)), small, "the answer must scale with the problem")
+
+
+def check_ignores_masked_pixels(refiner: Refiner) -> None:
+    """What unobserved pixels hold changes nothing."""
+    problem = pressed_block()
+    observed = np.ones(problem.touch.geometry.shape, bool)
+    observed[:, :20] = False
+    geometry = dataclasses.replace(problem.touch.geometry, observed=observed)
+    masked = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, geometry=geometry))
+    plain = dataclasses.replace(problem.touch, geometry=geometry)
+    garbage = with_depth(plain, np.where(observed, plain.contact_shape.depth_m, np.float32(1e-4)))
+    answers = [refiner.refine(touch, masked.candidate(OFFSETS[0]), masked.scene) for touch in (plain, garbage)]
+    sentence = "pixels outside geometry.observed_mask carry no information"
+    _require_same(answers[0].T_sensor_object, answers[1], problem, sentence, 1e-3)
+
+
+def check_nearly_empty_contact(refiner: Refiner) -> None:
+    """A contact of one to a few pixels is answered by a sound result, never by an exception."""
+    problem = pressed_block()
+    for pixels in ([(30, 30)], [(30, 30), (30, 31)], [(5, 5), (40, 50), (60, 3)], [(30, c) for c in range(20, 40)]):
+        depth = np.full(problem.touch.geometry.shape, problem.touch.press_depth_m, np.float32)
+        depth[tuple(np.transpose(pixels))] = 0
+        sparse = dataclasses.replace(problem, touch=with_depth(problem.touch, depth))
+        _require_sound(_survives(refiner, sparse, sparse.candidate(), f"a contact of {len(pixels)} pixels"))
+
+
+def check_candidate_without_contact(refiner: Refiner) -> None:
+    """A candidate that is nowhere near the sensor is answered by a sound result that does not claim to explain it."""
+    problem = pressed_block()
+    away = problem.truth.copy()
+    away[:2, 3] += 0.2
+    result = _survives(refiner, problem, Candidate(away, 0, 0.0), "a candidate without contact")
+    _require_sound(result)
+    claims = result.fitness > 0 and problem.error_m(result) > 0.1
+    require(not claims, f"a pose without contact explains nothing, but its fitness is {result.fitness:.2g}")
+
+
+def check_deterministic(refiner: Refiner) -> None:
+    """The same touch and candidate give the same pose, to the bit."""
+    problem = pressed_block()
+    first, again = (_refine(refiner, problem, OFFSETS[1]) for _ in range(2))
+    same = np.array_equal(first.T_sensor_object, again.T_sensor_object)
+    require(same, "the same touch and candidate must give the same pose, or deterministic=False be declared")
+
+
+def check_offsets_shrink(refiner: Refiner) -> None:
+    """Candidates 0.7 to 1 mm off, at a full press, end nearer to the truth on average."""
+    _require_shrinking(refiner, _problems(), "a full press")
+
+
+def check_offsets_shrink_after_a_light_press(refiner: Refiner) -> None:
+    """The same for a press of 40 %, which shows less of the object: candidates are cut at the touch's press depth."""
+    _require_shrinking(refiner, [pressed_block(camera, press=0.4) for camera in CAMERAS], "a light press")
+
+
+def _problems() -> list[PressedBlock]:
+    return [pressed_block(camera) for camera in CAMERAS]
+
+
+def _refine(refiner: Refiner, problem: PressedBlock, offset: tuple[float, float, float] = (0, 0, 0)) -> RefinedPose:
+    return refiner.refine(problem.touch, problem.candidate(offset), problem.scene)
+
+
+def _survives(refiner: Refiner, problem: PressedBlock, candidate: Candidate, what: str) -> RefinedPose:
+    try:
+        return refiner.refine(problem.touch, candidate, problem.scene)
+    except Exception as error:
+        raise ContractError(
+            f"{what} must be answered by converged=False, not by an exception ({type(error).__name__}: {error})"
+        ) from error
+
+
+def _require_sound(result: RefinedPose) -> None:
+    require(isinstance(result, RefinedPose), f"refine must return a RefinedPose, not {type(result).__name__}")
+    require_array(result.T_sensor_object, (4, 4), np.float64, "the refined pose")
+    rigid = is_rigid(result.T_sensor_object)
+    require(rigid, "the refined pose must be rigid: a proper rotation, finite, last row 0 0 0 1")
+    fit = isinstance(result.fitness, float) and 0.0 <= result.fitness <= 1.0
+    require(fit, f"fitness is a share, a float from 0 to 1, not {result.fitness!r}")
+    require(isinstance(result.converged, bool | np.bool_), f"converged must be a bool, not {result.converged!r}")
+    counted = isinstance(result.iterations, int | np.integer) and result.iterations >= 0
+    require(counted, f"iterations must be a whole number, not {result.iterations!r}")
+
+
+def _require_same(
+    T: NDArray[np.float64],
+    result: RefinedPose,
+    problem: PressedBlock,
+    sentence: str,
+    tolerance_px: float = TOLERANCE_PX,
+) -> None:
+    distance_m = float(PoseMetric(problem.scene.object).distance(T, result.T_sensor_object))
+    apart = distance_m / problem.touch.geometry.pixel_pitch_m
+    require(apart <= tolerance_px, f"{sentence}; the answers are {apart:.2g} pixels apart, allowed {tolerance_px:g}")
+
+
+def _require_shrinking(refiner: Refiner, problems: list[PressedBlock], press: str) -> None:
+    before = np.mean([p.error_m(p.candidate(o)) for p in problems for o in OFFSETS])
+    after = np.mean([p.error_m(_refine(refiner, p, o)) for p in problems for o in OFFSETS])
+    require(
+        after <= LEFT_OVER * before, f"after {press}, candidates {before * 1e3:.2f} mm off on average must come "
+        f"nearer; they are {after * 1e3:.2f} mm off (refines=False declares a refiner that leaves poses)",
+    )  # fmt: skip

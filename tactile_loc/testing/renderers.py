@@ -1,0 +1,189 @@
+"""Checks for renderers: depths that geometry dictates, and pictures that move as the object does."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.contact import bring_to_contact
+from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.interfaces import Capabilities, Float32, Renderer
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.poses import Poses
+from tactile_loc.core.sensing import SensorGeometry, contact_depth
+from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
+from tactile_loc.testing.problems import CAMERAS, LOPSIDED_CAMERAS, larger, planar_pose
+from tactile_loc.testing.shapes import ReferenceRenderer, ball, copied, overhang, plate, scaled, stepped_block
+
+TOLERANCE_M = 3e-5  # at a pixel: half a cell of a height map, on a slope
+MEAN_TOLERANCE_M = 8e-6
+Depths = NDArray[np.floating]
+
+STRAY = 0.02  # share of pixels that may differ: their centres lie at an edge
+
+
+def checks(capabilities: Capabilities) -> list[Check]:
+    """Return the checks for a renderer of these capabilities."""
+    chosen: list[Check] = [check_output, check_sphere, check_plane, check_hidden_surfaces, check_batch_is_singles,
+                           check_mesh_and_poses_untouched, check_shift_moves_the_picture,
+                           check_quarter_turn_turns_the_picture, check_scale]  # fmt: skip
+    if capabilities.deterministic:
+        chosen.append(check_deterministic)
+    if capabilities.exact_undercuts:
+        chosen.append(check_undercuts)
+    return chosen
+
+
+def check_output(renderer: Renderer) -> None:
+    """`render` returns (N, H, W) float32 without NaN, also for no pose; pixels without surface lie beyond the band."""
+    for camera in LOPSIDED_CAMERAS.values():
+        T = _contact(stepped_block(), _poses(), camera)
+        for count in (0, 1, 3):
+            depth = renderer.render(stepped_block(), T[:count], camera)
+            require_array(depth, (count, *camera.shape), np.float32, f"the depths of {count} poses")
+        require(not np.isnan(depth).any(), "a depth must not be NaN; a ray that meets nothing has depth inf")
+        misses = np.isinf(ReferenceRenderer().render(stepped_block(), T, camera))
+        beyond = depth[misses] > camera.standoff_m + camera.max_depth_m
+        require(beyond.mean() > 1 - STRAY, "pixels without surface must be deeper than standoff + max_depth, as inf is")
+
+
+def check_sphere(renderer: Renderer) -> None:
+    """A sphere has the depth that the formula says, in the contact band and at pixel centres."""
+    for camera in LOPSIDED_CAMERAS.values():
+        centre = np.array([0.0013, -0.0021, camera.standoff_m + 0.008])
+        depth = renderer.render(ball(), make_transform(np.eye(3), centre)[None], camera)[0]
+        _compare(depth, _sphere_depth(camera, centre, 0.008), camera, "a sphere's depth must be the formula's")
+
+
+def check_plane(renderer: Renderer) -> None:
+    """A tilted plane has the depth that the formula says."""
+    for camera in LOPSIDED_CAMERAS.values():
+        T = make_transform(rotation_about([1, 0.4, 0], 0.08), [0.001, 0.002, camera.standoff_m + 0.001])
+        depth = renderer.render(plate(), T[None], camera)[0]
+        origin, direction = _rays(camera)
+        truth = ((T[:3, 3] - origin) @ T[:3, 2]) / (direction @ T[:3, 2])
+        _compare(depth, truth, camera, "a tilted plane's depth must be the formula's")
+
+
+def check_hidden_surfaces(renderer: Renderer) -> None:
+    """Of several surfaces along a ray, the nearest is seen: the block looks as the reference renderer draws it."""
+    for camera in LOPSIDED_CAMERAS.values():
+        T = _contact(stepped_block(), _poses(), camera)
+        depth, truth = (r.render(stepped_block(), T, camera) for r in (renderer, ReferenceRenderer()))
+        _same(depth, truth, camera, "each pixel must show the nearest surface")
+
+
+def check_batch_is_singles(renderer: Renderer) -> None:
+    """Rendering poses together gives what rendering each alone gives, in the same order."""
+    camera = LOPSIDED_CAMERAS["pinhole"]
+    T = _contact(stepped_block(), _poses(), camera)
+    together = renderer.render(stepped_block(), T, camera)
+    singly = np.concatenate([renderer.render(stepped_block(), t[None], camera) for t in T])
+    _same(together, singly, camera, "a batch must be the same as its poses one by one")
+
+
+def check_mesh_and_poses_untouched(renderer: Renderer) -> None:
+    """Neither the mesh nor the poses are written to."""
+    camera, mesh = CAMERAS["orthographic"], copied(stepped_block())
+    T = _contact(mesh, _poses(), camera)
+    before = Untouched(vertices_m=mesh.vertices_m, faces=mesh.faces, T_sensor_object=T)
+    renderer.render(mesh, T, camera)
+    before.require()
+
+
+def check_shift_moves_the_picture(renderer: Renderer) -> None:
+    """An orthographic picture of an object that moves by whole pixels moves by these: x to the right, y down."""
+    camera = LOPSIDED_CAMERAS["orthographic"]
+    right, down = 4, 3
+    poses = _contact(stepped_block(), _poses(), camera)
+    shifted = poses.copy()
+    shifted[:, :2, 3] += [right / camera.fx, down / camera.fy]
+    before, after = (renderer.render(stepped_block(), T, camera) for T in (poses, shifted))
+    _same(after[:, down:, right:], before[:, :-down, :-right], camera, "+x must be right and +y down in the picture")
+
+
+def check_quarter_turn_turns_the_picture(renderer: Renderer) -> None:
+    """A quarter turn of the object about the optical axis turns a square picture: +x goes to +y, right to down."""
+    for camera in CAMERAS.values():
+        poses = _contact(stepped_block(), _poses(), camera)
+        turned = make_transform(rotation_about([0, 0, 1], np.pi / 2), np.zeros(3)) @ poses
+        before, after = (renderer.render(stepped_block(), T, camera) for T in (poses, turned))
+        _same(after, np.rot90(before, -1, axes=(1, 2)), camera, "a turn about +z must turn the picture from x to y")
+
+
+def check_scale(renderer: Renderer) -> None:
+    """Twice the object before twice the sensor has twice the depths: no length is built in."""
+    for camera in LOPSIDED_CAMERAS.values():
+        poses = _contact(stepped_block(), _poses(), camera)
+        double = poses.copy()
+        double[:, :3, 3] *= 2
+        small = renderer.render(stepped_block(), poses, camera)
+        large = renderer.render(scaled(stepped_block(), 2.0), double, larger(camera, 2.0))
+        _same(large / 2, small, camera, "depths must scale with the object and the sensor")
+
+
+def check_deterministic(renderer: Renderer) -> None:
+    """The same poses give the same depths, to the bit."""
+    camera = LOPSIDED_CAMERAS["pinhole"]
+    T = _contact(stepped_block(), _poses(), camera)
+    first, again = (renderer.render(stepped_block(), T, camera) for _ in range(2))
+    require(
+        np.array_equal(first, again), "the same poses must give the same depths, or deterministic=False be declared"
+    )
+
+
+def check_undercuts(renderer: Renderer) -> None:
+    """Off the axis, a pinhole camera sees what lies behind an overhang."""
+    camera = SensorGeometry("pinhole", 64, 64, 32.0, 32.0, 32.0, 32.0, 0.010, 0.002)  # sees 90 degrees
+    T = _contact(overhang(), planar_pose(0.0, 0.0, 0.0)[None], camera)
+    depth, truth = (r.render(overhang(), T, camera) for r in (renderer, ReferenceRenderer()))
+    _same(
+        depth, truth, camera, "the surface behind an overhang must be seen, or exact_undercuts=False be declared", 0.01
+    )
+
+
+def _poses() -> Poses:
+    """Poses (3, 4, 4) of the block: two with one rotation, one tilted."""
+    tilted = planar_pose(-0.001, 0.0015, 2.0)
+    tilted[:3, :3] = rotation_about([1, 0.5, 0], 0.12) @ tilted[:3, :3]
+    return np.stack([planar_pose(0.0006, -0.0011, 0.3), planar_pose(-0.0023, 0.0004, 0.3), tilted])
+
+
+def _contact(mesh: TriangleMesh, poses: Poses, camera: SensorGeometry) -> Poses:
+    return bring_to_contact(mesh, poses, camera)[0]
+
+
+def _rays(camera: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Origins and directions (H, W, 3) of the rays through pixel centres; a unit step is a metre of depth."""
+    x, y = np.meshgrid(*camera.pixel_slopes)
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    if camera.is_pinhole:
+        return np.stack([zero, zero, zero], -1), np.stack([x, y, one], -1)
+    return np.stack([x, y, zero], -1), np.stack([zero, zero, one], -1)
+
+
+def _sphere_depth(camera: SensorGeometry, centre_m: NDArray[np.float64], radius_m: float) -> NDArray[np.float64]:
+    origin, direction = _rays(camera)
+    a, b = (direction**2).sum(-1), (direction * (centre_m - origin)).sum(-1)
+    root = b**2 - a * (((centre_m - origin) ** 2).sum(-1) - radius_m**2)
+    return np.where(root >= 0, (b - np.sqrt(np.maximum(root, 0.0))) / a, np.inf)
+
+
+def _compare(depth: Float32, truth: NDArray[np.float64], camera: SensorGeometry, sentence: str) -> None:
+    """Compare a smooth surface's depths (H, W) with the true ones, in the contact band and out of it."""
+    end = camera.standoff_m + camera.max_depth_m
+    inside = (truth >= camera.standoff_m) & (truth < end - TOLERANCE_M)
+    outside = truth > end + TOLERANCE_M
+    require_close(depth[inside], truth[inside], TOLERANCE_M, f"{sentence}, in metres")
+    mean = float(np.abs(depth[inside] - truth[inside]).mean())
+    require(
+        mean <= MEAN_TOLERANCE_M, f"{sentence}; the mean difference is {mean:.2g} m, allowed {MEAN_TOLERANCE_M:.2g}"
+    )
+    require((depth[outside] >= end).all(), f"{sentence}; out of the contact band it must lie beyond the band")
+
+
+def _same(depth: Depths, truth: Depths, camera: SensorGeometry, sentence: str, stray: float = STRAY) -> None:
+    """Compare contact depths (N, H, W) of two pictures; a few pixels whose centres lie at an edge may differ."""
+    a, b = (contact_depth(d, camera, camera.max_depth_m) for d in (depth, truth))
+    differ = float((np.abs(a - b) > TOLERANCE_M).mean())
+    require(differ <= stray, f"{sentence}; {100 * differ:.1f} % of the pixels differ, allowed {100 * stray:g} %")

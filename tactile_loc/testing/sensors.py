@@ -1,0 +1,122 @@
+"""Checks for sensors: a geometry that stays, and observations that become contact shapes or are refused."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.interfaces import Capabilities, SensorModel
+from tactile_loc.core.sensing import ContactShape, SensorGeometry
+from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_close
+
+
+def checks(capabilities: Capabilities) -> list[Check]:
+    """Return the checks for a sensor of these capabilities."""
+    always: list[Check] = [check_geometry, check_contact_shape, check_depths_are_kept, check_observation_untouched,
+                           check_refuses_nonsense]  # fmt: skip
+    return [*always, check_deterministic] if capabilities.deterministic else always
+
+
+def check_geometry(sensor: SensorModel) -> None:
+    """`geometry` is a SensorGeometry, of plausible size, and the same whenever it is asked for."""
+    geometry = sensor.geometry
+    require(isinstance(geometry, SensorGeometry), f"geometry must be a SensorGeometry, not {type(geometry).__name__}")
+    same = geometry.describe() == sensor.geometry.describe()
+    require(same, "geometry must be the same each time: grids and banks are built for it")
+    json.dumps(geometry.describe())
+    x0, x1, y0, y1 = geometry.rectangle
+    size_mm = 1e3 * max(x1 - x0, y1 - y0)
+    require(
+        1 <= size_mm <= 1000, f"lengths are metres: a sensing surface of {size_mm:.4g} mm is none of a tactile sensor"
+    )
+    deep = geometry.max_depth_m <= 0.05
+    require(deep, f"lengths are metres: a press of {1e3 * geometry.max_depth_m:.4g} mm is none of a tactile sensor")
+
+
+def check_contact_shape(sensor: SensorModel) -> None:
+    """`contact_shape` returns float32 metres of the geometry's image size, between 0 and a press within the range."""
+    _, shape = observe(sensor)
+    require(isinstance(shape, ContactShape), f"contact_shape must return a ContactShape, not {type(shape).__name__}")
+    depth, geometry = shape.depth_m, sensor.geometry
+    require(depth.shape == geometry.shape, f"a contact shape has the image's size {geometry.shape}, not {depth.shape}")
+    require(depth.dtype == np.float32, f"contact depths are float32, not {depth.dtype}")
+    deepest = geometry.max_depth_m * (1 + 1e-6)
+    require(
+        0 < shape.press_depth_m <= deepest, f"the press depth must be within the sensor's, not {shape.press_depth_m} m"
+    )
+    within = bool((depth >= 0).all() and (depth <= np.float32(shape.press_depth_m)).all())
+    require(within, "contact depths lie between 0 and the press depth, which marks no contact; NaN is no depth")
+
+
+def check_depths_are_kept(sensor: SensorModel) -> None:
+    """Of an observation that is a contact shape already, depths below the press depth stay; the rest is no contact."""
+    depth = dome(sensor.geometry)
+    try:
+        shape = sensor.contact_shape(depth.copy())
+    except TouchError:  # the sensor takes images, and cannot be compared with a known truth here
+        return
+    kept = depth < shape.press_depth_m
+    require_close(shape.depth_m[kept], depth[kept], 1e-7, "depths that are given in metres must be kept")
+    require(not shape.contact[~kept].any(), "a pixel at the press depth or beyond, or NaN, is not in contact")
+    require(shape.contact.any(), "a pixel nearer than the press depth is in contact")
+
+
+def check_observation_untouched(sensor: SensorModel) -> None:
+    """The observation is not written to."""
+    image = observe(sensor)[0]
+    before = Untouched(image=image)
+    sensor.contact_shape(image)
+    before.require()
+
+
+def check_refuses_nonsense(sensor: SensorModel) -> None:
+    """An observation of the wrong size, shape or type raises TouchError, a sentence for the user."""
+    image = observe(sensor)[0]
+    wrong = {
+        "an image of another size": np.concatenate([image, image[:3]]),
+        "a single row": image[0].ravel(),
+        "an empty array": image[:0],
+        "text": np.full(image.shape, "contact"),
+    }
+    for what, observation in wrong.items():
+        try:
+            sensor.contact_shape(observation)
+        except TouchError:
+            continue
+        except Exception as error:
+            raise _not_refused(what, f"raised {type(error).__name__}") from error
+        raise _not_refused(what, "was accepted")
+
+
+def check_deterministic(sensor: SensorModel) -> None:
+    """The same observation gives the same contact shape."""
+    image, first = observe(sensor)
+    again = sensor.contact_shape(image)
+    same = np.array_equal(first.depth_m, again.depth_m) and first.press_depth_m == again.press_depth_m
+    require(same, "the same observation must give the same contact shape, or deterministic=False be declared")
+
+
+def dome(geometry: SensorGeometry) -> NDArray[np.float64]:
+    """Return depths (H, W) in metres of a round imprint; NaN, no contact, in the image's corners."""
+    v, u = (np.linspace(-1.2, 1.2, n) for n in geometry.shape)
+    depth = 0.8 * geometry.max_depth_m * (u[None, :] ** 2 + v[:, None] ** 2)
+    return np.where(depth < 0.75 * geometry.max_depth_m, depth, np.nan)
+
+
+def observe(sensor: SensorModel) -> tuple[NDArray[Any], ContactShape]:
+    """Return an observation that the sensor takes, depths or else an RGB image, and its contact shape."""
+    depth = dome(sensor.geometry)
+    try:
+        return depth, sensor.contact_shape(depth.copy())
+    except TouchError:
+        grey = np.nan_to_num(depth / sensor.geometry.max_depth_m, nan=1.0)
+        image = np.repeat((200 * grey).astype(np.uint8)[..., None], 3, axis=-1)
+        return image, sensor.contact_shape(image.copy())
+
+
+def _not_refused(what: str, outcome: str) -> ContractError:
+    return ContractError(f"{what} must raise TouchError, which the command line shows as one sentence; it {outcome}")

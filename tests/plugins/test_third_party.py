@@ -1,0 +1,113 @@
+"""A stranger's plugin, built and installed as a user would: found, chosen, used, left out, and true to the docs."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples" / "plugin"
+PIP = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "install"]
+RUN = ["run", "--object", "pin", "--refiner", "centroid", "-o", "grid.spacing_mm=6", "--top", "2"]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the example installed in it, offline; the sources stay as they are."""
+    folder = tmp_path_factory.mktemp("third-party")
+    source = shutil.copytree(EXAMPLE, folder / "source", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+    offline = ["--no-index", "--no-deps", "--no-build-isolation"]
+    subprocess.run([*PIP, *offline, "--target", str(folder / "site"), str(source)], check=True)
+    return folder / "site"
+
+
+@pytest.fixture
+def tactile_loc(site, tmp_path):
+    """Run the command line in a new process that sees the installed plugin."""
+
+    def command(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
+        seen = {**os.environ, "PYTHONPATH": str(site), "COLUMNS": "200", "TACTILE_LOC_STORE": str(tmp_path / "store")}
+        call = [sys.executable, "-m", "tactile_loc_cli.main", *words]
+        settings = {k: v for k, v in seen.items() if k != "TACTILE_LOC_PLUGINS"} | environment
+        return subprocess.run(call, env=settings, cwd=tmp_path, capture_output=True, text=True, check=False)
+
+    return command
+
+
+def test_installed_plugin_is_listed_with_its_distribution_and_options(tactile_loc):
+    listed = tactile_loc("plugins", "refiner").stdout
+    assert re.search(r"refiner +centroid +tactile-loc-centroid +slides the contact's centre onto the touch's", listed)
+    assert re.search(
+        r"refiner\.steps +int +4 +how often the candidate is slid", tactile_loc("plugins", "refiner", "centroid").stdout
+    )
+
+
+def test_plugin_refines_what_was_found(tactile_loc, tmp_path):
+    done = tactile_loc(*RUN, "-o", "refiner.steps=2", "--out", "out", "--store", "store")
+    assert done.returncode == 0, done.stderr
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert result["configuration"]["refiner"] == {"name": "centroid", "options": {"steps": 2}}
+    assert result["distributions"]["refiner"] == "tactile-loc-centroid"
+    best = result["hypotheses"][0]
+    grid_pose, refined = (np.array(best[k]) for k in ("T_sensor_object_grid", "T_sensor_object"))
+    assert np.abs(grid_pose[:2, 3] - refined[:2, 3]).max() > 1e-5, "the refiner slid the pose"
+    np.testing.assert_array_equal(grid_pose[:3, :3], refined[:3, :3], err_msg="and only slid it")
+
+
+def test_environment_variable_leaves_the_plugin_out_or_in(tactile_loc):
+    refused = tactile_loc(*RUN, TACTILE_LOC_PLUGINS="")
+    assert refused.returncode == 2
+    assert refused.stderr.startswith("error: there is no refiner 'centroid'")
+    for name in ("centroid", "tactile-loc-centroid"):
+        assert "centroid" in tactile_loc("plugins", "refiner", TACTILE_LOC_PLUGINS=name).stdout
+    assert "centroid" not in tactile_loc("plugins", "refiner", TACTILE_LOC_PLUGINS="another").stdout
+
+
+def test_misspelt_option_of_the_plugin_is_one_sentence(tactile_loc):
+    refused = tactile_loc(*RUN, "-o", "refiner.step=2")
+    assert refused.returncode == 2
+    assert "the refiner 'centroid' has no option 'step'. Did you mean 'steps'?" in refused.stderr
+    assert "Traceback" not in refused.stderr
+
+
+def test_plugin_that_cannot_be_loaded_is_a_row_and_hurts_nobody(tactile_loc, site):
+    package = site / "tactile_loc_centroid" / "__init__.py"
+    text = package.read_text()
+    package.write_text("import a_library_that_is_not_there\n")
+    try:
+        listed = tactile_loc("plugins")
+        assert "not loaded: centroid of tactile-loc-centroid: ModuleNotFoundError" in listed.stdout + listed.stderr
+        assert re.search(r"refiner +icp", listed.stdout)
+        assert "a_library_that_is_not_there" in tactile_loc(*RUN).stderr
+    finally:
+        package.write_text(text)
+
+
+def test_plugins_own_tests_pass(site, tmp_path):
+    tests = shutil.copytree(EXAMPLE / "tests", tmp_path / "tests", ignore=shutil.ignore_patterns("__pycache__"))
+    call = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:dash",
+        "--rootdir",
+        str(tests),
+        str(tests),
+    ]
+    done = subprocess.run(
+        call, env={**os.environ, "PYTHONPATH": str(site)}, cwd=tests, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout
+    assert re.search(r"\d\d passed", done.stdout)

@@ -1,0 +1,90 @@
+"""docs/plugins.md says what is so: its files, its table of slots, its errors."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tactile_loc.core import interfaces
+from tactile_loc.core.errors import PluginError
+from tactile_loc.core.hookspecs import SLOTS, ComponentSpec, hookimpl
+from tactile_loc.core.registry import Registry
+
+ROOT = Path(__file__).parents[1]
+EXAMPLE = ROOT / "examples" / "plugin"
+PAGE = (ROOT / "docs" / "plugins.md").read_text()
+KINDS = {kind.slot: kind for kind in interfaces.Component.__subclasses__() if hasattr(kind, "slot")}
+
+
+def files() -> list[str]:
+    """The example's own files; not what building and testing it leaves behind."""
+    found = (p.relative_to(EXAMPLE) for p in EXAMPLE.rglob("*") if p.suffix in (".py", ".toml"))
+    return sorted(str(p) for p in found if p.parts[0] != "build")
+
+
+@pytest.mark.parametrize("name", files())
+def test_file_is_shown_as_it_is(name):
+    shown = re.search(rf"^`{re.escape(name)}`\n\n```\w+\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    assert shown, f"docs/plugins.md does not show {name}"
+    assert shown[1] == (EXAMPLE / name).read_text()
+
+
+def test_no_other_file_is_shown():
+    assert sorted(re.findall(r"^`([\w/.]+)`\n\n```", PAGE, re.MULTILINE)) == files()
+
+
+@pytest.mark.parametrize("slot", SLOTS)
+def test_table_names_interface_and_abstract_methods(slot):
+    row = re.search(rf"^\| `{slot}` \| (.*)$", PAGE, re.MULTILINE)
+    assert row, f"no row for {slot}"
+    assert f"`{KINDS[slot].__name__}`" in row[1]
+    assert set(re.findall(r"`(\w+)(?:\(| ->)", row[1])) == set(KINDS[slot].__abstractmethods__)
+
+
+@dataclass
+class FakeEntryPoint:
+    """A plugin that offers a refiner of this target, or raises."""
+
+    name: str
+    target: str | Exception
+    requires: str = ""
+    offers: str = "spline"
+
+    @property
+    def dist(self) -> Any:
+        return SimpleNamespace(name=self.name)
+
+    def load(self) -> Any:
+        if isinstance(self.target, Exception):
+            raise self.target
+        spec = ComponentSpec("refiner", self.offers, self.target, "bends", self.requires)
+        return SimpleNamespace(tactile_loc_components=hookimpl(lambda: [spec]))
+
+
+@pytest.mark.parametrize(
+    "plugins",
+    [
+        [FakeEntryPoint("tactile-loc-spline", "json:dumps"), FakeEntryPoint("other-spline", "json:loads")],
+        [FakeEntryPoint("tactile-loc-spline", "bspline.refine:Spline", requires="bspline")],
+        [FakeEntryPoint("tactile-loc-spline", "json:Spline")],
+        [
+            FakeEntryPoint("tactile-loc", "json:loads", offers="icp"),
+            FakeEntryPoint("tactile-loc-spline", SyntaxError("invalid syntax")),
+        ],
+    ],
+    ids=["conflict", "missing library", "broken class", "broken plugin"],
+)
+def test_errors_read_as_documented(plugins):
+    with pytest.raises(PluginError) as caught:
+        Registry(plugins).load("refiner", "spline")
+    assert str(caught.value) in re.sub(r"\s+", " ", PAGE)
+
+
+def test_failure_row_reads_as_documented():
+    failure = Registry([FakeEntryPoint("tactile-loc-spline", SyntaxError("invalid syntax"))]).failures[0]
+    assert f"not loaded: {failure.plugin} of {failure.distribution}: {failure.error}" in PAGE

@@ -1,0 +1,277 @@
+"""Components that break one contract each: BROKEN says which check must notice which component."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from pydantic import ConfigDict
+
+from tactile_loc.core.geometry import translation
+from tactile_loc.core.interfaces import Capabilities, ComponentOptions, RefinedPose
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.sensing import ContactShape
+from tactile_loc.plugins.encoders.pixel import PixelEncoder
+from tactile_loc.plugins.fusers.product import ProductFuser
+from tactile_loc.plugins.grids.face import FaceGrid
+from tactile_loc.plugins.matchers.dense import DenseMatcher
+from tactile_loc.plugins.refiners.icp import IcpRefiner
+from tactile_loc.plugins.refiners.none import NoRefiner
+from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
+from tactile_loc.plugins.sensors.presets import GelSlim
+from tactile_loc.testing import common, encoders, fusers, grids, matchers, refiners, renderers, sensors
+from tactile_loc.testing.shapes import ReferenceRenderer
+
+INFINITE = np.float32(np.inf)
+DEFAULT = Capabilities()
+
+
+def made(base: type, **members: Any) -> Any:
+    """An instance of a subclass of `base` with other members."""
+    return type(f"Broken{base.__name__}", (base,), members)()
+
+
+def then(base: type, method: str, change: Any) -> Any:
+    """A component whose `method` returns change(result, *arguments)."""
+    original = getattr(base, method)
+    return made(base, **{method: lambda self, *args: change(original(self, *args), *args)})
+
+
+def drifting(base: type, method: str, change: Any) -> Any:
+    """A component whose `method` returns change(result, number of the call)."""
+    calls = iter(range(1000))
+    return then(base, method, lambda result, *args: change(result, next(calls)))
+
+
+def scribbled(result: Any, array: np.ndarray) -> Any:
+    """Write to an array that somebody else owns."""
+    array.flat[0] = 0.123
+    return result
+
+
+class Undescribed(ComponentOptions):
+    size_mm: float = 1.0
+
+
+class Loose(ComponentOptions):
+    model_config = ConfigDict(frozen=False, extra="ignore")
+
+
+COMMON = [
+    (common.check_declaration, made(DenseMatcher, version=0)),
+    (common.check_declaration, made(DenseMatcher, slot="tracker")),
+    (common.check_options_are_strict, made(DenseMatcher, Options=Loose)),
+    (common.check_options_are_described, made(DenseMatcher, Options=Undescribed)),
+    (common.check_describe_is_json, made(DenseMatcher, describe=lambda self: {"size": np.float32(1)})),
+    (common.check_describe_is_json, made(DenseMatcher, describe=lambda self: {"me": id(self)})),
+    (common.check_describe_names_every_option, made(FaceGrid, describe=lambda self: {"class": "FaceGrid"})),
+]
+
+
+def in_millimetres(geometry):
+    k = 1e3
+    return dataclasses.replace(geometry, standoff_m=geometry.standoff_m * k, max_depth_m=geometry.max_depth_m * k)
+
+
+def deeper(shape: ContactShape, factor: float) -> ContactShape:
+    return ContactShape((shape.depth_m * factor).astype(np.float32), shape.press_depth_m)
+
+
+def anything_goes(self, image):
+    return ContactShape(np.zeros(self.geometry.shape, np.float32), self.geometry.max_depth_m)
+
+
+SENSOR = [
+    (sensors.check_geometry, made(GelSlim, geometry=property(lambda self: in_millimetres(self._geometry)))),
+    (sensors.check_contact_shape, then(GelSlim, "contact_shape", lambda s, _: ContactShape(s.depth_m[::2], 2e-3))),
+    (sensors.check_contact_shape, then(GelSlim, "contact_shape", lambda s, _: deeper(s, 1.5))),
+    (sensors.check_depths_are_kept, then(GelSlim, "contact_shape", lambda s, _: deeper(s, 0.9))),
+    (sensors.check_observation_untouched, then(GelSlim, "contact_shape", scribbled)),
+    (sensors.check_refuses_nonsense, made(GelSlim, contact_shape=anything_goes)),
+    (sensors.check_deterministic, drifting(GelSlim, "contact_shape", lambda s, n: deeper(s, 1 - 1e-3 * n))),
+]  # fmt: skip
+
+
+def off_by_half_a_pixel(self, mesh, T, geometry):
+    return ReferenceRenderer.render(self, mesh, T, dataclasses.replace(geometry, cx=geometry.cx + 0.5))
+
+
+def along_the_ray(depth, mesh, T, geometry):
+    x, y = np.meshgrid(*geometry.pixel_slopes)
+    return depth * np.float32(np.sqrt(1 + x**2 + y**2)) if geometry.is_pinhole else depth
+
+
+def without_the_boss(self, mesh, T, geometry):
+    return ReferenceRenderer.render(
+        self, TriangleMesh(mesh.vertices_m, np.delete(mesh.faces, slice(12, 24), 0)), T, geometry
+    )
+
+
+def drawing(change):
+    return then(ReferenceRenderer, "render", change)
+
+
+RENDERER = [
+    (renderers.check_output, drawing(lambda d, *_: d.astype(float))),
+    (renderers.check_output, drawing(lambda d, *_: np.nan_to_num(d, posinf=0.0))),
+    (renderers.check_sphere, made(ReferenceRenderer, render=off_by_half_a_pixel)),
+    (renderers.check_plane, drawing(along_the_ray)),
+    (renderers.check_hidden_surfaces, made(ReferenceRenderer, render=without_the_boss)),
+    (renderers.check_batch_is_singles, drawing(lambda d, *_: d[::-1].copy())),
+    (renderers.check_mesh_and_poses_untouched, drawing(lambda d, m, T, g: scribbled(d, T))),
+    (renderers.check_mesh_and_poses_untouched, drawing(lambda d, m, T, g: scribbled(d, m.vertices_m))),
+    (renderers.check_shift_moves_the_picture, drawing(lambda d, *_: d[:, :, ::-1])),
+    (renderers.check_quarter_turn_turns_the_picture, drawing(lambda d, *_: np.swapaxes(d, 1, 2))),
+    (renderers.check_scale, drawing(lambda d, *_: d + np.float32(1e-4))),
+    (renderers.check_deterministic, drifting(ReferenceRenderer, "render", lambda d, n: d + np.float32(1e-6 * n))),
+    (renderers.check_undercuts, made(HeightmapRenderer, capabilities=DEFAULT)),
+]  # fmt: skip
+
+
+def sampling(spacing):
+    return made(FaceGrid, sample=lambda self, o, g, s: FaceGrid.sample(self, o, g, spacing(s)))
+
+
+def seeded(seed):
+    return made(FaceGrid, random=lambda self, o, g, n, rng: FaceGrid.random(self, o, g, n, np.random.default_rng(seed)))
+
+
+GRID = [
+    (grids.check_poses_are_rigid, then(FaceGrid, "sample", lambda T, *_: T * np.array([-1.0, 1, 1, 1])[:, None])),
+    (grids.check_poses_are_rigid, then(FaceGrid, "random", lambda T, *_: T[1:])),
+    (grids.check_spacing, sampling(lambda s: s / 4)),
+    (grids.check_denser_grid_has_more_poses, sampling(lambda s: 0.008)),
+    (grids.check_poses_reach_contact, then(FaceGrid, "sample", lambda T, *_: translation([0.03, 0, 0]) @ T)),
+    (grids.check_covers_random_poses, then(FaceGrid, "sample", lambda T, *_: T[T[:, 0, 3] > 0])),
+    (grids.check_random_follows_the_seed, seeded(None)),
+    (grids.check_random_poses_differ, seeded(0)),
+    (grids.check_random_poses_differ, then(FaceGrid, "random", lambda T, *_: np.repeat(T[:1], len(T), 0))),
+    (grids.check_object_untouched, then(FaceGrid, "random", lambda T, o, *_: scribbled(T, o.mesh.vertices_m))),
+    (grids.check_scale, sampling(lambda s: s + 1e-3)),
+    (grids.check_deterministic, drifting(FaceGrid, "sample", lambda T, n: np.roll(T, n, axis=0))),
+]  # fmt: skip
+
+
+def fixed_threshold(self, depth, press, geometry):
+    return PixelEncoder.encode(self, depth, 0.002, geometry)
+
+
+def unmasked(self, depth, press, geometry):
+    return PixelEncoder.encode(self, depth, press, dataclasses.replace(geometry, observed=None))
+
+
+def raw_pixels(self, depth, press, geometry):
+    return (1 - depth / np.float32(press)).reshape(len(depth), -1)
+
+
+ENCODER = [
+    (encoders.check_output, then(PixelEncoder, "encode", lambda e, *_: e.astype(float))),
+    (encoders.check_output, made(PixelEncoder, encode=lambda self, d, p, g: d)),
+    (encoders.check_batch_is_singles, then(PixelEncoder, "encode", lambda e, *_: e - e.mean(axis=0))),
+    (encoders.check_shapes_untouched, then(PixelEncoder, "encode", lambda e, d, *_: scribbled(e, d))),
+    (encoders.check_distances_order_poses, then(PixelEncoder, "encode", lambda e, *_: 0 * e)),
+    (encoders.check_press_depth_marks_no_contact, made(PixelEncoder, encode=fixed_threshold)),
+    (encoders.check_light_press_finds_its_pose, made(PixelEncoder, encode=fixed_threshold, capabilities=DEFAULT)),
+    (encoders.check_image_size, made(PixelEncoder, encode=raw_pixels)),
+    (encoders.check_ignores_masked_pixels, made(PixelEncoder, encode=unmasked)),
+    (encoders.check_deterministic, drifting(PixelEncoder, "encode", lambda e, n: e + np.float32(1e-3 * n))),
+]  # fmt: skip
+
+
+def appended(self, bank):
+    DenseMatcher.index(self, np.concatenate([getattr(self, "_bank", bank[:0]), bank]))
+
+
+MATCHER = [
+    (matchers.check_output, then(DenseMatcher, "scores", lambda s, _: s.astype(float))),
+    (matchers.check_output, then(DenseMatcher, "scores", lambda s, _: np.where(s < -1, -INFINITE, s))),
+    (matchers.check_definition, then(DenseMatcher, "scores", lambda s, _: 2 * s)),
+    (matchers.check_best_row_is_found, then(DenseMatcher, "scores", lambda s, _: -s)),
+    (matchers.check_row_order, then(DenseMatcher, "scores", lambda s, _: np.sort(s, axis=1))),
+    (matchers.check_query_order, then(DenseMatcher, "scores", lambda s, _: s[::-1])),
+    (matchers.check_index_replaces, made(DenseMatcher, index=appended)),
+    (matchers.check_single_row, then(DenseMatcher, "scores", lambda s, _: np.squeeze(s))),
+    (matchers.check_bank_and_queries_untouched, then(DenseMatcher, "scores", scribbled)),
+    (matchers.check_bank_and_queries_untouched, then(DenseMatcher, "index", scribbled)),
+    (matchers.check_deterministic, drifting(DenseMatcher, "scores", lambda s, n: s - np.float32(1e-3 * n))),
+]  # fmt: skip
+
+
+def moved(result: RefinedPose, x_m: float) -> RefinedPose:
+    return dataclasses.replace(result, T_sensor_object=translation([x_m, 0, 0]) @ result.T_sensor_object)
+
+
+def by_all_pixels(self, touch, candidate, scene):
+    return moved(NoRefiner.refine(self, touch, candidate, scene), 1e-6 * touch.contact_shape.contact.sum())
+
+
+def needs_points(self, touch, candidate, scene):
+    if touch.contact_shape.contact.sum() < 10:
+        raise RuntimeError("singular matrix")
+    return NoRefiner.refine(self, touch, candidate, scene)
+
+
+def full_press_only(self, touch, candidate, scene):
+    full = touch.press_depth_m == touch.geometry.max_depth_m
+    return (IcpRefiner if full else NoRefiner).refine(self, touch, candidate, scene)
+
+
+def own_candidate(self, touch, candidate, scene):
+    return RefinedPose(candidate.T_sensor_object, 0.0, True, 0)
+
+
+def scribbled_touch(result, touch, candidate, scene):
+    return scribbled(result, touch.contact_shape.depth_m)
+
+
+def saying(**fields):
+    return then(NoRefiner, "refine", lambda result, *_: dataclasses.replace(result, **fields))
+
+
+REFINER = [
+    (refiners.check_output, saying(fitness=2.0)),
+    (refiners.check_output, saying(T_sensor_object=-np.eye(4))),
+    (refiners.check_truth_stays, then(NoRefiner, "refine", lambda r, *_: moved(r, 2e-4))),
+    (refiners.check_touch_and_candidate_untouched, made(NoRefiner, refine=own_candidate)),
+    (refiners.check_touch_and_candidate_untouched, then(NoRefiner, "refine", scribbled_touch)),
+    (refiners.check_quarter_turn, then(NoRefiner, "refine", lambda r, *_: moved(r, 3e-4))),
+    (refiners.check_scale, then(NoRefiner, "refine", lambda r, *_: moved(r, 3e-4))),
+    (refiners.check_ignores_masked_pixels, made(NoRefiner, refine=by_all_pixels)),
+    (refiners.check_nearly_empty_contact, made(NoRefiner, refine=needs_points)),
+    (refiners.check_candidate_without_contact, saying(fitness=1.0)),
+    (refiners.check_deterministic, drifting(NoRefiner, "refine", lambda r, n: moved(r, 1e-9 * n))),
+    (refiners.check_offsets_shrink, made(NoRefiner, capabilities=DEFAULT)),
+    (refiners.check_offsets_shrink_after_a_light_press, made(IcpRefiner, refine=full_press_only)),
+]  # fmt: skip
+
+
+def with_log_p(change):
+    def fuse(self, posteriors, T_base_sensor, prior=None):
+        first = posteriors[0]
+        weights = 0.0 if prior is None else prior(first.grid.T_sensor_object)
+        return PosePosterior(first.grid, change(first.log_p, weights))
+
+    return fuse
+
+
+def in_sensor_frames(self, posteriors, T_base_sensor, prior=None):
+    """Looks the second touch up at the first one's poses as they are."""
+    first, second = posteriors
+    return PosePosterior(first.grid, first.log_p + second.log_p[second.grid.nearest(first.grid.T_sensor_object)[1]])
+
+
+FUSER = [
+    (fusers.check_one_touch, made(ProductFuser, fuse=with_log_p(lambda p, w: 0.5 * p + w))),
+    (fusers.check_flat_prior, made(ProductFuser, fuse=with_log_p(lambda p, w: p * w))),
+    (fusers.check_prior_multiplies, made(ProductFuser, fuse=with_log_p(lambda p, w: p + 2 * w))),
+    (fusers.check_certain_prior, made(ProductFuser, fuse=with_log_p(lambda p, w: p + np.maximum(w, -5)))),
+    (fusers.check_impossible_prior, made(ProductFuser, fuse=with_log_p(lambda p, w: p + np.nan_to_num(w)))),
+    (fusers.check_order, made(ProductFuser, fuse=lambda self, posteriors, T, prior=None: posteriors[0])),
+    (fusers.check_sensor_poses, made(ProductFuser, fuse=in_sensor_frames)),
+    (fusers.check_posteriors_untouched, then(ProductFuser, "fuse", lambda r, p, *_: scribbled(r, p[0].log_p))),
+    (fusers.check_deterministic, drifting(ProductFuser, "fuse", lambda r, n: PosePosterior(r.grid, r.log_p * (1 + n)))),
+]  # fmt: skip
+
+BROKEN = [*COMMON, *SENSOR, *RENDERER, *GRID, *ENCODER, *MATCHER, *REFINER, *FUSER]

@@ -1,0 +1,66 @@
+"""Every built-in component keeps every contract."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import RenderError
+from tactile_loc.core.interfaces import Component, Encoder, Renderer
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.registry import BUILT_IN, registry
+from tactile_loc.plugins.matchers.faiss import FaissMatcher
+from tactile_loc.testing import checks_for, parametrize_with_checks
+from tactile_loc.testing.problems import CAMERAS, training_problem
+from tactile_loc.testing.shapes import ReferenceRenderer
+
+ROOT = Path(__file__).parents[2]
+OPTIONS = {("sensor", "file"): {"path": str(ROOT / "examples" / "my_sensor.toml")}}
+VARIANTS = [
+    FaissMatcher(FaissMatcher.Options(kind="hnsw", top_k=50)),
+    FaissMatcher(FaissMatcher.Options(kind="ivf", top_k=50)),
+    ReferenceRenderer(),
+]
+
+
+def built_ins() -> Iterator[Component]:
+    """All components of this distribution; those of plugins that happen to be installed test themselves."""
+    for found in registry().components:
+        if found.distribution == BUILT_IN:
+            key = (found.spec.slot, found.spec.name)
+            yield registry().create(*key, OPTIONS.get(key))
+
+
+@parametrize_with_checks([*built_ins(), *VARIANTS])
+def test_contract(component, check):
+    if isinstance(component, Renderer):
+        skip_without_opengl(component)
+    if component.capabilities.needs_training:
+        train(component)
+    check(component)
+
+
+@lru_cache
+def train(encoder: Encoder) -> None:
+    """Train each encoder once, however many checks it takes part in."""
+    encoder.fit(training_problem())
+
+
+def skip_without_opengl(renderer: Renderer) -> None:
+    triangle = TriangleMesh(np.eye(3), np.array([[0, 1, 2]]))
+    try:
+        renderer.render(triangle, np.eye(4)[None], CAMERAS["pinhole"])
+    except RenderError as error:
+        if renderer.capabilities.device != "opengl":
+            raise
+        pytest.skip(str(error))
+
+
+def test_all_slots_are_checked():
+    chosen = {c.slot: len(checks_for(c)) for c in built_ins()}
+    assert chosen.keys() == {"sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser"}
+    assert min(chosen.values()) > 8

@@ -1,0 +1,79 @@
+"""Each check notices a component that breaks its contract, and says so in a sentence."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+from broken_components import BROKEN
+
+from tactile_loc.plugins.matchers.dense import DenseMatcher
+from tactile_loc.plugins.refiners.none import NoRefiner
+from tactile_loc.testing import (
+    ContractError,
+    checks_for,
+    common,
+    encoders,
+    fusers,
+    grids,
+    matchers,
+    parametrize_with_checks,
+    refiners,
+    renderers,
+    sensors,
+)
+
+MODULES = (common, sensors, renderers, grids, encoders, matchers, refiners, fusers)
+
+
+@pytest.mark.parametrize(("check", "component"), BROKEN, ids=lambda x: getattr(x, "__name__", type(x).__name__))
+def test_broken_component_is_noticed(check, component):
+    with pytest.raises(ContractError) as caught:
+        check(component)
+    sentence = str(caught.value)
+    assert "\n" not in sentence
+    assert len(sentence) > 30
+
+
+def test_every_check_has_a_broken_component():
+    checks = {f"{m.__name__}.{name}" for m in MODULES for name in vars(m) if name.startswith("check_")}
+    tried = {f"{check.__module__}.{check.__name__}" for check, _ in BROKEN}
+    assert tried == checks
+
+
+def test_every_check_is_chosen_for_some_capabilities():
+    from tactile_loc.core.interfaces import Capabilities
+
+    for module in MODULES:
+        named = {name for name in vars(module) if name.startswith("check_")}
+        assert {check.__name__ for check in module.checks(Capabilities())} == named
+
+
+def test_checks_follow_the_capabilities():
+    names = {check.__name__ for check in checks_for(NoRefiner())}
+    assert "check_truth_stays" in names
+    assert "check_offsets_shrink" not in names
+
+
+def test_a_class_is_refused():
+    with pytest.raises(TypeError, match="instance"):
+        checks_for(DenseMatcher)  # type: ignore[arg-type]
+
+
+def test_parametrize_makes_a_case_a_check():
+    mark = parametrize_with_checks([DenseMatcher(), NoRefiner()]).mark
+    names, cases = mark.args
+    assert names == ("component", "check")
+    assert len(cases) == len(checks_for(DenseMatcher())) + len(checks_for(NoRefiner()))
+    assert cases[0].id.startswith("DenseMatcher-check_")
+
+
+def test_importing_needs_neither_pytest_nor_heavy_libraries():
+    code = (
+        "import sys; sys.modules['pytest'] = None; import tactile_loc.testing as t;"
+        "from tactile_loc.plugins.refiners.none import NoRefiner;"
+        "[check(NoRefiner()) for check in t.checks_for(NoRefiner())];"
+        "assert not {'open3d', 'torch', 'trimesh', 'faiss'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
