@@ -82,7 +82,11 @@ def _wall_cloud(
         level = np.arange(len(which)) - np.repeat(np.cumsum(levels) - levels, levels) + 1
         step = np.column_stack([np.full(len(level), 0.5 * columns), np.full(len(level), 0.5 * rows), level])
         points.append(xyz[borders][which] + pitch * step)
-        normals.append(outwards[borders][which])
+        side = np.array([columns, rows, 0.0])
+        directions = outwards[borders]
+        # A line one pixel wide slopes nowhere on average, and has walls all the same.
+        leaving = directions @ side[:, None] > 0
+        normals.append(np.where(leaving, directions, side)[which])
     return np.concatenate(points), np.concatenate(normals)
 
 

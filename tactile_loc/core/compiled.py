@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import warnings
 
-with warnings.catch_warnings():
-    # numba looks for an optional TBB while its parallel module is imported and warns of versions that it cannot use.
-    warnings.simplefilter("ignore")
-    from numba import njit, prange
+from numba import njit, prange
+
+# When it first runs in parallel, numba looks for an optional TBB and warns of versions that it cannot use.
+warnings.filterwarnings("ignore", message="The TBB threading layer requires TBB")
 
 __all__ = ["njit", "prange"]

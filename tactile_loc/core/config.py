@@ -37,7 +37,7 @@ class SlotConfig(_Strict):
 class ObjectConfig(_Strict):
     """The object: a mesh file or the name of a demo object, its unit, and its symmetry."""
 
-    path: str = "pin"
+    path: str = "hook"
     units: Literal["m", "mm", "cm", "inch", "auto"] = "auto"
     symmetry: str = "auto"
 
@@ -64,7 +64,7 @@ class RunConfig(_Strict):
     fuser: SlotConfig = SlotConfig(name="product")
     top: int = Field(default=10, ge=1)
     seed: int = Field(default=0, ge=0)
-    shape_px: int = Field(default=80, ge=16, le=1024)
+    shape_px: int = Field(default=64, ge=16, le=1024)
     temperature: float | None = Field(default=None, gt=0)
 
     @classmethod
@@ -106,7 +106,7 @@ def parse_overrides(assignments: Iterable[str]) -> dict[str, dict[str, Any]]:
     overrides: dict[str, dict[str, Any]] = {}
     for word in assignments:
         target, equals, text = word.partition("=")
-        slot, dot, option = target.partition(".")
+        slot, dot, option = (part.strip() for part in target.partition("."))
         if not (equals and dot and option):
             raise ConfigError(
                 f"cannot read the option {word!r}; write it as slot.option=value, as refiner.max_iterations=30"
@@ -115,7 +115,7 @@ def parse_overrides(assignments: Iterable[str]) -> dict[str, dict[str, Any]]:
             raise ConfigError(
                 f"there is no slot {slot!r} in {word!r}.{did_you_mean(slot, SLOTS)} Slots: {', '.join(SLOTS)}"
             )
-        overrides.setdefault(slot, {})[option.strip()] = _toml_value(text.strip())
+        overrides.setdefault(slot, {})[option] = _toml_value(text.strip())
     return overrides
 
 

@@ -15,6 +15,8 @@ log = logging.getLogger(__name__)
 
 CLOSE_ENOUGH = 0.03  # of the spacing asked for
 MOST_ROUNDS = 3
+BATCH = 256  # random poses drawn and rendered at once
+HARDLY_ANY = 1e-3  # share of the random poses that must make contact
 
 
 def contact_grid(sampler: GridSampler, scene: Scene) -> PoseGrid:
@@ -27,14 +29,16 @@ def contact_grid(sampler: GridSampler, scene: Scene) -> PoseGrid:
     if not wanted_m > 0:
         raise GridError(f"the grid's spacing is {wanted_m * 1e3:g} mm; give a positive spacing_mm")
     asked_m = wanted_m
+    found: list[tuple[float, PoseGrid]] = []
     for _ in range(MOST_ROUNDS):
         grid = _contact_poses(sampler, scene, asked_m)
         spacing_m = float(grid.neighbour_spacing().mean()) if len(grid) > 1 else wanted_m
         log.info("grid of %d poses, mean spacing %.2f mm", len(grid), spacing_m * 1e3)
-        if abs(spacing_m / wanted_m - 1) <= CLOSE_ENOUGH:
+        found.append((abs(spacing_m / wanted_m - 1), grid))
+        if found[-1][0] <= CLOSE_ENOUGH:
             break
         asked_m *= wanted_m / spacing_m
-    return grid
+    return min(found, key=lambda f: f[0])[1]  # few poses step coarsely: the last is not always the nearest
 
 
 def _contact_poses(sampler: GridSampler, scene: Scene, spacing_m: float) -> PoseGrid:
@@ -56,12 +60,14 @@ def random_contact_poses(sampler: GridSampler, scene: Scene, count: int, rng: np
 
     Raises GridError when hardly any drawn pose has contact.
     """
-    found: list[Poses] = []
-    for _ in range(100):
-        poses, touching = scene.in_contact(sampler.random(scene.object, scene.geometry, 2 * count, rng))
+    found: list[Poses] = [np.empty((0, 4, 4))]
+    tried = kept = 0
+    while kept < count:
+        batch = int(np.clip(2 * (count - kept), 16, BATCH))
+        poses, touching = scene.in_contact(sampler.random(scene.object, scene.geometry, batch, rng))
         poses = poses[touching]
-        depths = scene.contact_depths(poses)
-        found.append(poses[enough_contact(depths, scene, sampler.options.min_contact_percent)])
-        if sum(map(len, found)) >= count:
-            return np.concatenate(found)[:count]
-    raise GridError(f"hardly any random pose of {scene.object.name} touches the sensor; choose another face")
+        found.append(poses[enough_contact(scene.contact_depths(poses), scene, sampler.options.min_contact_percent)])
+        tried, kept = tried + batch, kept + len(found[-1])
+        if tried > 2 / HARDLY_ANY and kept < HARDLY_ANY * tried:
+            raise GridError(f"hardly any random pose of {scene.object.name} touches the sensor; choose another face")
+    return np.concatenate(found)[:count]

@@ -169,7 +169,8 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class RefinedPose:
-    """A refined pose (4, 4) in metres. `fitness` is the share of the observed contact explained, 0 to 1 (unitless)."""
+    """A refined pose (4, 4) in metres. `fitness`, 0 to 1 (unitless), tells how well it explains the touch:
+    `Scene.overlap`."""
 
     T_sensor_object: NDArray[np.float64]
     fitness: float

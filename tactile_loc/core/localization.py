@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.interfaces import RefinedPose
+from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.sensing import Touch
 
@@ -47,3 +50,19 @@ class Localization:
         """1 - entropy / log N (unitless): 1 when one pose is certain, 0 when nothing is known."""
         count = len(self.posterior.grid)
         return 1.0 - self.posterior.entropy / np.log(count) if count > 1 else 1.0
+
+
+def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radius_m: float) -> tuple[Hypothesis, ...]:
+    """Merge hypotheses whose refined poses came out within `radius_m` metres of a heavier one; it takes their mass."""
+    merged: list[Hypothesis] = []
+    for h in hypotheses:
+        poses = np.array([m.refined.T_sensor_object for m in merged]).reshape(-1, 4, 4)
+        same = np.broadcast_to(h.refined.T_sensor_object, poses.shape)
+        near = np.flatnonzero(metric.symmetric_distance(poses, same) < radius_m)
+        if h.refined.converged and len(near):
+            heavier = merged[near[0]]
+            mass, count = heavier.probability + h.probability, heavier.poses + h.poses
+            merged[near[0]] = dataclasses.replace(heavier, probability=mass, poses=count)
+        else:
+            merged.append(h)
+    return tuple(sorted(merged, key=lambda h: -h.probability))

@@ -12,7 +12,7 @@ import numpy as np
 
 from tactile_loc.core.config import RunConfig
 from tactile_loc.core.interfaces import Candidate, Matcher, Prior, RefinedPose
-from tactile_loc.core.localization import Hypothesis, Localization
+from tactile_loc.core.localization import Hypothesis, Localization, merge_hypotheses
 from tactile_loc.core.meshes import Units, load_object
 from tactile_loc.core.model import ObjectPoseModel, build_bank, build_model
 from tactile_loc.core.objects import ObjectModel
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 PRESS_STEP_M = 5e-5  # banks are kept for press depths in these steps
 MODE_RADIUS = 2.0  # grid spacings between poses that count as one hypothesis
+SAME_POSE = 0.25  # mode radii between refined poses that count as one
 
 
 class Localizer:
@@ -54,15 +55,15 @@ class Localizer:
 
     @classmethod
     def create(
-        cls, object: str = "pin", *, units: Units = "auto", symmetry: str = "auto", store: StageStore | None = None,
-        progress: Progress | None = None, **settings: Any,
+        cls, object: str | Path = "hook", *, units: Units = "auto", symmetry: str = "auto",
+        store: StageStore | None = None, progress: Progress | None = None, **settings: Any,
     ) -> Localizer:  # fmt: skip
         """Load an object (a mesh file or a demo object's name) and make its localizer.
 
         `settings` are RunConfig's: slots by name (`refiner="icp"`) or with options
         (`grid={"name": "face", "spacing_mm": 3}`), `top`, `seed`, ... Raises TactileLocError for bad input.
         """
-        chosen = {"path": object, "units": units, "symmetry": symmetry}
+        chosen = {"path": str(object), "units": units, "symmetry": symmetry}
         config = RunConfig.from_dict({"object": chosen, **settings}, "Localizer.create")
         return cls(config, load_object(object, units, symmetry), store, progress)
 
@@ -93,11 +94,12 @@ class Localizer:
         radius_m = MODE_RADIUS * self.sampler.options.spacing_mm * 1e-3
         modes = _timed(seconds, "modes", lambda: posterior.modes(radius_m, top or self.config.top))
         refined = _timed(seconds, "refine", lambda: [self.refine(touch, posterior, m.index) for m in modes])
-        hypotheses = tuple(
+        hypotheses = [
             Hypothesis(m.probability, m.T_sensor_object, r, m.index, len(m.members))
             for m, r in zip(modes, refined, strict=True)
-        )
-        return Localization(touch, posterior, hypotheses, seconds)
+        ]
+        merged = merge_hypotheses(hypotheses, self.model.grid.metric, SAME_POSE * radius_m)
+        return Localization(touch, posterior, merged, seconds)
 
     def posterior(
         self, touch: Touch, prior: Prior | None = None, seconds: dict[str, float] | None = None
@@ -143,7 +145,9 @@ class Localizer:
 
     def _encode(self, touch: Touch, press_depth_m: float) -> NDArray[np.float32]:
         shape = touch.contact_shape.pressed_to(press_depth_m)
-        embedding: NDArray[np.float32] = self.encoder.encode(shape.depth_m[None], press_depth_m, touch.geometry)
+        # The press the shape is really cut at: below the bank's, its pixels without contact would count as contact.
+        press_m = shape.press_depth_m
+        embedding: NDArray[np.float32] = self.encoder.encode(shape.depth_m[None], press_m, touch.geometry)
         return embedding
 
 

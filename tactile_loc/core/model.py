@@ -37,10 +37,11 @@ class ShapeBank:
         return self.artifact.array("kept")
 
     def shards(self, press_depth_m: float | None = None) -> Iterator[NDArray[np.float32]]:
-        """Yield contact depths (S, H, W) in metres, cut at `press_depth_m`, shard by shard in the grid's order."""
+        """Yield contact depths (S, H, W), S > 0, in metres, cut at `press_depth_m`, in the grid's order."""
         press = np.float32(self.max_depth_m if press_depth_m is None else press_depth_m)
-        for number in range(self.artifact.json("shards")):
-            yield self._decoded(self.artifact.array(_shard_name(number)), press)
+        for number, size in enumerate(self.artifact.json("sizes")):
+            if size:  # of a whole shard perhaps no pose makes enough contact
+                yield self._decoded(self.artifact.array(_shard_name(number)), press)
 
     def shape(self, index: int, press_depth_m: float) -> NDArray[np.float32]:
         """Return the contact depth (H, W) in metres of one pose of the grid, cut at `press_depth_m`."""

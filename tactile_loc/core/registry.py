@@ -61,6 +61,8 @@ class Registry:
             manager.register(plugin.load())
             manager.check_pending()
             offers = [spec for offered in manager.hook.tactile_loc_components() for spec in offered]
+            if not offers:
+                raise TypeError("offers no component: its hook is missing or returns nothing")
             for spec in offers:
                 if not isinstance(spec, ComponentSpec) or spec.slot not in SLOTS:
                     raise TypeError(f"offers {spec!r}; the slots are {', '.join(SLOTS)}")

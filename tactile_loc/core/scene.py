@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,9 @@ from numpy.typing import NDArray
 from tactile_loc.core.interfaces import Renderer
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import ContactShape, SensorGeometry, contact_depth
+from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch, contact_depth
+
+OVERLAP_PX = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,3 +39,15 @@ class Scene:
         """Render the contact shape of one pose (4, 4), brought to contact, at a press depth in metres."""
         T, _ = self.in_contact(T_sensor_object[None])
         return ContactShape(self.contact_depths(T, press_depth_m)[0], press_depth_m)
+
+    def overlap(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> float:
+        """Return how well a pose (4, 4), metres, explains a touch: 0 (not at all) to 1, unitless.
+
+        The intersection over union of the touch's contact and the one that the pose makes at the same press depth,
+        where the sensor observes, on about OVERLAP_PX pixels a side.
+        """
+        step = max(1, round(max(touch.geometry.shape) / OVERLAP_PX))
+        geometry = touch.geometry.every(step)
+        made = dataclasses.replace(self, geometry=geometry).contact_shape(T_sensor_object, touch.press_depth_m)
+        ours, theirs = (s.contact & geometry.observed_mask for s in (made, touch.contact_shape.every(step)))
+        return float((ours & theirs).sum() / max(1, (ours | theirs).sum()))

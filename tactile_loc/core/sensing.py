@@ -96,10 +96,7 @@ class SensorGeometry:
         """The sensing rectangle (x_min, x_max, y_min, y_max) in metres on the plane z = standoff."""
         sx, sy = self.scale_at_surface
         view = (-self.cx / sx, (self.width_px - self.cx) / sx, -self.cy / sy, (self.height_px - self.cy) / sy)
-        if self.rectangle_m is None:
-            return view
-        x0, x1, y0, y1 = self.rectangle_m
-        return max(x0, view[0]), min(x1, view[1]), max(y0, view[2]), min(y1, view[3])
+        return view if self.rectangle_m is None else self.rectangle_m
 
     @cached_property
     def pixel_slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -10,13 +10,16 @@ from tactile_loc.core.interfaces import GridSampler
 from tactile_loc.core.scene import Scene
 from tactile_loc.core.sensing import ContactShape, Touch
 
+MOST_ROUNDS = 200  # of drawing what is missing
+
 
 def simulate_touches(
     sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator, press_depth_m: float | None = None
 ) -> list[Touch]:
     """Make `count` touches with known poses, pressed `press_depth_m` metres deep (by default the sensor's deepest).
 
-    Raises TouchError for a press beyond the sensor's range, GridError when the object hardly ever touches.
+    Raises TouchError for a press beyond the sensor's range or one that hardly ever leaves an imprint, GridError when
+    the object hardly ever touches.
     """
     deepest = scene.geometry.max_depth_m
     press = deepest if press_depth_m is None else press_depth_m
@@ -25,7 +28,14 @@ def simulate_touches(
             f"a press of {press * 1e3:.3g} mm is outside the sensor's range of 0 to {deepest * 1e3:.3g} mm"
         )
     touches: list[Touch] = []
+    rounds = 0
     while len(touches) < count:
+        if rounds == MOST_ROUNDS:
+            raise TouchError(
+                f"hardly any press of {scene.object.name} by {press * 1e3:.3g} mm leaves an imprint with an edge or a "
+                "feature; press deeper or choose another face"
+            )
+        rounds += 1
         poses = random_contact_poses(sampler, scene, count - len(touches), rng)
         for T, depth in zip(poses, scene.contact_depths(poses, press), strict=True):
             touch = _touch(depth, press, scene, T, f"touch-{len(touches):04d}")

@@ -93,9 +93,10 @@ def test_the_view_is_the_default_rectangle() -> None:
     assert PINHOLE.pixel_pitch_m == pytest.approx(0.5 * (20 / 40 + 20 / 50) * MM)
 
 
-def test_the_rectangle_ends_with_the_view() -> None:
+def test_a_rectangle_may_reach_beyond_the_view_where_objects_touch_unseen() -> None:
     geometry = dataclasses.replace(ORTHOGRAPHIC, rectangle_m=(-0.2 * MM, 5 * MM, -5 * MM, 0.25 * MM))
-    np.testing.assert_allclose(geometry.rectangle, [-0.2 * MM, 0.4 * MM, -0.6 * MM, 0.25 * MM])
+    np.testing.assert_allclose(geometry.rectangle, [-0.2 * MM, 5 * MM, -5 * MM, 0.25 * MM])
+    np.testing.assert_allclose(geometry.every(3).rectangle, geometry.rectangle)
 
 
 def test_pixels_off_the_rectangle_or_masked_are_not_observed() -> None:

@@ -14,6 +14,7 @@ from tactile_loc.core.interfaces import GridSampler
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.symmetry import SymmetryGroup
 from tactile_loc.plugins.grids.lattice import plane_lattice, reachable_translations
 
 SIDES = {f"{sign}{axis}": s * np.eye(3)[i] for i, axis in enumerate("xyz") for sign, s in (("+", 1.0), ("-", -1.0))}
@@ -33,7 +34,9 @@ class FaceGrid(GridSampler):
         """Return the lattice (N, 4, 4) whose steps in x, y and yaw each move the surface by `spacing_m` metres RMS."""
         R_face = self._face_rotation(obj)
         lever_m = float(np.sqrt(np.diag(R_face @ obj.mesh.covariance_m2 @ R_face.T)[:2].sum()))
-        turns = max(1, int(np.ceil(2 * np.pi * lever_m / spacing_m)))
+        # A whole number of steps to each turn that looks the same: then equivalent poses coincide and can be removed.
+        fold = turns_alike(obj.symmetry, -R_face[2])
+        turns = fold * max(1, round(2 * np.pi * lever_m / (spacing_m * fold)))
         yaw_rad = np.arange(turns) * (2 * np.pi / turns)
         return np.concatenate([_over_plane(obj, geometry, R, spacing_m) for R in self._rotations(R_face, yaw_rad)])
 
@@ -80,6 +83,15 @@ def resting_normal(vertices_m: NDArray[np.float64], centroid_m: NDArray[np.float
     heights = np.round(-planes[:, 3], 7)
     near = planes[heights <= heights.min() + 1e-6, :3]
     return np.asarray(near[np.lexsort(np.round(near.T[::-1], 6))[-1]])
+
+
+def turns_alike(symmetry: SymmetryGroup, normal: NDArray[np.float64]) -> int:
+    """Return how many turns about this unit normal (3,) of the object frame map it onto itself; 1 if any turn does."""
+    axis = symmetry.continuous_axis
+    if axis is None:
+        return int(np.isclose(symmetry.rotations @ normal, normal, atol=1e-3).all(axis=1).sum())
+    flips_over = len(symmetry.rotations) > 1 and abs(axis @ normal) < 1e-3
+    return 2 if flips_over else 1
 
 
 def _tilted(

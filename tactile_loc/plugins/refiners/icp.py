@@ -51,12 +51,13 @@ class IcpRefiner(Refiner):
         moving, fixed = _point_cloud(source), _point_cloud(target, normals)
         T, iterations = np.eye(4), 0
         for reach_mm in (options.wide_mm, options.narrow_mm):
-            T, steps, fitness, converged = _register(moving, fixed, reach_mm, T, options.max_iterations)
+            T, steps, matched, converged = _register(moving, fixed, reach_mm, T, options.max_iterations)
             iterations += steps
         T[:3, 3] /= MILLI
-        if fitness == 0.0 or not np.isfinite(T).all():
+        if matched == 0.0 or not np.isfinite(T).all():
             return RefinedPose(candidate.T_sensor_object.copy(), fitness=0.0, converged=False, iterations=iterations)
-        return RefinedPose(_orthonormal(T) @ candidate.T_sensor_object, fitness, converged, iterations)
+        refined = _orthonormal(T) @ candidate.T_sensor_object
+        return RefinedPose(refined, scene.overlap(refined, touch), converged, iterations)
 
     def _cloud(
         self, shape: ContactShape, geometry: SensorGeometry, most: int
@@ -79,7 +80,7 @@ def _register(moving, fixed, reach_mm, T, max_iterations):  # type: ignore[no-un
     """Run ICP in bursts until a burst changes nothing: open3d does not say by itself whether it converged."""
     registration = o3d.pipelines.registration
     method = registration.TransformationEstimationPointToPlane()
-    done, converged, fitness = 0, False, 0.0
+    done, converged, matched = 0, False, 0.0
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         while done < max_iterations and not converged:
             burst = min(BURST, max_iterations - done)
@@ -87,8 +88,8 @@ def _register(moving, fixed, reach_mm, T, max_iterations):  # type: ignore[no-un
             result = registration.registration_icp(moving, fixed, reach_mm, T, method, criteria)
             converged = np.allclose(result.transformation, T, atol=SETTLED) and result.fitness > 0
             # open3d's threads add up in any order: rounding keeps that from growing from burst to burst
-            T, fitness, done = np.round(result.transformation, DECIMALS), float(result.fitness), done + burst
-    return T, done, fitness, converged
+            T, matched, done = np.round(result.transformation, DECIMALS), float(result.fitness), done + burst
+    return T, done, matched, converged
 
 
 def _orthonormal(T: NDArray[np.float64]) -> NDArray[np.float64]:

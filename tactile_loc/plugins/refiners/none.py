@@ -13,5 +13,6 @@ class NoRefiner(Refiner):
     capabilities = Capabilities(refines=False)
 
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
-        """Return the candidate's pose (4, 4) unchanged, metres."""
-        return RefinedPose(candidate.T_sensor_object.copy(), fitness=0.0, converged=True, iterations=0)
+        """Return the candidate's pose (4, 4) unchanged, metres, and how well it explains the touch."""
+        T = candidate.T_sensor_object.copy()
+        return RefinedPose(T, fitness=scene.overlap(T, touch), converged=True, iterations=0)

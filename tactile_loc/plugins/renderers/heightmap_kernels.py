@@ -201,7 +201,7 @@ def _march(envelope, sx, sy, x0, y0, z0, low, end, wall):
 
 @njit(**FAST)
 def _crossing(envelope, sx, sy, x0, y0, z0, before, z, wall):
-    """Depth between `before` and `z` at which the ray crosses the map: extrapolated on a slope, halved three times at a wall.
+    """Depth near `before` ... `z` at which the ray crosses the map: extrapolated on a slope, halved thrice at a wall.
 
     Moving the ray to the height below it, twice, and Aitken's extrapolation of the two moves solve for a slope exactly.
     """

@@ -1,0 +1,49 @@
+"""Hypotheses that refinement brings together are one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.geometry import rotation_about, translation
+from tactile_loc.core.interfaces import RefinedPose
+from tactile_loc.core.localization import Hypothesis, merge_hypotheses
+from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.testing.shapes import box
+
+
+def hypothesis(probability: float, T: np.ndarray, converged: bool = True) -> Hypothesis:
+    return Hypothesis(probability, T, RefinedPose(T, 1.0, converged, 3), index=0, poses=5)
+
+
+@pytest.fixture
+def metric() -> PoseMetric:
+    mesh = box((-0.01, -0.005, -0.002), (0.01, 0.005, 0.002))
+    return PoseMetric(ObjectModel("box", mesh, SymmetryGroup.parse("z2", np.zeros(3))))
+
+
+def test_the_heavier_takes_the_mass_of_those_that_met_it(metric):
+    near, far = translation([2e-4, 0, 0]), translation([2e-3, 0, 0])
+    found = merge_hypotheses([hypothesis(p, T) for p, T in ((0.5, np.eye(4)), (0.3, far), (0.2, near))], metric, 5e-4)
+    assert [h.probability for h in found] == [pytest.approx(0.7), 0.3]
+    assert [h.poses for h in found] == [10, 5]
+    np.testing.assert_array_equal(found[0].refined.T_sensor_object, np.eye(4))
+
+
+def test_poses_that_look_the_same_by_symmetry_are_one(metric):
+    turned = np.eye(4)
+    turned[:3, :3] = rotation_about([0, 0, 1], np.pi)
+    assert len(merge_hypotheses([hypothesis(0.6, np.eye(4)), hypothesis(0.4, turned)], metric, 5e-4)) == 1
+
+
+def test_what_did_not_converge_is_not_merged(metric):
+    stuck = hypothesis(0.4, np.eye(4), converged=False)
+    assert len(merge_hypotheses([hypothesis(0.6, np.eye(4)), stuck], metric, 5e-4)) == 2
+
+
+def test_merging_may_change_the_order(metric):
+    a, b = np.eye(4), translation([5e-3, 0, 0])
+    found = merge_hypotheses([hypothesis(p, T) for p, T in ((0.4, a), (0.35, b), (0.25, b))], metric, 5e-4)
+    assert found[0].probability == pytest.approx(0.6)
