@@ -1,0 +1,73 @@
+"""`tactile-loc build`: an object's model, ahead of time."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from tactile_loc_cli import flags
+from tactile_loc_cli.console import say
+
+if TYPE_CHECKING:
+    from tactile_loc.core.localizer import Localizer
+    from tactile_loc.core.poses import PoseGrid
+
+MOST_MEASURED = 2000  # poses whose distance to their neighbours is measured
+
+
+def build(
+    object: flags.Object = None,
+    units: flags.MeshUnits = None,
+    symmetry: flags.Symmetry = None,
+    press_depth: flags.PressDepth = None,
+    sensor: flags.Sensor = None,
+    grid: flags.Grid = None,
+    renderer: flags.Renderer = None,
+    encoder: flags.Encoder = None,
+    option: flags.SetOption = None,
+    config: flags.Config = None,
+    seed: flags.Seed = None,
+    store: flags.Store = None,
+) -> None:
+    """Build an object's model ahead of time.
+
+    That is what `run` does by itself at first; stages that are in the store already are reused.
+    """
+    asked = dict(locals())
+    localizer = flags.open_localizer(flags.run_config(asked), store)
+    start = time.perf_counter()
+    localizer.matcher(_press_depth_m(localizer))
+    _report(localizer, time.perf_counter() - start)
+
+
+def _press_depth_m(localizer: Localizer) -> float:
+    """The press depth to build for. Raises TouchError when the sensor cannot resolve it."""
+    from tactile_loc.core.errors import TouchError
+
+    deepest_m = localizer.scene.geometry.max_depth_m
+    asked_m = flags.press_depth_m(localizer.config)
+    if asked_m is not None and not 0 < asked_m <= deepest_m:
+        raise TouchError(
+            f"a press of {1e3 * asked_m:g} mm is outside the sensor's range of 0 to {1e3 * deepest_m:g} mm"
+        )
+    return deepest_m if asked_m is None else asked_m
+
+
+def _report(localizer: Localizer, seconds: float) -> None:
+    obj, grid = localizer.object, localizer.model.grid
+    size = " x ".join(f"{1e3 * extent:.3g}" for extent in obj.mesh.extents_m)
+    say(f"object: {obj.name}, {size} mm, {len(obj.mesh.faces)} triangles, symmetry {obj.symmetry}")
+    spacing = f", {1e3 * _spacing_m(grid):.2f} mm apart on average" if len(grid) > 1 else ""
+    say(f"grid: {len(grid)} poses{spacing}")
+    built = [key.stage for key in localizer.store.built]
+    for stage in ("grid", "shapes", "bank"):
+        say(f"{stage}: {'built' if stage in built else 'reused'}")
+    say(f"stored in {localizer.store.root} ({seconds:.1f} s)")
+
+
+def _spacing_m(grid: PoseGrid) -> float:
+    """The mean distance between neighbouring poses, metres; of a large grid, that of some."""
+    import numpy as np
+
+    some = np.arange(0, len(grid), max(1, len(grid) // MOST_MEASURED))
+    return float(grid.neighbour_spacing(some).mean())

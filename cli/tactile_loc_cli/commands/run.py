@@ -1,0 +1,94 @@
+"""`tactile-loc run`: where is the object, given one touch?"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tactile_loc_cli import flags
+from tactile_loc_cli.console import say
+
+if TYPE_CHECKING:
+    from tactile_loc.core import sensing
+    from tactile_loc.core.localization import Localization
+    from tactile_loc.core.localizer import Localizer
+
+DEFAULT_OUT = Path("tactile-loc-result")
+DRAWN = 8  # touches are simulated, and the one with the most contact is shown
+
+Touch = Annotated[
+    str | None,
+    typer.Option("--touch", metavar="FILE", help="The touch (npz, npy, 16-bit png); without it one is simulated."),
+]
+TouchUnit = Annotated[
+    flags.TouchUnit | None,
+    typer.Option("--touch-unit", help="Unit of the touch's depths, if its file does not say."),
+]
+Top = Annotated[int | None, typer.Option("--top", metavar="N", help="How many poses to list; by default 10.")]
+Out = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where result.json and result.png go.")]
+
+
+def run(
+    object: flags.Object = None,
+    units: flags.MeshUnits = None,
+    symmetry: flags.Symmetry = None,
+    touch: Touch = None,
+    touch_unit: TouchUnit = None,
+    press_depth: flags.PressDepth = None,
+    sensor: flags.Sensor = None,
+    grid: flags.Grid = None,
+    renderer: flags.Renderer = None,
+    encoder: flags.Encoder = None,
+    matcher: flags.Matcher = None,
+    refiner: flags.Refiner = None,
+    fuser: flags.Fuser = None,
+    option: flags.SetOption = None,
+    config: flags.Config = None,
+    top: Top = None,
+    seed: flags.Seed = None,
+    out: Out = DEFAULT_OUT,
+    store: flags.Store = None,
+) -> None:
+    """Locate an object from one touch.
+
+    Without any options: a demo object and a simulated touch (of eight, the one with the most contact). The object's
+    model is built the first time and kept.
+    """
+    asked = dict(locals())
+    from tactile_loc.evaluation.files import require_writable
+
+    settings = flags.run_config(asked)
+    require_writable(out)
+    localizer = flags.open_localizer(settings, store)
+    seconds: dict[str, float] = {}
+    observed = _touch(localizer)
+    start = time.perf_counter()
+    localizer.matcher(observed.press_depth_m)
+    seconds["model"] = time.perf_counter() - start
+    localization = localizer.localize(observed)
+    _report(localizer, localization, seconds, out)
+
+
+def _touch(localizer: Localizer) -> sensing.Touch:
+    """The touch that was asked for, or a simulated one."""
+    asked, press_m = localizer.config.touch, flags.press_depth_m(localizer.config)
+    if asked.path is not None:
+        return localizer.read_touch(asked.path, asked.unit, press_m)
+    return max(localizer.simulate(DRAWN, localizer.config.seed, press_m), key=lambda t: t.contact_shape.contact.sum())
+
+
+def _report(localizer: Localizer, localization: Localization, seconds: dict[str, float], out: Path) -> None:
+    from tactile_loc.evaluation.pictures import draw_result, save_figure
+    from tactile_loc.evaluation.results import pose_errors_m, result_record, write_result
+    from tactile_loc_cli.tables import pose_table, summary, title
+
+    record = result_record(localizer, localization, seconds)
+    pose_table(record)
+    for line in summary(record):
+        say(line)
+    figure = draw_result(localization, localizer.scene, title(record), pose_errors_m(localizer.object, localization))
+    written = [save_figure(out / "result.png", figure), write_result(out / "result.json", record)]
+    say(f"written: {', '.join(map(str, reversed(written)))}")

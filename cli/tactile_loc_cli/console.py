@@ -1,0 +1,84 @@
+"""What people see on the terminal: results on stdout; errors, warnings and progress on stderr."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from tactile_loc.core.progress import Progress
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+PACKAGES = ("tactile_loc", "tactile_loc_cli")
+
+
+def output() -> Console:
+    """Return a console for results. Made anew, so that it writes to the stdout of the moment."""
+    from rich.console import Console
+
+    console = Console(highlight=False, soft_wrap=False)
+    if not console.is_terminal:
+        console.width = 160
+    return console
+
+
+def say(text: str = "") -> None:
+    """Write a line of results as it is, never wrapped."""
+    sys.stdout.write(text + "\n")
+
+
+def complain(kind: str, text: str) -> None:
+    """Write "kind: text" as one line on stderr."""
+    sys.stderr.write(f"{kind}: {' '.join(text.split())}\n")
+    sys.stderr.flush()
+
+
+class OneLineHandler(logging.Handler):
+    """Shows a warning of the library as one line."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write the record to the stderr of the moment."""
+        complain(record.levelname.lower(), record.getMessage())
+
+
+@contextmanager
+def warnings_shown() -> Iterator[None]:
+    """Show the library's log from WARNING on, and hush what other libraries say to their developers."""
+    handler = OneLineHandler(logging.WARNING)
+    loggers = [logging.getLogger(name) for name in PACKAGES]
+    for logger in loggers:
+        logger.addHandler(handler)
+    try:
+        with warnings.catch_warnings():
+            if not sys.warnoptions:
+                warnings.simplefilter("ignore")
+            yield
+    finally:
+        for logger in loggers:
+            logger.removeHandler(handler)
+
+
+class Bars(Progress):
+    """Progress bars on stderr that vanish when their task ends."""
+
+    @contextmanager
+    def task(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
+        """Open a bar of `total` steps; call what is yielded with the number of steps just done."""
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as RichProgress
+
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        with RichProgress(*columns, console=Console(stderr=True), transient=True) as bars:
+            number = bars.add_task(description, total=total)
+            yield lambda steps: bars.advance(number, steps)
+
+
+def progress() -> Progress:
+    """Return progress bars where somebody watches, and the null watcher otherwise."""
+    return Bars() if sys.stderr.isatty() else Progress()

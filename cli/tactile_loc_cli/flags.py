@@ -1,0 +1,153 @@
+"""The command line's shared options, and how they become a RunConfig together with a configuration file."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tactile_loc.core.hookspecs import SLOTS
+
+if TYPE_CHECKING:
+    from tactile_loc.core.config import RunConfig
+    from tactile_loc.core.localizer import Localizer
+    from tactile_loc.core.objects import ObjectModel
+
+
+class Units(StrEnum):
+    """Units of a mesh file."""
+
+    AUTO = "auto"
+    M = "m"
+    MM = "mm"
+    CM = "cm"
+    INCH = "inch"
+
+
+class TouchUnit(StrEnum):
+    """Units of a touch file."""
+
+    M = "m"
+    MM = "mm"
+    UM = "um"
+
+
+def _option(flag: str, metavar: str, about: str) -> Any:
+    return typer.Option(flag, metavar=metavar, help=about)
+
+
+Object = Annotated[
+    str | None,
+    _option("--object", "FILE|DEMO", "Mesh file (STL, OBJ, PLY, ...) or the name of a demo object; by default hook."),
+]
+MeshUnits = Annotated[
+    Units | None, typer.Option("--units", help="Unit of the mesh file; by default auto, a guess from its size.")
+]
+Symmetry = Annotated[
+    str | None,
+    _option("--symmetry", "GROUP", "Rotations onto itself: none, z2, z6*x2, zinf, ...; by default auto finds them."),
+]
+Sensor = Annotated[
+    str | None, _option("--sensor", "NAME|FILE.toml", "A sensor, or a file that describes one; by default gelslim.")
+]
+Grid = Annotated[str | None, _option("--grid", "NAME", "Which poses are searched; by default face.")]
+Renderer = Annotated[str | None, _option("--renderer", "NAME", "What renders contact shapes; by default heightmap.")]
+Encoder = Annotated[str | None, _option("--encoder", "NAME", "What makes vectors of them; by default pixel.")]
+Matcher = Annotated[str | None, _option("--matcher", "NAME", "What compares the vectors; by default dense.")]
+Refiner = Annotated[str | None, _option("--refiner", "NAME", "What refines the best poses; by default icp.")]
+Fuser = Annotated[str | None, _option("--fuser", "NAME", "What combines touches and prior; by default product.")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "-o",
+        "--option",
+        metavar="SLOT.OPTION=VALUE",
+        help="A component's option, as grid.spacing_mm=3; may be repeated; `plugins SLOT NAME` lists them.",
+    ),
+]
+Config = Annotated[
+    Path | None,
+    _option("--config", "FILE.toml", "Settings from a TOML file; options on the command line override it."),
+]
+PressDepth = Annotated[
+    float | None,
+    _option("--press-depth", "MM", "How deep the press was, in mm; by default as the file says, or the deepest."),
+]
+Seed = Annotated[int | None, _option("--seed", "N", "Seed of everything random; by default 0.")]
+Store = Annotated[
+    Path | None,
+    _option("--store", "FOLDER", "Where models are kept; by default $TACTILE_LOC_STORE or ~/.cache/tactile-loc."),
+]
+
+
+def run_config(flags: dict[str, Any]) -> RunConfig:
+    """Merge a command's flags, None where not given, over the configuration file that they name, if any.
+
+    Raises ConfigError for unknown or ill-typed settings.
+    """
+    from tactile_loc.core.config import RunConfig, parse_overrides, read_toml
+
+    path = flags.get("config")
+    settings = read_toml(path) if path is not None else {}
+    for section, keys in _SECTIONS.items():
+        chosen = {key: flags[flag] for key, flag in keys.items() if flags.get(flag) is not None}
+        settings[section] = {**_table(settings.get(section, {}), section), **chosen}
+    overrides = parse_overrides(flags.get("option") or [])
+    for slot in SLOTS:
+        settings[slot] = _component(slot, settings.get(slot), flags.get(slot), overrides.get(slot, {}))
+    settings |= {key: flags[key] for key in ("top", "seed") if flags.get(key) is not None}
+    return RunConfig.from_dict(settings, "the command line" if path is None else str(path))
+
+
+_SECTIONS = {
+    "object": {"path": "object", "units": "units", "symmetry": "symmetry"},
+    "touch": {"path": "touch", "unit": "touch_unit", "press_depth_mm": "press_depth"},
+}
+
+
+def _table(value: Any, section: str) -> dict[str, Any]:
+    from tactile_loc.core.errors import ConfigError
+
+    if not isinstance(value, dict):
+        raise ConfigError(
+            f"the configuration's {section} is {value!r}; it must be a table, as [{section}] with path = ..."
+        )
+    return value
+
+
+def _component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, Any]) -> Any:
+    """One slot's name and options: the file's, unless the flag names another component, and `overrides` on top."""
+    from tactile_loc.core.config import RunConfig
+
+    given: dict[str, Any] = {"name": in_file} if isinstance(in_file, str) else dict(_table(in_file or {}, slot))
+    given |= given.pop("options", {}) if isinstance(given.get("options"), dict) else {}
+    given.setdefault("name", RunConfig.model_fields[slot].default.name)
+    if flag is not None and flag != given["name"]:
+        given = {"name": flag}
+    if slot == "sensor" and str(given["name"]).endswith(".toml"):
+        given = {**given, "name": "file", "path": given["name"]}
+    return {**given, **overrides}
+
+
+def open_localizer(config: RunConfig, store: Path | None) -> Localizer:
+    """Load the object and make its localizer. Raises TactileLocError for bad input."""
+    from tactile_loc.core.localizer import Localizer
+    from tactile_loc.core.store import StageStore
+    from tactile_loc_cli.console import progress
+
+    return Localizer(config, load_object(config), StageStore(store), progress())
+
+
+def load_object(config: RunConfig) -> ObjectModel:
+    """Load the configuration's object. Raises ObjectError or SymmetryError."""
+    from tactile_loc.core.meshes import load_object as load
+
+    return load(config.object.path, config.object.units, config.object.symmetry)
+
+
+def press_depth_m(config: RunConfig) -> float | None:
+    """Return the press depth that was asked for, metres."""
+    asked_mm = config.touch.press_depth_mm
+    return None if asked_mm is None else 1e-3 * asked_mm

@@ -1,0 +1,129 @@
+"""Writes docs/cli.md from the help texts and the schema of result.json: `python -m tactile_loc_cli.reference`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel
+
+COMMANDS = ("run", "build", "simulate", "objects", "plugins")
+WIDTH = "100"
+
+INTRODUCTION = """\
+# The command line
+
+This page is generated: `python -m tactile_loc_cli.reference` writes it, and a test compares it with the program.
+
+`tactile-loc run` without any options locates a demo object from a simulated touch. What people read is in mm and
+degrees; files are in SI units. Errors are one line on stderr.
+
+| exit code | meaning |
+|---|---|
+| 0 | done |
+| 2 | the input, an option, a component or a place to write cannot be used; the line says which, and what to do |
+| 130 | interrupted with Ctrl-C; what was finished is kept, and the same command resumes |
+
+## Configuration files
+
+`--config run.toml` takes every setting from a file; options on the command line override it. All entries are optional,
+unknown ones are refused. Paths are relative to where the command runs.
+
+```toml
+top = 10               # how many poses to list
+seed = 0
+shape_px = 64          # the longer image side of the grid's contact shapes, pixels
+# temperature = 1e-3   # of the softmax over scores; by default the encoder's own
+
+[object]
+path = "hook"          # a mesh file or a demo object
+units = "auto"         # m, mm, cm, inch
+symmetry = "auto"
+
+[touch]
+# path = "touch.npz"   # without it, a touch is simulated
+# unit = "mm"          # m, mm, um; when the file does not say
+# press_depth_mm = 1.5
+
+[sensor]               # a slot: the component's name, and its options beside it
+name = "gelslim"
+
+[grid]
+name = "face"
+spacing_mm = 3.0
+```
+
+The slots are `sensor`, `renderer`, `grid`, `encoder`, `matcher`, `refiner` and `fuser`. `tactile-loc plugins` lists
+what can fill them, `tactile-loc plugins grid face` the options of one.
+"""
+
+
+def reference() -> str:
+    """Return the text of docs/cli.md."""
+    return "\n".join([INTRODUCTION, *_helps(), *_schema()])
+
+
+def _helps() -> Iterator[str]:
+    yield "## Commands\n"
+    yield _block([])
+    for command in COMMANDS:
+        yield f"### {command}\n"
+        yield _block([command])
+
+
+def _block(arguments: list[str]) -> str:
+    from typer.testing import CliRunner
+
+    from tactile_loc_cli.main import app
+
+    shown = CliRunner().invoke(app, [*arguments, "--help"], prog_name="tactile-loc", env={"COLUMNS": WIDTH})
+    return f"```text\n{shown.stdout.rstrip()}\n```\n"
+
+
+def _schema() -> Iterator[str]:
+    from tactile_loc.evaluation import results
+
+    yield (
+        "## result.json\n\nEverything that a run found, and everything it was made from. Lengths in metres, times in "
+        "seconds; transforms are\n4 x 4 matrices `T_target_source`, row by row. The answer is "
+        "`hypotheses[0].T_sensor_object`.\n"
+    )
+    for key, model in (
+        ("", results.ResultRecord), ("object", results.ObjectRecord), ("touch", results.TouchRecord),
+        ("hypotheses[]", results.HypothesisRecord), ("errors", results.ErrorRecord),
+    ):  # fmt: skip
+        if key:
+            yield f"### {key}\n\n{model.__doc__}\n"
+        yield _table(model)
+
+
+def _table(model: type[BaseModel]) -> str:
+    rows = [
+        f"| `{name}` | {_type(field.annotation)} | {field.description} |" for name, field in model.model_fields.items()
+    ]
+    return "\n".join(["| key | type | meaning |", "|---|---|---|", *rows, ""])
+
+
+def _type(annotation: Any) -> str:
+    """Name a type as JSON would."""
+    arms = get_args(annotation)
+    if type(None) in arms:
+        return f"{_type(next(a for a in arms if a is not type(None)))} or null"
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return "object"
+    text = str(annotation)
+    if "list[list[float]]" in text:
+        return "4 x 4 numbers"
+    names = {int: "integer", float: "number", str: "text", bool: "true or false"}
+    return "list" if text.startswith("list") else "object" if text.startswith("dict") else names[annotation]
+
+
+def main() -> None:
+    """Write docs/cli.md of the source tree that this module lies in."""
+    page = Path(__file__).parents[2] / "docs" / "cli.md"
+    page.write_text(reference(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""A result as people read it: millimetres, degrees, per cent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tactile_loc_cli.console import output
+
+if TYPE_CHECKING:
+    from tactile_loc.evaluation.results import HypothesisRecord, ResultRecord
+
+
+def title(record: ResultRecord) -> str:
+    """Return the picture's title: object, sensor, certainty, error."""
+    text = f"{record.object.name} on {_sensor(record)}: certainty {record.certainty:.2f}"
+    return text if record.errors is None else f"{text}, error {_mm(record.errors.best_m)} mm"
+
+
+def pose_table(record: ResultRecord) -> None:
+    """Print the hypotheses: the object's pose in the sensor frame."""
+    from rich.table import Table
+
+    touch = "simulated touch" if record.touch.path is None else record.touch.name
+    table = Table(
+        title=f"{record.object.name} in the frame of {_sensor(record)}, {touch}", title_justify="left", box=None
+    )
+    known = record.errors is not None
+    for name in ("rank", "prob. %", "x mm", "y mm", "z mm", "turn deg", "about axis", "fit %"):
+        table.add_column(name, justify="right", no_wrap=True)
+    if known:
+        table.add_column("error mm", justify="right", no_wrap=True)
+    for hypothesis in record.hypotheses:
+        table.add_row(*_cells(hypothesis))
+    output().print(table)
+
+
+def summary(record: ResultRecord) -> Iterator[str]:
+    """Yield the lines below the table."""
+    yield (
+        f"certainty: {record.certainty:.2f} (1: one pose is certain, 0: nothing is known), "
+        f"{record.grid_poses} poses searched"
+    )
+    errors = record.errors
+    if errors is not None:
+        yield (
+            f"error: {_mm(errors.best_m)} mm the best, {_mm(errors.best_listed_m)} mm the nearest of those listed, "
+            f"{_mm(errors.closest_in_grid_m)} mm the nearest of the grid (RMS surface distance, symmetry regarded)"
+        )
+    yield "time: " + ", ".join(f"{stage} {1e3 * s:.3g} ms" for stage, s in record.seconds.items())
+
+
+def _sensor(record: ResultRecord) -> str:
+    sensor = record.configuration["sensor"]
+    return Path(sensor["options"]["path"]).stem if sensor["name"] == "file" else str(sensor["name"])
+
+
+def _cells(h: HypothesisRecord) -> list[str]:
+    T = np.array(h.T_sensor_object)
+    angle_deg, axis = axis_angle(T[:3, :3])
+    cells = [
+        str(h.rank), f"{100 * h.probability:.1f}", *(f"{1e3 * v:.2f}" for v in T[:3, 3]), f"{angle_deg:.1f}",
+        "({:.3f}, {:.3f}, {:.3f})".format(*axis), f"{100 * h.fitness:.0f}",
+    ]  # fmt: skip
+    return cells if h.error_m is None else [*cells, _mm(h.error_m)]
+
+
+def axis_angle(R: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return a rotation (3, 3) as a turn in degrees, 0 to 180, and the unit axis (3,) it is about; z for no turn."""
+    from scipy.spatial.transform import Rotation
+
+    vector = Rotation.from_matrix(R).as_rotvec()
+    angle = float(np.linalg.norm(vector))
+    axis = vector / angle if angle > 1e-9 else np.array([0.0, 0.0, 1.0])
+    return float(np.degrees(angle)), axis + 0.0
+
+
+def _mm(length_m: float) -> str:
+    value = 1e3 * length_m
+    return f"{value:.2f}" if value < 10 else f"{value:.1f}"

@@ -1,0 +1,61 @@
+"""What the tests of the command line share."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from typer.testing import Result
+
+TINY = ["-o", "grid.spacing_mm=8"]  # a grid of a few hundred poses
+NO_CONTACT_M = 0.002
+
+Cli = Callable[..., Result]
+
+
+def command(*words: object) -> list[str]:
+    """The command line of a process of its own."""
+    return [sys.executable, "-m", "tactile_loc_cli.main", *map(str, words)]
+
+
+def assert_one_error(stderr: str, code: int, *mentioned: str) -> None:
+    """Exit code 2 and one line that says what is wrong; warnings may stand beside it."""
+    lines = [line for line in stderr.splitlines() if not line.startswith("warning: ")]
+    assert code == 2, stderr
+    assert len(lines) == 1, stderr
+    assert lines[0].startswith("error: ")
+    assert "Traceback" not in stderr
+    for words in mentioned:
+        assert words in lines[0]
+
+
+def assert_refused(result: Result, *mentioned: str) -> None:
+    assert_one_error(result.stderr, result.exit_code, *mentioned)
+
+
+def touch_depths(shape: tuple[int, int] = (200, 200)) -> np.ndarray:
+    """A contact shape in metres with an edge in it: a box's corner on the left of the image."""
+    depth = np.full(shape, NO_CONTACT_M, np.float32)
+    depth[60:140, :90] = 0.0
+    return depth
+
+
+BOX = """\
+v 0 0 0
+v {x} 0 0
+v {x} {y} 0
+v 0 {y} 0
+v 0 0 {z}
+v {x} 0 {z}
+v {x} {y} {z}
+v 0 {y} {z}
+"""
+FACES = ["1 3 2", "1 4 3", "5 6 7", "5 7 8", "1 2 6", "1 6 5", "2 3 7", "2 7 6", "3 4 8", "3 8 7", "4 1 5", "4 5 8"]
+
+
+def write_box(path: Path, x: object = 30, y: object = 20, z: object = 10, faces: int = 12) -> Path:
+    """Write a box as OBJ, of its twelve faces the first `faces`."""
+    path.write_text(BOX.format(x=x, y=y, z=z) + "".join(f"f {face}\n" for face in FACES[:faces]))
+    return path

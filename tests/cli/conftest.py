@@ -1,0 +1,38 @@
+"""The command in this process for speed, and in a process of its own where that matters."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from cli_helpers import Cli, command
+from tactile_loc_cli.main import app
+from typer.testing import CliRunner
+
+
+@pytest.fixture(scope="session")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One store for all tests that do not mind what is in it."""
+    return tmp_path_factory.mktemp("store")
+
+
+@pytest.fixture
+def cli(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cli:
+    """Run the command in this process, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("TACTILE_LOC_STORE", str(store))
+    return lambda *words: CliRunner().invoke(app, [*map(str, words)], prog_name="tactile-loc")
+
+
+@pytest.fixture
+def run_process(store: Path, tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run the command in a process of its own; keywords are environment variables."""
+
+    def run(*words: object, **environment: str) -> subprocess.CompletedProcess[str]:
+        variables = {**os.environ, "TACTILE_LOC_STORE": str(store), **environment}
+        return subprocess.run(command(*words), cwd=tmp_path, env=variables, capture_output=True, text=True, timeout=120)
+
+    return run

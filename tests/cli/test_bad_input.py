@@ -1,0 +1,184 @@
+"""Whatever is wrong with the input: one sentence, exit code 2, no traceback, nothing half-written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_helpers import TINY, Cli, assert_refused, touch_depths, write_box
+
+OUT = Path("out")
+
+
+@pytest.fixture
+def refused(cli: Cli):
+    """Run with arguments that cannot be used; the message must mention the given words."""
+
+    def run(*words: object, mentions: tuple[str, ...]) -> None:
+        assert_refused(cli("run", *TINY, "--out", OUT, *words), *mentions)
+        assert not OUT.exists()
+
+    return run
+
+
+def test_missing_mesh_file(refused):
+    refused("--object", "gear.stl", mentions=("gear.stl", "check the path", "pin"))
+
+
+def test_misspelt_demo_object(refused):
+    refused("--object", "pinn", mentions=("'pin'",))
+
+
+def test_not_a_mesh(refused):
+    Path("notes.stl").write_text("milk, bread, eggs")
+    refused("--object", "notes.stl", mentions=("notes.stl",))
+
+
+def test_empty_mesh(refused):
+    write_box(Path("empty.obj"), faces=0)
+    refused("--object", "empty.obj", mentions=("empty.obj",))
+
+
+@pytest.mark.parametrize("value", ["nan", "inf"])
+def test_vertices_that_are_no_numbers(refused, value):
+    write_box(Path("bad.obj"), x=value)
+    refused("--object", "bad.obj", "--units", "mm", mentions=("bad.obj", "NaN or infinite"))
+
+
+def test_zero_extent(refused):
+    write_box(Path("point.obj"), 0, 0, 0)
+    refused("--object", "point.obj", mentions=("point.obj", "zero extent"))
+
+
+@pytest.mark.parametrize(("units", "length"), [("m", "3e+04 mm"), ("mm", "0.3 mm")])
+def test_impossible_size(refused, units, length):
+    scale = 1 if units == "m" else 0.01
+    write_box(Path("box.obj"), 30 * scale, 20 * scale, 10 * scale)
+    refused("--object", "box.obj", "--units", units, mentions=(length, "1 mm to 1 m"))
+
+
+def test_wrong_symmetry(refused):
+    refused("--symmetry", "z5", mentions=("z5",))
+    refused("--symmetry", "round", mentions=("round",))
+
+
+def test_missing_touch_file(refused):
+    refused("--touch", "none.npz", mentions=("none.npz",))
+
+
+def test_touch_of_the_wrong_size(refused):
+    np.save("touch.npy", touch_depths((64, 48)))
+    refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("64 x 48", "200 x 200"))
+
+
+def test_touch_of_the_wrong_type(refused):
+    np.save("touch.npy", touch_depths().astype(str))
+    refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("touch.npy",))
+
+
+def test_touch_that_is_no_image(refused):
+    Path("touch.npz").write_text("nothing")
+    refused("--touch", "touch.npz", mentions=("touch.npz",))
+
+
+def test_touch_without_a_unit(refused):
+    np.save("touch.npy", touch_depths())
+    refused("--touch", "touch.npy", mentions=("--touch-unit",))
+
+
+def test_touch_of_the_wrong_unit(refused):
+    depths = touch_depths() * 1e3
+    depths[depths > 1.9] = 1.5
+    depths[0] = 900.0
+    np.save("touch.npy", depths)
+    refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("unit",))
+
+
+def test_touch_without_contact(refused):
+    np.save("touch.npy", np.full((200, 200), 0.002))
+    refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("no contact",))
+
+
+def test_touch_that_is_all_contact(refused):
+    np.save("touch.npy", np.zeros((200, 200)))
+    refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("nothing but contact",))
+
+
+def test_press_deeper_than_the_sensor(refused, cli):
+    refused("--press-depth", 5, mentions=("5 mm", "2 mm"))
+    assert_refused(cli("build", *TINY, "--press-depth", 5), "5 mm", "2 mm")
+
+
+def test_unknown_component(refused):
+    refused("--refiner", "ipc", mentions=("'ipc'", "'icp'"))
+    refused("--grid", "zebra", mentions=("face, hopf",))
+
+
+def test_unknown_option_lists_the_known_ones(refused):
+    refused("-o", "grid.spacing=3", mentions=("'spacing'", "'spacing_mm'", "min_contact_percent (float)"))
+
+
+def test_ill_typed_option(refused):
+    refused("-o", "refiner.max_iterations=many", mentions=("max_iterations", "'many'", "integer"))
+    refused("-o", "grid.spacing_mm=-1", mentions=("spacing_mm", "-1"))
+
+
+def test_option_that_cannot_be_read(refused):
+    refused("-o", "spacing_mm", mentions=("slot.option=value",))
+    refused("-o", "gird.spacing_mm=3", mentions=("'gird'", "'grid'"))
+
+
+def test_unknown_flag_and_value(refused):
+    refused("--objct", "pin", mentions=("--objct", "tactile-loc run -h"))
+    refused("--units", "feet", mentions=("feet", "inch"))
+    refused("--top", "many", mentions=("--top",))
+    refused("--top", 0, mentions=("top",))
+
+
+def test_unknown_command(cli):
+    assert_refused(cli("rnu"), "rnu")
+
+
+def test_configuration_files(refused):
+    refused("--config", "none.toml", mentions=("none.toml",))
+    Path("broken.toml").write_text("grid = ")
+    refused("--config", "broken.toml", mentions=("broken.toml", "TOML"))
+    Path("unknown.toml").write_text("gird = 'face'")
+    refused("--config", "unknown.toml", mentions=("unknown.toml", "'gird'", "'grid'"))
+    Path("flat.toml").write_text("object = 'pin'\ngrid = 3")
+    refused("--config", "flat.toml", mentions=("object", "table"))
+
+
+def test_sensor_files(refused):
+    refused("--sensor", "none.toml", mentions=("none.toml",))
+    Path("sensor.toml").write_text("camera = 'pinhole'")
+    refused("--sensor", "sensor.toml", mentions=("sensor.toml", "image_size_px"))
+
+
+def test_a_file_in_place_of_the_output_folder_is_seen_before_anything_is_built(cli, tmp_path):
+    OUT.write_text("mine")
+    store = tmp_path / "untouched"
+    for out in (OUT, OUT / "deeper"):
+        assert_refused(cli("run", *TINY, "--out", out, "--store", store), "out", "--out")
+        assert_refused(cli("simulate", "--out", out), "out", "--out")
+    assert OUT.read_text() == "mine"
+    assert not store.exists()
+
+
+def test_a_file_in_place_of_the_store(cli, tmp_path):
+    Path("store").write_text("mine")
+    assert_refused(cli("run", *TINY, "--out", OUT, "--store", "store"), "--store")
+    assert_refused(cli("build", *TINY, "--store", "store"), "--store")
+    assert Path("store").read_text() == "mine"
+    assert not OUT.exists()
+
+
+def test_no_contact_at_all_in_the_grid(cli):
+    assert_refused(cli("build", *TINY, "-o", "grid.min_contact_percent=100"), "min_contact_percent")
+
+
+@pytest.mark.parametrize("count", [0, -3])
+def test_nothing_to_simulate(cli, count):
+    assert_refused(cli("simulate", "--count", count, "--out", OUT), "--count")
+    assert not OUT.exists()

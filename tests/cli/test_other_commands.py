@@ -1,0 +1,120 @@
+"""build, simulate, objects, plugins, and the command itself."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_helpers import TINY, Cli, assert_refused
+from PIL import Image
+
+from tactile_loc import __version__
+from tactile_loc.core.config import RunConfig
+from tactile_loc.core.hookspecs import SLOTS
+from tactile_loc.core.store import StageStore
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.plugins.grids.face import FaceGrid
+
+
+def test_version_and_help(cli: Cli):
+    assert cli("--version").stdout == f"tactile-loc {__version__}\n"
+    assert cli("-h").stdout == cli("--help").stdout == cli().stdout
+    for command in ("run", "build", "simulate", "objects", "plugins"):
+        assert command in cli("-h").stdout
+        assert cli(command, "-h").exit_code == 0
+
+
+def test_the_help_names_the_defaults(cli):
+    text = " ".join(cli("run", "-h").stdout.split())
+    for slot in SLOTS:
+        assert f"by default {RunConfig.model_fields[slot].default.name}." in text.split(f"--{slot} ")[1].split(" --")[0]
+
+
+def stages(stdout: str) -> dict[str, str]:
+    """What became of each stage."""
+    pairs = [line.split(": ") for line in stdout.splitlines() if ": " in line]
+    return {pair[0]: pair[1] for pair in pairs if pair[1] in ("built", "reused")}
+
+
+def test_build_builds_once_and_reuses_what_the_change_does_not_touch(cli, tmp_path):
+    store = tmp_path / "store"
+    first, again, other = (
+        cli("build", *TINY, "--store", store, *more) for more in ([], [], ["-o", "encoder.cells=10"])
+    )
+    assert first.exit_code == again.exit_code == other.exit_code == 0
+    assert stages(first.stdout) == {"grid": "built", "shapes": "built", "bank": "built"}
+    assert stages(again.stdout) == {"grid": "reused", "shapes": "reused", "bank": "reused"}
+    assert stages(other.stdout) == {"grid": "reused", "shapes": "reused", "bank": "built"}
+    assert str(store) in first.stdout
+    assert all(entry.complete for entry in StageStore(store).entries())
+
+
+def test_build_states_the_grids_size_and_spacing(cli, tmp_path):
+    done = cli("build", *TINY, "--store", tmp_path / "store")
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith("grid: ") and "poses" in line]
+    words = line.split()
+    assert int(words[1]) > 50
+    assert float(words[3]) == pytest.approx(8, rel=0.15)
+
+
+def test_run_uses_what_build_built(cli, tmp_path):
+    cli("build", *TINY, "--store", tmp_path / "store")
+    before = sorted((tmp_path / "store").rglob("*.npy"))
+    assert cli("run", *TINY, "--store", tmp_path / "store").exit_code == 0
+    assert sorted((tmp_path / "store").rglob("*.npy")) == before
+
+
+def test_simulate_writes_touches_that_run_reads(cli):
+    done = cli("simulate", "--count", 3, "--press-depth", 1.5, "--seed", 4, "--out", "out")
+    assert done.exit_code == 0, done.stderr
+    names = ["touch-0000", "touch-0001", "touch-0002"]
+    assert sorted(p.name for p in Path("out").iterdir()) == ["poses.json", *(f"{n}.npz" for n in names), "touches.png"]
+    record = json.loads(Path("out/poses.json").read_text())
+    assert record["press_depth_m"] == pytest.approx(1.5e-3)
+    for name in names:
+        with np.load(f"out/{name}.npz") as touch:
+            assert touch["T_sensor_object"].tolist() == record["T_sensor_object"][name]
+    with Image.open("out/touches.png") as picture:
+        picture.load()
+    run = cli("run", *TINY, "--touch", "out/touch-0002.npz", "--out", "result")
+    assert run.exit_code == 0, run.stderr
+    result = json.loads(Path("result/result.json").read_text())
+    assert result["touch"]["T_sensor_object"] == record["T_sensor_object"]["touch-0002"]
+
+
+def test_objects(cli):
+    shown = cli("objects").stdout
+    for name, demo in DEMO_OBJECTS.items():
+        assert name in shown
+        assert demo.symmetry in shown
+
+
+def test_plugins_lists_every_slot(cli):
+    shown = cli("plugins").stdout
+    rows = [line.split() for line in shown.splitlines()]
+    for slot in SLOTS:
+        default = RunConfig.model_fields[slot].default.name
+        assert [slot, default, "tactile-loc"] in [row[:3] for row in rows]
+
+
+def test_plugins_of_one_slot(cli):
+    rows = [line.split() for line in cli("plugins", "refiner").stdout.splitlines()][1:]
+    assert {"none", "icp"} <= {row[1] for row in rows}
+    assert {row[0] for row in rows} == {"refiner"}
+
+
+def test_options_of_one_component(cli):
+    shown = cli("plugins", "grid", "face").stdout
+    (row,) = [line for line in shown.splitlines() if "grid.spacing_mm" in line]
+    default = str(FaceGrid.Options().spacing_mm)
+    assert row.split()[:3] == ["grid.spacing_mm", "float", default]
+    assert "mm" in row.split(default)[1]
+    assert "no options" in cli("plugins", "refiner", "none").stdout
+
+
+def test_unknown_slot_and_component(cli):
+    assert_refused(cli("plugins", "refinr"), "'refiner'")
+    assert_refused(cli("plugins", "refiner", "ipc"), "'icp'")
+    assert_refused(cli("plugins", "refinr", "icp"), "refiner")

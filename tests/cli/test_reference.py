@@ -1,0 +1,23 @@
+"""docs/cli.md is what the program says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tactile_loc_cli.reference import INTRODUCTION, reference
+
+from tactile_loc.core.config import RunConfig, read_toml
+
+
+def test_the_page_is_up_to_date():
+    page = Path(__file__).parents[2] / "docs" / "cli.md"
+    assert page.read_text() == reference(), "run python -m tactile_loc_cli.reference"
+
+
+def test_the_configuration_on_the_page_is_valid(tmp_path):
+    toml = INTRODUCTION.split("```toml\n")[1].split("```")[0]
+    (tmp_path / "as-it-is.toml").write_text(toml)
+    assert RunConfig.from_toml(tmp_path / "as-it-is.toml").grid.options == {"spacing_mm": 2.0}
+    (tmp_path / "all.toml").write_text(toml.replace("\n# ", "\n"))
+    settings = read_toml(tmp_path / "all.toml")
+    assert RunConfig.from_dict(settings).touch.press_depth_mm == 1.5

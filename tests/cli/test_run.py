@@ -1,0 +1,142 @@
+"""`tactile-loc run`, from touch to files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_helpers import TINY, Cli, touch_depths, write_box
+from PIL import Image
+from tactile_loc_cli.tables import axis_angle
+
+from tactile_loc.core.config import RunConfig
+from tactile_loc.core.meshes import load_object
+from tactile_loc.core.poses import PoseMetric
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def result(cli: Cli, tmp_path: Path) -> dict:
+    """What `run` finds on a tiny grid."""
+    done = cli("run", *TINY, "--out", "out")
+    assert done.exit_code == 0, done.stderr
+    return {"stdout": done.stdout, "stderr": done.stderr, **json.loads((tmp_path / "out/result.json").read_text())}
+
+
+def test_without_a_touch_it_simulates_one_and_finds_it_again(cli, tmp_path):
+    done = cli("run", "-o", "grid.spacing_mm=3", "--out", "out")
+    assert done.exit_code == 0, done.stderr
+    result = json.loads((tmp_path / "out/result.json").read_text())
+    assert result["object"]["name"] == "hook"
+    assert result["touch"]["path"] is None
+    T = np.array(result["hypotheses"][0]["T_sensor_object"])
+    T_true = np.array(result["touch"]["T_sensor_object"])
+    distance = PoseMetric(load_object("hook")).symmetric_distance(T[None], T_true[None])[0]
+    assert result["errors"]["best_m"] == pytest.approx(distance)
+    assert result["errors"]["best_listed_m"] <= result["errors"]["best_m"]
+    assert distance < 3e-3  # the grid's own spacing
+
+
+def test_the_table_shows_the_pose_in_mm_and_degrees(result):
+    best = result["hypotheses"][0]
+    T = np.array(best["T_sensor_object"])
+    row = next(line for line in result["stdout"].splitlines() if line.split()[:1] == ["1"])
+    row = row.replace("(", "").replace(",", "")
+    shown = [float(word) for word in row.replace(")", "").split()]
+    assert shown[1] == pytest.approx(100 * best["probability"], abs=0.06)
+    assert shown[2:5] == pytest.approx(1e3 * T[:3, 3], abs=0.006)
+    angle_rad, axis = np.radians(shown[5]), np.array(shown[6:9])
+    K = np.cross(np.eye(3), axis)
+    R = np.eye(3) + np.sin(angle_rad) * K + (1 - np.cos(angle_rad)) * K @ K
+    assert np.abs(R - T[:3, :3]).max() < 0.01
+    assert shown[-1] == pytest.approx(1e3 * best["error_m"], abs=0.06)
+
+
+def test_it_says_how_certain_how_far_off_how_long_and_where(result):
+    for words in ("certainty: ", "error: ", "time: ", "out/result.json", "out/result.png"):
+        assert words in result["stdout"]
+    assert result["stderr"] == ""
+
+
+def test_the_picture_is_a_whole_png(result, tmp_path):
+    with Image.open(tmp_path / "out/result.png") as picture:
+        picture.load()
+        assert picture.width > 1000
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["result.json", "result.png"]
+
+
+def test_the_configuration_in_the_result_gives_the_same_result(result):
+    config = RunConfig.from_dict(result["configuration"])
+    assert config.grid.options["spacing_mm"] == 8
+    assert config.grid.options["face"] == "auto"  # a default, written out
+
+
+def test_the_same_seed_gives_the_same_answer_and_another_one_another_touch(cli, result, tmp_path):
+    again, other = (cli("run", *TINY, "--seed", seed, "--out", f"out{seed}") for seed in (0, 1))
+    assert again.exit_code == other.exit_code == 0
+    poses = [
+        json.loads((tmp_path / f"out{seed}/result.json").read_text())["touch"]["T_sensor_object"] for seed in (0, 1)
+    ]
+    assert poses[0] == result["touch"]["T_sensor_object"]
+    assert poses[1] != poses[0]
+
+
+def test_the_command_line_overrides_the_file(cli, tmp_path):
+    Path("run.toml").write_text(
+        'top = 7\n[object]\npath = "hook"\n[grid]\nname = "face"\nspacing_mm = 9\nmin_contact_percent = 3\n'
+        '[refiner]\nname = "icp"\nmax_iterations = 5\n'
+    )
+    done = cli("run", "--config", "run.toml", "--object", "pin", "--refiner", "none", "--top", 2, *TINY, "--out", "out")
+    assert done.exit_code == 0, done.stderr
+    result = json.loads((tmp_path / "out/result.json").read_text())
+    configuration = result["configuration"]
+    assert configuration["object"]["path"] == "pin"
+    assert configuration["refiner"] == {"name": "none", "options": {}}
+    assert configuration["grid"]["options"]["spacing_mm"] == 8
+    assert configuration["grid"]["options"]["min_contact_percent"] == 3
+    assert len(result["hypotheses"]) <= 2
+
+
+def test_a_touch_file_a_mesh_file_and_a_sensor_file(cli, tmp_path):
+    write_box(Path("box.obj"))
+    Path("sensor.toml").write_text((ROOT / "examples/my_sensor.toml").read_text())
+    simulated = cli("simulate", "--object", "box.obj", "--units", "mm", "--sensor", "sensor.toml", "--count", 1,
+                    "--out", "touches", *TINY)  # fmt: skip
+    assert simulated.exit_code == 0, simulated.stderr
+    done = cli("run", "--object", "box.obj", "--units", "mm", "--sensor", "sensor.toml", "--touch",
+               "touches/touch-0000.npz", "--press-depth", 1, *TINY)  # fmt: skip
+    assert done.exit_code == 0, done.stderr
+    result = json.loads((tmp_path / "tactile-loc-result/result.json").read_text())
+    assert result["touch"]["path"] == "touches/touch-0000.npz"
+    assert result["touch"]["press_depth_m"] == pytest.approx(1e-3)
+    assert result["configuration"]["sensor"] == {"name": "file", "options": {"path": "sensor.toml"}}
+    assert "in the frame of sensor" in done.stdout
+
+
+def test_without_the_true_pose_no_error_is_claimed(cli, tmp_path):
+    np.save("touch.npy", touch_depths() * 1e3)
+    done = cli("run", *TINY, "--touch", "touch.npy", "--touch-unit", "mm", "--out", "out")
+    assert done.exit_code == 0, done.stderr
+    result = json.loads((tmp_path / "out/result.json").read_text())
+    assert result["errors"] is None
+    assert "error" not in done.stdout
+
+
+def test_guesses_are_shown_as_one_line_warnings(cli):
+    write_box(Path("box.obj"), faces=10)
+    done = cli("run", *TINY, "--object", "box.obj")
+    assert done.exit_code == 0, done.stderr
+    assert all(line.startswith("warning: ") for line in done.stderr.splitlines())
+    assert any("not watertight" in line for line in done.stderr.splitlines())
+    assert any("guessed mm" in line for line in done.stderr.splitlines())
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.0, np.pi])
+def test_axis_and_angle_make_the_rotation(turn):
+    c, s = np.cos(turn), np.sin(turn)
+    angle_deg, axis = axis_angle(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
+    assert angle_deg == pytest.approx(np.degrees(turn))
+    assert np.abs(axis) == pytest.approx([0, 0, 1])

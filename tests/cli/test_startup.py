@@ -1,0 +1,28 @@
+"""The command starts at once: nothing heavy is imported before it is needed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = {"torch", "open3d", "trimesh", "scipy", "matplotlib", "numba", "numpy", "faiss", "pyrender", "PIL"}
+PROBE = """
+import json, sys
+from tactile_loc_cli.main import main
+try:
+    main()
+except SystemExit as end:
+    print(json.dumps([end.code, sorted({name.partition(".")[0] for name in sys.modules})]), file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize("line", ["--help", "run --help", "plugins", "plugins grid", "objects", "--version"])
+def test_light_commands_import_nothing_heavy(line):
+    done = subprocess.run([sys.executable, "-c", PROBE, *line.split()], capture_output=True, text=True, timeout=60)
+    code, modules = json.loads(done.stderr)
+    assert code == 0
+    assert done.stdout
+    assert HEAVY & set(modules) == set()

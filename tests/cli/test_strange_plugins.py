@@ -1,0 +1,79 @@
+"""Other people's plugins: missing libraries, failures, and two of one name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from cli_helpers import TINY, assert_one_error
+
+HOOK = """
+from tactile_loc.core.hookspecs import ComponentSpec, hookimpl
+
+@hookimpl
+def tactile_loc_components():
+    return [ComponentSpec("refiner", {name!r}, "{module}_parts:Part", "made up", {requires!r})]
+"""
+
+
+@pytest.fixture
+def install(tmp_path: Path):
+    """Install a made-up distribution into a folder for PYTHONPATH."""
+    site = tmp_path / "site"
+
+    def add(distribution: str, hook: str, parts: str = "") -> str:
+        module = distribution.replace("-", "_")
+        info = site / f"{module}-1.0.dist-info"
+        info.mkdir(parents=True)
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[tactile_loc]\n{distribution} = {module}\n")
+        (site / f"{module}.py").write_text(hook)
+        (site / f"{module}_parts.py").write_text(parts)
+        return str(site)
+
+    return add
+
+
+def hook(name: str, module: str, requires: str = "") -> str:
+    return HOOK.format(name=name, module=module, requires=requires)
+
+
+def test_a_missing_library_says_what_to_install(install, run_process):
+    site = install("far-away", hook("far", "far_away", "faraway-lib"), "import faraway")
+    assert "refiner   far " in run_process("plugins", PYTHONPATH=site).stdout
+    done = run_process("run", *TINY, "--refiner", "far", PYTHONPATH=site)
+    assert_one_error(done.stderr, done.returncode, "'far'", "faraway", "pip install faraway-lib")
+
+
+def test_a_plugin_that_raises_hurts_nobody_until_it_is_chosen(install, run_process):
+    site = install("broken-one", "raise RuntimeError('out of order')")
+    listed = run_process("plugins", PYTHONPATH=site)
+    assert listed.returncode == 0
+    assert "icp" in listed.stdout
+    (line,) = [line for line in listed.stdout.splitlines() if "broken-one" in line]
+    assert "RuntimeError: out of order" in line
+    done = run_process("run", *TINY, "--refiner", "broken", PYTHONPATH=site)
+    assert_one_error(done.stderr, done.returncode, "'broken'", "out of order")
+
+
+def test_a_component_that_raises_on_import(install, run_process):
+    site = install("half-broken", hook("half", "half_broken"), "1 / 0")
+    done = run_process("run", *TINY, "--refiner", "half", PYTHONPATH=site)
+    assert_one_error(done.stderr, done.returncode, "'half'", "half-broken", "ZeroDivisionError")
+
+
+def test_two_components_of_one_name_name_both_distributions(install, run_process):
+    install("first-twin", hook("twin", "first_twin"), "")
+    site = install("second-twin", hook("twin", "second_twin"), "")
+    done = run_process("run", *TINY, "--refiner", "twin", PYTHONPATH=site)
+    assert_one_error(done.stderr, done.returncode, "first-twin", "second-twin")
+    listed = run_process("plugins", PYTHONPATH=site)
+    assert "conflict: the refiner 'twin' is offered by first-twin and second-twin" in listed.stdout
+    alone = run_process("plugins", "refiner", PYTHONPATH=site, TACTILE_LOC_PLUGINS="first-twin")
+    assert "first-twin" in alone.stdout
+    assert "second-twin" not in alone.stdout
+
+
+def test_without_egl_pyrender_says_what_to_do(run_process):
+    done = run_process("run", *TINY, "--renderer", "pyrender", "--out", "out", PYOPENGL_PLATFORM="no-such-platform")
+    assert_one_error(done.stderr, done.returncode, "pyrender", "--renderer heightmap")
