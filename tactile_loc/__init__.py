@@ -48,6 +48,7 @@ _HOMES = {
 _MODULE_OF = {name: f"tactile_loc.core.{module}" for module, names in _HOMES.items() for name in names}
 
 __version__ = version("tactile-loc")
+__all__ = sorted(_MODULE_OF)
 
 
 def __getattr__(name: str) -> Any:

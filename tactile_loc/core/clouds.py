@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.sensing import ContactShape, SensorGeometry
 
 Points = NDArray[np.float64]
+OUTLINE_PX = 1.5  # standard deviation of the smoothing across which an outline's direction is measured
 SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))  # row and column steps to a pixel's neighbours
 
 
@@ -91,22 +92,17 @@ def _wall_cloud(
 
 
 def _outline_directions(contact: NDArray[np.bool_], observed: NDArray[np.bool_]) -> Points:
-    """Unit directions (H, W, 3) across the outline, out of contact: the slope of the mask averaged over 5 x 5 pixels.
+    """Unit directions (H, W, 3) across the outline, out of contact: the slope of the mask, smoothed over a few pixels.
 
-    Averaging undoes the stairs that pixels make of an oblique edge. Unobserved pixels count as half in contact.
+    Smoothing undoes the stairs that pixels make of an oblique edge. Unobserved pixels count as half in contact.
     """
+    from scipy.ndimage import gaussian_filter
+
     mask = np.where(observed, contact, 0.5)
-    slope = np.stack([-_difference_of_boxes(mask, axis=1), -_difference_of_boxes(mask, axis=0)], axis=-1)
+    across, down = (-gaussian_filter(mask, OUTLINE_PX, order=o, mode="nearest", truncate=2.5) for o in ((0, 1), (1, 0)))
+    slope = np.stack([across, down, np.zeros_like(mask)], axis=-1)
     length = np.linalg.norm(slope, axis=-1, keepdims=True)
-    return np.concatenate([slope / np.where(length > 0, length, 1.0), np.zeros((*mask.shape, 1))], axis=-1)
-
-
-def _difference_of_boxes(mask: Points, axis: int) -> Points:
-    """Mean of the 5 x 2 pixels ahead less those behind, along an axis of the mask (H, W)."""
-    from scipy.ndimage import correlate1d
-
-    across = correlate1d(mask, np.full(5, 0.2), axis=1 - axis, mode="nearest")
-    return correlate1d(across, np.array([-0.5, -0.5, 0.0, 0.5, 0.5]), axis=axis, mode="nearest")
+    return slope / np.where(length > 0, length, 1.0)
 
 
 def _shifted(mask: NDArray[np.bool_], rows: int, columns: int) -> NDArray[np.bool_]:

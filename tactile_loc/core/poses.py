@@ -101,7 +101,7 @@ class PoseGrid:
 
     def within(self, radius_m: float, index: int) -> NDArray[np.int64]:
         """Return the indices (K,) of poses within `radius_m` metres of grid pose `index`, symmetry regarded."""
-        same = self.metric.equivalents(self.T_sensor_object[index : index + 1], step_m=radius_m)[:, 0]
+        same = self.metric.equivalents(self.T_sensor_object[index : index + 1], step_m=0.5 * radius_m)[:, 0]
         found = self._tree.query_ball_point(self.metric.embed(same), radius_m)
         return np.unique(np.concatenate([np.asarray(f, np.int64) for f in found]))
 

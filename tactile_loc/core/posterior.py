@@ -70,19 +70,18 @@ class PosePosterior:
     def modes(self, radius_m: float, count: int = 10, mass: float = 0.99) -> list[Mode]:
         """Cluster the posterior into at most `count` distinct hypotheses, the heaviest first.
 
-        The most probable pose takes all unclaimed poses that hang together with it in steps of at most `radius_m`
-        metres (symmetry regarded); then the next, until `mass` of the probability is claimed.
+        A mode is a peak and all poses from which steps uphill, each to the most probable pose within `radius_m` metres
+        (symmetry regarded), lead to it: quick shift (Vedaldi and Soatto, ECCV 2008). The least probable poses, beyond
+        `mass` of the probability or MOST_CLUSTERED in number, belong to none.
         """
-        from scipy.sparse.csgraph import connected_components
-
         p = self.probabilities
         order = self.top(len(p))
         enough = int(np.searchsorted(np.cumsum(p[order]), mass)) + 1
         core = order[: min(enough, MOST_CLUSTERED)]
-        labels = connected_components(_adjacency(self.grid, core, radius_m), directed=False)[1]
+        peaks = _uphill(self.grid, core, radius_m)
         modes = []
-        for label in range(labels.max() + 1):
-            members = core[labels == label]
+        for peak in np.unique(peaks):
+            members = core[peaks == peak]
             modes.append(Mode(int(members[0]), float(p[members].sum()), self.grid.T_sensor_object[members[0]], members))
         return sorted(modes, key=lambda m: (-m.probability, m.index))[:count]
 
@@ -90,17 +89,16 @@ class PosePosterior:
 MOST_CLUSTERED = 2000
 
 
-def _adjacency(grid: PoseGrid, subset: NDArray[np.int64], radius_m: float):  # type: ignore[no-untyped-def]
-    """Sparse graph over `subset` (K,) of the grid: an edge where two poses are within `radius_m` metres."""
-    from scipy.sparse import coo_matrix
+def _uphill(grid: PoseGrid, ordered: NDArray[np.int64], radius_m: float) -> NDArray[np.int64]:
+    """Return the place (K,) of each one's peak among the grid indices `ordered` (K,), most probable first; metres."""
     from scipy.spatial import cKDTree
 
-    tree = cKDTree(grid.phi[subset])
-    same = grid.metric.embed(grid.metric.equivalents(grid.T_sensor_object[subset], radius_m))
-    rows, columns = [], []
-    for row, equivalents in enumerate(np.swapaxes(same, 0, 1)):
-        near = np.unique(np.concatenate(tree.query_ball_point(equivalents, radius_m)).astype(np.int64))
-        rows.append(np.full(len(near), row))
-        columns.append(near)
-    i, j = np.concatenate(rows), np.concatenate(columns)
-    return coo_matrix((np.ones(len(i)), (i, j)), shape=(len(subset), len(subset)))
+    tree = cKDTree(grid.phi[ordered])
+    same = grid.metric.embed(grid.metric.equivalents(grid.T_sensor_object[ordered], 0.5 * radius_m))
+    parent = np.arange(len(ordered))
+    for equivalents in same:
+        for place, near in enumerate(tree.query_ball_point(equivalents, radius_m)):
+            parent[place] = min([parent[place], *near])
+    while (parent != parent[parent]).any():
+        parent = parent[parent]
+    return parent

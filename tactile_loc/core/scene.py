@@ -33,7 +33,9 @@ class Scene:
     def contact_depths(self, T_sensor_object: Poses, press_depth_m: float | None = None) -> NDArray[np.float32]:
         """Render contact depths (N, H, W) in metres of poses (N, 4, 4) that are in contact already."""
         depth = self.renderer.render(self.object.mesh, T_sensor_object, self.geometry)
-        return contact_depth(depth, self.geometry, press_depth_m or self.geometry.max_depth_m)
+        return contact_depth(
+            depth, self.geometry, self.geometry.max_depth_m if press_depth_m is None else press_depth_m
+        )
 
     def contact_shape(self, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> ContactShape:
         """Render the contact shape of one pose (4, 4), brought to contact, at a press depth in metres."""
@@ -49,5 +51,4 @@ class Scene:
         step = max(1, round(max(touch.geometry.shape) / OVERLAP_PX))
         geometry = touch.geometry.every(step)
         made = dataclasses.replace(self, geometry=geometry).contact_shape(T_sensor_object, touch.press_depth_m)
-        ours, theirs = (s.contact & geometry.observed_mask for s in (made, touch.contact_shape.every(step)))
-        return float((ours & theirs).sum() / max(1, (ours | theirs).sum()))
+        return made.overlap(touch.contact_shape.every(step), geometry.observed_mask)

@@ -17,7 +17,7 @@ def test_the_page_is_up_to_date():
 def test_the_configuration_on_the_page_is_valid(tmp_path):
     toml = INTRODUCTION.split("```toml\n")[1].split("```")[0]
     (tmp_path / "as-it-is.toml").write_text(toml)
-    assert RunConfig.from_toml(tmp_path / "as-it-is.toml").grid.options == {"spacing_mm": 2.0}
+    assert RunConfig.from_toml(tmp_path / "as-it-is.toml").grid.options == {"spacing_mm": 3.0}
     (tmp_path / "all.toml").write_text(toml.replace("\n# ", "\n"))
     settings = read_toml(tmp_path / "all.toml")
     assert RunConfig.from_dict(settings).touch.press_depth_mm == 1.5

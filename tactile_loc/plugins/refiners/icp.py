@@ -17,6 +17,7 @@ from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
 BURST = 8  # iterations between looks at whether the pose still moves
 SETTLED = 1e-4  # radians and mm
 DECIMALS = 7  # of radians and mm
+ROUGHLY = 0.02  # overlaps are counted in pixels: a loss this small is none
 MILLI = 1e3  # clouds are registered in mm: open3d's thresholds suit numbers near one
 
 
@@ -39,25 +40,44 @@ class IcpRefiner(Refiner):
         walls: bool = Field(default=True, description="let the outline's walls take part, not the surface alone")
 
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
-        """Move the candidate (4, 4), metres, by the transform that registers its contact cloud to the touch's."""
-        options = self.options
-        step = max(1, round(max(touch.geometry.shape) / options.image_px))
+        """Move the candidate (4, 4), metres, by the transform that registers its contact cloud to the touch's.
+
+        A registration whose own contact overlaps the touch's less than the candidate's is not returned.
+        """
+        step = max(1, round(max(touch.geometry.shape) / self.options.image_px))
         thinned = dataclasses.replace(scene, geometry=touch.geometry.every(step))
-        seen = thinned.contact_shape(candidate.T_sensor_object, touch.press_depth_m)
-        source, _ = self._cloud(seen, thinned.geometry, options.moving_points)
-        target, normals = self._cloud(touch.contact_shape.every(step), thinned.geometry, options.fixed_points)
+        seen, wanted = (
+            thinned.contact_shape(candidate.T_sensor_object, touch.press_depth_m),
+            touch.contact_shape.every(step),
+        )
+        before = seen.overlap(wanted, thinned.geometry.observed_mask)
+        T, converged, iterations = self._register_clouds(seen, wanted, thinned.geometry)
+        if T is not None:
+            refined = T @ candidate.T_sensor_object
+            after = scene.overlap(refined, touch)
+            if after >= before - ROUGHLY:
+                return RefinedPose(refined, after, converged, iterations)
+        return RefinedPose(candidate.T_sensor_object.copy(), before, converged=False, iterations=iterations)
+
+    def _register_clouds(
+        self, seen: ContactShape, wanted: ContactShape, geometry: SensorGeometry
+    ) -> tuple[NDArray[np.float64] | None, bool, int]:
+        """Return the transform (4, 4), metres, from what a pose shows to what is wanted (None: no pairs), whether it
+        converged, and the iterations."""
+        options = self.options
+        source, _ = self._cloud(seen, geometry, options.moving_points)
+        target, normals = self._cloud(wanted, geometry, options.fixed_points)
         if len(source) < 3 or len(target) < 3:
-            return RefinedPose(candidate.T_sensor_object.copy(), fitness=0.0, converged=False, iterations=0)
+            return None, False, 0
         moving, fixed = _point_cloud(source), _point_cloud(target, normals)
-        T, iterations = np.eye(4), 0
+        T, found, converged, iterations = np.eye(4), False, False, 0
         for reach_mm in (options.wide_mm, options.narrow_mm):
-            T, steps, matched, converged = _register(moving, fixed, reach_mm, T, options.max_iterations)
+            T_new, steps, share, settled = _register(moving, fixed, reach_mm, T, options.max_iterations)
             iterations += steps
+            if share > 0 and np.isfinite(T_new).all():  # a pass that finds no pairs in its reach has nothing to say
+                T, found, converged = T_new, True, settled
         T[:3, 3] /= MILLI
-        if matched == 0.0 or not np.isfinite(T).all():
-            return RefinedPose(candidate.T_sensor_object.copy(), fitness=0.0, converged=False, iterations=iterations)
-        refined = _orthonormal(T) @ candidate.T_sensor_object
-        return RefinedPose(refined, scene.overlap(refined, touch), converged, iterations)
+        return (_orthonormal(T) if found else None), converged, iterations
 
     def _cloud(
         self, shape: ContactShape, geometry: SensorGeometry, most: int

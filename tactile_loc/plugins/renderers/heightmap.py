@@ -96,6 +96,7 @@ def _footprints(
     turned = rotations[:, :2] @ mesh.vertices_m.T
     corner = np.maximum(np.minimum.reduceat(view_low - t_m[:, :2], starts[:-1]), turned.min(axis=2)) - 2 * cell
     end = np.minimum(np.maximum.reduceat(view_high - t_m[:, :2], starts[:-1]), turned.max(axis=2)) + 2 * cell
+    corner = np.floor(corner / cell) * cell  # cells are the same whatever poses are drawn together
     columns, rows = np.maximum(np.ceil((end - corner).max(axis=0) / cell).astype(int) + 1, 1)
     tile = kernels.COARSE
     return corner, (int(-(-rows // tile) * tile), int(-(-columns // tile) * tile))

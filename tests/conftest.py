@@ -1,0 +1,82 @@
+"""What many tests share: small surfaces whose numbers are known, cameras, a store, and where larger data would be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_loc.core.objects import ObjectModel, TriangleMesh
+from tactile_loc.core.scene import Scene
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.store import StageStore
+from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
+
+SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
+
+MakeObject = Callable[..., ObjectModel]
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of larger meshes and real touches, which are not part of the project."""
+    if not SHARED_DATA.is_dir():
+        pytest.skip(f"there is no {SHARED_DATA}: it holds meshes and touches that are not part of the project")
+    return SHARED_DATA
+
+
+@pytest.fixture(scope="session")
+def store(tmp_path_factory: pytest.TempPathFactory) -> StageStore:
+    """One stage store for the whole session, so that models are built once."""
+    return StageStore(tmp_path_factory.mktemp("store"))
+
+
+@pytest.fixture(scope="session")
+def make_object() -> MakeObject:
+    """Make an ObjectModel of a trimesh in metres: `make_object(solid, symmetry="none", name="part")`."""
+
+    def make(solid: trimesh.Trimesh, symmetry: str = "none", name: str = "part") -> ObjectModel:
+        mesh = TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
+        return ObjectModel(name, mesh, SymmetryGroup.parse(symmetry, mesh.centroid_m))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def make_box(make_object: MakeObject) -> MakeObject:
+    """Make a box of the given sides in metres, its centre at the origin."""
+    return lambda *sides_m, symmetry="none": make_object(trimesh.creation.box(sides_m), symmetry, "box")
+
+
+@pytest.fixture(scope="session")
+def box(make_box: MakeObject) -> ObjectModel:
+    """A box of 30 x 20 x 12 mm without declared symmetry."""
+    return make_box(0.030, 0.020, 0.012)
+
+
+@pytest.fixture(scope="session")
+def cylinder(make_object: MakeObject) -> ObjectModel:
+    """A cylinder about z, 8 mm in radius and 30 mm long, declared as turned and flipped about x."""
+    return make_object(trimesh.creation.cylinder(0.008, 0.030, sections=64), "zinf*x2", "cylinder")
+
+
+@pytest.fixture(scope="session")
+def flat_camera() -> SensorGeometry:
+    """Orthographic, 60 x 44 pixels, off centre: x in [-11.6, 12.4], y in [-8.4, 9.2] mm."""
+    return SensorGeometry("orthographic", 60, 44, 2500.0, 2500.0, 29.0, 21.0, 0.010, 0.002)
+
+
+@pytest.fixture(scope="session")
+def pinhole() -> SensorGeometry:
+    """A pinhole with more columns than rows and unequal focal lengths; about 38 x 30 mm on the surface."""
+    return SensorGeometry("pinhole", 64, 48, 42.0, 40.0, 31.0, 25.0, 0.025, 0.002)
+
+
+@pytest.fixture(scope="session")
+def make_scene() -> Callable[[ObjectModel, SensorGeometry], Scene]:
+    """Make a scene rendered by the height map renderer."""
+    return lambda obj, geometry: Scene(obj, geometry, HeightmapRenderer())

@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tactile_loc.core.geometry import (
+    align_to_z,
+    invert,
+    is_rigid,
+    make_transform,
+    quaternion_to_rotation,
+    random_rotations,
+    rotation_about,
+    rotation_angle,
+    rotation_to_quaternion,
+    transform_points,
+    translation,
+)
+
+
+@pytest.fixture
+def transforms() -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return make_transform(random_rotations(6, rng).reshape(2, 3, 3, 3), rng.normal(size=(2, 3, 3)))
+
+
+def test_transform_is_rotation_then_translation():
+    R, t = rotation_about([0, 0, 1], np.pi / 2), [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(make_transform(R, t) @ [1, 0, 0, 1], [1, 3, 3, 1], atol=1e-15)
+    np.testing.assert_allclose(translation(t) @ [1, 0, 0, 1], [2, 2, 3, 1])
+
+
+def test_make_transform_broadcasts_either_part():
+    assert make_transform(np.eye(3), np.zeros((4, 5, 3))).shape == (4, 5, 4, 4)
+    assert make_transform(np.zeros((4, 1, 3, 3)), np.zeros((5, 3))).shape == (4, 5, 4, 4)
+
+
+def test_invert_undoes(transforms):
+    np.testing.assert_allclose(invert(transforms) @ transforms, np.broadcast_to(np.eye(4), (2, 3, 4, 4)), atol=1e-12)
+    np.testing.assert_allclose(invert(transforms), np.linalg.inv(transforms), atol=1e-12)
+
+
+def test_transform_points_is_the_homogeneous_product(transforms):
+    points = np.random.default_rng(1).normal(size=(7, 3))
+    homogeneous = np.column_stack([points, np.ones(7)])
+    expected = np.einsum("abij,pj->abpi", transforms, homogeneous)[..., :3]
+    np.testing.assert_allclose(transform_points(transforms, points), expected, atol=1e-12)
+    assert transform_points(transforms[0, 0], points).shape == (7, 3)
+
+
+def test_rotation_about_agrees_with_scipy_for_any_length_of_axis():
+    axis, angles = np.array([0.3, -2.0, 0.9]), np.array([[-3.0, 0.0], [0.4, 7.0]])
+    unit = axis / np.linalg.norm(axis)
+    expected = Rotation.from_rotvec(angles.reshape(-1, 1) * unit).as_matrix().reshape(2, 2, 3, 3)
+    np.testing.assert_allclose(rotation_about(axis, angles), expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 1e-9, 1e-4, 1.0, np.pi - 1e-7, np.pi])
+def test_rotation_angle_is_accurate_at_both_ends(angle_rad):
+    assert rotation_angle(rotation_about([1.0, 2.0, -1.0], angle_rad)) == pytest.approx(angle_rad, rel=1e-6, abs=1e-15)
+
+
+def test_rotation_angle_does_not_know_a_sign():
+    angles = np.array([-1.0, 2.0, 4.0])
+    np.testing.assert_allclose(rotation_angle(rotation_about([0, 1, 0], angles)), [1.0, 2.0, 2 * np.pi - 4.0])
+
+
+@pytest.mark.parametrize("direction", [[0, 0, 1], [0, 0, -2], [1, 0, 0], [1e-9, 0, -1], [-0.3, 0.8, -0.1]])
+def test_align_to_z_turns_onto_z_by_the_smallest_angle(direction):
+    d = np.array(direction) / np.linalg.norm(direction)
+    R = align_to_z(direction)
+    assert is_rigid(make_transform(R, np.zeros(3)))
+    np.testing.assert_allclose(R @ d, [0, 0, 1], atol=1e-9)
+    assert rotation_angle(R) == pytest.approx(np.arccos(d[2]), abs=1e-7)
+
+
+def test_quaternions_agree_with_scipy_and_come_back():
+    R = random_rotations(50, np.random.default_rng(2)).reshape(5, 10, 3, 3)
+    q = rotation_to_quaternion(R)
+    assert q.shape == (5, 10, 4)
+    assert (q[..., 0] >= 0).all()
+    np.testing.assert_allclose(np.linalg.norm(q, axis=-1), 1.0)
+    np.testing.assert_allclose(quaternion_to_rotation(q), R, atol=1e-12)
+    np.testing.assert_allclose(
+        quaternion_to_rotation([0.5**0.5, 0, 0, 0.5**0.5]), rotation_about([0, 0, 1], np.pi / 2), atol=1e-15
+    )
+
+
+def test_random_rotations_are_uniform():
+    R = random_rotations(20_000, np.random.default_rng(3))
+    assert is_rigid(make_transform(R, np.zeros(3)))
+    np.testing.assert_allclose(R.mean(axis=0), 0, atol=0.02)  # every axis goes everywhere
+    angle = rotation_angle(R)
+    # Haar measure: the angle's distribution function is (theta - sin theta) / pi.
+    for theta in (0.5, 1.5, 2.5):
+        assert (angle < theta).mean() == pytest.approx((theta - np.sin(theta)) / np.pi, abs=0.01)
+
+
+def test_random_rotations_follow_their_generator():
+    same = [random_rotations(3, np.random.default_rng(4)) for _ in range(2)]
+    assert np.array_equal(*same)
+    assert not np.allclose(same[0], random_rotations(3, np.random.default_rng(5)))
+
+
+def spoilt(T: np.ndarray, row: int, column: int, value: float) -> np.ndarray:
+    T = T.copy()
+    T[1, row, column] = value
+    return T
+
+
+def test_is_rigid_refuses_what_is_not():
+    T = make_transform(random_rotations(3, np.random.default_rng(6)), np.zeros(3))
+    assert is_rigid(T)
+    assert is_rigid(T[0])
+    assert not is_rigid(spoilt(T, 0, 0, T[1, 0, 0] + 1e-3))
+    assert not is_rigid(spoilt(T, 0, 3, np.nan))
+    assert not is_rigid(spoilt(T, 0, 3, np.inf))
+    assert not is_rigid(spoilt(T, 3, 0, 0.1))
+    assert not is_rigid(T @ np.diag([1.0, 1.0, -1.0, 1.0])), "a mirror"
+    assert not is_rigid(T @ np.diag([1.1, 1.1, 1.1, 1.0])), "a scale"

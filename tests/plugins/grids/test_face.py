@@ -1,0 +1,143 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.geometry import is_rigid, rotation_about, rotation_angle
+from tactile_loc.core.meshes import load_object
+from tactile_loc.core.objects import ObjectModel, TriangleMesh
+from tactile_loc.core.poses import PoseGrid, PoseMetric
+from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.plugins.grids.face import SIDES, FaceGrid, resting_normal, turns_alike
+
+
+def face(side: str = "auto", **options) -> FaceGrid:
+    return FaceGrid(FaceGrid.Options(face=side, **options))
+
+
+def wedge_shaped(make_object, shift_m) -> ObjectModel:
+    """A box whose origin is elsewhere: which face is nearest is to be told from its centroid."""
+    return make_object(trimesh.creation.box([0.03, 0.02, 0.012]).apply_translation(shift_m))
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_the_named_side_points_into_the_sensor(pinhole, box, side):
+    normal = {"x": [1, 0, 0], "y": [0, 1, 0], "z": [0, 0, 1]}[side[1]]
+    R = face(side).sample(box, pinhole, 0.01)[:, :3, :3]
+    outward = R @ np.array(normal, float) * (1 if side[0] == "+" else -1)
+    np.testing.assert_allclose(outward, np.broadcast_to([0, 0, -1.0], outward.shape), atol=1e-12)
+
+
+@pytest.mark.parametrize("shift_m", [(0, 0, 0), (0.2, -0.1, 0.05)])
+def test_auto_is_the_face_nearest_to_the_centroid(pinhole, make_object, shift_m):
+    """Of a 30 x 20 x 12 mm box one of the largest two; of these equals, that of the greater normal."""
+    obj = wedge_shaped(make_object, shift_m)
+    np.testing.assert_allclose(resting_normal(obj.mesh.vertices_m, obj.mesh.centroid_m), [0, 0, 1], atol=1e-9)
+    assert np.array_equal(face("auto").sample(obj, pinhole, 0.01), face("+z").sample(obj, pinhole, 0.01))
+
+
+def test_auto_of_a_tetrahedron_is_its_side_nearest_the_centroid():
+    vertices = np.array([[0, 0, 0], [0.05, 0, 0], [0, 0.04, 0], [0, 0, 0.02]])
+    normals = np.array([[0, 0, -1.0], [0, -1, 0], [-1, 0, 0], [1 / 0.05, 1 / 0.04, 1 / 0.02]])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    mesh = TriangleMesh(vertices, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
+    corner = vertices[[0, 0, 0, 1]]
+    distances = np.einsum("nk,nk->n", normals, corner - mesh.centroid_m)
+    assert (distances > 0).all()
+    found = resting_normal(mesh.vertices_m, mesh.centroid_m)
+    np.testing.assert_allclose(found, normals[distances.argmin()], atol=1e-9)
+
+
+def test_auto_turns_with_the_object(box):
+    R = rotation_about([1, 2, 3], 0.8)
+    found = resting_normal(box.mesh.vertices_m @ R.T, box.mesh.centroid_m)
+    assert abs(found @ R @ [0, 0, 1]) == pytest.approx(1.0)
+
+
+def test_a_flat_object_has_no_resting_face(pinhole):
+    sheet = TriangleMesh(np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.02, 0.0]]), np.array([[0, 1, 2]]))
+    obj = ObjectModel("sheet", sheet, SymmetryGroup.parse("none", np.zeros(3)))
+    with pytest.raises(GridError, match="flat, so it has no resting face"):
+        face("auto").sample(obj, pinhole, 0.01)
+    assert len(face("+z").sample(obj, pinhole, 0.01)) > 0
+
+
+def test_an_unknown_face_is_refused(pinhole, box):
+    with pytest.raises(GridError, match=r"no face 'top'; give one of \+x, -x"):
+        face("top").sample(box, pinhole, 0.01)
+
+
+@pytest.mark.parametrize("spacing_m", [0.003, 0.006])
+def test_neighbours_are_a_spacing_apart(pinhole, box, spacing_m):
+    T = face("+z").sample(box, pinhole, spacing_m)
+    spacing = PoseGrid(T, PoseMetric(box)).neighbour_spacing()
+    assert spacing.mean() == pytest.approx(spacing_m, rel=0.15), "a whole number of yaws goes round"
+    assert spacing.max() <= spacing_m * (1 + 1e-9), "the lattice's own pitch"
+    yaws = np.unique(np.arctan2(T[:, 1, 0], T[:, 0, 0]).round(9))
+    lever_m = np.sqrt(np.trace(box.mesh.covariance_m2[:2, :2]))
+    assert 2 * np.pi * lever_m / len(yaws) == pytest.approx(spacing_m, rel=0.15)
+
+
+def test_the_lattice_covers_all_places_where_the_object_can_be_over_the_sensor(flat_camera, box):
+    T = face("+z").sample(box, flat_camera, 0.004)
+    straight = T[np.isclose(T[:, 0, 0], 1.0)]
+    x0, x1, y0, y1 = flat_camera.rectangle
+    low, high = straight[:, :2, 3].min(axis=0), straight[:, :2, 3].max(axis=0)
+    np.testing.assert_allclose([low[0], high[0]], [x0 - 0.015, x1 + 0.015], atol=0.002 + 1e-9)
+    np.testing.assert_allclose([low[1], high[1]], [y0 - 0.010, y1 + 0.010], atol=0.002 + 1e-9)
+
+
+def test_tilts_are_about_the_sensors_axes_and_no_larger_than_asked(pinhole, box):
+    flat = face("+z").sample(box, pinhole, 0.01)
+    T = face("+z", tilt_deg=8.0, tilt_steps=3).sample(box, pinhole, 0.01)
+    assert is_rigid(T)
+    normal = T[:, :3, :3] @ [0, 0, 1]
+    # A tilt about x moves the normal along y, one about y along x: each is -8, 0 or 8 degrees.
+    about_y = np.degrees(np.arcsin(-normal[:, 0]))
+    about_x = np.degrees(np.arctan2(normal[:, 1], -normal[:, 2]))
+    assert set(about_x.round(6) + 0.0) == set(about_y.round(6) + 0.0) == {-8.0, 0.0, 8.0}
+    assert 8 * len(flat) < len(T) < 11 * len(flat)
+
+
+def test_random_tilts_are_within_the_limit_and_uniform(pinhole, box):
+    T = face("+z", tilt_deg=8.0).random(box, pinhole, 4000, np.random.default_rng(0))
+    normal = T[:, :3, :3] @ [0, 0, 1]
+    for tilt in (np.degrees(np.arcsin(normal[:, 0])), np.degrees(np.arctan2(normal[:, 1], -normal[:, 2]))):
+        assert np.abs(tilt).max() <= 8.0
+        assert tilt.std() == pytest.approx(16 / np.sqrt(12), rel=0.05)
+
+
+def test_random_poses_fill_the_same_set(pinhole, box):
+    T = face("-x").random(box, pinhole, 4000, np.random.default_rng(1))
+    np.testing.assert_allclose(T[:, :3, :3] @ [-1, 0, 0], np.broadcast_to([0, 0, -1.0], (4000, 3)), atol=1e-12)
+    grid = face("-x").sample(box, pinhole, 0.004)
+    gap = PoseGrid(grid, PoseMetric(box)).nearest(T)[0]
+    assert gap.max() < 1.2 * 0.004
+    steps = rotation_angle(T[1:, :3, :3] @ T[0, :3, :3].T)
+    assert steps.mean() == pytest.approx(np.pi / 2, rel=0.05), "every yaw is as likely"
+
+
+def test_symmetric_yaws_coincide(pinhole, make_box, make_object):
+    """Otherwise equivalent poses interleave, and none of them is a duplicate that could be removed."""
+    for obj, order in (
+        (make_box(0.03, 0.02, 0.012, symmetry="x2*y2"), 2),
+        (make_object(trimesh.creation.cylinder(0.012, 0.01, sections=6), "z6"), 6),
+    ):
+        for spacing_m in np.linspace(0.003, 0.006, 7):
+            yaws = len(np.unique(face("+z").sample(obj, pinhole, spacing_m)[:, :2, :2].reshape(-1, 4).round(9), axis=0))
+            assert yaws % order == 0
+
+
+@pytest.mark.parametrize(("symmetry", "normal", "turns"), [
+    ("none", [0, 0, 1], 1), ("z6", [0, 0, 1], 6), ("z6", [0, 0, -1], 6), ("z6", [1, 0, 0], 1), ("z6*x2", [0, 0, 1], 6),
+    ("z6*x2", [1, 0, 0], 2), ("zinf", [0, 0, 1], 1), ("zinf", [1, 0, 0], 1), ("zinf*x2", [0.6, 0.8, 0], 2),
+])  # fmt: skip
+def test_turns_that_look_alike(symmetry, normal, turns):
+    assert turns_alike(SymmetryGroup.parse(symmetry, np.zeros(3)), np.array(normal, float)) == turns
+
+
+def test_same_seed_same_poses(pinhole):
+    hook = load_object("hook")
+    assert np.array_equal(*(face().random(hook, pinhole, 5, np.random.default_rng(2)) for _ in range(2)))

@@ -1,0 +1,122 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.meshes import load_object
+from tactile_loc.core.model import build_bank, build_model
+from tactile_loc.core.progress import Progress
+from tactile_loc.core.scene import Scene
+from tactile_loc.core.simulation import simulate_touches
+from tactile_loc.plugins.encoders.pixel import PixelEncoder
+from tactile_loc.plugins.grids.face import FaceGrid
+from tactile_loc.plugins.matchers.dense import DenseMatcher
+from tactile_loc.plugins.matchers.faiss import FaissMatcher
+from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
+
+
+def brute_force(queries: np.ndarray, bank: np.ndarray) -> np.ndarray:
+    q, b = queries.astype(float), bank.astype(float)
+    return -0.5 * ((q[:, None] - b[None]) ** 2).sum(axis=-1)
+
+
+@pytest.fixture(scope="module")
+def random_bank() -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(0)
+    return rng.normal(size=(9, 24)).astype(np.float32), rng.normal(size=(500, 24)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def real_bank(store, pinhole) -> tuple[np.ndarray, np.ndarray]:
+    """Queries of simulated touches, and the bank of the demo pin."""
+    scene, sampler = Scene(load_object("pin"), pinhole, HeightmapRenderer()), FaceGrid(FaceGrid.Options(spacing_mm=4.0))
+    bank = build_bank(build_model(scene, sampler, store, Progress()), scene, PixelEncoder(), 0.002, store, Progress())
+    touches = simulate_touches(sampler, scene, 100, np.random.default_rng(1))
+    depths = np.stack([t.contact_shape.depth_m for t in touches])
+    return PixelEncoder().encode(depths, 0.002, pinhole), bank
+
+
+def matcher_of(bank: np.ndarray, **options) -> FaissMatcher:
+    matcher = FaissMatcher(FaissMatcher.Options(**options))
+    matcher.index(bank)
+    return matcher
+
+
+def dense_of(bank: np.ndarray) -> DenseMatcher:
+    matcher = DenseMatcher()
+    matcher.index(bank)
+    return matcher
+
+
+def test_dense_is_brute_force(random_bank, real_bank):
+    for queries, bank in (random_bank, real_bank):
+        scores = dense_of(bank).scores(queries)
+        assert scores.shape == (len(queries), len(bank))
+        np.testing.assert_allclose(scores, brute_force(queries, bank), atol=1e-4, rtol=1e-4)
+
+
+def test_a_score_of_unit_vectors_is_the_cosine_minus_one(random_bank):
+    queries, bank = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in random_bank)
+    np.testing.assert_allclose(dense_of(bank).scores(queries), queries @ bank.T - 1, atol=1e-6)
+
+
+def test_a_row_matches_itself_best(real_bank):
+    _, bank = real_bank
+    scores = dense_of(bank).scores(bank[::50])
+    np.testing.assert_allclose(scores[np.arange(len(scores)), np.arange(len(scores)) * 50], 0, atol=1e-5)
+    np.testing.assert_allclose(scores.max(axis=1), 0, atol=1e-5)
+
+
+def test_dense_does_not_change_with_its_batch(random_bank):
+    queries, bank = random_bank
+    matcher = dense_of(bank)
+    np.testing.assert_allclose(matcher.scores(queries[3:4])[0], matcher.scores(queries)[3], atol=1e-5)
+
+
+def test_dense_takes_any_memory_layout_and_keeps_the_bank(random_bank):
+    queries, bank = random_bank
+    before = bank.copy()
+    fortran = dense_of(np.asfortranarray(bank).astype(np.float64)).scores(queries)
+    np.testing.assert_allclose(fortran, dense_of(bank).scores(queries), atol=1e-5)
+    assert np.array_equal(bank, before)
+
+
+def test_faiss_flat_is_dense_on_its_top(real_bank):
+    queries, bank = real_bank
+    exact, found = dense_of(bank).scores(queries), matcher_of(bank, top_k=50).scores(queries)
+    assert (np.isfinite(found).sum(axis=1) == 50).all()
+    for row, scores in zip(exact, found, strict=True):
+        kept = np.isfinite(scores)
+        np.testing.assert_allclose(scores[kept], row[kept], atol=1e-5)
+        assert row[kept].min() >= row[~kept].max() - 1e-5, "nothing better was left out"
+
+
+def test_faiss_takes_a_bank_smaller_than_its_top(random_bank):
+    queries, bank = random_bank
+    for kind in ("flat", "hnsw", "ivf"):
+        scores = matcher_of(bank[:60], kind=kind, top_k=1000, effort=256).scores(queries)
+        np.testing.assert_allclose(scores, brute_force(queries, bank[:60]), atol=1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["hnsw", "ivf"])
+def test_approximate_search_finds_the_best(real_bank, kind):
+    queries, bank = real_bank
+    exact, found = dense_of(bank).scores(queries), matcher_of(bank, kind=kind, effort=16, top_k=100).scores(queries)
+    recall = np.isclose(exact.max(axis=1), found.max(axis=1), atol=1e-5).mean()
+    assert recall >= 0.95
+    kept = np.isfinite(found)
+    assert 0 < kept.sum() < kept.size
+    np.testing.assert_allclose(found[kept], exact[kept], atol=1e-5)
+
+
+def test_ivf_looks_only_where_it_was_told(real_bank):
+    queries, bank = real_bank
+    little, much = (
+        np.isfinite(matcher_of(bank, kind="ivf", effort=e, top_k=len(bank)).scores(queries)).sum() for e in (1, 20)
+    )
+    assert little < much
+
+
+def test_faiss_says_that_it_scores_only_some():
+    assert FaissMatcher.capabilities.top_k_only
+    assert not DenseMatcher.capabilities.top_k_only

@@ -1,0 +1,169 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_loc.core.geometry import is_rigid, make_transform, rotation_about, transform_points, translation
+from tactile_loc.core.interfaces import Candidate
+from tactile_loc.core.meshes import load_object
+from tactile_loc.core.objects import ObjectModel, TriangleMesh
+from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.scene import Scene
+from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.core.simulation import simulate_touches
+from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.plugins.grids.face import FaceGrid
+from tactile_loc.plugins.refiners.icp import IcpRefiner
+from tactile_loc.plugins.refiners.none import NoRefiner
+from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
+from tactile_loc.plugins.renderers.raycast import RaycastRenderer
+from tactile_loc.plugins.sensors.presets import GelSlim
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene(load_object("pin", symmetry="none"), GelSlim().geometry, HeightmapRenderer())
+
+
+@pytest.fixture(scope="module")
+def touches(scene) -> list[Touch]:
+    """Touches of the pin that show both its steps and its ends, so that nothing can slide."""
+    drawn = simulate_touches(FaceGrid(), scene, 40, np.random.default_rng(3), 0.001)
+    most = sorted(drawn, key=lambda t: -t.contact_shape.contact.sum())
+    return most[:6]
+
+
+def off_by(touch: Touch, scene: Scene, mm: float, degrees: float, direction: float) -> Candidate:
+    """A candidate that lies `mm` and `degrees` about z beside the true pose, brought to contact."""
+    centre = transform_points(touch.T_sensor_object, scene.object.mesh.centroid_m[None])[0]
+    turn = make_transform(rotation_about([0, 0, 1], np.radians(degrees)), np.zeros(3))
+    step = translation([mm * 1e-3 * np.cos(direction), mm * 1e-3 * np.sin(direction), 0])
+    T = step @ translation(centre) @ turn @ translation(-centre) @ touch.T_sensor_object
+    return Candidate(scene.in_contact(T[None])[0][0], 0, 0.0)
+
+
+def error_mm(touch: Touch, T: np.ndarray, scene: Scene) -> float:
+    return 1e3 * float(PoseMetric(scene.object).distance(T, touch.T_sensor_object))
+
+
+def test_the_true_pose_stays_where_it_is(scene, touches):
+    for touch in touches:
+        refined = IcpRefiner().refine(touch, Candidate(touch.T_sensor_object, 0, 0.0), scene)
+        assert refined.converged
+        assert refined.fitness > 0.99
+        assert refined.iterations > 0
+        assert error_mm(touch, refined.T_sensor_object, scene) < 0.01
+
+
+def test_a_known_offset_is_undone(scene, touches):
+    errors, before = [], []
+    for i, touch in enumerate(touches):
+        candidate = off_by(touch, scene, 1.0, 3.0, direction=float(i))
+        refined = IcpRefiner().refine(touch, candidate, scene)
+        assert is_rigid(refined.T_sensor_object)
+        errors.append(error_mm(touch, refined.T_sensor_object, scene))
+        before.append(error_mm(touch, candidate.T_sensor_object, scene))
+    assert min(before) > 0.9
+    assert np.median(errors) < 0.15
+    assert max(errors) < 0.5 * min(before)
+
+
+def test_it_moves_the_way_the_touch_lies(scene, touches):
+    """A transform taken the wrong way round would double the offset."""
+    touch = touches[0]
+    for mm, degrees in ((1.0, 0.0), (0.0, 3.0)):
+        candidate = off_by(touch, scene, mm, degrees, direction=0.7)
+        refined = IcpRefiner().refine(touch, candidate, scene)
+        assert error_mm(touch, refined.T_sensor_object, scene) < 0.3 * error_mm(touch, candidate.T_sensor_object, scene)
+
+
+def test_nothing_is_changed_but_returned(scene, touches):
+    touch = touches[1]
+    candidate = off_by(touch, scene, 1.0, 3.0, 0.0)
+    before = candidate.T_sensor_object.copy(), touch.contact_shape.depth_m.copy(), touch.T_sensor_object.copy()
+    for refiner in (IcpRefiner(), NoRefiner()):
+        refined = refiner.refine(touch, candidate, scene)
+        assert not np.shares_memory(refined.T_sensor_object, candidate.T_sensor_object)
+        after = candidate.T_sensor_object, touch.contact_shape.depth_m, touch.T_sensor_object
+        assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
+
+
+def test_the_same_input_gives_the_same_pose(scene, touches):
+    candidate = off_by(touches[2], scene, 1.0, 3.0, 2.0)
+    a, b = (IcpRefiner().refine(touches[2], candidate, scene) for _ in range(2))
+    assert np.array_equal(a.T_sensor_object, b.T_sensor_object)
+    assert (a.fitness, a.converged, a.iterations) == (b.fitness, b.converged, b.iterations)
+
+
+def test_a_touch_far_from_the_candidate_is_no_success(scene, touches):
+    """Nothing lies within reach: the candidate comes back as it was."""
+    touch = touches[3]
+    g = scene.geometry
+    depth = np.full(g.shape, touch.press_depth_m, np.float32)
+    depth[:4, :4] = 0.0
+    elsewhere = Touch(ContactShape(depth, touch.press_depth_m), g)
+    centred = translation([0.0, 0.0, 0.0]) @ touch.T_sensor_object
+    centred[:2, 3] -= transform_points(centred, scene.object.mesh.centroid_m[None])[0, :2]
+    candidate = Candidate(scene.in_contact(centred[None])[0][0], 0, 0.0)
+    refined = IcpRefiner().refine(elsewhere, candidate, scene)
+    assert not refined.converged
+    assert refined.fitness == 0.0
+    assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)
+
+
+def test_a_cloud_of_hardly_a_point_is_no_success(scene):
+    g = scene.geometry
+    depth = np.full(g.shape, 0.001, np.float32)
+    depth[100, 100] = 0.0
+    speck = Touch(ContactShape(depth, 0.001), g)
+    candidate = Candidate(scene.in_contact(np.eye(4)[None])[0][0], 0, 0.0)
+    refined = IcpRefiner(IcpRefiner.Options(walls=False)).refine(speck, candidate, scene)
+    assert not refined.converged
+    assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)
+
+
+def test_the_objects_frame_does_not_matter(scene, touches):
+    X = make_transform(rotation_about([1, 2, 0.5], 1.1), [0.3, -0.2, 0.1])
+    mesh = scene.object.mesh
+    elsewhere = TriangleMesh(transform_points(X, mesh.vertices_m), mesh.faces)
+    other = dataclasses.replace(scene, object=ObjectModel("moved", elsewhere, SymmetryGroup.parse("none", np.zeros(3))))
+    candidate = off_by(touches[4], scene, 1.0, 3.0, 1.0)
+    here = IcpRefiner().refine(touches[4], candidate, scene).T_sensor_object
+    there = IcpRefiner().refine(touches[4], Candidate(candidate.T_sensor_object @ np.linalg.inv(X), 0, 0.0), other)
+    assert PoseMetric(scene.object).distance(here, there.T_sensor_object @ X) < 2e-5
+
+
+@pytest.mark.parametrize("camera", ["pinhole", "orthographic"])
+def test_tilt_and_height_are_refined_too(camera):
+    """A wavy block: turned about x and y and lifted, it must come back in all six directions."""
+    scale = (300.0, 290.0) if camera == "pinhole" else (300.0 / 0.025, 290.0 / 0.025)
+    g = SensorGeometry(camera, 200, 180, *scale, 98.0, 92.0, 0.025, 0.002)
+    ball = trimesh.creation.icosphere(4, 0.006)
+    parts = [
+        ball.copy().apply_translation([x, y, z])
+        for x, y, z in ((0, 0, 0), (0.004, 0.003, 0.0003), (-0.004, 0.003, 0.0006), (0, -0.005, 0.0004))
+    ]
+    solid = trimesh.util.concatenate(parts)
+    mesh = TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
+    scene = Scene(ObjectModel("bumps", mesh, SymmetryGroup.parse("none", np.zeros(3))), g, RaycastRenderer())
+    true = scene.in_contact(translation([0.0005, 0.0002, 0.0])[None])[0][0]
+    touch = Touch(scene.contact_shape(true, 0.002), g, T_sensor_object=true)
+    tilt = make_transform(rotation_about([1, 0.5, 0.3], np.radians(2.5)), [0.0004, -0.0003, 0.0])
+    candidate = Candidate(
+        scene.in_contact((translation(true[:3, 3]) @ tilt @ translation(-true[:3, 3]) @ true)[None])[0][0], 0, 0.0
+    )
+    refined = IcpRefiner().refine(touch, candidate, scene)
+    before = PoseMetric(scene.object).distance(candidate.T_sensor_object, true)
+    after = PoseMetric(scene.object).distance(refined.T_sensor_object, true)
+    assert before > 2e-4
+    assert after < 0.2 * before
+
+
+def test_no_refiner_leaves_the_candidate(scene, touches):
+    candidate = off_by(touches[5], scene, 1.0, 3.0, 0.0)
+    refined = NoRefiner().refine(touches[5], candidate, scene)
+    assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)
+    assert refined.iterations == 0
