@@ -15,7 +15,7 @@ from tactile_loc.core.scene import Scene
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
 
 BURST = 8  # iterations between looks at whether the pose still moves
-SETTLED = 1e-4  # radians and mm
+SETTLED_WIDE, SETTLED = 0.03, 1e-4  # a pose that moves less in a burst has settled: radians and mm, each pass
 DECIMALS = 7  # of radians and mm
 ROUGHLY = 0.02  # overlaps are counted in pixels: a loss this small is none
 MILLI = 1e3  # clouds are registered in mm: open3d's thresholds suit numbers near one
@@ -33,7 +33,7 @@ class IcpRefiner(Refiner):
             default=3.0, gt=0, description="largest distance of corresponding points, first pass, mm"
         )
         narrow_mm: float = Field(default=0.5, gt=0, description="the same for the second pass, mm")
-        max_iterations: int = Field(default=30, ge=1, description="iterations a pass")
+        max_iterations: int = Field(default=20, ge=1, description="iterations a pass")
         image_px: int = Field(default=200, ge=16, description="the longer image side is thinned to about this, pixels")
         moving_points: int = Field(default=800, ge=50, description="points of the candidate's cloud, thinned evenly")
         fixed_points: int = Field(default=3000, ge=50, description="points of the touch's cloud, thinned evenly")
@@ -71,11 +71,11 @@ class IcpRefiner(Refiner):
             return None, False, 0
         moving, fixed = _point_cloud(source), _point_cloud(target, normals)
         T, found, converged, iterations = np.eye(4), False, False, 0
-        for reach_mm in (options.wide_mm, options.narrow_mm):
-            T_new, steps, share, settled = _register(moving, fixed, reach_mm, T, options.max_iterations)
+        for reach_mm, settled in ((options.wide_mm, SETTLED_WIDE), (options.narrow_mm, SETTLED)):
+            T_new, steps, share, still = _register(moving, fixed, reach_mm, T, options.max_iterations, settled)
             iterations += steps
             if share > 0 and np.isfinite(T_new).all():  # a pass that finds no pairs in its reach has nothing to say
-                T, found, converged = T_new, True, settled
+                T, found, converged = T_new, True, still
         T[:3, 3] /= MILLI
         return (_orthonormal(T) if found else None), converged, iterations
 
@@ -96,7 +96,7 @@ def _point_cloud(points_mm: NDArray[np.float64], normals: NDArray[np.float64] | 
     return cloud
 
 
-def _register(moving, fixed, reach_mm, T, max_iterations):  # type: ignore[no-untyped-def]
+def _register(moving, fixed, reach_mm, T, max_iterations, settled):  # type: ignore[no-untyped-def]
     """Run ICP in bursts until a burst changes nothing: open3d does not say by itself whether it converged."""
     registration = o3d.pipelines.registration
     method = registration.TransformationEstimationPointToPlane()
@@ -104,9 +104,9 @@ def _register(moving, fixed, reach_mm, T, max_iterations):  # type: ignore[no-un
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         while done < max_iterations and not converged:
             burst = min(BURST, max_iterations - done)
-            criteria = registration.ICPConvergenceCriteria(1e-7, 1e-7, burst)
+            criteria = registration.ICPConvergenceCriteria(1e-3 * settled, 1e-3 * settled, burst)
             result = registration.registration_icp(moving, fixed, reach_mm, T, method, criteria)
-            converged = np.allclose(result.transformation, T, atol=SETTLED) and result.fitness > 0
+            converged = np.allclose(result.transformation, T, atol=settled) and result.fitness > 0
             # open3d's threads add up in any order: rounding keeps that from growing from burst to burst
             T, matched, done = np.round(result.transformation, DECIMALS), float(result.fitness), done + burst
     return T, done, matched, converged
