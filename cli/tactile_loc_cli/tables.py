@@ -50,7 +50,7 @@ def summary(record: ResultRecord) -> Iterator[str]:
             f"error: {_mm(errors.best_m)} mm the best, {_mm(errors.best_listed_m)} mm the nearest of those listed, "
             f"{_mm(errors.closest_in_grid_m)} mm the nearest of the grid (RMS surface distance, symmetry regarded)"
         )
-    yield "time: " + ", ".join(f"{stage} {1e3 * s:.3g} ms" for stage, s in record.seconds.items())
+    yield "time: " + ", ".join(f"{stage} {_duration(s)}" for stage, s in record.seconds.items())
 
 
 def _sensor(record: ResultRecord) -> str:
@@ -81,3 +81,8 @@ def axis_angle(R: np.ndarray) -> tuple[float, np.ndarray]:
 def _mm(length_m: float) -> str:
     value = 1e3 * length_m
     return f"{value:.2f}" if value < 10 else f"{value:.1f}"
+
+
+def _duration(seconds: float) -> str:
+    """Return seconds as a person reads them: 12.3 ms, 4.5 s."""
+    return f"{seconds:.1f} s" if seconds >= 1 else f"{1e3 * seconds:.1f} ms"
