@@ -14,7 +14,7 @@ from tactile_loc.core.hookspecs import SLOTS
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class SlotConfig(_Strict):
@@ -43,11 +43,15 @@ class ObjectConfig(_Strict):
 
 
 class TouchConfig(_Strict):
-    """The touch: a file, the unit of its depths, and how deep the press was (mm) when the file does not say."""
+    """The touch: a file, the unit of its depths, and how deep the press was (mm) when the file does not say.
+
+    Without a file a touch is simulated, with `noise`.
+    """
 
     path: str | None = None
     unit: Literal["m", "mm", "um"] | None = None
     press_depth_mm: float | None = None
+    noise: Literal["none", "mild", "strong"] = "none"
 
 
 class RunConfig(_Strict):

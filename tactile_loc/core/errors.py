@@ -46,6 +46,14 @@ class StoreError(TactileLocError):
     """The stage store cannot be read or written, for instance because the disk is full."""
 
 
+class TrainingError(TactileLocError):
+    """A training went wrong: its loss is no longer a number."""
+
+
+class WeightsError(TactileLocError):
+    """Weights of a network cannot be used: out of reach, damaged, or of another architecture."""
+
+
 class PluginError(TactileLocError):
     """A plugin cannot be used."""
 

@@ -23,14 +23,15 @@ def contact_grid(sampler: GridSampler, scene: Scene) -> PoseGrid:
     """Sample, bring to contact, drop poses without contact and symmetric duplicates, until the spacing is met.
 
     Contact moves poses along z, so neighbours end up farther apart than the sampler set them; the sampler is asked
-    again with a corrected spacing (metres). Raises GridError when no pose is left.
+    again with a corrected spacing (metres), unless its options fix some of its steps. Raises GridError when no pose is
+    left.
     """
     wanted_m = sampler.options.spacing_mm * 1e-3
     if not wanted_m > 0:
         raise GridError(f"the grid's spacing is {wanted_m * 1e3:g} mm; give a positive spacing_mm")
     asked_m = wanted_m
     found: list[tuple[float, PoseGrid]] = []
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MOST_ROUNDS if sampler.spacing_is_mean else 1):
         grid = _contact_poses(sampler, scene, asked_m)
         spacing_m = float(grid.neighbour_spacing().mean()) if len(grid) > 1 else wanted_m
         log.info("grid of %d poses, mean spacing %.2f mm", len(grid), spacing_m * 1e3)
@@ -58,7 +59,7 @@ def enough_contact(contact_depths_m: np.ndarray, scene: Scene, percent: float) -
 def random_contact_poses(sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator) -> Poses:
     """Draw contact poses (count, 4, 4), metres, uniformly from the continuous set that the sampler's grid covers.
 
-    Raises GridError when hardly any drawn pose has contact.
+    Raises GridError when hardly any drawn pose has enough contact.
     """
     found: list[Poses] = [np.empty((0, 4, 4))]
     tried = kept = 0
@@ -69,5 +70,9 @@ def random_contact_poses(sampler: GridSampler, scene: Scene, count: int, rng: np
         found.append(poses[enough_contact(scene.contact_depths(poses), scene, sampler.options.min_contact_percent)])
         tried, kept = tried + batch, kept + len(found[-1])
         if tried > 2 / HARDLY_ANY and kept < HARDLY_ANY * tried:
-            raise GridError(f"hardly any random pose of {scene.object.name} touches the sensor; choose another face")
+            raise GridError(
+                f"hardly any random pose of {scene.object.name} touches the sensor with "
+                f"{sampler.options.min_contact_percent:g} % of it; lower grid.min_contact_percent or choose another "
+                "face"
+            )
     return np.concatenate(found)[:count]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -14,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.poses import PoseGrid, Poses
 from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
 
 if TYPE_CHECKING:
@@ -23,9 +25,12 @@ Float32 = NDArray[np.float32]
 
 
 class ComponentOptions(BaseModel):
-    """Base of every component's options: frozen, unknown keys refused. A field's description states its unit."""
+    """Base of every component's options: frozen, no infinity or NaN, unknown keys refused.
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    A field's description states its unit.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 @dataclass(frozen=True)
@@ -112,6 +117,14 @@ class GridSampler(Component):
             default=2.0, ge=0, le=100, description="least share of the observed pixels in contact, percent"
         )
 
+    @property
+    def spacing_is_mean(self) -> bool:
+        """Whether `spacing_mm` is the mean over the whole grid, which core then corrects for what contact does to it.
+
+        False where options set some steps apart from it, as tilts or a level of rotations.
+        """
+        return True
+
     @abstractmethod
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
         """Return candidate poses (N, 4, 4), about `spacing_m` metres apart; z is free, core brings them to contact."""
@@ -121,13 +134,31 @@ class GridSampler(Component):
         """Draw `count` poses (count, 4, 4) uniformly from the continuous set that the grid samples; z is free."""
 
 
+class Checkpoints:
+    """Where a training keeps its state, so that it can go on after an interruption. This one forgets everything."""
+
+    def load(self) -> Path | None:
+        """Return the file that was saved last and is intact, or None."""
+        return None
+
+    def save(self, write: Callable[[Path], object]) -> None:
+        """Replace the saved file, atomically, by what `write(path)` writes."""
+
+
 @dataclass(frozen=True, eq=False)
 class TrainingProblem:
-    """What an encoder may learn from: the grid and its contact shapes, and fresh renders through the scene."""
+    """What an encoder may learn from, all of it simulation.
+
+    `grid` and `shapes`, the contact depths (S, H, W) in metres of its poses at full press, shard by shard in its order;
+    fresh poses from `sampler`, rendered through `scene`.
+    """
 
     grid: PoseGrid
     scene: Scene
-    seed: int = 0
+    sampler: GridSampler
+    shapes: Callable[[], Iterable[Float32]]
+    progress: Progress = field(default_factory=Progress)
+    checkpoints: Checkpoints = field(default_factory=Checkpoints)
 
 
 class Encoder(Component):
@@ -138,6 +169,14 @@ class Encoder(Component):
 
     def fit(self, problem: TrainingProblem) -> None:
         """Learn from simulation. Does nothing unless the encoder needs training."""
+
+    def save_weights(self, path: Path) -> None:
+        """Write what `fit` learned to a safetensors file. Encoders that need no training have nothing to write."""
+        raise NotImplementedError(f"{type(self).__name__} has no weights")
+
+    def load_weights(self, path: Path) -> None:
+        """Read what `save_weights` wrote, instead of calling `fit`. Raises WeightsError for another encoder's file."""
+        raise NotImplementedError(f"{type(self).__name__} has no weights")
 
     @abstractmethod
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:

@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tactile_loc.core.config import RunConfig
+from tactile_loc.core.errors import TouchError
 from tactile_loc.core.interfaces import Candidate, Matcher, Prior, RefinedPose
 from tactile_loc.core.localization import Hypothesis, Localization, merge_hypotheses
 from tactile_loc.core.meshes import Units, load_object
 from tactile_loc.core.model import ObjectPoseModel, build_bank, build_model
+from tactile_loc.core.noise import noise as noise_called
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.progress import Progress
@@ -24,6 +26,7 @@ from tactile_loc.core.sensing import Touch
 from tactile_loc.core.simulation import simulate_touches
 from tactile_loc.core.store import StageStore
 from tactile_loc.core.touches import read_touch
+from tactile_loc.core.training import train_encoder
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -71,9 +74,15 @@ class Localizer:
         """Read a contact shape (npz, npy, 16-bit PNG) as this sensor's touch. Raises TouchError."""
         return read_touch(Path(path), self.sensor, unit, press_depth_m)
 
-    def simulate(self, count: int = 1, seed: int = 0, press_depth_m: float | None = None) -> list[Touch]:
-        """Make touches at random poses of the continuous set that the grid covers, with their true poses; metres."""
-        return simulate_touches(self.sampler, self.scene, count, np.random.default_rng(seed), press_depth_m)
+    def simulate(
+        self, count: int = 1, seed: int = 0, press_depth_m: float | None = None, noise: str = "none"
+    ) -> list[Touch]:
+        """Make touches at random poses of the continuous set that the grid covers, with their true poses; metres.
+
+        `noise` is none, mild or strong. Raises ConfigError for another.
+        """
+        rng = np.random.default_rng(seed)
+        return simulate_touches(self.sampler, self.scene, count, rng, press_depth_m, noise_called(noise))
 
     def _component(self, slot: str) -> Any:
         chosen = getattr(self.config, slot)
@@ -83,6 +92,11 @@ class Localizer:
     def model(self) -> ObjectPoseModel:
         """The object's grid and contact shapes: from the store, or built now."""
         return build_model(self.coarse_scene, self.sampler, self.store, self.progress)
+
+    @cached_property
+    def _trained(self) -> str:
+        """Train the encoder, or load it from the store; what identifies what it learned."""
+        return train_encoder(self.encoder, self.model, self.coarse_scene, self.sampler, self.store, self.progress)
 
     def localize(self, touch: Touch, prior: Prior | None = None, top: int | None = None) -> Localization:
         """Return the distribution over poses given a touch, and its `top` distinct hypotheses, refined.
@@ -104,7 +118,11 @@ class Localizer:
     def posterior(
         self, touch: Touch, prior: Prior | None = None, seconds: dict[str, float] | None = None
     ) -> PosePosterior:
-        """Return the posterior over the grid's poses: encode, match, fuse. `seconds` is filled with their times."""
+        """Return the posterior over the grid's poses: encode, match, fuse. `seconds` is filled with their times.
+
+        Raises TouchError when the touch was taken by another sensor.
+        """
+        self._require_own(touch)
         seconds = {} if seconds is None else seconds
         matcher = self.matcher(touch.press_depth_m)
         press_m = self._bank_press(touch.press_depth_m)
@@ -127,11 +145,21 @@ class Localizer:
         posterior = self.posterior(touch)
         return self.refine(touch, posterior, int(posterior.log_p.argmax()))
 
+    def _require_own(self, touch: Touch) -> None:
+        ours = self.scene.geometry
+        if touch.geometry is not ours and not touch.geometry.is_same_sensor(ours):
+            raise TouchError(
+                f"{touch.name} was taken by another sensor than {self.config.sensor.name}: its camera, field or "
+                "maximal depth differs; make a Localizer for the sensor that took it"
+            )
+
     def matcher(self, press_depth_m: float) -> Matcher:
         """Return the matcher whose bank was cut at this press depth (metres), built at first use."""
         press_m = self._bank_press(press_depth_m)
         if press_m not in self._matchers:
-            bank = build_bank(self.model, self.coarse_scene, self.encoder, press_m, self.store, self.progress)
+            bank = build_bank(
+                self.model, self.coarse_scene, self.encoder, press_m, self.store, self.progress, self._trained
+            )
             matcher = self._component("matcher")
             matcher.index(bank)
             self._matchers[press_m] = matcher

@@ -21,7 +21,7 @@ from tactile_loc.core.store import Artifact, StageStore, Workspace
 
 SHARD = 1024  # poses rendered, saved and resumed at once
 NO_CONTACT = 65535
-STAGE_VERSIONS = {"grid": 1, "shapes": 1, "bank": 1}
+STAGE_VERSIONS = {"grid": 2, "shapes": 1, "bank": 1}
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +87,15 @@ def build_model(scene: Scene, sampler: GridSampler, store: StageStore, progress:
 
 
 def build_bank(
-    model: ObjectPoseModel, scene: Scene, encoder: Encoder, press_depth_m: float, store: StageStore, progress: Progress
-) -> NDArray[np.float32]:
-    """Return the bank (N, D) of the model's contact shapes cut at `press_depth_m` metres, from the store if there."""
+    model: ObjectPoseModel, scene: Scene, encoder: Encoder, press_depth_m: float, store: StageStore,
+    progress: Progress, trained: str = "",
+) -> NDArray[np.float32]:  # fmt: skip
+    """Return the bank (N, D) of the model's contact shapes cut at `press_depth_m` metres, from the store if there.
+
+    `trained` identifies what the encoder has learned, empty if it needs no training.
+    """
     key = StageKey("bank", STAGE_VERSIONS["bank"], {
-        "shapes": model.key.digest, "encoder": encoder.describe(), "press_depth_m": press_depth_m,
+        "shapes": model.key.digest, "encoder": encoder.describe(), "trained": trained, "press_depth_m": press_depth_m,
     })  # fmt: skip
 
     def encode(work: Workspace) -> None:

@@ -13,3 +13,6 @@ class Progress:
     def task(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
         """Open a task of `total` steps; call what is yielded with the number of steps just done."""
         yield lambda steps: None
+
+    def note(self, text: str) -> None:
+        """Show one line about the running task, such as a loss; the next replaces it."""

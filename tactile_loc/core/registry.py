@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
+from inspect import isabstract
 from typing import Any
 
 import pluggy
@@ -100,13 +101,15 @@ class Registry:
         found = self.find(slot, name)
         module, _, attribute = found.spec.target.partition(":")
         try:
-            return getattr(importlib.import_module(module), attribute)
-        except ModuleNotFoundError as error:
-            library = found.spec.requires or error.name
-            raise MissingLibraryError(
-                f"the {slot} {name!r} needs {error.name}, which is not installed: pip install {library}"
-            ) from error
+            kind = getattr(importlib.import_module(module), attribute)
+            _require_component(kind, slot)
+            return kind
         except Exception as error:
+            if isinstance(error, ModuleNotFoundError) and not _is_part_of(error.name, module):
+                library = found.spec.requires or error.name
+                raise MissingLibraryError(
+                    f"the {slot} {name!r} needs {error.name}, which is not installed: pip install {library}"
+                ) from error
             raise PluginLoadError(
                 f"the {slot} {name!r} of {found.distribution} failed on import ({type(error).__name__}: {error}); "
                 "update or uninstall that package, or choose another component"
@@ -116,6 +119,22 @@ class Registry:
         """Return a component with validated options. Raises ConfigError for unknown or ill-typed ones."""
         kind = self.load(slot, name)
         return kind(validate_options(kind.Options, options or {}, f"{slot} {name!r}"))
+
+
+def _is_part_of(missing: str | None, module: str) -> bool:
+    """Whether a missing module belongs to the package of `module`, so that there is nothing to install."""
+    package, _, part = (missing or "").partition(".")
+    return bool(part) and package == module.partition(".")[0]
+
+
+def _require_component(kind: Any, slot: str) -> None:
+    """Raise TypeError unless `kind` is a complete component class of the slot."""
+    from tactile_loc.core.interfaces import Component
+
+    if not (isinstance(kind, type) and issubclass(kind, Component) and getattr(kind, "slot", None) == slot):
+        raise TypeError(f"{kind!r} does not derive from the {slot} interface")
+    if isabstract(kind):
+        raise TypeError(f"{kind.__name__} does not implement {', '.join(sorted(kind.__abstractmethods__))}")
 
 
 def validate_options(model: Any, values: Mapping[str, Any], owner: str) -> Any:

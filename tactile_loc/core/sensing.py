@@ -92,11 +92,15 @@ class SensorGeometry:
         return 0.5 * (1.0 / sx + 1.0 / sy)
 
     @property
+    def view(self) -> tuple[float, float, float, float]:
+        """What the image sees (x_min, x_max, y_min, y_max), in metres, of the plane z = standoff."""
+        sx, sy = self.scale_at_surface
+        return -self.cx / sx, (self.width_px - self.cx) / sx, -self.cy / sy, (self.height_px - self.cy) / sy
+
+    @property
     def rectangle(self) -> tuple[float, float, float, float]:
         """The sensing rectangle (x_min, x_max, y_min, y_max) in metres on the plane z = standoff."""
-        sx, sy = self.scale_at_surface
-        view = (-self.cx / sx, (self.width_px - self.cx) / sx, -self.cy / sy, (self.height_px - self.cy) / sy)
-        return view if self.rectangle_m is None else self.rectangle_m
+        return self.view if self.rectangle_m is None else self.rectangle_m
 
     @cached_property
     def pixel_slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -147,6 +151,16 @@ class SensorGeometry:
         """Return the same sensor, its longer image side `pixels` long, the shorter in proportion."""
         k = pixels / max(self.shape)
         return self.resized(max(1, round(self.width_px * k)), max(1, round(self.height_px * k)))
+
+    def is_same_sensor(self, other: SensorGeometry) -> bool:
+        """Tell whether `other` sees the same field, to within a pixel, in the same way.
+
+        The image's size and the mask may differ.
+        """
+        ours, theirs = ((g.standoff_m, g.max_depth_m, *g.rectangle) for g in (self, other))
+        same = self.camera == other.camera and np.allclose(ours, theirs, rtol=1e-6, atol=1e-9)
+        apart_m = np.abs(np.subtract(self.view, other.view)).max()
+        return bool(same and apart_m < max(self.pixel_pitch_m, other.pixel_pitch_m))
 
     def describe(self) -> dict[str, Any]:
         """Return the numbers as JSON values (metres, pixels), with a digest of the mask: what identifies the sensor."""

@@ -1,12 +1,15 @@
-"""Simulated touches: random contact poses and the clean contact shapes they make."""
+"""Simulated touches: random contact poses and the contact shapes they make, clean or with a touch's noise."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.grids import random_contact_poses
 from tactile_loc.core.interfaces import GridSampler
+from tactile_loc.core.noise import TouchNoise
+from tactile_loc.core.poses import Poses
 from tactile_loc.core.scene import Scene
 from tactile_loc.core.sensing import ContactShape, Touch
 
@@ -14,12 +17,16 @@ MOST_ROUNDS = 200  # of drawing what is missing
 
 
 def simulate_touches(
-    sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator, press_depth_m: float | None = None
-) -> list[Touch]:
+    sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator, press_depth_m: float | None = None,
+    noise: TouchNoise | None = None,
+) -> list[Touch]:  # fmt: skip
     """Make `count` touches with known poses, pressed `press_depth_m` metres deep (by default the sensor's deepest).
 
-    Raises TouchError for a press beyond the sensor's range or one that hardly ever leaves an imprint, GridError when
-    the object hardly ever touches.
+    With `noise`, what is rendered is the pose that the sensor's calibration error makes of the true one, its contact
+    corrupted, cut at the press depth that the sensor measures; the press itself is drawn unless it is given. A touch
+    that keeps less true contact than the sampler asks of a pose is drawn anew; but for those, the same `rng` draws the
+    same poses whatever the noise. Raises TouchError for a press beyond the sensor's range or one that hardly ever
+    leaves an imprint, GridError when the object hardly ever touches.
     """
     deepest = scene.geometry.max_depth_m
     press = deepest if press_depth_m is None else press_depth_m
@@ -27,6 +34,7 @@ def simulate_touches(
         raise TouchError(
             f"a press of {press * 1e3:.3g} mm is outside the sensor's range of 0 to {deepest * 1e3:.3g} mm"
         )
+    press_noise = _PressNoise(noise or TouchNoise(), scene, press_depth_m, rng.spawn(1)[0])
     touches: list[Touch] = []
     rounds = 0
     while len(touches) < count:
@@ -37,15 +45,52 @@ def simulate_touches(
             )
         rounds += 1
         poses = random_contact_poses(sampler, scene, count - len(touches), rng)
-        for T, depth in zip(poses, scene.contact_depths(poses, press), strict=True):
-            touch = _touch(depth, press, scene, T, f"touch-{len(touches):04d}")
+        percent = sampler.options.min_contact_percent
+        for T, shape in zip(poses, press_noise.shapes(poses, percent), strict=True):
+            touch = _touch(shape, scene, T, f"touch-{len(touches):04d}")
             touches += [touch] if touch is not None else []
     return touches
 
 
-def _touch(depth: np.ndarray, press_m: float, scene: Scene, T: np.ndarray, name: str) -> Touch | None:
-    """One touch, or None where the imprint is no touch: nothing but a flat face all over the sensor."""
+class _PressNoise:
+    """Presses an object on a sensor that is not quite what it is believed to be."""
+
+    def __init__(self, noise: TouchNoise, scene: Scene, press_depth_m: float | None, rng: np.random.Generator) -> None:
+        self.noise, self.scene, self.press_depth_m, self.rng = noise, scene, press_depth_m, rng
+
+    def shapes(self, T_sensor_object: Poses, least_percent: float) -> list[ContactShape | None]:
+        """The contact shape of each pose (N, 4, 4), metres; None where noise left less than this contact."""
+        noise, geometry = self.noise, self.scene.geometry
+        seen, touching = self._misplaced(T_sensor_object)
+        press = self._presses(len(seen))
+        clean = self.scene.contact_depths(seen)
+        noisy = noise.corrupt(clean, press, geometry, self.rng)
+        measured = noise.measure_press(press, geometry.max_depth_m, self.rng)
+        depths = noise.cut(noisy, press, measured)
+        shapes = [ContactShape(depth, float(m)) for depth, m in zip(depths, measured, strict=True)]
+        if noise == TouchNoise():
+            return list(shapes)
+        least = max(1.0, least_percent / 100 * geometry.observed_mask.sum())
+        real = (clean < press.astype(np.float32)[:, None, None]) & geometry.observed_mask  # spurious contact is none
+        kept = touching & [np.count_nonzero(s.contact & r) >= least for s, r in zip(shapes, real, strict=True)]
+        return [shape if ok else None for shape, ok in zip(shapes, kept, strict=True)]
+
+    def _misplaced(self, T_sensor_object: Poses) -> tuple[Poses, NDArray[np.bool_]]:
+        """Where the poses (N, 4, 4) really are, in contact, and which (N,) touch. Metres."""
+        if not self.noise.misplaces:
+            return T_sensor_object, np.ones(len(T_sensor_object), bool)
+        return self.scene.in_contact(self.noise.misplace(T_sensor_object, self.scene.geometry, self.rng))
+
+    def _presses(self, count: int) -> NDArray[np.float64]:
+        """How deep the presses (count,) are, metres."""
+        if self.press_depth_m is not None:
+            return np.full(count, self.press_depth_m)
+        return self.noise.draw_press(count, self.scene.geometry.max_depth_m, self.rng)
+
+
+def _touch(shape: ContactShape | None, scene: Scene, T: NDArray[np.float64], name: str) -> Touch | None:
+    """One touch, or None where the imprint is no touch: nothing, or nothing but a flat face all over the sensor."""
     try:
-        return Touch(ContactShape(depth, press_m), scene.geometry, name, T_sensor_object=T)
+        return None if shape is None else Touch(shape, scene.geometry, name, T_sensor_object=T)
     except TouchError:
         return None

@@ -57,16 +57,19 @@ class Workspace:
 
     def load(self, name: str, keep: bool = True) -> NDArray[Any] | None:
         """Return the array saved under this name, now or by an interrupted build; None if absent or damaged."""
-        file_name = f"{name}.npy"
+        path = self.load_file(f"{name}.npy", keep)
+        return None if path is None else np.load(path, allow_pickle=False)
+
+    def load_file(self, file_name: str, keep: bool = True) -> Path | None:
+        """Return where the file saved under this name is, now or by an interrupted build; None if absent or damaged."""
         if file_name not in self._pieces:
             return None
         if not self._is_intact(file_name):
-            logger.warning("The saved piece %s of stage %s is missing or damaged and not used.", name, self._key)
+            logger.warning("The saved piece %s of stage %s is missing or damaged and not used.", file_name, self._key)
             return None
         self._mark(file_name, keep)
-        logger.info("Stage %s: the piece %s is there already.", self._key, name)
-        array: NDArray[Any] = np.load(self.path / file_name, allow_pickle=False)
-        return array
+        logger.info("Stage %s: the piece %s is there already.", self._key, file_name)
+        return self.path / file_name
 
     def save_array(self, name: str, array: NDArray[Any], keep: bool = True) -> None:
         """Save an array of any shape as `<name>.npy`, replacing an earlier one.

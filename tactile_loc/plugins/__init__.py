@@ -38,6 +38,13 @@ def tactile_loc_components() -> list[ComponentSpec]:
             f"{_HERE}.encoders.pixel:PixelEncoder",
             "direct comparison of contact shapes, no training",
         ),
+        ComponentSpec(
+            "encoder",
+            "moco",
+            f"{_HERE}.encoders.moco:MocoEncoder",
+            "learned by contrast in simulation, for one object",
+            requires="tactile-loc[learned]",
+        ),
         ComponentSpec("matcher", "dense", f"{_HERE}.matchers.dense:DenseMatcher", "exact, one matrix product"),
         ComponentSpec("matcher", "faiss", f"{_HERE}.matchers.faiss:FaissMatcher", "faiss: exact (flat) or approximate"),
         ComponentSpec("refiner", "none", f"{_HERE}.refiners.none:NoRefiner", "the grid pose as it is"),

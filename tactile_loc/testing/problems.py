@@ -13,6 +13,7 @@ from tactile_loc.core.geometry import make_transform, rotation_about
 from tactile_loc.core.interfaces import Candidate, RefinedPose, TrainingProblem
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
+from tactile_loc.core.registry import registry
 from tactile_loc.core.scene import Scene
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
 from tactile_loc.core.symmetry import SymmetryGroup
@@ -118,4 +119,7 @@ def small_grid(count: int = 40, seed: int = 0, scene: Scene | None = None) -> Po
 def training_problem(seed: int = 0) -> TrainingProblem:
     """Return a tiny problem for an encoder to be trained on before it is checked: the checks' object and camera."""
     scene = Scene(block(), LOPSIDED_CAMERAS["orthographic"], ReferenceRenderer())
-    return TrainingProblem(small_grid(seed=seed, scene=scene), scene, seed)
+    grid = small_grid(seed=seed, scene=scene)
+    shapes = scene.contact_depths(grid.T_sensor_object)
+    sampler = registry().create("grid", "face", {"spacing_mm": 4.0, "face": "-z"})
+    return TrainingProblem(grid, scene, sampler, lambda: iter([shapes]))

@@ -51,6 +51,16 @@ def test_a_sampler_whose_poses_end_up_too_far_apart_is_asked_again(make_scene, p
     assert grid.neighbour_spacing().mean() == pytest.approx(0.004, rel=0.05)
 
 
+def test_steps_that_options_fix_are_left_out_of_the_spacing(make_scene, pinhole, box):
+    """Tilts closer than the spacing must not be made up for by a coarser lattice of x and y."""
+    scene = make_scene(box, pinhole)
+    tilted = contact_grid(face(4.0, tilt_deg=6.0), scene)
+    R, x_m = tilted.T_sensor_object[:, :3, :3], tilted.T_sensor_object[:, 0, 3]
+    of_one_rotation = np.unique(x_m[(R[0] == R).all(axis=(1, 2))].round(9))
+    assert np.diff(of_one_rotation).min() == pytest.approx(0.004, rel=1e-6)
+    assert len(tilted) > 7 * len(contact_grid(face(4.0), scene))
+
+
 def test_all_poses_touch(make_scene, pinhole, box):
     grid = contact_grid(face(5.0), make_scene(box, pinhole))
     assert is_rigid(grid.T_sensor_object)
@@ -71,7 +81,7 @@ def test_no_contact_at_all_is_refused(make_scene, flat_camera, box):
     nowhere = Fixed(translation([[0.05, 0.0, 0.0], [0.06, 0.0, 0.0]]))
     with pytest.raises(GridError, match="no pose of box is left"):
         contact_grid(nowhere, scene)
-    with pytest.raises(GridError, match="hardly any random pose of box touches"):
+    with pytest.raises(GridError, match=r"hardly any random pose of box touches.* lower grid\.min_contact_percent"):
         random_contact_poses(nowhere, scene, 1, np.random.default_rng(0))
 
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import trimesh
@@ -240,6 +242,12 @@ def test_a_touch_of_another_sensors_size_still_has_its_own_geometry(pin, touches
     assert b.probabilities[a.top(1)[0]] > 0.05
 
 
+def test_a_touch_of_another_sensor_is_refused(pin, touches):
+    geometry = dataclasses.replace(touches[0].geometry, fx=0.9 * touches[0].geometry.fx)
+    with pytest.raises(TouchError, match="touch-0000 was taken by another sensor than gelslim"):
+        pin.best_pose(Touch(touches[0].contact_shape, geometry, "touch-0000"))
+
+
 @pytest.mark.parametrize("cells", [10, 100])
 def test_more_cells_than_the_banks_pixels_are_possible(store, cells):
     localizer = Localizer.create("pin", store=store, **COARSE, encoder={"name": "pixel", "cells": cells})
@@ -273,6 +281,10 @@ def test_bad_settings_are_refused():
         Localizer.create("pin", refinr="icp")
     with pytest.raises(ConfigError, match="grid 'face' has no option 'spacing'"):
         Localizer.create("pin", grid={"name": "face", "spacing": 3})
+    for component in ({"grid": {"name": "face", "spacing_mm": np.inf}}, {"refiner": {"name": "icp", "wide_mm": np.inf}},
+                      {"temperature": np.inf}):  # fmt: skip
+        with pytest.raises(ConfigError, match="finite"):
+            Localizer.create("pin", **component)
 
 
 def test_a_hotter_temperature_is_less_certain(store, coarse):

@@ -161,6 +161,14 @@ def test_a_plugin_that_fails_hurts_nobody_else(install, how):
         ("raise OSError('libusb.so')", PluginLoadError, r"'acme' of acme-tools failed on import \(OSError: libusb"),
         ("def", PluginLoadError, "SyntaxError"),
         ("Other = 1", PluginLoadError, "AttributeError"),
+        ("import acme_impl.lost", PluginLoadError, "'acme' of acme-tools failed on import .*acme_impl.lost"),
+        ("class Acme: pass", PluginLoadError, "does not derive from the refiner interface"),
+        (
+            "from tactile_loc.core.interfaces import Matcher as Acme",
+            PluginLoadError,
+            "does not derive from the refiner",
+        ),
+        ("from tactile_loc.core.interfaces import Refiner as Acme", PluginLoadError, "does not implement refine"),
     ],
 )
 def test_a_component_that_cannot_be_imported_says_why_when_it_is_selected(install, source, error, words):

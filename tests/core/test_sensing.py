@@ -269,3 +269,16 @@ def test_nothing_but_flat_contact_is_refused() -> None:
         Touch(contact_shape_from_array(np.zeros((6, 8)), 2 * MM), PINHOLE)
     tilted = np.tile(np.linspace(0, 1 * MM, 8), (6, 1))
     assert Touch(contact_shape_from_array(tilted, 2 * MM, 1.5 * MM), PINHOLE).contact_shape.contact.all()
+
+
+def test_the_same_sensor_may_have_another_image_size_or_mask_but_no_other_field() -> None:
+    blind = np.ones(PINHOLE.shape, bool)
+    blind[0] = False
+    assert PINHOLE.is_same_sensor(dataclasses.replace(PINHOLE.resized(3, 20), observed=None))
+    assert PINHOLE.is_same_sensor(dataclasses.replace(PINHOLE, observed=blind))
+    assert PINHOLE.is_same_sensor(PINHOLE.every(2))
+    inner = dataclasses.replace(PINHOLE, rectangle_m=(-1e-3, 1e-3, -1e-3, 1e-3))
+    assert not inner.is_same_sensor(dataclasses.replace(inner, fx=2 * inner.fx))
+    for change in ({"fx": 1.01 * PINHOLE.fx}, {"cy": PINHOLE.cy + 1}, {"standoff_m": 2 * PINHOLE.standoff_m},
+                   {"max_depth_m": 2 * PINHOLE.max_depth_m}, {"camera": "orthographic"}):  # fmt: skip
+        assert not PINHOLE.is_same_sensor(dataclasses.replace(PINHOLE, **change))

@@ -7,6 +7,7 @@ import trimesh
 from tactile_loc.core import simulation
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry import is_rigid
+from tactile_loc.core.noise import NOISE, TouchNoise
 from tactile_loc.core.simulation import simulate_touches
 from tactile_loc.plugins.grids.face import FaceGrid
 
@@ -70,3 +71,81 @@ def test_a_press_that_leaves_no_imprint_is_refused(make_scene, flat_camera, make
 
 def test_no_touches_are_no_work(make_scene, flat_camera, box, sampler):
     assert simulate_touches(sampler, make_scene(box, flat_camera), 0, np.random.default_rng(6)) == []
+
+
+@pytest.mark.parametrize("press_m", [None, 0.00013, 0.0015])
+def test_no_noise_is_what_was_without(make_scene, pinhole, box, sampler, press_m):
+    scene = make_scene(box, pinhole)
+    a, b = (
+        simulate_touches(sampler, scene, 6, np.random.default_rng(7), press_m, noise) for noise in (None, NOISE["none"])
+    )
+    for x, y in zip(a, b, strict=True):
+        clean = scene.contact_depths(x.T_sensor_object[None], press_m)[0]
+        assert x.contact_shape.depth_m.tobytes() == y.contact_shape.depth_m.tobytes() == clean.tobytes()
+        assert x.press_depth_m == y.press_depth_m == (press_m or pinhole.max_depth_m)
+        assert np.array_equal(x.T_sensor_object, y.T_sensor_object)
+
+
+@pytest.mark.parametrize("level", ["mild", "strong"])
+def test_noisy_touches_are_whole_touches_of_the_same_poses(make_scene, pinhole, box, sampler, level):
+    scene = make_scene(box, pinhole)
+    clean = simulate_touches(sampler, scene, 12, np.random.default_rng(8))
+    noisy, again = (
+        simulate_touches(sampler, scene, 12, np.random.default_rng(8), None, NOISE[level]) for _ in range(2)
+    )
+    least = sampler.options.min_contact_percent / 100 * pinhole.observed_mask.sum()
+    same = 0
+    for a, b, c in zip(noisy, again, clean, strict=True):
+        assert a.contact_shape.depth_m.tobytes() == b.contact_shape.depth_m.tobytes()
+        assert a.press_depth_m == b.press_depth_m
+        assert (a.contact_shape.contact & pinhole.observed_mask).sum() >= least
+        assert a.contact_shape.depth_m.max() <= np.float32(a.press_depth_m)
+        assert not np.array_equal(a.contact_shape.depth_m, c.contact_shape.depth_m)
+        same += np.array_equal(a.T_sensor_object, c.T_sensor_object)
+    assert same > 0
+    assert len({touch.press_depth_m for touch in noisy}) > 6
+    assert len({touch.name for touch in noisy}) == 12
+
+
+def test_a_given_press_is_the_actual_one_and_measured_with_an_error(make_scene, pinhole, box, sampler):
+    """A press that is taken for deeper shows no more; one that is taken for lighter is cut there."""
+    scene, noise = make_scene(box, pinhole), TouchNoise(press_error=0.2)
+    touches = simulate_touches(sampler, scene, 20, np.random.default_rng(9), 0.001, noise)
+    measured = np.array([touch.press_depth_m for touch in touches])
+    assert measured.min() < 0.00095
+    assert measured.max() > 0.00105
+    for touch in touches:
+        clean = scene.contact_depths(touch.T_sensor_object[None])[0]
+        assert np.array_equal(touch.contact_shape.contact, clean < np.float32(min(0.001, touch.press_depth_m)))
+        shown = touch.contact_shape.contact
+        assert np.array_equal(touch.contact_shape.depth_m[shown], clean[shown])
+
+
+def test_a_misplaced_sensor_sees_another_pose_than_the_true_one(make_scene, pinhole, box, sampler):
+    scene = make_scene(box, pinhole)
+    clean = simulate_touches(sampler, scene, 8, np.random.default_rng(10))
+    shifted = simulate_touches(sampler, scene, 8, np.random.default_rng(10), None, TouchNoise(sensor_m=1e-3))
+    for a, b in zip(clean, shifted, strict=True):
+        assert np.array_equal(a.T_sensor_object, b.T_sensor_object)
+        assert b.contact_shape.depth_m.min() < 2e-5  # brought to contact again
+    overlap = [
+        a.contact_shape.overlap(b.contact_shape, pinhole.observed_mask) for a, b in zip(clean, shifted, strict=True)
+    ]
+    assert 0.3 < np.mean(overlap) < 0.98
+
+
+def test_noise_that_takes_all_contact_away_is_refused(make_scene, pinhole, box, sampler, monkeypatch):
+    monkeypatch.setattr(simulation, "MOST_ROUNDS", 3)
+    with pytest.raises(TouchError, match="hardly any press"):
+        simulate_touches(
+            sampler, make_scene(box, pinhole), 2, np.random.default_rng(11), None, TouchNoise(least_m=0.01)
+        )
+
+
+def test_spurious_contact_alone_is_no_touch(make_scene, pinhole, box, sampler):
+    """Missing patches take all contact of some touches away; what patches then show does not make them touches."""
+    scene, noise = make_scene(box, pinhole), TouchNoise(missing=3.0, spurious=20.0, patch_m=0.008)
+    for touch in simulate_touches(sampler, scene, 20, np.random.default_rng(12), None, noise):
+        clean = scene.contact_depths(touch.T_sensor_object[None])[0] < np.float32(pinhole.max_depth_m)
+        least = sampler.options.min_contact_percent / 100 * pinhole.observed_mask.sum()
+        assert (touch.contact_shape.contact & clean & pinhole.observed_mask).sum() >= least

@@ -19,7 +19,10 @@ from tactile_loc.testing.problems import CAMERAS, training_problem
 from tactile_loc.testing.shapes import ReferenceRenderer
 
 ROOT = Path(__file__).parents[2]
-OPTIONS = {("sensor", "file"): {"path": str(ROOT / "examples" / "my_sensor.toml")}}
+OPTIONS = {
+    ("sensor", "file"): {"path": str(ROOT / "examples" / "my_sensor.toml")},
+    ("encoder", "moco"): {"epochs": 2, "queries": 64, "batch": 32, "channels": 4, "noise": "none"},
+}
 VARIANTS = [
     FaissMatcher(FaissMatcher.Options(kind="hnsw", top_k=50)),
     FaissMatcher(FaissMatcher.Options(kind="ivf", top_k=50)),

@@ -27,8 +27,18 @@ class FaceGrid(GridSampler):
         """`face` is the object's side that touches the sensor, or "auto": the side on which it rests lowest."""
 
         face: str = Field(default="auto", description="side that touches: +x, -x, +y, -y, +z, -z, auto")
-        tilt_deg: float = Field(default=0.0, ge=0.0, le=45.0, description="largest tilt about x and y, degrees")
+        tilt_deg: float = Field(
+            default=0.0,
+            ge=0.0,
+            le=45.0,
+            description="largest tilt about x and y, degrees; spacing_mm is then that of x, y and yaw alone",
+        )
         tilt_steps: int = Field(default=3, ge=2, le=15, description="tilts an axis from -tilt to +tilt")
+
+    @property
+    def spacing_is_mean(self) -> bool:
+        """Tilts are as many and as far apart as asked for, whatever the spacing."""
+        return self.options.tilt_deg == 0.0
 
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
         """Return the lattice (N, 4, 4) whose steps in x, y and yaw each move the surface by `spacing_m` metres RMS."""

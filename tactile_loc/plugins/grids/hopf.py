@@ -64,6 +64,11 @@ class HopfGrid(GridSampler):
         )
         max_poses: int = Field(default=2_000_000, ge=1, description="refuse a grid of more poses than this")
 
+    @property
+    def spacing_is_mean(self) -> bool:
+        """With a level, the rotations are what they are, and the spacing is that of the plane."""
+        return self.options.level is None
+
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
         """Return poses (N, 4, 4), about `spacing_m` metres of surface apart, one for each class that looks the same.
 

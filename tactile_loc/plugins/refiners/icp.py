@@ -46,14 +46,12 @@ class IcpRefiner(Refiner):
         """
         step = max(1, round(max(touch.geometry.shape) / self.options.image_px))
         thinned = dataclasses.replace(scene, geometry=touch.geometry.every(step))
-        seen, wanted = (
-            thinned.contact_shape(candidate.T_sensor_object, touch.press_depth_m),
-            touch.contact_shape.every(step),
-        )
+        start = thinned.in_contact(candidate.T_sensor_object[None])[0][0]  # the pose whose contact is registered
+        seen, wanted = thinned.contact_shape(start, touch.press_depth_m), touch.contact_shape.every(step)
         before = seen.overlap(wanted, thinned.geometry.observed_mask)
         T, converged, iterations = self._register_clouds(seen, wanted, thinned.geometry)
         if T is not None:
-            refined = T @ candidate.T_sensor_object
+            refined = T @ start
             after = scene.overlap(refined, touch)
             if after >= before - ROUGHLY:
                 return RefinedPose(refined, after, converged, iterations)

@@ -42,6 +42,12 @@ def test_a_prior_may_exclude(posterior):
         ProductFuser().fuse([posterior], [None], lambda T: np.full(len(T), -np.inf))
 
 
+@pytest.mark.parametrize("weights", [0.0, np.zeros(3), np.zeros((4, 1)), np.full(4, np.nan), [0.0, 0.0, np.inf, 0.0]])
+def test_a_prior_that_is_no_log_weight_a_pose_is_refused(posterior, weights):
+    with pytest.raises(ConfigError, match=r"the prior returned .* for 4 poses"):
+        ProductFuser().fuse([posterior], [None], lambda T: weights)
+
+
 def test_it_leaves_its_input_alone(posterior):
     before = posterior.log_p.copy()
     ProductFuser().fuse([posterior], [None], lambda T: np.arange(4.0))

@@ -69,6 +69,11 @@ def test_a_level_sets_the_rotations_and_the_spacing_only_the_plane(level):
     np.testing.assert_allclose(apart.min(), 0.02)
 
 
+def test_only_without_a_level_is_the_spacing_that_of_the_whole_grid():
+    assert HopfGrid().spacing_is_mean
+    assert not HopfGrid(HopfGrid.Options(level=1)).spacing_is_mean
+
+
 def test_the_plane_is_covered_wherever_boxes_overlap():
     T = HopfGrid().sample(BRICK, GEOMETRY, 0.015)
     R, counts = np.unique(T[:, :3, :3].reshape(-1, 9), axis=0, return_counts=True)

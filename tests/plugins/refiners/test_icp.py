@@ -49,6 +49,15 @@ def error_mm(touch: Touch, T: np.ndarray, scene: Scene) -> float:
     return 1e3 * float(PoseMetric(scene.object).distance(T, touch.T_sensor_object))
 
 
+def test_a_candidate_off_the_sensor_is_brought_to_contact(scene, touches):
+    """Its contact is what is registered, so that where it was along z must not matter."""
+    touch = touches[0]
+    candidate = off_by(touch, scene, 0.5, 2.0, 1.0)
+    lifted = Candidate(translation([0.0, 0.0, 0.002]) @ candidate.T_sensor_object, 0, 0.0)
+    a, b = (IcpRefiner().refine(touch, c, scene).T_sensor_object for c in (candidate, lifted))
+    np.testing.assert_allclose(a, b, atol=1e-6)
+
+
 def test_the_true_pose_stays_where_it_is(scene, touches):
     for touch in touches:
         refined = IcpRefiner().refine(touch, Candidate(touch.T_sensor_object, 0, 0.0), scene)

@@ -1,0 +1,170 @@
+"""What a real touch has and a clean render has not: a seeded model of the imperfections, in separable parts.
+
+In the order in which they happen: the sensor is not quite where its calibration says; the press is as deep as it is,
+and measured with an error; the elastomer rounds edges off; the contact's edge wanders; patches are missed (bubbles,
+dirt, a lifted border) and others appear (wear, markers, reflections). All sizes are metres on the sensing surface, so
+that the noise is the same however many pixels an image has.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import ConfigError, did_you_mean
+from tactile_loc.core.geometry import make_transform
+from tactile_loc.core.noise_parts import FAINTEST, Gel, stamp
+from tactile_loc.core.poses import Poses
+from tactile_loc.core.sensing import SensorGeometry
+
+Float32 = NDArray[np.float32]
+
+SHALLOWEST = 0.1  # of the true press: no measurement says less
+
+
+@dataclass(frozen=True)
+class TouchNoise:
+    """How strong each imperfection is. Lengths in metres, angles in radians; zeros switch a part off.
+
+    `press_share` (least, most) of the sensor's deepest press is drawn uniformly, and measured with a relative error of
+    standard deviation `press_error`. `smoothing_m` is the elastomer's rounding (standard deviation of a Gaussian on the
+    imprint). An imprint shallower than `least_m` does not show; over patches of `edge_patch_m` this threshold wanders
+    by `edge_m` (standard deviation), but never below `FAINTEST` of `least_m`. `missing` and `spurious` are mean numbers
+    of round patches, of radius up to `patch_m`; contact within a strip, up to `border_m` wide, along a random side of
+    the sensing rectangle is lost. `sensor_m`, `sensor_rad` are standard deviations of the sensor pose's calibration
+    error, along and about each axis. Raises ConfigError for impossible values.
+    """
+
+    press_share: tuple[float, float] = (1.0, 1.0)
+    press_error: float = 0.0
+    smoothing_m: float = 0.0
+    least_m: float = 0.0
+    edge_m: float = 0.0
+    edge_patch_m: float = 1e-3
+    missing: float = 0.0
+    spurious: float = 0.0
+    patch_m: float = 2e-3
+    border_m: float = 0.0
+    sensor_m: float = 0.0
+    sensor_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        least, most = self.press_share
+        if not 0 < least <= most <= 1:
+            raise ConfigError(f"the noise's press_share is {least:g} to {most:g}; give 0 < least <= most <= 1")
+        for name, value in asdict(self).items():
+            if name != "press_share" and not (math.isfinite(value) and value >= 0):
+                raise ConfigError(f"the noise's {name} is {value}; it must be zero or a positive number")
+        if not self.edge_patch_m > 0:
+            raise ConfigError("the noise's edge_patch_m is 0; it must be a positive number")
+
+    def describe(self) -> dict[str, object]:
+        """Return the settings as JSON values: what identifies the noise."""
+        return {**asdict(self), "press_share": list(self.press_share)}
+
+    @property
+    def misplaces(self) -> bool:
+        """Whether the sensor is elsewhere than it is believed to be."""
+        return self.sensor_m > 0 or self.sensor_rad > 0
+
+    def draw_press(self, count: int, max_depth_m: float, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Draw press depths (count,) in metres."""
+        return rng.uniform(*self.press_share, count) * max_depth_m
+
+    def measure_press(
+        self, press_depth_m: NDArray[np.float64], max_depth_m: float, rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Return what the sensor says of press depths (N,), metres: off by `press_error`, within its range."""
+        factor = 1.0 + self.press_error * rng.normal(size=len(press_depth_m))
+        return np.minimum(press_depth_m * np.maximum(factor, SHALLOWEST), max_depth_m)
+
+    def misplace(self, T_sensor_object: Poses, geometry: SensorGeometry, rng: np.random.Generator) -> Poses:
+        """Return where poses (N, 4, 4), metres, really are when the sensor is not quite where it is believed to be.
+
+        The sensor is turned about the centre of its sensing rectangle, whatever the object's frame or the standoff.
+        What comes out is not brought to contact.
+        """
+        from scipy.spatial.transform import Rotation
+
+        if not self.misplaces:
+            return T_sensor_object.copy()
+        count = len(T_sensor_object)
+        turn = Rotation.from_rotvec(self.sensor_rad * rng.normal(size=(count, 3))).as_matrix()
+        shift = self.sensor_m * rng.normal(size=(count, 3))
+        x0, x1, y0, y1 = geometry.rectangle
+        centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2, geometry.standoff_m])
+        lever = (T_sensor_object[:, :3, 3] - centre)[..., None]
+        return make_transform(turn @ T_sensor_object[:, :3, :3], (turn @ lever)[..., 0] + centre + shift)
+
+    def corrupt(
+        self, depth_m: Float32, press_depth_m: NDArray[np.float64], geometry: SensorGeometry, rng: np.random.Generator
+    ) -> Float32:
+        """Return noisy contact depths (N, H, W) float32, metres, of clean ones at full press, cut at press depths (N,).
+
+        No contact is exactly the press depth. What lies off the sensing rectangle stays clean: there is no elastomer.
+        """
+        press = np.asarray(press_depth_m, np.float32)[:, None, None]
+        noisy = np.minimum(np.asarray(depth_m, np.float32), press)
+        gel = Gel.of(geometry)
+        depth = noisy[:, gel.rows, gel.columns]  # a view
+        if self.smoothing_m > 0:
+            depth[...] = np.maximum(press - gel.blurred(press - depth, self.smoothing_m), 0.0)
+        if self.least_m > 0 or self.edge_m > 0:
+            np.copyto(depth, press, where=press - depth <= self._threshold(len(depth), gel, rng))
+        self._add_patches(depth, press, gel, rng)
+        if self.border_m > 0:
+            np.copyto(depth, press, where=gel.border(self.border_m * rng.random(len(depth)), rng))
+        return noisy
+
+    def cut(self, depth_m: Float32, press_depth_m: NDArray[np.float64], measured_m: NDArray[np.float64]) -> Float32:
+        """Return the contact depths (N, H, W) that a sensor reports which takes presses (N,) for `measured_m` (N,).
+
+        `depth_m` (N, H, W) are the noisy ones at the true presses; all in metres. A press that is taken for a lighter
+        one loses the rim of its contact; one that is taken for a deeper one shows no more than it did. No contact is
+        the measured press.
+        """
+        press, measured = (np.asarray(p, np.float32)[:, None, None] for p in (press_depth_m, measured_m))
+        return np.where(depth_m < np.minimum(press, measured), depth_m, measured)
+
+    def _threshold(self, count: int, gel: Gel, rng: np.random.Generator) -> Float32 | np.float32:
+        """The imprint that just does not show, metres: one number, or (count, H, W) where it wanders."""
+        least = np.float32(self.least_m)
+        if self.edge_m == 0:
+            return least
+        wander = gel.random_field(count, self.edge_patch_m, rng)
+        return np.maximum(least + np.float32(self.edge_m) * wander, np.float32(FAINTEST) * least)
+
+    def _add_patches(self, depth: Float32, press: Float32, gel: Gel, rng: np.random.Generator) -> None:
+        """Take round patches out of depths (N, H, W) at presses (N, 1, 1), metres, and put spurious ones in."""
+        if self.missing > 0:
+            centres = gel.random_pixels(depth < press, rng.poisson(self.missing, len(depth)), rng)
+            radius = self.patch_m * rng.uniform(0.3, 1.0, len(centres.image))
+            stamp(depth, gel, centres, radius, press[centres.image, 0, 0], np.maximum)
+        if self.spurious > 0:
+            centres = gel.random_points(rng.poisson(self.spurious, len(depth)), rng)
+            radius = self.patch_m * rng.uniform(0.2, 0.7, len(centres.image))
+            imprint = rng.uniform(0.1, 0.5, len(centres.image))
+            stamp(depth, gel, centres, radius, press[centres.image, 0, 0] * (1 - imprint), np.minimum)
+
+
+NOISE = {
+    "none": TouchNoise(),
+    "mild": TouchNoise(
+        press_share=(0.75, 1.0), press_error=0.03, smoothing_m=1.5e-4, least_m=5e-5, edge_m=5e-5, missing=0.5,
+        spurious=0.2, patch_m=1.5e-3, border_m=5e-4, sensor_m=1e-4, sensor_rad=math.radians(0.3),
+    ),
+    "strong": TouchNoise(
+        press_share=(0.5, 1.0), press_error=0.08, smoothing_m=3e-4, least_m=5e-5, edge_m=1.5e-4, missing=2.0,
+        spurious=1.0, patch_m=2.5e-3, border_m=2e-3, sensor_m=3e-4, sensor_rad=math.radians(1.0),
+    ),
+}  # fmt: skip
+
+
+def noise(name: str) -> TouchNoise:
+    """Return the noise called none, mild or strong. Raises ConfigError for another name."""
+    if name not in NOISE:
+        raise ConfigError(f"there is no noise {name!r}; give one of {', '.join(NOISE)}.{did_you_mean(name, NOISE)}")
+    return NOISE[name]

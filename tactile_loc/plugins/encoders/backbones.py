@@ -1,0 +1,228 @@
+"""Convolutional backbones of the learned encoder in plain torch, and the weights they can start from."""
+
+from __future__ import annotations
+
+import http.client
+import logging
+import pickle
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from tactile_loc.core.errors import ConfigError, MissingLibraryError, WeightsError, did_you_mean
+from tactile_loc.plugins.encoders.resnet import RESNET_DEPTHS, Backbone, Norm, ResNet, norm_layer
+
+BACKBONES = ("small", *RESNET_DEPTHS)
+
+_LOG = logging.getLogger(__name__)
+_SMALL_WIDTHS = (24, 48, 96, 128)
+_HUB = "https://download.pytorch.org/models"
+# the first ImageNet weights of torchvision (IMAGENET1K_V1): those that contrastive learning has been fine-tuned from
+_HUB_FILES = {"resnet18": "resnet18-f37072fd.pth", "resnet50": "resnet50-0676ba61.pth"}
+_STATISTICS = ("running_mean", "running_var", "num_batches_tracked")
+# what reading a damaged or foreign pickle may raise, depending on where the damage is
+_UNREADABLE = (
+    RuntimeError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    LookupError,
+    EOFError,
+    pickle.UnpicklingError,
+    struct.error,
+)
+
+
+class SmallBackbone(Backbone):
+    """Four 3x3 convolutions of stride 2 (24, 48, 96, 128 channels), normalised: minutes of training on two CPU cores.
+
+    15 MFLOP a 64x64 image, whose map is 4x4; the stride is 16 px.
+    """
+
+    def __init__(self, in_channels: int, channels: int | None, norm: Norm) -> None:
+        super().__init__("small", 16, in_channels, _SMALL_WIDTHS[-1], channels)
+        stages, incoming = [], in_channels
+        for width in _SMALL_WIDTHS:
+            convolution = nn.Conv2d(incoming, width, 3, 2, 1, bias=False)
+            stages.append(nn.Sequential(convolution, norm_layer(norm, width, 8), nn.ReLU(inplace=True)))
+            incoming = width
+        self.stages = nn.Sequential(*stages)
+
+    def features(self, images: torch.Tensor) -> torch.Tensor:
+        """Return the unprojected map (N, 128, h, w) of images (N, in_channels, H, W)."""
+        # the layout is kept by the stages, which run a fifth faster in it on a CPU; the weights stay contiguous
+        features: torch.Tensor = self.stages(images.to(memory_format=torch.channels_last))
+        return features
+
+
+def make_backbone(
+    name: str,
+    *,
+    generator: torch.Generator,
+    in_channels: int = 1,
+    channels: int | None = 16,
+    norm: Norm = "group",
+) -> Backbone:
+    """Return the backbone `name` ("small", "resnet18", "resnet50") on the CPU, its weights drawn by `generator`.
+
+    `in_channels` counts the planes of the input, the contact mask first; `channels` those of the map (None: as many as
+    the network has, without projection). Torch's global random state is neither read nor changed. Raises ConfigError
+    when the name or the norm is unknown or a number is not positive.
+    """
+    if name not in BACKBONES:
+        hint = did_you_mean(name, BACKBONES)
+        raise ConfigError(f"The backbone {name!r} is unknown: choose one of {', '.join(BACKBONES)}.{hint}")
+    for label, count in (("in_channels", in_channels), ("channels", channels)):
+        if count is not None and count < 1:
+            raise ConfigError(f"The backbone's {label} must be at least 1, not {count}.")
+    with torch.device("meta"):  # torch's own initialisation would draw from the global random state
+        small = name == "small"
+        model = SmallBackbone(in_channels, channels, norm) if small else ResNet(name, in_channels, channels, norm)
+    model.to_empty(device="cpu")
+    _initialise(model, generator)
+    return model
+
+
+def _initialise(model: Backbone, generator: torch.Generator) -> None:
+    """Draw the weights as torchvision does for residual networks: He's normal distribution; the norms do nothing."""
+    for module in model.modules():
+        if isinstance(module, nn.Conv2d):
+            linear = module is model.project
+            mode, after = ("fan_in", "linear") if linear else ("fan_out", "relu")
+            nn.init.kaiming_normal_(module.weight, mode=mode, nonlinearity=after, generator=generator)  # type: ignore[arg-type]
+            if module.bias is not None:
+                nn.init.zeros_(module.bias)
+        elif isinstance(module, nn.BatchNorm2d | nn.GroupNorm):
+            module.reset_parameters()  # ones and zeros, and fresh running statistics
+
+
+def load_pretrained(model: Backbone, source: str | Path) -> None:
+    """Fill `model` with weights from `source`: a .pth, .pt or .safetensors file, or "hub" for torchvision's ImageNet.
+
+    The names are torchvision's, or those of a saved `model.state_dict()`. `fc.*` is ignored; `project.*` may be absent
+    and then stays as it is. Where the file's first convolution sees three colours and the model another number of
+    planes, the mask's plane gets the sum over the colours, which answers as if the mask were repeated to three, and
+    further planes begin at zero; ImageNet's colour normalisation is left to fine-tuning. A model with group norms takes
+    the batch norms' scales and shifts and drops their running statistics, so it needs fine-tuning before it is of use.
+
+    Raises WeightsError when the weights are out of reach, damaged, or of another architecture; the model then is as it
+    was before.
+    """
+    weights, origin = _from_hub(model.name) if source == "hub" else _from_file(Path(source))
+    fitted = _fitted(model, weights, origin)
+    model.load_state_dict(fitted, strict=False)
+    _LOG.debug("loaded %d tensors of %s from %s", len(fitted), model.name, origin)
+
+
+def _from_hub(name: str) -> tuple[object, str]:
+    """The published weights, downloaded once to torch's cache, and the address they come from."""
+    if name not in _HUB_FILES:
+        raise WeightsError(f"No weights of {name!r} are published: give a file instead of 'hub', or train without one.")
+    address = f"{_HUB}/{_HUB_FILES[name]}"
+    advice = f"download it elsewhere and give the path of the file {_HUB_FILES[name]} instead of 'hub'"
+    try:
+        weights = torch.hub.load_state_dict_from_url(
+            address, map_location="cpu", progress=False, check_hash=True, weights_only=True
+        )
+        return weights, address
+    except (OSError, http.client.HTTPException) as error:
+        raise WeightsError(f"The weights of {name} cannot be had from {address} ({error}): {advice}.") from error
+    except _UNREADABLE as error:
+        cached = Path(torch.hub.get_dir()) / "checkpoints" / _HUB_FILES[name]
+        raise WeightsError(
+            f"The weights of {name} from {address} are damaged: delete {cached} if it is there and try again, "
+            f"or {advice}."
+        ) from error
+
+
+def _from_file(path: Path) -> tuple[object, str]:
+    if path.suffix not in (".pth", ".pt", ".safetensors"):
+        raise WeightsError(
+            f"The weights {path} are of an unknown kind: give a .pth, .pt or .safetensors file, or 'hub'."
+        )
+    if not path.is_file():
+        raise WeightsError(f"There is no weights file {path}: check the path, or give 'hub' to download weights.")
+    try:
+        if path.suffix == ".safetensors":
+            return _from_safetensors(path), str(path)
+        return torch.load(path, map_location="cpu", weights_only=True), str(path)
+    except OSError as error:
+        raise WeightsError(f"The weights file {path} cannot be read: {error.strerror or error}.") from error
+    except _UNREADABLE as error:
+        raise WeightsError(
+            f"The weights file {path} is damaged or holds more than tensors: fetch or save it again."
+        ) from error
+
+
+def _from_safetensors(path: Path) -> Mapping[str, torch.Tensor]:
+    try:
+        from safetensors import SafetensorError
+        from safetensors.torch import load_file
+    except ImportError as error:
+        raise MissingLibraryError(f"Reading {path} needs safetensors: install it with pip.") from error
+    try:
+        return load_file(path)
+    except SafetensorError as error:
+        raise ValueError(str(error)) from error
+
+
+def _fitted(model: Backbone, weights: object, origin: str) -> dict[str, torch.Tensor]:
+    """The tensors of `weights` that the model has a place for, after checking that they are all it needs."""
+    own = model.state_dict()
+    advice = f"give weights of {model.name} under {_naming(model)} names"
+    if not isinstance(weights, Mapping) or not all(
+        isinstance(key, str) and isinstance(value, torch.Tensor) for key, value in weights.items()
+    ):
+        raise WeightsError(
+            f"{origin} holds something else than named tensors, so no weights of {model.name}: {advice}."
+        )
+    given = {key: value for key, value in weights.items() if not _ignored(key, own)}
+    fitted = {}
+    for key, place in own.items():
+        if key not in given and not _optional(key, given):
+            raise WeightsError(f"{origin} does not fit {model.name}: {key!r} is missing in it; {advice}.")
+        if key in given:
+            tensor = _on_planes(given[key], place) if key == "conv1.weight" else given[key]
+            if difference := _difference(tensor, place):
+                raise WeightsError(f"{origin} does not fit {model.name}: {key!r} {difference}; {advice}.")
+            fitted[key] = tensor
+    if foreign := next((key for key in given if key not in own), None):
+        raise WeightsError(f"{origin} does not fit {model.name}, which has no place for its {foreign!r}; {advice}.")
+    return fitted
+
+
+def _naming(model: Backbone) -> str:
+    return "torchvision's" if model.name in RESNET_DEPTHS else "this library's"
+
+
+def _ignored(key: str, own: Mapping[str, torch.Tensor]) -> bool:
+    """The classifier, and running statistics of a norm that the model has without them."""
+    layer, _, parameter = key.rpartition(".")
+    return key.startswith("fc.") or (parameter in _STATISTICS and key not in own and f"{layer}.weight" in own)
+
+
+def _optional(key: str, given: Mapping[str, torch.Tensor]) -> bool:
+    """Old files count no batches, and torchvision's have no projection; half a projection is none."""
+    projection = key.startswith("project.") and not any(other.startswith("project.") for other in given)
+    return projection or key.endswith(".num_batches_tracked")
+
+
+def _on_planes(kernel: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
+    """A first convolution on three colours as one on the planes of `place`; any other kernel as it is."""
+    if kernel.ndim != 4 or kernel.shape[1] != 3 or place.shape[1] == 3:
+        return kernel
+    planes = kernel.new_zeros((len(kernel), place.shape[1], *kernel.shape[2:]))
+    planes[:, 0] = kernel.sum(1)
+    return planes
+
+
+def _difference(tensor: torch.Tensor, place: torch.Tensor) -> str:
+    """What keeps `tensor` from standing in `place`, as the end of a sentence; empty when nothing does."""
+    if tensor.shape != place.shape:
+        return f"has shape {tuple(tensor.shape)} there and {tuple(place.shape)} here"
+    if tensor.is_floating_point() != place.is_floating_point():
+        return f"is of type {tensor.dtype} there"
+    return "" if torch.isfinite(tensor).all() else "holds numbers that are not finite"

@@ -1,0 +1,165 @@
+"""The paper's learned encoder: an embedding of one object's contact shapes, learned by contrast, in simulation only.
+
+A query is a freshly rendered random touch; the queue is fixed, one key a grid pose; the label is the nearest grid pose;
+the loss is the cross-entropy of the softmax of similarities over the whole grid (Bauza et al., CoRL 2020, after He et
+al., CVPR 2020). The keys are encoded from clean shapes by a momentum copy of the network, again as training goes on.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import nn
+
+from tactile_loc.core.errors import ConfigError, GridError, WeightsError
+from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Encoder, Float32, TrainingProblem
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugins.encoders.backbones import load_pretrained, make_backbone
+from tactile_loc.plugins.encoders.moco_training import Recipe, Trainer
+
+PRESETS = {
+    # minutes on two CPU cores
+    "cpu": Recipe(
+        backbone="small", channels=16, norm="group", image_px=64, epochs=20, queries=6144, repeats=2, batch=256,
+        optimizer="adamw", rate=2e-3, weight_decay=1e-4, momentum=0.98, temperature=0.07, refresh=24,
+    ),
+    # the paper's network and optimiser, for a GPU
+    "paper": Recipe(
+        backbone="resnet50", channels=64, norm="batch", image_px=200, epochs=30, queries=20480, repeats=1, batch=128,
+        optimizer="sgd", rate=0.03, weight_decay=1e-4, momentum=0.999, temperature=0.07, refresh=0,
+    ),
+}  # fmt: skip
+
+
+class MocoEncoder(Encoder):
+    """Learns in `fit`; unit vectors, whose score in a matcher is the cosine minus one."""
+
+    capabilities = Capabilities(needs_training=True)
+    temperature = 0.07
+
+    class Options(ComponentOptions):
+        """A preset, and what differs from it (None: as the preset has it)."""
+
+        preset: Literal["cpu", "paper"] = Field(default="cpu", description="cpu: minutes on 2 cores; paper: for a GPU")
+        backbone: Literal["small", "resnet18", "resnet50"] | None = Field(default=None, description="the network")
+        channels: int | None = Field(default=None, ge=1, le=2048, description="channels of the map kept as the vector")
+        epochs: int | None = Field(default=None, ge=1, description="epochs, each of fresh touches")
+        queries: int | None = Field(default=None, ge=32, description="touches rendered an epoch")
+        batch: int | None = Field(default=None, ge=2, description="touches a step")
+        rate: float | None = Field(default=None, gt=0, description="learning rate at its highest")
+        noise: Literal["none", "mild", "strong"] = Field(
+            default="strong", description="noise of the touches to learn from"
+        )
+        negatives: int = Field(
+            default=0, ge=0, description="grid poses in the softmax a step, drawn; 0: the whole grid"
+        )
+        patience: int = Field(default=8, ge=1, description="epochs without a better validation before stopping early")
+        seed: int = Field(default=0, ge=0, description="of all that is drawn in training")
+        pretrained: str | None = Field(default=None, description="weights to start from: a file, or hub")
+        device: Literal["auto", "cpu", "cuda"] = Field(
+            default="auto", description="where to compute", json_schema_extra={"neutral": True}
+        )
+
+    def __init__(self, options: ComponentOptions | None = None) -> None:
+        super().__init__(options)
+        chosen = self.options.model_dump(include={"backbone", "channels", "epochs", "queries", "batch", "rate"})
+        changes = {name: value for name, value in chosen.items() if value is not None}
+        self.recipe: Recipe = PRESETS[self.options.preset].changed(
+            **changes,
+            noise=self.options.noise,
+            negatives=self.options.negatives,
+            patience=self.options.patience,
+            seed=self.options.seed,
+        )
+        self._network: nn.Module | None = None
+
+    def describe(self) -> dict[str, Any]:
+        """Return what identifies the encoder's output: the whole recipe, not where it is computed."""
+        record = super().describe()
+        options = {k: v for k, v in record["options"].items() if k != "device"}
+        return {**record, "options": options, "recipe": self.recipe.describe()}
+
+    @property
+    def device(self) -> torch.device:
+        """Where to compute. Raises ConfigError when CUDA is asked for and absent."""
+        wanted = self.options.device
+        if wanted == "cuda" and not torch.cuda.is_available():
+            raise ConfigError(
+                "the encoder 'moco' was asked to run on CUDA, but torch sees no CUDA device here; install a CUDA "
+                "build of torch and a driver, or set encoder.device to cpu"
+            )
+        return torch.device("cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu")
+
+    def fit(self, problem: TrainingProblem) -> None:
+        """Train on simulated touches. Raises GridError for a grid too large for memory, WeightsError, ConfigError."""
+        _require_memory(self.recipe, len(problem.grid))
+        self._network = Trainer(self.recipe, problem, self._fresh_network(self.options.seed), self.device).run()
+
+    def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
+        """Return unit embeddings (N, D) of contact depths (N, H, W) in metres cut at `press_depth_m`."""
+        network = self._trained_network()
+        press = np.full(len(depth_m), press_depth_m)
+        with torch.inference_mode():
+            vectors = self.recipe.embed(network, depth_m, press, geometry, self.device)
+        return vectors.float().cpu().numpy()
+
+    def save_weights(self, path: Path) -> None:
+        """Write the trained network to a safetensors file."""
+        from safetensors.torch import save_file
+
+        state = self._trained_network().state_dict()
+        save_file({k: v.detach().cpu().contiguous() for k, v in state.items()}, path)
+
+    def load_weights(self, path: Path) -> None:
+        """Read a trained network. Raises WeightsError when the file is damaged or of another architecture."""
+        from safetensors import SafetensorError
+        from safetensors.torch import load_file
+
+        network = self._fresh_network(0, pretrained=False)
+        try:
+            network.load_state_dict(load_file(path))
+        except (SafetensorError, RuntimeError, OSError) as error:
+            reason = str(error).splitlines()[0]
+            raise WeightsError(
+                f"{path} cannot be read as the weights of a {self.recipe.backbone} encoder ({reason}); train it again"
+            ) from error
+        self._network = network.to(self.device).eval()
+
+    def _trained_network(self) -> nn.Module:
+        if self._network is None:
+            raise ConfigError("the encoder 'moco' has not been trained for this object; build its model first")
+        return self._network
+
+    def _fresh_network(self, seed: int, pretrained: bool = True) -> nn.Module:
+        recipe = self.recipe
+        network = make_backbone(
+            recipe.backbone, generator=torch.Generator().manual_seed(seed), in_channels=2, channels=recipe.channels,
+            norm=recipe.norm,
+        )  # fmt: skip
+        if pretrained and self.options.pretrained:
+            load_pretrained(network, self.options.pretrained)
+        return network
+
+
+def _require_memory(recipe: Recipe, poses: int) -> None:
+    """Raise GridError when scores and keys would not fit into the machine's memory."""
+    needed, free = recipe.bytes_needed(poses), _available_bytes()
+    if needed > 0.8 * free:
+        raise GridError(
+            f"training on {poses} poses needs about {needed / 2**30:.1f} GiB of memory, {free / 2**30:.1f} are free; "
+            "set encoder.negatives (16384, say) or a smaller encoder.batch, or a coarser grid.spacing_mm"
+        )
+
+
+def _available_bytes() -> int:
+    """Memory that programs can still get: what Linux says, elsewhere all there is."""
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+    except OSError:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable"))

@@ -1,0 +1,277 @@
+"""How the learned encoder is trained: the recipe, and the loop."""
+
+from __future__ import annotations
+
+import copy
+import json
+import logging
+import math
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+import torch.nn.functional as F  # noqa: N812 - torch's own abbreviation
+from numpy.typing import NDArray
+from torch import nn
+
+from tactile_loc.core.errors import TrainingError
+from tactile_loc.core.interfaces import Float32, TrainingProblem
+from tactile_loc.core.noise import noise
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugins.encoders.moco_queries import Queries, QuerySource
+
+log = logging.getLogger(__name__)
+
+VALIDATION_TOUCHES = 256
+KEYS_AT_ONCE = 512
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything that decides what is learned.
+
+    `queries` touches are rendered an epoch and used `repeats` times, with new noise; `batch` a step. `refresh` is how
+    many steps keys are kept before they are encoded again (0: an epoch). `momentum` is that of the key encoder's
+    weights, `temperature` divides the similarities (unitless), `image_px` is the longer side of the input.
+    """
+
+    backbone: str
+    channels: int
+    norm: Literal["batch", "group"]
+    image_px: int
+    epochs: int
+    queries: int
+    repeats: int
+    batch: int
+    optimizer: Literal["adamw", "sgd"]
+    rate: float
+    weight_decay: float
+    momentum: float
+    temperature: float
+    refresh: int
+    noise: str = "strong"
+    negatives: int = 0
+    patience: int = 8
+    seed: int = 0
+
+    def changed(self, **changes: Any) -> Recipe:
+        """Return the recipe with some settings changed."""
+        return replace(self, **changes)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the settings as JSON values."""
+        return asdict(self)
+
+    def bytes_needed(self, poses: int) -> int:
+        """About how much memory a step takes with a grid of this many poses."""
+        in_softmax = min(poses, self.negatives + self.batch) if self.negatives else poses
+        scores = 4 * 4 * self.batch * in_softmax  # float32: scores, their exponentials, and the gradients of both
+        keys = 2 * 4 * self.channels * 64 * poses
+        return scores + keys
+
+    def embed(
+        self,
+        network: nn.Module,
+        depth_m: Float32,
+        press_m: NDArray[np.float64],
+        geometry: SensorGeometry,
+        device: torch.device,
+    ) -> torch.Tensor:
+        """Return unit vectors (N, D) of contact depths (N, H, W) in metres, cut at press depths (N,)."""
+        planes = input_planes(depth_m, press_m, geometry, self.image_px).to(device)
+        if device.type == "cuda":
+            planes = planes.contiguous(memory_format=torch.channels_last)
+        with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
+            return F.normalize(network(planes).flatten(1), dim=1)
+
+
+def input_planes(
+    depth_m: Float32, press_m: NDArray[np.float64], geometry: SensorGeometry, image_px: int
+) -> torch.Tensor:
+    """Return the network's input (N, 2, h, w): the observed contact mask, and the press as a share of the deepest.
+
+    The mask is averaged to images whose longer side is `image_px` pixels: the share of each pixel in contact, unitless.
+    """
+    press = np.asarray(press_m, np.float32)[:, None, None]
+    mask = torch.from_numpy((depth_m < press) & geometry.observed_mask)[:, None].float()
+    small = geometry.with_long_side(image_px).shape
+    mask = mask if mask.shape[-2:] == small else F.interpolate(mask, small, mode="area")
+    share = torch.from_numpy(press / np.float32(geometry.max_depth_m))[:, None].expand_as(mask)
+    return torch.cat([mask, share], dim=1)
+
+
+class Trainer:
+    """Trains a network on a problem. All randomness comes from the recipe's seed, a stream an epoch, so that a training
+    that was interrupted goes on as if it had not been."""
+
+    def __init__(self, recipe: Recipe, problem: TrainingProblem, network: nn.Module, device: torch.device) -> None:
+        self.recipe, self.problem, self.device = recipe, problem, device
+        self.network = network.to(device)
+        self.key_network = copy.deepcopy(self.network).requires_grad_(False)
+        self.optimizer = _optimizer(recipe, self.network)
+        self.source = QuerySource(problem, noise(recipe.noise), recipe.queries, recipe.seed)
+        self.steps = recipe.repeats * max(1, recipe.queries // recipe.batch)
+        self.epoch, self.best, self.stale = 0, math.inf, 0
+        self.best_weights = _weights(self.network)
+
+    def run(self) -> nn.Module:
+        """Train, from the last checkpoint if there is one, and return the network that validated best, in eval mode.
+
+        Raises TrainingError when the loss is no number in the first epoch; later, the best network is kept.
+        """
+        self._resume()
+        validation = self.source.validation(VALIDATION_TOUCHES)
+        with self.problem.progress.task("training the encoder", self.recipe.epochs) as advance:
+            advance(self.epoch)
+            for queries in self.source.epochs(self.epoch, self.recipe.epochs):
+                loss = self._train_epoch(queries)
+                if not math.isfinite(loss):
+                    self._stop_at_nan()
+                    break
+                self._judge(self._median_error(validation), loss)
+                self._checkpoint()
+                advance(1)
+                if self.stale >= self.recipe.patience:
+                    log.info("no better validation for %d epochs: stopped early", self.stale)
+                    break
+        self.network.load_state_dict(self.best_weights)
+        return self.network.eval()
+
+    def _train_epoch(self, queries: Queries) -> float:
+        """One epoch of steps; returns the mean loss (unitless), NaN as soon as one is."""
+        self.network.train()
+        order = np.random.default_rng([self.recipe.seed, self.epoch, 2])
+        losses, keys = [], self._keys(self.key_network)
+        for step in range(self.steps):
+            if self.recipe.refresh and step and step % self.recipe.refresh == 0:
+                keys = self._keys(self.key_network)
+            loss = self._step(queries.batch(self.recipe.batch, order), keys, step, order)
+            losses.append(loss)
+            if not math.isfinite(loss):
+                return math.nan
+        self.epoch += 1
+        return float(np.mean(losses))
+
+    def _step(self, batch: tuple[Float32, Any, Any], keys: torch.Tensor, step: int, rng: np.random.Generator) -> float:
+        depth_m, press_m, labels = batch
+        for group in self.optimizer.param_groups:
+            group["lr"] = self._rate(self.epoch + step / self.steps)
+        vectors = self.recipe.embed(self.network, depth_m, press_m, self.problem.scene.geometry, self.device)
+        targets = torch.from_numpy(labels).to(self.device)
+        if self.recipe.negatives and self.recipe.negatives < len(keys):
+            keys, targets = _sampled(keys, targets, self.recipe.negatives, rng)
+        loss = F.cross_entropy(vectors.float() @ keys.T / self.recipe.temperature, targets)
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        self.optimizer.step()
+        with torch.no_grad():
+            for slow, fast in zip(
+                self.key_network.state_dict().values(), self.network.state_dict().values(), strict=True
+            ):
+                slow.copy_(torch.lerp(fast, slow, self.recipe.momentum) if slow.is_floating_point() else fast)
+        return float(loss.detach())
+
+    def _rate(self, epochs_done: float) -> float:
+        """Learning rate: a warm-up of half an epoch, then a cosine down to a hundredth."""
+        warm = min(1.0, epochs_done / 0.5 + 0.02)
+        return self.recipe.rate * warm * (0.505 + 0.495 * math.cos(math.pi * epochs_done / self.recipe.epochs))
+
+    @torch.no_grad()
+    def _keys(self, network: nn.Module) -> torch.Tensor:
+        """Encode the grid's clean contact shapes: keys (N, D)."""
+        geometry = self.problem.scene.geometry
+        training = network.training
+        network.eval()
+        rows = []
+        for shard in self.problem.shapes():
+            for part in np.array_split(shard, max(1, len(shard) // KEYS_AT_ONCE)):
+                press = np.full(len(part), geometry.max_depth_m)
+                rows.append(self.recipe.embed(network, part, press, geometry, self.device))
+        network.train(training)
+        return torch.cat(rows).float()
+
+    @torch.no_grad()
+    def _median_error(self, validation: Queries) -> float:
+        """Median distance in metres of the best grid pose from the true one's nearest, over the validation touches."""
+        self.network.eval()
+        rng = np.random.default_rng([self.recipe.seed, 3])
+        depth_m, press_m, labels = validation.batch(len(validation), rng)
+        vectors = self.recipe.embed(self.network, depth_m, press_m, self.problem.scene.geometry, self.device).float()
+        best = (vectors @ self._keys(self.network).T).argmax(dim=1).cpu().numpy()
+        grid = self.problem.grid
+        return float(np.median(np.linalg.norm(grid.phi[best] - grid.phi[labels], axis=1)))
+
+    def _judge(self, error_m: float, loss: float) -> None:
+        self.problem.progress.note(f"loss {loss:.2f}, validation best-1 {error_m * 1e3:.2f} mm")
+        log.info("epoch %d: loss %.3f, validation best-1 %.2f mm", self.epoch, loss, error_m * 1e3)
+        if error_m < self.best:
+            self.best, self.stale, self.best_weights = error_m, 0, _weights(self.network)
+        else:
+            self.stale += 1
+
+    def _stop_at_nan(self) -> None:
+        advice = "lower encoder.rate"
+        if self.epoch == 0:
+            raise TrainingError(f"the loss became NaN in the first epoch of training; {advice}")
+        log.warning("the loss became NaN in epoch %d; the best network before it is kept; %s", self.epoch + 1, advice)
+
+    def _checkpoint(self) -> None:
+        from safetensors.torch import save_file
+
+        tensors = {f"best.{k}": v for k, v in self.best_weights.items()}
+        tensors |= {f"network.{k}": v for k, v in _weights(self.network).items()}
+        tensors |= {f"key.{k}": v for k, v in _weights(self.key_network).items()}
+        for number, state in self.optimizer.state_dict()["state"].items():
+            tensors |= {f"optimizer.{number}.{k}": torch.as_tensor(v).cpu() for k, v in state.items() if v is not None}
+        progress = {"epoch": self.epoch, "best": self.best, "stale": self.stale}
+        copies = {k: v.clone().contiguous() for k, v in tensors.items()}
+        self.problem.checkpoints.save(lambda path: save_file(copies, path, {"progress": json.dumps(progress)}))
+
+    def _resume(self) -> None:
+        path = self.problem.checkpoints.load()
+        if path is None:
+            return
+        tensors, progress = _read_checkpoint(path)
+        self.epoch, self.best, self.stale = progress["epoch"], progress["best"], progress["stale"]
+        self.best_weights = _under(tensors, "best.")
+        self.network.load_state_dict(_under(tensors, "network."))
+        self.key_network.load_state_dict(_under(tensors, "key."))
+        state: dict[int, dict[str, torch.Tensor]] = {}
+        for name, tensor in _under(tensors, "optimizer.").items():
+            number, _, key = name.partition(".")
+            state.setdefault(int(number), {})[key] = tensor
+        self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": state})
+        log.info("training goes on from epoch %d", self.epoch)
+
+
+def _optimizer(recipe: Recipe, network: nn.Module) -> torch.optim.Optimizer:
+    if recipe.optimizer == "sgd":
+        return torch.optim.SGD(network.parameters(), recipe.rate, momentum=0.9, weight_decay=recipe.weight_decay)
+    return torch.optim.AdamW(network.parameters(), recipe.rate, weight_decay=recipe.weight_decay)
+
+
+def _weights(network: nn.Module) -> dict[str, torch.Tensor]:
+    return {k: v.detach().cpu().clone() for k, v in network.state_dict().items()}
+
+
+def _under(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
+    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+
+
+def _read_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    from safetensors import safe_open
+
+    with safe_open(path, framework="pt") as file:
+        return {k: file.get_tensor(k) for k in file.keys()}, json.loads(file.metadata()["progress"])  # noqa: SIM118
+
+
+def _sampled(
+    keys: torch.Tensor, targets: torch.Tensor, negatives: int, rng: np.random.Generator
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Keep the batch's own keys and `negatives` drawn ones; return keys (K, D) and where each target (B,) is now."""
+    own, places = targets.unique(return_inverse=True)
+    drawn = torch.from_numpy(rng.choice(len(keys), negatives, replace=False)).to(keys.device)
+    drawn = drawn[~torch.isin(drawn, own)]
+    return torch.cat([keys[own], keys[drawn]]), places

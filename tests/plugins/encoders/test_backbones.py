@@ -1,0 +1,433 @@
+from __future__ import annotations
+
+import urllib.error
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from tactile_loc.core.errors import ConfigError, TactileLocError, WeightsError
+
+torch = pytest.importorskip("torch")
+safetensors = pytest.importorskip("safetensors.torch")
+
+from tactile_loc.plugins.encoders import backbones  # noqa: E402
+from tactile_loc.plugins.encoders.backbones import BACKBONES, Backbone, load_pretrained, make_backbone  # noqa: E402
+
+STATISTICS = ("running_mean", "running_var", "num_batches_tracked")
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Small networks gain nothing from threads, and on a busy machine lose much by waiting for each other."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def made(name: str = "small", seed: int = 0, **options: object) -> Backbone:
+    return make_backbone(name, generator=torch.Generator().manual_seed(seed), **options)
+
+
+def masks(count: int = 3, planes: int = 1, side_px: int = 64, seed: int = 1) -> torch.Tensor:
+    drawn = torch.rand(count, planes, side_px, side_px, generator=torch.Generator().manual_seed(seed))
+    return (drawn > 0.5).float()
+
+
+def same(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> bool:
+    return one.keys() == other.keys() and all(torch.equal(one[key], other[key]) for key in one)
+
+
+def copied(model: Backbone) -> dict[str, torch.Tensor]:
+    return {key: value.clone() for key, value in model.state_dict().items()}
+
+
+def saved(weights: dict[str, torch.Tensor], path: Path) -> Path:
+    if path.suffix == ".safetensors":
+        safetensors.save_file(weights, path)
+    else:
+        torch.save(weights, path)
+    return path
+
+
+def norm_shapes(layer: str, width: int) -> dict[str, tuple[int, ...]]:
+    shapes = {f"{layer}.{key}": (width,) for key in ("weight", "bias", "running_mean", "running_var")}
+    return shapes | {f"{layer}.num_batches_tracked": ()}
+
+
+def torchvision_shapes(name: str) -> dict[str, tuple[int, ...]]:
+    """Names and shapes of torchvision's state dict less the classifier, written down from the papers' tables."""
+    shapes: dict[str, tuple[int, ...]] = {"conv1.weight": (64, 3, 7, 7)} | norm_shapes("bn1", 64)
+    deep = name == "resnet50"
+    incoming = 64
+    for layer, (width, depth) in enumerate(
+        zip((64, 128, 256, 512), (3, 4, 6, 3) if deep else (2,) * 4, strict=True), 1
+    ):
+        out = 4 * width if deep else width
+        for block in range(depth):
+            at = f"layer{layer}.{block}"
+            convolutions = [(width, incoming, 3), (width, width, 3)]
+            if deep:
+                convolutions = [(width, incoming, 1), (width, width, 3), (out, width, 1)]
+            for number, (outgoing, into, side) in enumerate(convolutions, 1):
+                shapes[f"{at}.conv{number}.weight"] = (outgoing, into, side, side)
+                shapes |= norm_shapes(f"{at}.bn{number}", outgoing)
+            if block == 0 and (layer > 1 or deep):
+                shapes[f"{at}.downsample.0.weight"] = (out, incoming, 1, 1)
+                shapes |= norm_shapes(f"{at}.downsample.1", out)
+            incoming = out
+    return shapes
+
+
+@cache
+def torchvision_weights(name: str, seed: int = 5) -> dict[str, torch.Tensor]:
+    """What a file of torchvision's holds, classifier and all, with random values."""
+    generator = torch.Generator().manual_seed(seed)
+    shapes = torchvision_shapes(name) | {"fc.weight": (1000, 512 if name == "resnet18" else 2048), "fc.bias": (1000,)}
+    return {
+        key: torch.tensor(3) if key.endswith("tracked") else torch.rand(shape, generator=generator)
+        for key, shape in shapes.items()
+    }
+
+
+@pytest.mark.parametrize(("name", "parameters"), [("resnet18", 11_176_512), ("resnet50", 23_508_032)])
+def test_residual_networks_have_torchvisions_names_and_shapes(name, parameters):
+    model = made(name, in_channels=3, channels=None, norm="batch")
+    assert {key: tuple(value.shape) for key, value in model.state_dict().items()} == torchvision_shapes(name)
+    assert sum(parameter.numel() for parameter in model.parameters()) == parameters
+
+
+@pytest.mark.parametrize("name", ["resnet18", "resnet50"])
+def test_group_norm_keeps_the_names_and_drops_the_running_statistics(name):
+    expected = {key for key in torchvision_shapes(name) if not key.endswith(STATISTICS)}
+    assert made(name, channels=None, norm="group").state_dict().keys() == expected
+
+
+def test_the_bottleneck_carries_its_stride_in_the_3x3_convolution():
+    block = made("resnet50").get_submodule("layer2.0")
+    strides = [block.get_submodule(layer).stride for layer in ("conv1", "conv2", "conv3", "downsample.0")]
+    assert strides == [(1, 1), (2, 2), (1, 1), (2, 2)]
+
+
+@pytest.mark.parametrize(
+    ("name", "channels", "height_px", "width_px", "shape"),
+    [
+        ("small", 16, 64, 64, (16, 4, 4)),
+        ("small", 16, 200, 200, (16, 13, 13)),
+        ("small", None, 64, 48, (128, 4, 3)),
+        ("small", 16, 47, 33, (16, 3, 3)),
+        ("resnet18", 64, 64, 64, (64, 2, 2)),
+        ("resnet18", None, 200, 200, (512, 7, 7)),
+        ("resnet50", None, 200, 200, (2048, 7, 7)),
+        ("resnet50", 128, 160, 160, (128, 5, 5)),
+        ("resnet50", 8, 64, 97, (8, 2, 4)),
+    ],
+)
+def test_the_map_has_the_announced_shape(name, channels, height_px, width_px, shape):
+    model = made(name, channels=channels).to("meta")  # shapes without the arithmetic
+    images = torch.ones(2, 1, height_px, width_px, device="meta")
+    assert model.map_shape(height_px, width_px) == shape
+    assert model.feature_map(images).shape == (2, *shape)
+    assert model(images).shape == (2, shape[0] * shape[1] * shape[2])
+
+
+def test_the_vector_is_the_flattened_map():
+    model = made().eval()
+    with torch.inference_mode():
+        assert torch.equal(model(masks()), model.feature_map(masks()).flatten(1))
+
+
+@pytest.mark.parametrize(("name", "side_px"), [("small", 192), ("resnet18", 576)])
+def test_a_shift_by_the_stride_shifts_the_map_by_a_cell(name, side_px):
+    # fresh batch norms in evaluation leave zero at zero, so the image's border plays no part in it
+    model = made(name, norm="batch").eval()
+    at, step = side_px // 2, model.stride_px
+    image = torch.zeros(2, 1, side_px, side_px)
+    image[0, :, at - 8 : at + 8, at - 8 : at + 8] = masks(1, side_px=16)[0]
+    image[1] = image[0].roll((step, -step), dims=(1, 2))
+    with torch.inference_mode():
+        here, there = model.feature_map(image)
+    assert here.abs().max() > 1e-3
+    torch.testing.assert_close(there[:, 1:, :-1], here[:, :-1, 1:], rtol=1e-4, atol=1e-5 * float(here.abs().max()))
+
+
+@pytest.mark.parametrize("name", BACKBONES)
+def test_the_seed_decides_the_weights_and_the_global_state_does_not(name):
+    torch.manual_seed(7)
+    state = torch.get_rng_state()
+    first = made(name).state_dict()
+    assert torch.equal(torch.get_rng_state(), state)
+    torch.manual_seed(8)
+    assert same(first, made(name).state_dict())
+    assert not same(first, made(name, seed=1).state_dict())
+    assert all(torch.isfinite(value).all() for value in first.values())
+
+
+def test_fresh_weights_have_the_spread_of_he_and_idle_norms():
+    weights = made("resnet18", norm="batch").state_dict()
+    assert float(weights["layer3.1.conv2.weight"].std()) == pytest.approx((2 / (256 * 9)) ** 0.5, rel=0.01)
+    assert float(weights["project.weight"].std()) == pytest.approx((1 / 512) ** 0.5, rel=0.05)
+    assert torch.equal(weights["bn1.weight"], torch.ones(64))
+    assert torch.equal(weights["bn1.running_var"], torch.ones(64))
+    assert not weights["bn1.running_mean"].any()
+
+
+@pytest.mark.parametrize(
+    ("name", "norm"), [("small", "group"), ("small", "batch"), ("resnet18", "group"), ("resnet18", "batch")]
+)
+def test_no_image_changes_anothers_vector_in_evaluation(name, norm):
+    model = made(name, norm=norm).eval()
+    images = masks(5)
+    with torch.inference_mode():
+        together, alone = model(images), torch.cat([model(image[None]) for image in images])
+    torch.testing.assert_close(together, alone, rtol=1e-4, atol=1e-5)
+    assert (together[0] - together[1]).abs().max() > 1e-3
+
+
+def test_in_training_only_batch_norm_mixes_images():
+    images, others = masks(4), masks(4, seed=2)
+    others[0] = images[0]
+    mixes = {norm: made(norm=norm).train() for norm in ("group", "batch")}
+    apart = {norm: float((model(images)[0] - model(others)[0]).detach().abs().max()) for norm, model in mixes.items()}
+    assert apart["group"] < 1e-5
+    assert apart["batch"] > 1e-3
+
+
+@pytest.mark.parametrize("name", ["small", "resnet18"])
+def test_a_second_plane_is_seen(name):
+    model = made(name, in_channels=2).eval()
+    images = torch.cat(
+        [masks(2)[:1].repeat(2, 1, 1, 1), torch.tensor([0.2, 0.9])[:, None, None, None].expand(2, 1, 64, 64)], 1
+    )
+    with torch.inference_mode():
+        shallow, deep = model(images)
+    assert (shallow - deep).abs().max() > 1e-3
+
+
+def test_a_small_network_learns_to_tell_two_images_apart():
+    model, images = made(channels=4).train(), masks(2)
+    optimiser = torch.optim.SGD(model.parameters(), lr=0.05)
+    distances = []
+    for _ in range(8):
+        one, other = torch.nn.functional.normalize(model(images))
+        distances.append(float((one @ other).detach()))
+        optimiser.zero_grad()
+        (one @ other).backward()
+        optimiser.step()
+    assert distances[-1] < distances[0] - 0.2
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"name": "resnet81"}, "'resnet81' is unknown.*Did you mean 'resnet18'"),
+        ({"in_channels": 0}, "in_channels must be at least 1, not 0"),
+        ({"channels": -2}, "channels must be at least 1, not -2"),
+        ({"norm": "layer"}, "'layer' is unknown: choose 'batch' or 'group'"),
+    ],
+)
+def test_options_that_make_no_network_are_refused(options, said):
+    with pytest.raises(ConfigError, match=said):
+        made(**options)
+
+
+@pytest.mark.parametrize(
+    ("name", "norm", "suffix"),
+    [
+        ("small", "group", ".safetensors"),
+        ("small", "group", ".pth"),
+        ("small", "batch", ".pt"),
+        ("small", "batch", ".safetensors"),
+        ("resnet18", "batch", ".safetensors"),
+    ],
+)
+def test_weights_come_back_from_a_file_as_they_were(tmp_path, name, norm, suffix):
+    model, other = made(name, in_channels=2, norm=norm), made(name, seed=1, in_channels=2, norm=norm)
+    load_pretrained(other, saved(model.state_dict(), tmp_path / f"weights{suffix}"))
+    assert same(model.state_dict(), other.state_dict())
+    with torch.inference_mode():
+        images = masks(2, planes=2)
+        assert torch.equal(model.eval()(images), other.eval()(images))
+
+
+@pytest.mark.parametrize("name", ["resnet18", "resnet50"])
+def test_torchvisions_files_fill_all_but_the_projection(tmp_path, name):
+    weights = torchvision_weights(name)
+    model = made(name, in_channels=3, norm="batch")
+    before = copied(model)
+    load_pretrained(model, saved(weights, tmp_path / "weights.pth"))
+    after = model.state_dict()
+    project = {"project.weight", "project.bias"}
+    assert after.keys() - project == weights.keys() - {"fc.weight", "fc.bias"}
+    assert all(torch.equal(after[key], weights[key]) for key in after.keys() - project)
+    assert all(torch.equal(after[key], before[key]) for key in project)
+
+
+def test_old_files_that_count_no_batches_are_taken(tmp_path):
+    weights = {key: value for key, value in torchvision_weights("resnet18").items() if not key.endswith("tracked")}
+    model = made("resnet18", norm="batch")
+    load_pretrained(model, saved(weights, tmp_path / "weights.safetensors"))
+    assert torch.equal(model.state_dict()["bn1.running_mean"], weights["bn1.running_mean"])
+
+
+def test_group_norms_take_scale_and_shift_of_the_batch_norms(tmp_path):
+    weights = torchvision_weights("resnet18")
+    model = made("resnet18", norm="group")
+    load_pretrained(model, saved(weights, tmp_path / "weights.pth"))
+    after = model.state_dict()
+    for layer in ("bn1", "layer2.0.downsample.1", "layer4.1.bn2"):
+        assert torch.equal(after[f"{layer}.weight"], weights[f"{layer}.weight"])
+        assert torch.equal(after[f"{layer}.bias"], weights[f"{layer}.bias"])
+
+
+@pytest.mark.parametrize("planes", [1, 2])
+def test_weights_for_colours_answer_as_if_the_mask_were_repeated(tmp_path, planes):
+    path = saved(torchvision_weights("resnet18"), tmp_path / "weights.pth")
+    colour, gray = made("resnet18", in_channels=3), made("resnet18", in_channels=planes)
+    load_pretrained(colour, path)
+    load_pretrained(gray, path)
+    images = masks(2, planes=planes)
+    with torch.inference_mode():
+        expected = colour(images[:, :1].repeat(1, 3, 1, 1))
+        torch.testing.assert_close(gray(images), expected, rtol=1e-3, atol=1e-4 * float(expected.abs().max()))
+
+
+def refused(model: Backbone, path: Path, *said: str) -> str:
+    """The sentence with which `path` is refused, which names the file and leaves the model untouched."""
+    before = copied(model)
+    with pytest.raises(WeightsError) as caught:
+        load_pretrained(model, path)
+    message = str(caught.value)
+    assert all(part in message for part in (str(path), *said)), message
+    assert "\n" not in message
+    assert same(before, model.state_dict())
+    return message
+
+
+def test_another_architecture_is_refused_by_its_first_difference(tmp_path):
+    deep = saved(torchvision_weights("resnet50"), tmp_path / "deep.pth")
+    refused(made("resnet18"), deep, "resnet18", "'layer1.0.conv1.weight'", "(64, 64, 1, 1)", "(64, 64, 3, 3)")
+    shallow = saved(torchvision_weights("resnet18"), tmp_path / "shallow.safetensors")
+    refused(made("resnet50"), shallow, "resnet50", "'layer1.0.conv1.weight'", "(64, 64, 3, 3)", "(64, 64, 1, 1)")
+    refused(made("small"), shallow, "small", "missing", "'stages.0.0.weight'")
+
+
+def changed(change: str) -> dict[str, torch.Tensor]:
+    weights = made("small").state_dict()
+    first = "stages.0.0.weight"
+    if change == "missing":
+        del weights["stages.3.1.bias"]
+    elif change == "half a projection":
+        del weights["project.bias"]
+    elif change == "foreign":
+        weights["head.weight"] = torch.zeros(2)
+    elif change == "shape":
+        weights[first] = weights[first][:, :, :2].contiguous()
+    elif change == "type":
+        weights[first] = weights[first].long()
+    elif change == "nan":
+        weights["stages.2.0.weight"][3, 3] = float("nan")
+    return weights
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("missing", "'stages.3.1.bias' is missing"),
+        ("half a projection", "'project.bias' is missing"),
+        ("foreign", "no place for its 'head.weight'"),
+        ("shape", "'stages.0.0.weight' has shape (24, 1, 2, 3) there and (24, 1, 3, 3) here"),
+        ("type", "'stages.0.0.weight' is of type torch.int64"),
+        ("nan", "'stages.2.0.weight' holds numbers that are not finite"),
+    ],
+)
+def test_weights_that_differ_are_refused_and_leave_the_model_alone(tmp_path, change, said):
+    refused(made("small", seed=1), saved(changed(change), tmp_path / "weights.safetensors"), "small", said)
+
+
+def test_weights_of_another_size_of_map_or_norm_are_refused(tmp_path):
+    path = saved(made("small", channels=8).state_dict(), tmp_path / "weights.pth")
+    refused(made("small"), path, "'project.weight'", "(8, 128, 1, 1)", "(16, 128, 1, 1)")
+    refused(made("small", channels=None), path, "no place for its 'project.weight'")
+    refused(made("small", channels=8, norm="batch"), path, "'stages.0.1.running_mean' is missing")
+
+
+@pytest.mark.parametrize("suffix", [".pth", ".safetensors"])
+def test_a_damaged_file_is_refused(tmp_path, suffix):
+    whole = saved(made("small").state_dict(), tmp_path / f"whole{suffix}").read_bytes()
+    path = tmp_path / f"weights{suffix}"
+    pieces = [whole[: int(len(whole) * share)] for share in (0, 1e-5, 1e-4, 1e-3, 0.01, 0.5, 0.9, 0.999)]
+    for content in [*pieces, b"no weights at all", b"\x80\x02}q\x00X", b"(lp0\nI1\na", b"\x00" * 512]:
+        path.write_bytes(content)
+        refused(made("small"), path, "damaged")
+
+
+class Command:
+    def __reduce__(self):
+        return Path.touch, (Path("harm-done"),)
+
+
+def test_a_file_that_would_run_code_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    torch.save({"stages": Command()}, tmp_path / "weights.pth")
+    refused(made("small"), tmp_path / "weights.pth", "holds more than tensors")
+    assert not (tmp_path / "harm-done").exists()
+
+
+@pytest.mark.parametrize(
+    "content", [[1, 2], {"state_dict": {"conv1.weight": torch.zeros(1)}}, {1: torch.zeros(1)}, torch.zeros(3)]
+)
+def test_a_file_of_something_else_is_refused(tmp_path, content):
+    torch.save(content, tmp_path / "weights.pth")
+    refused(made("small"), tmp_path / "weights.pth", "something else than named tensors", "small")
+
+
+def test_a_file_that_is_not_there_or_of_an_unknown_kind_is_refused(tmp_path):
+    refused(made("small"), tmp_path / "weights.pth", "no weights file")
+    (tmp_path / "folder.pth").mkdir()
+    refused(made("small"), tmp_path / "folder.pth", "no weights file")
+    (tmp_path / "weights.h5").write_bytes(b"")
+    refused(made("small"), tmp_path / "weights.h5", ".safetensors")
+
+
+@pytest.mark.parametrize("error", [urllib.error.URLError("no route to host"), TimeoutError("timed out")])
+def test_without_a_network_the_hub_says_how_to_give_a_file(monkeypatch, error):
+    def offline(*_args, **_kept):
+        raise error
+
+    monkeypatch.setattr(torch.hub, "load_state_dict_from_url", offline)
+    with pytest.raises(WeightsError, match=r"resnet50 cannot be had.*give the path of the file resnet50-0676ba61\.pth"):
+        load_pretrained(made("resnet50"), "hub")
+
+
+def test_a_damaged_download_names_the_file_to_delete(monkeypatch, tmp_path):
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    cached = tmp_path / "hub" / "checkpoints" / "resnet18-f37072fd.pth"
+    cached.parent.mkdir(parents=True)
+    cached.write_bytes(b"PK\x03\x04 half a download")
+    with pytest.raises(WeightsError, match="damaged: delete") as caught:
+        load_pretrained(made("resnet18"), "hub")
+    assert str(cached) in str(caught.value)
+
+
+def test_the_hub_fills_a_network_from_what_it_downloaded(monkeypatch, tmp_path):
+    weights = torchvision_weights("resnet18")
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    cached = tmp_path / "hub" / "checkpoints" / "resnet18-f37072fd.pth"
+    cached.parent.mkdir(parents=True)
+    saved(weights, cached)
+    model = made("resnet18")
+    load_pretrained(model, "hub")
+    assert torch.equal(model.state_dict()["layer4.1.conv2.weight"], weights["layer4.1.conv2.weight"])
+
+
+def test_the_hub_has_nothing_for_the_small_network():
+    with pytest.raises(WeightsError, match="No weights of 'small' are published: give a file"):
+        load_pretrained(made("small"), "hub")
+
+
+def test_weights_errors_are_for_people():
+    assert issubclass(WeightsError, TactileLocError)
+    assert set(backbones.BACKBONES) == {"small", "resnet18", "resnet50"}

@@ -1,0 +1,225 @@
+"""The learned encoder: it learns, the same seed learns the same, and an interruption changes nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from tactile_loc.core.errors import ConfigError, GridError, TrainingError, WeightsError  # noqa: E402
+from tactile_loc.core.interfaces import Checkpoints, TrainingProblem  # noqa: E402
+from tactile_loc.core.localizer import Localizer  # noqa: E402
+from tactile_loc.core.store import StageStore  # noqa: E402
+from tactile_loc.plugins.encoders import moco, moco_training  # noqa: E402
+from tactile_loc.plugins.encoders.moco import MocoEncoder  # noqa: E402
+
+TINY = {"epochs": 3, "queries": 64, "batch": 32, "channels": 4, "noise": "mild"}
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory):
+    """A coarse grid of the pin on a small sensor."""
+    localizer = Localizer.create(
+        "pin", store=StageStore(tmp_path_factory.mktemp("store")), sensor="digit", shape_px=32,
+        grid={"name": "face", "spacing_mm": 8},
+    )  # fmt: skip
+    model = localizer.model
+    return TrainingProblem(model.grid, localizer.coarse_scene, localizer.sampler, model.shapes.shards)
+
+
+def make(**options) -> MocoEncoder:
+    return MocoEncoder(MocoEncoder.Options(**{**TINY, **options}))
+
+
+def weights(encoder: MocoEncoder) -> dict[str, np.ndarray]:
+    return {k: v.numpy() for k, v in encoder._network.state_dict().items()}
+
+
+def same(a: MocoEncoder, b: MocoEncoder) -> bool:
+    left, right = weights(a), weights(b)
+    return left.keys() == right.keys() and all(np.array_equal(left[k], right[k]) for k in left)
+
+
+class FileCheckpoints(Checkpoints):
+    """Keeps one file; raises KeyboardInterrupt after saving `stop_at` times."""
+
+    def __init__(self, folder: Path, stop_at: int = 0) -> None:
+        self.path, self.stop_at, self.saved = folder / "checkpoint.safetensors", stop_at, 0
+
+    def load(self) -> Path | None:
+        return self.path if self.path.exists() else None
+
+    def save(self, write) -> None:
+        write(self.path)
+        self.saved += 1
+        if self.saved == self.stop_at:
+            raise KeyboardInterrupt
+
+
+def test_it_learns_to_tell_the_poses_apart(problem):
+    encoder = make(epochs=12, queries=256, noise="none", patience=12)
+    encoder.recipe = encoder.recipe.changed(momentum=0.9, refresh=4)  # few steps: the keys must follow quickly
+    geometry, clean = problem.scene.geometry, np.concatenate(list(problem.shapes()))
+    encoder.fit(problem)
+    bank = encoder.encode(clean, geometry.max_depth_m, geometry)
+    rng = np.random.default_rng(7)
+    touches = encoder_touches(problem, rng)
+    vectors = encoder.encode(touches[0], geometry.max_depth_m, geometry)
+    hits = ((vectors @ bank.T).argmax(1) == touches[1]).mean()
+    assert hits > 20 / len(problem.grid), "far more often right than by chance"
+    np.testing.assert_allclose(np.linalg.norm(bank, axis=1), 1.0, atol=1e-5)
+
+
+def encoder_touches(problem, rng):
+    from tactile_loc.core.grids import random_contact_poses
+
+    poses = random_contact_poses(problem.sampler, problem.scene, 60, rng)
+    return problem.scene.contact_depths(poses), problem.grid.nearest(poses)[1]
+
+
+def test_the_same_seed_learns_the_same_and_another_one_does_not(problem):
+    first, again, other = make(), make(), make(seed=1)
+    for encoder in (first, again, other):
+        encoder.fit(problem)
+    assert same(first, again)
+    assert not same(first, other)
+
+
+@pytest.mark.parametrize("stop_at", [1, 2])
+def test_an_interrupted_training_ends_as_an_uninterrupted_one(problem, tmp_path, stop_at):
+    whole = make()
+    whole.fit(problem)
+    stopped = dataclasses.replace(problem, checkpoints=FileCheckpoints(tmp_path, stop_at))
+    with pytest.raises(KeyboardInterrupt):
+        make().fit(stopped)
+    resumed = make()
+    resumed.fit(dataclasses.replace(problem, checkpoints=FileCheckpoints(tmp_path)))
+    assert same(whole, resumed)
+
+
+def test_stopping_early_keeps_the_best(problem, monkeypatch):
+    errors = iter([3.0, 1.0, 2.0, 2.0, 2.0, 2.0])
+    seen = []
+    monkeypatch.setattr(moco_training.Trainer, "_median_error", lambda self, v: next(errors))
+    judge = moco_training.Trainer._judge
+
+    def judge_and_keep(self, *measured):
+        judge(self, *measured)
+        seen.append(moco_training._weights(self.network))
+
+    monkeypatch.setattr(moco_training.Trainer, "_judge", judge_and_keep)
+    encoder = make(epochs=6, patience=2)
+    encoder.fit(problem)
+    assert len(seen) == 4  # two epochs without a better one after the second
+    assert all(np.array_equal(v, seen[1][k].numpy()) for k, v in weights(encoder).items())
+
+
+def test_a_loss_that_is_no_number_in_the_first_epoch_stops_with_advice(problem, monkeypatch):
+    monkeypatch.setattr(moco_training.Trainer, "_step", lambda *a: float("nan"))
+    with pytest.raises(TrainingError, match=r"NaN in the first epoch.*encoder\.rate"):
+        make().fit(problem)
+
+
+def test_a_loss_that_is_no_number_later_keeps_the_last_good_network(problem, monkeypatch, caplog):
+    good = make(epochs=1)
+    step = moco_training.Trainer._step
+    monkeypatch.setattr(
+        moco_training.Trainer, "_step", lambda self, *a: step(self, *a) if self.epoch == 0 else float("nan")
+    )
+    encoder = make()
+    encoder.fit(problem)
+    monkeypatch.undo()
+    assert "became NaN in epoch 2" in caplog.text
+    assert all(np.isfinite(v).all() for v in weights(encoder).values())
+    assert good.recipe.epochs == 1
+
+
+def test_weights_survive_a_file(problem, tmp_path):
+    encoder = make(epochs=1)
+    encoder.fit(problem)
+    encoder.save_weights(tmp_path / "w.safetensors")
+    other = make(epochs=1)
+    other.load_weights(tmp_path / "w.safetensors")
+    depth = np.concatenate(list(problem.shapes()))[:5]
+    geometry = problem.scene.geometry
+    np.testing.assert_array_equal(*(e.encode(depth, geometry.max_depth_m, geometry) for e in (encoder, other)))
+
+
+@pytest.mark.parametrize("damage", ["truncated", "another architecture"])
+def test_weights_that_do_not_fit_are_refused(problem, tmp_path, damage):
+    path = tmp_path / "w.safetensors"
+    encoder = make(epochs=1)
+    encoder.fit(problem)
+    encoder.save_weights(path)
+    if damage == "truncated":
+        path.write_bytes(path.read_bytes()[:-100])
+    reader = make(epochs=1) if damage == "truncated" else make(epochs=1, channels=8)
+    with pytest.raises(WeightsError, match=r"w\.safetensors"):
+        reader.load_weights(path)
+
+
+def test_asking_for_an_absent_gpu_says_so(problem, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(ConfigError, match=r"no CUDA device.*encoder\.device"):
+        make(device="cuda").fit(problem)
+
+
+def test_a_grid_too_large_for_memory_says_how_much_it_needs(problem, monkeypatch):
+    monkeypatch.setattr(moco, "_available_bytes", lambda: 1000)
+    with pytest.raises(GridError, match=r"needs about .* GiB .*encoder\.negatives"):
+        make().fit(problem)
+
+
+def test_it_must_be_trained_before_it_encodes(problem):
+    depth = np.concatenate(list(problem.shapes()))[:1]
+    with pytest.raises(ConfigError, match="not been trained"):
+        make().encode(depth, 1e-3, problem.scene.geometry)
+
+
+def test_sampled_softmax_keeps_the_right_keys_in_the_right_place():
+    keys = torch.arange(50.0)[:, None].repeat(1, 3)
+    targets = torch.tensor([7, 3, 7, 40])
+    kept, places = moco_training._sampled(keys, targets, 10, np.random.default_rng(0))
+    assert torch.equal(kept[places], keys[targets])
+    assert len(kept.unique(dim=0)) == len(kept) <= 3 + 10
+
+
+def test_sampled_softmax_trains(problem):
+    encoder = make(epochs=1, negatives=8)
+    encoder.fit(problem)
+    assert all(np.isfinite(v).all() for v in weights(encoder).values())
+
+
+def test_the_input_is_the_observed_mask_averaged_and_the_press(problem):
+    geometry = problem.scene.geometry
+    depth = np.full((1, *geometry.shape), geometry.max_depth_m, np.float32)
+    depth[0, : geometry.height_px // 2] = 0.0
+    planes = moco_training.input_planes(depth, np.array([0.5 * geometry.max_depth_m]), geometry, 40)
+    assert planes.shape[:2] == (1, 2)
+    assert planes.shape[2:] == geometry.with_long_side(40).shape
+    np.testing.assert_allclose(planes[0, 0].mean(), 0.5, atol=0.02)
+    np.testing.assert_allclose(planes[0, 1], 0.5)
+
+
+def test_a_localizer_trains_once_and_reads_it_back(store):
+    settings = {"grid": {"name": "face", "spacing_mm": 12}, "encoder": {"name": "moco", **TINY, "epochs": 1}}
+    first = Localizer.create("pin", store=store, **settings)
+    touch = first.simulate(seed=2)[0]
+    posterior = first.posterior(touch)
+    built = [key.stage for key in store.built]
+    assert built.count("encoder") == 1
+    again = Localizer.create("pin", store=store, **settings, refiner="none", seed=5)
+    np.testing.assert_array_equal(again.posterior(touch).log_p, posterior.log_p)
+    assert [key.stage for key in store.built] == built
