@@ -22,7 +22,10 @@ from tactile_loc.core.meshes import load_object
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.store import StageStore
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.single_touch import LINES, evaluate_single_touch
+from tactile_loc.evaluation.judge import STAGES
+from tactile_loc.evaluation.protocol import evaluate
+
+LINES = ("closest", "random", "best-1", "best-10", "reg-1")
 
 
 def spacing_for(obj: ObjectModel, base: dict, poses: int) -> float:  # type: ignore[type-arg]
@@ -45,16 +48,15 @@ def measure(obj: ObjectModel, arguments: argparse.Namespace) -> dict[str, object
         start = time.perf_counter()
         localizer.matcher(localizer.scene.geometry.max_depth_m)
         build_s = time.perf_counter() - start
-        touches = localizer.simulate(arguments.touches, arguments.seed)
-        result = evaluate_single_touch(localizer, touches, np.random.default_rng(arguments.seed))
+        result = evaluate(localizer, arguments.touches, seed=arguments.seed)
         poses = len(localizer.model.grid)
     return {
         "object": obj.name, "symmetry": str(obj.symmetry), "poses": poses, "spacing_mm": spacing_mm, "build_s": build_s,
-        "random_mm": result.scale_m * 1e3,
-        "median_mm": {k: float(np.median(v)) * 1e3 for k, v in result.errors_m.items()},
-        "mean_mm": {k: float(np.mean(v)) * 1e3 for k, v in result.errors_m.items()},
-        "median_normalised": {k: float(np.median(v)) / result.scale_m for k, v in result.errors_m.items()},
-        "median_ms": {k: float(np.median(v)) * 1e3 for k, v in result.seconds.items()},
+        "random_mm": result.scale_m() * 1e3,
+        "median_mm": {k: float(np.median(result.errors(k))) * 1e3 for k in LINES},
+        "mean_mm": {k: float(np.mean(result.errors(k))) * 1e3 for k in LINES},
+        "median_normalised": {k: float(np.median(result.normalised(k))) for k in LINES},
+        "median_ms": {k: float(np.median(result.stage_seconds(k))) * 1e3 for k in STAGES},
     }  # fmt: skip
 
 

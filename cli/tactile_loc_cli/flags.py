@@ -34,6 +34,14 @@ class TouchUnit(StrEnum):
     UM = "um"
 
 
+class Noise(StrEnum):
+    """Noise of simulated touches."""
+
+    NONE = "none"
+    MILD = "mild"
+    STRONG = "strong"
+
+
 def _option(flag: str, metavar: str, about: str) -> Any:
     return typer.Option(flag, metavar=metavar, help=about)
 
@@ -75,6 +83,10 @@ PressDepth = Annotated[
     float | None,
     _option("--press-depth", "MM", "How deep the press was, in mm; by default as the file says, or the deepest."),
 ]
+TouchNoise = Annotated[
+    Noise | None,
+    typer.Option("--noise", help="How far simulated touches are from clean renders; by default none."),
+]
 Seed = Annotated[int | None, _option("--seed", "N", "Seed of everything random; by default 0.")]
 Store = Annotated[
     Path | None,
@@ -103,7 +115,7 @@ def run_config(flags: dict[str, Any]) -> RunConfig:
 
 _SECTIONS = {
     "object": {"path": "object", "units": "units", "symmetry": "symmetry"},
-    "touch": {"path": "touch", "unit": "touch_unit", "press_depth_mm": "press_depth"},
+    "touch": {"path": "touch", "unit": "touch_unit", "press_depth_mm": "press_depth", "noise": "noise"},
 }
 
 

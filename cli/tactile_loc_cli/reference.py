@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-COMMANDS = ("run", "build", "simulate", "objects", "plugins")
+COMMANDS = ("run", "build", "simulate", "evaluate", "objects", "plugins")
 WIDTH = "100"
 
 INTRODUCTION = """\
@@ -45,6 +45,7 @@ symmetry = "auto"
 # path = "touch.npz"   # without it, a touch is simulated
 # unit = "mm"          # m, mm, um; when the file does not say
 # press_depth_mm = 1.5
+# noise = "mild"       # none, mild, strong; of a simulated touch
 
 [sensor]               # a slot: the component's name, and its options beside it
 name = "gelslim"

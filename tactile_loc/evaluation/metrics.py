@@ -1,4 +1,9 @@
-"""How far an estimated pose is from the true one, in metres of object surface."""
+"""How far an estimated pose is from the true one, in metres of object surface.
+
+All regard symmetry: a pose is compared with every pose that looks the same as the true one. ADD is the mean distance
+of surface points (Hinterstoisser et al., ACCV 2012), MSSD the largest (Hodan et al., ECCV 2020), ADD-S the mean
+distance to whichever surface point is nearest, which forgives all that looks alike.
+"""
 
 from __future__ import annotations
 
@@ -6,25 +11,122 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry import transform_points
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.poses import Poses
+from tactile_loc.core.objects import ObjectModel, TriangleMesh
+from tactile_loc.core.poses import PoseMetric, Poses
 
 SYMMETRY_STEP_M = 2e-4
+FEW_SYMMETRIES = 8  # up to which all are measured with all points
+ALIKE = 1.25  # of the least root mean square distance: symmetries within it may have the least mean distance
+TRIED, TRIED_POINTS, MEASURED = 24, 300, 2  # of many symmetries: tried with few points, measured with all
+AT_ONCE = 32  # transforms applied to all points at once
+
+Points = NDArray[np.float64]
 
 
-def add(points_m: NDArray[np.float64], T1: Poses, T2: Poses) -> NDArray[np.float64]:
+def add(points_m: Points, T1: Poses, T2: Poses) -> NDArray[np.float64]:
     """Mean distance (...,) in metres between object points (P, 3) at poses T1 and T2 (..., 4, 4): ADD.
 
-    Hinterstoisser et al., ACCV 2012; symmetry is not regarded.
+    Symmetry is not regarded.
     """
     return np.linalg.norm(transform_points(T1, points_m) - transform_points(T2, points_m), axis=-1).mean(axis=-1)
 
 
-def symmetric_add(obj: ObjectModel, points_m: NDArray[np.float64], T_estimate: Poses, T_true: Poses) -> float:
+def symmetric_add(obj: ObjectModel, points_m: Points, T_estimate: Poses, T_true: Poses) -> float:
     """ADD in metres of one estimate (4, 4), the least over the true poses (4, 4) that look the same by symmetry."""
-    lever = max(float(np.sqrt(np.trace(obj.mesh.covariance_m2))), 1e-9)
-    same = T_true @ obj.symmetry.elements(max_step_rad=SYMMETRY_STEP_M / lever)
-    if len(same) > 8:  # rank by the squared metric first: exact ADD only for the nearest few
-        few = points_m[:: max(1, len(points_m) // 200)]
-        same = same[np.argsort(add(few, T_estimate[None], same))[:4]]
-    return float(min(add(points_m, T_estimate, T) for T in same))
+    return float(symmetric_adds(obj, points_m, T_estimate[None], T_true)[0])
+
+
+def symmetric_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
+    """ADD (K,) in metres of estimates (K, 4, 4), each the least over the true poses (4, 4) that look the same.
+
+    Of many symmetries (a continuous one is sampled every SYMMETRY_STEP_M of surface), those near the least root mean
+    square distance, which is cheap, are tried with few of the points (P, 3), and the best of them measured with all.
+    """
+    same = _equivalents(obj, T_true)
+    chosen = np.broadcast_to(np.arange(len(same)), (len(T_estimates), len(same)))
+    if len(same) > FEW_SYMMETRIES:
+        chosen = _alike(_rms(obj, T_estimates, same))
+        few = points_m[:: max(1, len(points_m) // TRIED_POINTS)]
+        best = np.argsort(_mean_distances(few, T_estimates[:, None] - same[chosen]), axis=1)[:, :MEASURED]
+        chosen = np.take_along_axis(chosen, best, axis=1)
+    return _mean_distances(points_m, T_estimates[:, None] - same[chosen]).min(axis=1)
+
+
+def mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
+    """Largest distance (K,) in metres of surface at estimates (K, 4, 4) from the true pose (4, 4): MSSD.
+
+    Exact over the whole surface when `corners_m` (V, 3) are those of its hull (see `hull_corners`): the distance is a
+    convex function of the point. Symmetries are tried by rising root mean square distance, which bounds the largest
+    from below, so that none that could be better is left out.
+    """
+    same = _equivalents(obj, T_true)
+    rms = _rms(obj, T_estimates, same)
+    return np.array([_least_largest(corners_m, T - same, r) for T, r in zip(T_estimates, rms, strict=True)])
+
+
+def add_s(points_m: Points, T_estimates: Poses, T_true: Poses, every: int = 1) -> NDArray[np.float64]:
+    """Mean distance (K,) in metres from object points (P, 3) at the true pose (4, 4) to the nearest of them at the
+    estimates (K, 4, 4): ADD-S, also called ADI. The mean is over every `every`-th point, the nearest is of all."""
+    from scipy.spatial import cKDTree
+
+    tree, asked = cKDTree(points_m), points_m[::every]  # in the object's frame: rigid motions keep distances
+    return np.array([tree.query(transform_points(np.linalg.solve(T, T_true), asked))[0].mean() for T in T_estimates])
+
+
+def hull_corners(mesh: TriangleMesh) -> Points:
+    """Return the corners (V, 3) in metres of a surface's convex hull; all its vertices when it is flat."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    used = mesh.vertices_m[np.unique(mesh.faces)]
+    try:
+        return np.asarray(used[ConvexHull(used).vertices])
+    except QhullError:
+        return used
+
+
+def _equivalents(obj: ObjectModel, T_true: Poses) -> Poses:
+    """The poses (E, 4, 4) that look the same as the true one, metres."""
+    return PoseMetric(obj).equivalents(T_true[None], SYMMETRY_STEP_M)[:, 0]
+
+
+def _rms(obj: ObjectModel, T_estimates: Poses, same: Poses) -> NDArray[np.float64]:
+    """Root mean square distance (K, E) of surface between estimates (K, 4, 4) and poses (E, 4, 4), metres."""
+    from scipy.spatial.distance import cdist
+
+    metric = PoseMetric(obj)
+    distances: NDArray[np.float64] = cdist(metric.embed(T_estimates), metric.embed(same))
+    return distances
+
+
+def _alike(rms_m: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Choose TRIED of the symmetries (K, E) of each estimate, evenly among those near the least distance."""
+    order = np.argsort(rms_m, axis=1)
+    least = np.take_along_axis(rms_m, order[:, :1], axis=1)
+    count = (rms_m <= ALIKE * least).sum(axis=1)
+    steps = np.linspace(0.0, 1.0, TRIED)[None] * (count[:, None] - 1)
+    return np.take_along_axis(order, steps.astype(np.int64), axis=1)
+
+
+def _distances(points_m: Points, difference: Poses) -> NDArray[np.float64]:
+    """How far points (P, 3) move, (D, P) metres, between poses whose matrices differ by (D, 4, 4)."""
+    moved = difference[:, :3, :3] @ points_m.T + difference[:, :3, 3:]
+    return np.sqrt(np.einsum("dip,dip->dp", moved, moved))
+
+
+def _mean_distances(points_m: Points, difference: Poses) -> NDArray[np.float64]:
+    """The mean (...,) of the distances that differences of poses (..., 4, 4) move points (P, 3) by, metres."""
+    flat = difference.reshape(-1, 4, 4)
+    means = [_distances(points_m, flat[i : i + AT_ONCE]).mean(axis=1) for i in range(0, len(flat), AT_ONCE)]
+    return np.concatenate(means).reshape(difference.shape[:-2])
+
+
+def _least_largest(corners_m: Points, difference: Poses, rms_m: NDArray[np.float64]) -> float:
+    """The least over differences of poses (E, 4, 4) of the largest distance they move a corner (V, 3) by, metres."""
+    order = np.argsort(rms_m)
+    least = np.inf
+    for start in range(0, len(order), AT_ONCE):
+        some = order[start : start + AT_ONCE]
+        if rms_m[some[0]] >= least:
+            break
+        least = min(least, float(_distances(corners_m, difference[some]).max(axis=1).min()))
+    return least

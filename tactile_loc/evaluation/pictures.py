@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.localization import Localization
+from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.noise import NOISE
 from tactile_loc.core.scene import Scene
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
 from tactile_loc.evaluation.files import write_atomically
@@ -34,7 +37,7 @@ def draw_result(
     """
     columns = 1 if len(localization.hypotheses) < 3 else 2
     widths = [4.7, 2.5 * columns, 6.3]
-    figure = _figure(sum(widths), 5.9)
+    figure = make_figure(sum(widths), 5.9)
     figure.suptitle(title, size=14, weight="bold", x=0.5, y=0.978)
     panels: Any = figure.subfigures(1, 3, width_ratios=widths)
     left, middle, right = panels
@@ -49,13 +52,14 @@ def draw_touches(touches: Sequence[Touch], title: str) -> Figure:
     shown = list(touches)[:MOST_TOUCHES]
     columns = min(5, len(shown))
     rows = -(-len(shown) // columns)
-    figure = _figure(2.5 * columns + 1.0, 2.7 * rows + 0.9, constrained=True)
+    figure = make_figure(2.5 * columns + 1.0, 2.7 * rows + 0.9, constrained=True)
     figure.suptitle(title, size=12, weight="bold")
     grid: NDArray[Any] = figure.subplots(rows, columns, squeeze=False)
     for axes in grid.flat[len(shown) :]:
         axes.set_axis_off()
+    deepest_m = max(touch.press_depth_m for touch in shown)  # one colour scale for all
     for axes, touch in zip(grid.flat, shown, strict=False):
-        image = draw_contact_shape(axes, touch.contact_shape, touch.geometry)
+        image = draw_contact_shape(axes, touch.contact_shape, touch.geometry, deepest_m)
         axes.set_title(touch.name, size=8)
     grid[0, 0].set_ylabel("y (mm)", size=8)
     grid[0, 0].set_xlabel("x (mm)", size=8)
@@ -63,8 +67,26 @@ def draw_touches(touches: Sequence[Touch], title: str) -> Figure:
     return figure
 
 
-def draw_contact_shape(axes: Axes, shape: ContactShape, geometry: SensorGeometry) -> AxesImage:
-    """Draw a contact shape (H, W) as the sensor sees it, x right and y down, in mm on the sensing surface."""
+def draw_noise(localizer: Localizer, seed: int = 0) -> Figure:
+    """Draw five touches of a localizer's object, the same in every row, with each level of noise in turn.
+
+    Titles give the press depth that the sensor measures, mm. Where noise makes a touch be drawn anew, columns differ.
+    """
+    touches = [
+        dataclasses.replace(touch, name=f"{level}, {millimetres(touch.press_depth_m)}")
+        for level in NOISE
+        for touch in localizer.simulate(5, seed, noise=level)
+    ]
+    return draw_touches(touches, f"{localizer.object.name} on {localizer.config.sensor.name}: touch noise")
+
+
+def draw_contact_shape(
+    axes: Axes, shape: ContactShape, geometry: SensorGeometry, deepest_m: float | None = None
+) -> AxesImage:
+    """Draw a contact shape (H, W) as the sensor sees it, x right and y down, in mm on the sensing surface.
+
+    The colours end at `deepest_m`, by default the shape's press depth.
+    """
     from matplotlib import colormaps
     from matplotlib.patches import Rectangle
 
@@ -72,7 +94,7 @@ def draw_contact_shape(axes: Axes, shape: ContactShape, geometry: SensorGeometry
     depth_mm = np.ma.masked_where(~shape.contact, 1e3 * shape.depth_m)
     extent = _extent_mm(geometry)
     image: AxesImage = axes.imshow(
-        depth_mm, cmap=colours, vmin=0.0, vmax=1e3 * shape.press_depth_m, extent=extent, origin="upper"
+        depth_mm, cmap=colours, vmin=0.0, vmax=1e3 * (deepest_m or shape.press_depth_m), extent=extent, origin="upper"
     )
     if not geometry.observed_mask.all():
         unseen = np.ma.masked_where(geometry.observed_mask, np.ones(geometry.shape))
@@ -92,7 +114,7 @@ def save_figure(path: str | Path, figure: Figure, dpi: int = DPI) -> Path:
 def _draw_observed(panel: SubFigure, touch: Touch) -> None:
     axes = panel.add_axes((0.125, 0.19, 0.85, 0.68))
     image = draw_contact_shape(axes, touch.contact_shape, touch.geometry)
-    _outline(axes, touch)
+    draw_outline(axes, touch)
     axes.set_xlabel("x (mm)", size=9, labelpad=2)
     axes.set_ylabel("y (mm)", size=9, labelpad=-2)
     _heading(panel, "observed contact shape")
@@ -112,7 +134,7 @@ def _draw_candidates(
         axes = panel.add_axes((left, bottom, width - 0.01, 0.36))
         shape = scene.contact_shape(hypothesis.refined.T_sensor_object, touch.press_depth_m)
         draw_contact_shape(axes, shape, touch.geometry)
-        _outline(axes, touch)
+        draw_outline(axes, touch)
         axes.set(xticks=[], yticks=[])
         axes.set_title(_caption(i, hypothesis.probability, hypothesis.refined.fitness, errors_m), size=8.5, pad=4)
     _heading(panel, "most probable poses" if columns == 2 else "most probable")
@@ -154,8 +176,8 @@ def _draw_scene(panel: SubFigure, localization: Localization, scene: Scene) -> N
     panel.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, -0.005), ncols=2, frameon=False, fontsize=9)
 
 
-def _outline(axes: Axes, touch: Touch) -> None:
-    """Draw the border of the touch's contact."""
+def draw_outline(axes: Axes, touch: Touch) -> None:
+    """Draw the border of the touch's contact, as the sensor sees it, in mm."""
     left, right, bottom, top = _extent_mm(touch.geometry)
     height, width = touch.geometry.shape
     x = left + (np.arange(width) + 0.5) / width * (right - left)
@@ -171,7 +193,8 @@ def _extent_mm(geometry: SensorGeometry) -> tuple[float, float, float, float]:
     return 1e3 * x0, 1e3 * x1, 1e3 * y1, 1e3 * y0
 
 
-def _figure(width: float, height: float, constrained: bool = False) -> Figure:
+def make_figure(width: float, height: float, constrained: bool = False) -> Figure:
+    """Return an empty figure, `width` by `height` inches, that knows how to be saved and touches no global state."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from tactile_loc.core.config import RunConfig
+from tactile_loc.core.config import RunConfig, TouchConfig
 from tactile_loc.core.hookspecs import SLOTS
 from tactile_loc.core.localization import Localization
 from tactile_loc.core.localizer import Localizer
@@ -51,6 +51,7 @@ class TouchRecord(_Record):
 
     name: str = Field(description="the touch's name")
     path: str | None = Field(description="its file; null when it was simulated")
+    noise: str | None = Field(description="the noise it was simulated with; null when it was read from a file")
     image_px: list[int] = Field(description="size of the contact shape (rows, columns), pixels")
     press_depth_m: float = Field(description="how deep the object was pressed, m")
     T_base_sensor: Matrix | None = Field(description="where the sensor was, (4, 4), m; null when not known")
@@ -115,7 +116,7 @@ def result_record(
         configuration=resolved(config),
         distributions={slot: registry().find(slot, getattr(config, slot).name).distribution for slot in SLOTS},
         object=_object(localizer.object),
-        touch=_touch(localization.touch, config.touch.path),
+        touch=_touch(localization.touch, config.touch),
         grid_poses=len(posterior.grid),
         certainty=float(localization.certainty),
         entropy_nats=posterior.entropy,
@@ -169,9 +170,10 @@ def _object(obj: ObjectModel) -> ObjectRecord:
     )  # fmt: skip
 
 
-def _touch(touch: Touch, path: str | None) -> TouchRecord:
+def _touch(touch: Touch, source: TouchConfig) -> TouchRecord:
     return TouchRecord(
-        name=touch.name, path=path, image_px=list(touch.geometry.shape), press_depth_m=touch.press_depth_m,
+        name=touch.name, path=source.path, noise=source.noise if source.path is None else None,
+        image_px=list(touch.geometry.shape), press_depth_m=touch.press_depth_m,
         T_base_sensor=_matrix(touch.T_base_sensor), T_sensor_object=_matrix(touch.T_sensor_object),
     )  # fmt: skip
 

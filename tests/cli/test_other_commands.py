@@ -84,6 +84,24 @@ def test_simulate_writes_touches_that_run_reads(cli):
     assert result["touch"]["T_sensor_object"] == record["T_sensor_object"]["touch-0002"]
 
 
+def test_simulate_with_noise(cli):
+    done = [cli("simulate", "--count", 3, *noise, "--out", out) for noise, out in
+            ([[], "clean"], [["--noise", "strong"], "a"], [["--noise", "strong"], "b"])]  # fmt: skip
+    assert [d.exit_code for d in done] == [0, 0, 0]
+    clean, noisy = (json.loads(Path(f"{out}/poses.json").read_text()) for out in ("clean", "a"))
+    assert (clean["noise"], noisy["noise"]) == ("none", "strong")
+    assert clean["press_depth_m"] == pytest.approx(2e-3)
+    assert noisy["press_depth_m"] is None  # each touch has its own
+    presses = set()
+    for name in noisy["T_sensor_object"]:
+        with np.load(f"a/{name}.npz") as a, np.load(f"b/{name}.npz") as b:
+            assert np.array_equal(a["depth"], b["depth"])
+            presses.add(float(a["press_depth"]))
+    assert len(presses) == 3
+    run = cli("run", *TINY, "--touch", "a/touch-0000.npz", "--out", "result")
+    assert run.exit_code == 0, run.stderr
+
+
 def test_objects(cli):
     shown = cli("objects").stdout
     for name, demo in DEMO_OBJECTS.items():

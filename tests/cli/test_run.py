@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import TINY, Cli, touch_depths, write_box
+from cli_helpers import TINY, Cli, assert_refused, touch_depths, write_box
 from PIL import Image
 from tactile_loc_cli.tables import axis_angle
 
@@ -140,3 +140,29 @@ def test_axis_and_angle_make_the_rotation(turn):
     angle_deg, axis = axis_angle(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
     assert angle_deg == pytest.approx(np.degrees(turn))
     assert np.abs(axis) == pytest.approx([0, 0, 1])
+
+
+def test_noise_of_a_simulated_touch_is_recorded(cli, result, tmp_path):
+    done = cli("run", *TINY, "--noise", "mild", "--out", "noisy")
+    assert done.exit_code == 0, done.stderr
+    noisy = json.loads((tmp_path / "noisy/result.json").read_text())
+    assert (result["touch"]["noise"], noisy["touch"]["noise"]) == ("none", "mild")
+    assert noisy["configuration"]["touch"]["noise"] == "mild"
+    assert noisy["touch"]["press_depth_m"] < result["touch"]["press_depth_m"]
+
+
+def test_a_touch_that_is_read_has_its_own_noise(cli, tmp_path):
+    np.save("touch.npy", touch_depths())
+    touch = ["--touch", "touch.npy", "--touch-unit", "m"]
+    for level in ("none", "mild"):
+        assert_refused(cli("run", *TINY, *touch, "--noise", level), "--noise", "touch.npy", "leave one of them out")
+    Path("run.toml").write_text('[touch]\nnoise = "strong"\n')
+    assert_refused(cli("run", *TINY, *touch, "--config", "run.toml"), "--noise", "touch.npy")
+    assert cli("run", *TINY, *touch, "--out", "out").exit_code == 0
+    assert json.loads((tmp_path / "out/result.json").read_text())["touch"]["noise"] is None
+
+
+def test_unknown_noise_is_refused(cli):
+    assert_refused(cli("run", "--noise", "weak"), "weak", "mild")
+    Path("run.toml").write_text('[touch]\nnoise = "weak"\n')
+    assert_refused(cli("run", "--config", "run.toml"), "touch.noise", "weak", "mild")

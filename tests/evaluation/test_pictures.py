@@ -9,10 +9,12 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from tactile_loc.core.errors import OutputError
+from tactile_loc.core.noise import NOISE
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
 from tactile_loc.evaluation.pictures import (
     MOST_TOUCHES,
     draw_contact_shape,
+    draw_noise,
     draw_result,
     draw_touches,
     millimetres,
@@ -149,3 +151,12 @@ def test_percent(share, text):
 @pytest.mark.parametrize(("length", "text"), [(1.9e-5, "0.02 mm"), (0.00187, "1.9 mm"), (0.0478, "48 mm")])
 def test_millimetres(length, text):
     assert millimetres(length) == text
+
+
+def test_every_level_of_noise_is_drawn_in_one_scale(localizer):
+    figure = draw_noise(localizer)
+    titles = [text for text in texts(figure) if text.split(",")[0] in NOISE]
+    assert [title.split(",")[0] for title in titles] == [level for level in NOISE for _ in range(5)]
+    assert titles[0] == "none, 2.0 mm"
+    scales = [axes.images[0].get_clim() for axes in figure.axes if axes.images]
+    assert np.array(scales) == pytest.approx(np.tile([0.0, 2.0], (15, 1)))

@@ -13,6 +13,7 @@ from tactile_loc_cli.console import say
 
 if TYPE_CHECKING:
     from tactile_loc.core import sensing
+    from tactile_loc.core.config import RunConfig
     from tactile_loc.core.localization import Localization
     from tactile_loc.core.localizer import Localizer
 
@@ -38,6 +39,7 @@ def run(
     touch: Touch = None,
     touch_unit: TouchUnit = None,
     press_depth: flags.PressDepth = None,
+    noise: flags.TouchNoise = None,
     sensor: flags.Sensor = None,
     grid: flags.Grid = None,
     renderer: flags.Renderer = None,
@@ -61,6 +63,7 @@ def run(
     from tactile_loc.evaluation.files import require_writable
 
     settings = flags.run_config(asked)
+    _require_one_source(settings, noise)
     require_writable(out)
     localizer = flags.open_localizer(settings, store)
     seconds: dict[str, float] = {}
@@ -72,12 +75,23 @@ def run(
     _report(localizer, localization, seconds, out)
 
 
+def _require_one_source(settings: RunConfig, noise: flags.Noise | None) -> None:
+    """Refuse noise for a touch that is read from a file: only simulated ones get it."""
+    from tactile_loc.core.errors import ConfigError
+
+    if settings.touch.path is not None and (noise is not None or settings.touch.noise != "none"):
+        raise ConfigError(
+            f"--noise is for simulated touches, but {settings.touch.path} is a touch to be read; leave one of them out"
+        )
+
+
 def _touch(localizer: Localizer) -> sensing.Touch:
     """The touch that was asked for, or a simulated one."""
     asked, press_m = localizer.config.touch, flags.press_depth_m(localizer.config)
     if asked.path is not None:
         return localizer.read_touch(asked.path, asked.unit, press_m)
-    return max(localizer.simulate(DRAWN, localizer.config.seed, press_m), key=lambda t: t.contact_shape.contact.sum())
+    touches = localizer.simulate(DRAWN, localizer.config.seed, press_m, asked.noise)
+    return max(touches, key=lambda t: t.contact_shape.contact.sum())
 
 
 def _report(localizer: Localizer, localization: Localization, seconds: dict[str, float], out: Path) -> None:

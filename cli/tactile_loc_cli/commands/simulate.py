@@ -24,6 +24,7 @@ def simulate(
     symmetry: flags.Symmetry = None,
     count: Annotated[int, typer.Option("--count", min=1, max=100_000, metavar="N", help="How many touches.")] = 10,
     press_depth: flags.PressDepth = None,
+    noise: flags.TouchNoise = None,
     sensor: flags.Sensor = None,
     grid: flags.Grid = None,
     renderer: flags.Renderer = None,
@@ -44,7 +45,7 @@ def simulate(
     settings = flags.run_config(asked)
     require_writable(out)
     localizer = flags.open_localizer(settings, None)
-    touches = localizer.simulate(count, settings.seed, flags.press_depth_m(settings))
+    touches = localizer.simulate(count, settings.seed, flags.press_depth_m(settings), settings.touch.noise)
     _write(localizer, touches, out)
     say(f"written: {len(touches)} touches, poses.json and touches.png in {out}")
 
@@ -62,13 +63,16 @@ def _write(localizer: Localizer, touches: list[Touch], out: Path) -> None:
         raise OutputError(f"{out} cannot be made ({error.strerror}); choose another --out") from error
     for touch in touches:
         write_touch(out / f"{touch.name}.npz", touch)
+    press_m = {touch.press_depth_m for touch in touches}  # each file has its own
     record = {
         "object": localizer.object.name,
-        "press_depth_m": touches[0].press_depth_m,
+        "press_depth_m": press_m.pop() if len(press_m) == 1 else None,
+        "noise": localizer.config.touch.noise,
         "configuration": resolved(localizer.config),
         "T_sensor_object": {t.name: t.T_sensor_object.tolist() for t in touches if t.T_sensor_object is not None},
     }
     text = json.dumps(record, indent=1) + "\n"
     write_atomically(out / "poses.json", lambda path: path.write_text(text, encoding="utf-8"))
-    name, sensor = localizer.object.name, localizer.config.sensor.name
-    save_figure(out / "touches.png", draw_touches(touches, f"{name} on {sensor}, simulated"))
+    name, sensor, noise = localizer.object.name, localizer.config.sensor.name, localizer.config.touch.noise
+    title = f"{name} on {sensor}, simulated" + (f" with {noise} noise" if noise != "none" else "")
+    save_figure(out / "touches.png", draw_touches(touches, title))

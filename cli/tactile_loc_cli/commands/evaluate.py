@@ -1,0 +1,228 @@
+"""`tactile-loc evaluate`: how well objects are located, by the paper's protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tactile_loc_cli import flags
+from tactile_loc_cli.console import progress, say
+
+if TYPE_CHECKING:
+    from tactile_loc.core.config import RunConfig
+    from tactile_loc.core.localizer import Localizer
+    from tactile_loc.core.objects import ObjectModel
+    from tactile_loc.evaluation.tables import Run
+
+DEFAULT_OUT = Path("evaluation")
+DEFAULT_NOISE = "strong"
+
+Objects = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--object", metavar="FILE|DEMO", help="Mesh file or demo object; may be repeated; by default all demo objects."
+    ),
+]
+Encoders = Annotated[
+    list[str] | None,
+    typer.Option("--encoder", metavar="NAME", help="What makes vectors; may be repeated; by default pixel."),
+]
+Touches = Annotated[
+    int, typer.Option("--touches", min=1, max=100_000, metavar="N", help="How many simulated touches an object.")
+]
+TouchNoise = Annotated[
+    flags.Noise | None, typer.Option("--noise", help="How far touches are from clean renders; by default strong.")
+]
+Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Seed of the touches and the random poses.")]
+Out = Annotated[
+    Path, typer.Option("--out", metavar="FOLDER", help="Where results.json, .csv, .md and the pictures go.")
+]
+
+
+def evaluate(
+    object: Objects = None,
+    units: flags.MeshUnits = None,
+    symmetry: flags.Symmetry = None,
+    touches: Touches = 150,
+    noise: TouchNoise = None,
+    sensor: flags.Sensor = None,
+    grid: flags.Grid = None,
+    renderer: flags.Renderer = None,
+    encoder: Encoders = None,
+    matcher: flags.Matcher = None,
+    refiner: flags.Refiner = None,
+    fuser: flags.Fuser = None,
+    option: flags.SetOption = None,
+    config: flags.Config = None,
+    seed: Seed = 0,
+    out: Out = DEFAULT_OUT,
+    store: flags.Store = None,
+) -> None:
+    """Measure how well objects are located.
+
+    Each object is located from simulated touches with each encoder, by the protocol in docs/evaluation.md; errors are
+    surface distances. With several encoders, an option of the encoder goes to those that have it. Interrupted, the same
+    command resumes.
+    """
+    asked = {key: value for key, value in locals().items() if key not in ("touches", "seed", "out", "store")}
+    from tactile_loc.evaluation.files import require_writable
+
+    jobs = _jobs(asked)
+    require_writable(out)
+    plan = _Plan(touches, jobs[0][0].touch.noise, seed, out, store)
+    _report(plan, [plan.work(settings, obj) for settings, obj in jobs])
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What is done with each object and encoder."""
+
+    touches: int
+    noise: str
+    seed: int
+    out: Path
+    store: Path | None
+
+    def work(self, settings: RunConfig, obj: ObjectModel) -> Run:
+        """Evaluate an object with an encoder, draw its gallery, and return what was found."""
+        from tactile_loc.evaluation.figures import draw_gallery
+        from tactile_loc.evaluation.pictures import save_figure
+        from tactile_loc.evaluation.protocol import evaluate as run_protocol
+        from tactile_loc.evaluation.results import resolved
+        from tactile_loc.evaluation.tables import Run
+
+        localizer = _localizer(settings, obj, self.store)
+        encoder = settings.encoder.name
+        evaluation = run_protocol(localizer, self.touches, self.noise, self.seed)
+        title = f"{obj.name} with {encoder}: best, median and worst of {self._touches()}"
+        figure = draw_gallery(localizer, evaluation, self.noise, self.seed, title)
+        save_figure(self.out / _gallery(obj.name, encoder), figure)
+        return Run(
+            obj.name,
+            str(obj.symmetry),
+            encoder,
+            len(localizer.model.grid),
+            evaluation,
+            configuration=resolved(settings),
+        )
+
+    def heading(self) -> str:
+        """Return the title of tables and pictures."""
+        return f"Localisation from one touch: {self._touches()} for each object, seed {self.seed}"
+
+    def _touches(self) -> str:
+        return f"{self.touches} simulated {'touch' if self.touches == 1 else 'touches'} (noise: {self.noise})"
+
+
+def _jobs(asked: dict[str, Any]) -> list[tuple[RunConfig, ObjectModel]]:
+    """Every object with every encoder; all that can be wrong with them is found before the first is evaluated."""
+    from tactile_loc.core.config import parse_overrides
+
+    in_file = _in_file(asked["config"])
+    objects = asked["object"] or _named(in_file.get("object"), "path") or _demo_objects()
+    encoders = asked["encoder"] or [None]
+    if asked["symmetry"] is not None and len(objects) > 1:
+        raise _config_error("--symmetry is of one object; give one --object with it")
+    overrides = parse_overrides(asked["option"] or []).get("encoder", {})
+    noise = asked["noise"] or (_named(in_file.get("touch"), "noise") or [DEFAULT_NOISE])[0]
+    jobs = []
+    for path in dict.fromkeys(objects):
+        settings = []
+        for encoder in dict.fromkeys(encoders):
+            options = _options_of(encoder, encoders, asked["option"] or [], overrides)
+            one = {**asked, "object": path, "encoder": encoder, "option": options, "noise": noise}
+            settings.append(flags.run_config(one))
+        obj = flags.load_object(settings[0])
+        for setting in settings:
+            _localizer(setting, obj, None)
+            jobs.append((setting, obj))
+    _require_names(jobs)
+    return jobs
+
+
+def _options_of(
+    encoder: str | None, encoders: Sequence[str | None], words: list[str], overrides: dict[str, Any]
+) -> list[str]:
+    """The options for one of several encoders: without those that only others have."""
+    from tactile_loc.core.registry import registry
+
+    if encoder is None or len(set(encoders)) == 1 or not overrides:
+        return words
+    known = {name: set(registry().load("encoder", str(name)).Options.model_fields) for name in encoders}
+    foreign = {
+        option for option in overrides if option not in known[encoder] and any(option in k for k in known.values())
+    }
+    return [word for word in words if not any(word.replace(" ", "").startswith(f"encoder.{o}=") for o in foreign)]
+
+
+def _in_file(path: Path | None) -> dict[str, Any]:
+    from tactile_loc.core.config import read_toml
+
+    return {} if path is None else read_toml(path)
+
+
+def _named(table: Any, key: str) -> list[str]:
+    """What a configuration file's table says of a key, if it does."""
+    return [table[key]] if isinstance(table, dict) and isinstance(table.get(key), str) else []
+
+
+def _demo_objects() -> list[str]:
+    from tactile_loc.data import DEMO_OBJECTS
+
+    return list(DEMO_OBJECTS)
+
+
+def _require_names(jobs: Sequence[tuple[RunConfig, ObjectModel]]) -> None:
+    """Refuse two objects of one name: their results could not be told apart."""
+    found: dict[str, str] = {}
+    for settings, obj in jobs:
+        other = found.setdefault(obj.name, settings.object.path)
+        if other != settings.object.path:
+            raise _config_error(
+                f"{other} and {settings.object.path} are both called {obj.name}; rename one, or evaluate them apart"
+            )
+
+
+def _config_error(text: str) -> Exception:
+    from tactile_loc.core.errors import ConfigError
+
+    return ConfigError(text)
+
+
+def _localizer(settings: RunConfig, obj: ObjectModel, store: Path | None) -> Localizer:
+    from tactile_loc.core.localizer import Localizer
+    from tactile_loc.core.store import StageStore
+
+    return Localizer(settings, obj, StageStore(store), progress())
+
+
+def _gallery(name: str, encoder: str) -> str:
+    return f"gallery-{name}-{encoder}.png"
+
+
+def _report(plan: _Plan, runs: Sequence[Run]) -> None:
+    from tactile_loc.evaluation.figures import draw_violins
+    from tactile_loc.evaluation.pictures import save_figure
+    from tactile_loc.evaluation.tables import medians_mm, medians_normalised, summary_header, write_tables
+
+    protocol = {"touches": plan.touches, "noise": plan.noise, "seed": plan.seed}
+    written = write_tables(plan.out, runs, protocol, plan.heading())
+    written.append(save_figure(plan.out / "violins.png", draw_violins(runs, plan.heading())))
+    written += [plan.out / _gallery(run.object, run.encoder) for run in runs]
+    say("median ADD, mm")
+    _say_table([summary_header(), *medians_mm(runs)])
+    say("\nmedian ADD as a share of a random pose's mean")
+    _say_table([summary_header(), *medians_normalised(runs)])
+    say(f"\nwritten: {', '.join(map(str, written))}")
+
+
+def _say_table(rows: Sequence[Sequence[str]]) -> None:
+    """Write rows of cells, the first two columns to the left, the others to the right; never cut to the window."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = [c.ljust(w) if i < 2 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))]
+        say(" ".join(cells).rstrip())

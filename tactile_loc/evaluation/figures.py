@@ -1,0 +1,154 @@
+"""Pictures of evaluations: violins of the errors, and the best, median and worst touches."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.localizer import Localizer
+from tactile_loc.evaluation.pictures import OUTLINE, draw_contact_shape, draw_outline, make_figure, millimetres
+from tactile_loc.evaluation.protocol import Evaluation, simulated_touch
+from tactile_loc.evaluation.tables import Run
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DRAWN = ("best-1", "best-10", "best-50", "reg-1", "reg-10", "oracle")
+COLOURS = ("#2b6cb0", "#dd6b20", "#2f855a", "#6b46c1", "#b83280", "#4a5568")
+RANDOM, CLOSEST = "#c53030", "#1a202c"
+FLOOR = 1e-4  # errors below this share of a random pose's are drawn here
+ROOM = 0.82  # of the distance between lines, for their violins
+GALLERY_LINE = "reg-1"
+EACH = 2  # touches of each kind in a gallery
+
+
+def draw_violins(runs: Sequence[Run], title: str) -> Figure:
+    """Draw a panel for each object: the distribution of the normalised ADD of each line, a colour for each encoder.
+
+    The error axis is logarithmic. Dashed lines are the medians of a random pose and of the grid pose nearest to the
+    truth, white dots medians, thick bars quartiles.
+    """
+    objects, encoders = (
+        list(dict.fromkeys(names)) for names in zip(*((r.object, r.encoder) for r in runs), strict=True)
+    )
+    columns = min(3, len(objects))
+    rows = -(-len(objects) // columns)
+    figure = make_figure(max(6.4, 4.9 * columns) + 0.5, 3.6 * rows + 1.1, constrained=True)
+    panels: NDArray[Any] = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    colours = dict(zip(encoders, COLOURS * (1 + len(encoders) // len(COLOURS)), strict=False))
+    for axes, name in zip(panels.flat, objects, strict=False):
+        _draw_object(axes, [run for run in runs if run.object == name], colours)
+    for axes in panels.flat[len(objects) :]:
+        axes.set_axis_off()
+    _scale_errors(
+        panels[0, 0], min(_logarithm(run.evaluation.normalised(line)).min() for run in runs for line in DRAWN)
+    )
+    for axes in panels[:, 0]:
+        axes.set_ylabel("ADD / mean ADD of a random pose")
+    width = figure.get_figwidth()
+    figure.suptitle(textwrap.fill(title, int(8.5 * width)), size=13, weight="bold")
+    columns = min(3 + len(encoders), int(width / 2.2))
+    figure.legend(handles=_handles(colours), loc="outside lower center", ncols=columns, frameon=False)
+    return figure
+
+
+def draw_gallery(localizer: Localizer, evaluation: Evaluation, noise: str, seed: int, title: str) -> Figure:
+    """Draw the best, median and worst touches of an evaluation by the most probable pose, refined.
+
+    Above the observed contact shapes, below the clean ones of the estimated poses with the observed outline.
+    """
+    errors_m = evaluation.errors(GALLERY_LINE)
+    chosen = _best_median_worst(errors_m)
+    figure = make_figure(2.35 * len(chosen) + 1.3, 5.8, constrained=True)
+    figure.suptitle(textwrap.fill(title, int(8.5 * figure.get_figwidth())), size=13, weight="bold")
+    panels: NDArray[Any] = figure.subplots(2, len(chosen), squeeze=False, sharex=True, sharey=True)
+    deepest_m = localizer.scene.geometry.max_depth_m
+    for column, (kind, number) in zip(panels.T, chosen, strict=True):
+        touch = simulated_touch(localizer, number, noise, seed)
+        shape = localizer.scene.contact_shape(evaluation.poses(GALLERY_LINE)[number], touch.press_depth_m)
+        draw_contact_shape(column[0], touch.contact_shape, touch.geometry, deepest_m)
+        image = draw_contact_shape(column[1], shape, touch.geometry, deepest_m)
+        draw_outline(column[1], touch)
+        column[0].set_title(f"{kind}: {millimetres(float(errors_m[number]))}\n{touch.name}", size=10)
+        column[1].set_xlabel("x (mm)", size=9)
+    panels[0, 0].set_ylabel("observed\ny (mm)", size=10)
+    panels[1, 0].set_ylabel("estimated, refined\ny (mm)", size=10)
+    bar = figure.colorbar(image, ax=list(panels.flat), shrink=0.7, aspect=35, pad=0.015)
+    bar.set_label("depth from full penetration (mm); grey: no contact", size=9)
+    figure.text(0.5, 0.008, "red: outline of the observed contact", size=10, color=OUTLINE, ha="center", va="bottom")
+    figure.get_layout_engine().set(rect=(0, 0.04, 1, 0.96))  # type: ignore[union-attr, call-arg]
+    return figure
+
+
+def _draw_object(axes: Axes, runs: Sequence[Run], colours: dict[str, str]) -> None:
+    width = ROOM / len(runs)
+    for i, run in enumerate(runs):
+        shift = (i - 0.5 * (len(runs) - 1)) * width
+        for place, line in enumerate(DRAWN):
+            _draw_violin(axes, place + shift, width, run.evaluation.normalised(line), colours[run.encoder])
+    for line, colour in (("random", RANDOM), ("closest", CLOSEST)):
+        level = float(_logarithm(np.median(runs[0].evaluation.normalised(line))))
+        axes.axhline(level, color=colour, lw=1.2, ls=(0, (5, 3)), zorder=1)
+    scale = millimetres(runs[0].evaluation.scale_m())
+    axes.set_title(f"{runs[0].object} (random: {scale} on average)", size=11)
+    axes.set_xticks(range(len(DRAWN)), [line.capitalize() for line in DRAWN], size=9)
+    axes.set_xlim(-0.6, len(DRAWN) - 0.4)
+    axes.set_axisbelow(True)
+    axes.grid(axis="y", color="#e2e8f0", lw=0.8)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _scale_errors(axes: Axes, lowest: float) -> None:
+    """Tick the shared error axis, whose values are decimal logarithms, down to `lowest`."""
+    bottom, top = float(np.floor(lowest)), 0.5
+    axes.set_ylim(bottom, top)
+    decades = np.arange(bottom, 1)
+    axes.set_yticks(decades, [f"{10**d:g}" for d in decades], size=9)
+    minor = np.log10(np.outer(10**decades, np.arange(2, 10))).ravel()
+    axes.set_yticks(minor[minor < top], minor=True)
+
+
+def _draw_violin(axes: Axes, place: float, width: float, values: NDArray[np.float64], colour: str) -> None:
+    """The distribution of values (T,) on an axis of logarithms, its quartiles as a bar, its median as a dot."""
+    logarithms = _logarithm(values)
+    if np.ptp(logarithms) > 1e-9:  # a density needs values that differ
+        parts: Any = axes.violinplot([logarithms], [place], widths=0.92 * width, showextrema=False, points=200)
+        parts["bodies"][0].set(facecolor=colour, edgecolor=colour, alpha=0.45, linewidth=0.8, zorder=2)
+    low, median, high = _logarithm(np.quantile(values, (0.25, 0.5, 0.75)))
+    axes.vlines(place, low, high, color=colour, lw=4, zorder=3)
+    axes.plot(place, median, "o", ms=4.5, mfc="white", mec=colour, mew=1.2, zorder=4)
+
+
+def _handles(colours: dict[str, str]) -> list[Any]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    dashes = (0, (5, 3))
+    return [
+        *(Patch(fc=colour, alpha=0.6, label=f"encoder {encoder}") for encoder, colour in colours.items()),
+        Line2D([], [], color=RANDOM, lw=1.2, ls=dashes, label="random pose, median"),
+        Line2D([], [], color=CLOSEST, lw=1.2, ls=dashes, label="closest in the grid, median"),
+        Line2D([], [], color="#4a5568", lw=4, marker="o", mfc="white", ms=6, label="quartiles and median"),
+    ]
+
+
+def _logarithm(values: NDArray[np.float64] | np.floating[Any]) -> NDArray[np.float64]:
+    return np.asarray(np.log10(np.maximum(values, FLOOR)))
+
+
+def _best_median_worst(errors_m: NDArray[np.float64]) -> list[tuple[str, int]]:
+    """Up to EACH touches of each kind, by rising error, none twice."""
+    order = np.argsort(errors_m, kind="stable")
+    each = min(EACH, max(1, len(order) // 3))
+    middle = (len(order) - each) // 2
+    starts = {"best": 0, "median": middle, "worst": len(order) - each}
+    found: dict[int, str] = {}
+    for kind, start in starts.items():
+        for number in order[start : start + each]:
+            found.setdefault(int(number), kind)
+    return [(kind, number) for number, kind in found.items()]

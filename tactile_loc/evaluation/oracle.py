@@ -1,0 +1,67 @@
+"""The oracle: the grid poses whose clean contact shapes are the nearest to the true ones, pixel by pixel.
+
+It is what a perfect matcher could do, one that noise does not confuse. What it gets wrong, no matcher can tell: poses
+that make the same contact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.compiled import njit, prange
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.sensing import Touch
+
+Float32 = NDArray[np.float32]
+
+
+def oracle_poses(localizer: Localizer, touches: Sequence[Touch]) -> NDArray[np.int64]:
+    """Return for each touch the index (T,) of the grid pose whose contact shape is the nearest to the true pose's.
+
+    Both shapes are clean, cut at the touch's press depth and as large as the grid's; the distance is the sum of squared
+    differences of depth over the observed pixels. Of shapes as near, the first counts. Raises TouchError for a touch
+    whose true pose is not known.
+    """
+    press = np.array([touch.press_depth_m for touch in touches], np.float32)
+    observed = localizer.coarse_scene.geometry.observed_mask
+    wanted = np.ascontiguousarray(_true_shapes(localizer, touches)[:, observed])
+    best, index = np.full(len(touches), np.inf), np.zeros(len(touches), np.int64)
+    start = 0
+    for depths in localizer.model.shapes.shards():  # at full press: cut at each touch's own while comparing
+        _search(np.ascontiguousarray(depths[:, observed]), wanted, press, start, best, index)
+        start += len(depths)
+    return index
+
+
+def true_pose(touch: Touch) -> NDArray[np.float64]:
+    """Return a touch's true pose (4, 4), metres. Raises TouchError when it is not known."""
+    if touch.T_sensor_object is None:
+        raise TouchError(f"{touch.name} has no true pose to compare with; simulate it")
+    return touch.T_sensor_object
+
+
+def _true_shapes(localizer: Localizer, touches: Sequence[Touch]) -> Float32:
+    """Clean contact depths (T, H, W) of the true poses, metres, each cut at its touch's press depth."""
+    scene = localizer.coarse_scene
+    poses, _ = scene.in_contact(np.stack([true_pose(touch) for touch in touches]))
+    press = np.array([touch.press_depth_m for touch in touches], np.float32)
+    return np.minimum(scene.contact_depths(poses), press[:, None, None])
+
+
+@njit(parallel=True, cache=True)
+def _search(depths, wanted, press, start, best, index):  # type: ignore[no-untyped-def]
+    """Look for nearer shapes among depths (S, P) for wanted (T, P); a sum that exceeds the best is not finished."""
+    for q in prange(len(wanted)):
+        for i in range(len(depths)):
+            total = 0.0
+            for p in range(depths.shape[1]):
+                difference = np.float64(min(depths[i, p], press[q])) - np.float64(wanted[q, p])
+                total += difference * difference
+                if total >= best[q]:
+                    break
+            if total < best[q]:
+                best[q], index[q] = total, start + i

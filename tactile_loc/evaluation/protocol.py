@@ -1,0 +1,134 @@
+"""The paper's protocol for one touch, on simulated touches: how far estimates are off, beside what the grid allows."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.hashing import StageKey
+from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.model import STAGE_VERSIONS
+from tactile_loc.core.noise import noise as noise_named
+from tactile_loc.core.poses import Poses
+from tactile_loc.core.registry import registry
+from tactile_loc.core.sensing import Touch
+from tactile_loc.core.store import Artifact, Workspace
+from tactile_loc.core.training import STAGE_VERSION as TRAINING_VERSION
+from tactile_loc.evaluation.judge import LINES, METRICS, STAGES, Judge
+from tactile_loc.evaluation.oracle import oracle_poses
+
+PROTOCOL_VERSION = 1  # raised when the same localizer would get other numbers
+SHARD = 25  # touches localised, saved and resumed at once
+ARRAYS = ("errors_m", "T_sensor_object", "seconds")
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """How far off T simulated touches were localised.
+
+    `errors_m` (T, L, M) in metres of every line of LINES by every metric of METRICS; `T_sensor_object` (T, L, 4, 4) the
+    pose that a line ended with, metres; `seconds` (T, S) of every stage of STAGES, refining one pose.
+    """
+
+    errors_m: NDArray[np.float64]
+    T_sensor_object: Poses
+    seconds: NDArray[np.float64]
+
+    def errors(self, line: str, metric: str = "add") -> NDArray[np.float64]:
+        """Return the errors (T,) of a line, metres."""
+        return self.errors_m[:, LINES.index(line), METRICS.index(metric)]
+
+    def scale_m(self, metric: str = "add") -> float:
+        """Return the mean error of a random pose of the grid, metres, by which the paper normalises."""
+        return float(self.errors("random", metric).mean())
+
+    def normalised(self, line: str, metric: str = "add") -> NDArray[np.float64]:
+        """Return the errors (T,) of a line as shares of the mean error of a random pose (unitless)."""
+        return self.errors(line, metric) / self.scale_m(metric)
+
+    def poses(self, line: str) -> Poses:
+        """Return the poses (T, 4, 4) that a line ended with, metres."""
+        return self.T_sensor_object[:, LINES.index(line)]
+
+    def stage_seconds(self, stage: str) -> NDArray[np.float64]:
+        """Return how long a stage took (T,), seconds."""
+        return self.seconds[:, STAGES.index(stage)]
+
+
+def evaluate(localizer: Localizer, count: int, noise: str = "none", seed: int = 0) -> Evaluation:
+    """Localise `count` simulated touches, of a noise that `tactile_loc.core.noise` names, and measure all LINES.
+
+    The result is kept in the localizer's store; what an interrupted evaluation has finished, by shards of SHARD
+    touches, is not done again, and the errors are those of an uninterrupted one. Every touch has a seed of its own:
+    all encoders are asked about the same touches, beside the same random poses. Raises TactileLocError.
+    """
+
+    def run(work: Workspace) -> None:
+        judge = Judge(localizer)
+        numbers = range(count)
+        shards = [_shard(work, judge, numbers[i : i + SHARD], noise, seed) for i in range(0, count, SHARD)]
+        for name, columns in zip(ARRAYS, zip(*shards, strict=True), strict=True):
+            work.save_array(name, np.concatenate(columns))
+
+    return _read(localizer.store.build(evaluation_key(localizer, count, noise, seed), run))
+
+
+def evaluation_key(localizer: Localizer, count: int, noise: str, seed: int) -> StageKey:
+    """Return the key under which an evaluation is stored: everything that decides its errors."""
+    config = localizer.config
+    matcher = registry().create("matcher", config.matcher.name, config.matcher.options)
+    return StageKey("evaluation", PROTOCOL_VERSION, {
+        "model": localizer.model.key.digest, "sensor": localizer.sensor.geometry.describe(),
+        "encoder": localizer.encoder.describe(), "matcher": matcher.describe(),
+        "refiner": localizer.refiner.describe(), "fuser": localizer.fuser.describe(),
+        "temperature": config.temperature, "training": TRAINING_VERSION, "bank": STAGE_VERSIONS["bank"],
+        "noise": noise_named(noise).describe(), "seed": seed, "count": count,
+    })  # fmt: skip
+
+
+def simulated_touch(localizer: Localizer, number: int, noise: str = "none", seed: int = 0) -> Touch:
+    """Return touch `number` of an evaluation, with its true pose: always the same one."""
+    own_seed = int(_sequence(seed, number, 0).generate_state(1, np.uint64)[0])
+    return dataclasses.replace(localizer.simulate(1, own_seed, noise=noise)[0], name=f"touch-{number:04d}")
+
+
+def _shard(work: Workspace, judge: Judge, numbers: range, noise: str, seed: int) -> list[NDArray[Any]]:
+    """The ARRAYS of some touches: localised now, or loaded if an interrupted evaluation got that far."""
+    names = [f"{name}-{numbers.start:06d}" for name in ARRAYS]
+    found = [array for array in (work.load(name, keep=False) for name in names) if array is not None]
+    if len(found) < len(names):
+        found = _localise(judge, numbers, noise, seed)
+        for name, array in zip(names, found, strict=True):
+            work.save_array(name, array, keep=False)
+    return found
+
+
+def _localise(judge: Judge, numbers: Sequence[int], noise: str, seed: int) -> list[NDArray[Any]]:
+    localizer = judge.localizer
+    touches = [simulated_touch(localizer, number, noise, seed) for number in numbers]
+    for touch in touches:
+        localizer.matcher(touch.press_depth_m)  # what is built once is no part of a touch's time
+    localizer.best_pose(touches[0])  # nor is loading libraries
+    oracle = oracle_poses(localizer, touches)
+    rows = []
+    what = f"{localizer.object.name} ({localizer.config.encoder.name})"
+    task = f"locating {what}, touches {numbers[0] + 1} to {numbers[-1] + 1}"
+    with localizer.progress.task(task, len(touches)) as advance:
+        for number, touch, index in zip(numbers, touches, oracle, strict=True):
+            rows.append(judge.judge(touch, int(index), np.random.default_rng(_sequence(seed, number, 1))))
+            advance(1)
+    return [np.stack(column) for column in zip(*rows, strict=True)]
+
+
+def _sequence(seed: int, number: int, purpose: int) -> np.random.SeedSequence:
+    """The randomness of one touch (purpose 0) or beside it (1): how many touches there are plays no part."""
+    return np.random.SeedSequence([seed, number, purpose])
+
+
+def _read(artifact: Artifact) -> Evaluation:
+    return Evaluation(*(artifact.array(name, mmap=False) for name in ARRAYS))

@@ -1,0 +1,197 @@
+"""Evaluations as tables: Markdown and CSV for people, in mm, and JSON in SI units with every touch's errors."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.evaluation.files import write_atomically
+from tactile_loc.evaluation.judge import LINES, METRICS, STAGES
+from tactile_loc.evaluation.protocol import PROTOCOL_VERSION, Evaluation
+from tactile_loc.evaluation.results import versions
+
+SCHEMA_VERSION = 1
+SHOWN = ("best-1", "best-10", "best-50", "reg-1", "reg-10", "closest", "oracle", "random")  # in the summary
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Of the errors of a line's touches, all in one unit: `std` is of the population, `q25`, `q75`, `p90` quantiles."""
+
+    mean: float
+    median: float
+    std: float
+    q25: float
+    q75: float
+    p90: float
+
+    @classmethod
+    def of(cls, values: NDArray[np.float64]) -> Statistics:
+        """Return the statistics of values (T,), in their unit."""
+        q25, median, q75, p90 = np.quantile(values, (0.25, 0.5, 0.75, 0.9))
+        return cls(float(values.mean()), float(median), float(values.std()), float(q25), float(q75), float(p90))
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One object evaluated with one encoder. `configuration` holds every setting as JSON values."""
+
+    object: str
+    symmetry: str
+    encoder: str
+    grid_poses: int
+    evaluation: Evaluation
+    configuration: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    def statistics(self, line: str, metric: str = "add", normalised: bool = False) -> Statistics:
+        """Return the statistics of a line: in metres, or as shares of the mean random error if `normalised`."""
+        values = self.evaluation.errors(line, metric)
+        return Statistics.of(values / self.evaluation.scale_m(metric) if normalised else values)
+
+    def median_seconds(self) -> dict[str, float]:
+        """Return the median duration of each stage, seconds."""
+        return {stage: float(np.median(self.evaluation.stage_seconds(stage))) for stage in STAGES}
+
+
+def summary_header() -> list[str]:
+    """Return the heads of the columns of `summary_rows`."""
+    return ["object", "encoder", *SHOWN]
+
+
+def summary_rows(runs: Sequence[Run]) -> list[list[str]]:
+    """Return a row of cells for each run: the median ADD of each line, "mm (normalised)"."""
+    pairs = zip(medians_mm(runs), medians_normalised(runs), strict=True)
+    return [a[:2] + [f"{length} ({share})" for length, share in zip(a[2:], b[2:], strict=True)] for a, b in pairs]
+
+
+def medians_mm(runs: Sequence[Run]) -> list[list[str]]:
+    """Return a row of cells for each run: object, encoder, the median ADD of each line, mm."""
+    return [[run.object, run.encoder, *(mm(run.statistics(line).median) for line in SHOWN)] for run in runs]
+
+
+def medians_normalised(runs: Sequence[Run]) -> list[list[str]]:
+    """Return a row of cells for each run: object, encoder, each line's median ADD as a share of a random pose's."""
+    shares = [[run.statistics(line, normalised=True).median for line in SHOWN] for run in runs]
+    return [[run.object, run.encoder, *(f"{v:.3f}" for v in row)] for run, row in zip(runs, shares, strict=True)]
+
+
+def time_rows(runs: Sequence[Run]) -> list[list[str]]:
+    """Return a row of cells for each run: the median milliseconds of each stage."""
+    return [[run.object, run.encoder, *(f"{1e3 * s:.1f}" for s in run.median_seconds().values())] for run in runs]
+
+
+def markdown(runs: Sequence[Run], heading: str) -> str:
+    """Return all tables as Markdown, the lengths in mm."""
+    note = "Median ADD in mm and, in brackets, divided by the mean error of a random pose; symmetry regarded."
+    parts = [f"# {heading}\n", f"{note}\n", _table(summary_header(), summary_rows(runs))]
+    parts += ["Median time of each stage, ms:\n", _table(["object", "encoder", *STAGES], time_rows(runs))]
+    for run in runs:
+        parts.append(
+            f"## {run.object}, {run.encoder}\n\n{run.grid_poses} grid poses, symmetry {run.symmetry}; ADD, mm:\n"
+        )
+        parts.append(_table(_DETAILS, _detail_rows(run)))
+    return "\n".join(parts)
+
+
+def csv_text(runs: Sequence[Run]) -> str:
+    """Return one row for each object, encoder, line and metric as CSV, lengths in mm."""
+    text = io.StringIO()
+    rows = list(_long_rows(runs))
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def record(runs: Sequence[Run], protocol: Mapping[str, Any]) -> dict[str, Any]:
+    """Return everything as JSON values in SI units; `protocol` says how many touches, which noise and seed."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": versions(),
+        "protocol": {"version": PROTOCOL_VERSION, **protocol},
+        "runs": [_run_record(run) for run in runs],
+    }
+
+
+def write_tables(folder: Path, runs: Sequence[Run], protocol: Mapping[str, Any], heading: str) -> list[Path]:
+    """Write results.json, results.csv and results.md and return their paths. Raises OutputError."""
+    texts = {
+        "results.json": json.dumps(record(runs, protocol), indent=1) + "\n",
+        "results.csv": csv_text(runs),
+        "results.md": markdown(runs, heading),
+    }
+    return [write_atomically(folder / name, _writer(text)) for name, text in texts.items()]
+
+
+def _writer(text: str) -> Any:
+    return lambda path: path.write_text(text, encoding="utf-8")
+
+
+def _run_record(run: Run) -> dict[str, Any]:
+    evaluation = run.evaluation
+    return {
+        "object": run.object,
+        "symmetry": run.symmetry,
+        "encoder": run.encoder,
+        "grid_poses": run.grid_poses,
+        "touches": len(evaluation.errors_m),
+        "random_mean_m": {metric: evaluation.scale_m(metric) for metric in METRICS},
+        "median_seconds": run.median_seconds(),
+        "lines": {
+            line: {
+                metric: {
+                    "metres": asdict(run.statistics(line, metric)),
+                    "normalised": asdict(run.statistics(line, metric, normalised=True)),
+                }
+                for metric in METRICS
+            }
+            for line in LINES
+        },
+        "errors_m": {line: {m: evaluation.errors(line, m).tolist() for m in METRICS} for line in LINES},
+        "configuration": dict(run.configuration),
+    }
+
+
+def _long_rows(runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
+    for run in runs:
+        for line in LINES:
+            for metric in METRICS:
+                mm = {f"{k}_mm": f"{1e3 * v:.6g}" for k, v in asdict(run.statistics(line, metric)).items()}
+                share = asdict(run.statistics(line, metric, normalised=True))
+                names = {"object": run.object, "encoder": run.encoder, "line": line, "metric": metric}
+                yield {**names, **mm, **{f"{k}_normalised": f"{v:.6g}" for k, v in share.items()}}
+
+
+_DETAILS = [
+    "line", "median", "mean", "std", "quartiles", "90 %", "median / random", "mean / random", "median MSSD",
+    "median ADD-S",
+]  # fmt: skip
+
+
+def _detail_rows(run: Run) -> Iterator[list[str]]:
+    for line in LINES:
+        s, share = run.statistics(line), run.statistics(line, normalised=True)
+        lengths = [mm(s.median), mm(s.mean), mm(s.std), f"{mm(s.q25)} to {mm(s.q75)}", mm(s.p90)]
+        others = [mm(run.statistics(line, metric).median) for metric in ("mssd", "add-s")]
+        yield [line, *lengths, f"{share.median:.3f}", f"{share.mean:.3f}", *others]
+
+
+def mm(length_m: float) -> str:
+    """Write a length in metres as millimetres, without the unit: 0.021, 1.94, 48.2."""
+    value = 1e3 * length_m
+    return f"{value:.3f}" if value < 1 else f"{value:.2f}" if value < 10 else f"{value:.1f}"
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]] | Iterator[Sequence[str]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"

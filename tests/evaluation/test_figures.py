@@ -1,0 +1,82 @@
+"""The pictures of an evaluation carry what is needed to read them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_tables import make_run
+
+from tactile_loc.evaluation.figures import DRAWN, FLOOR, draw_gallery, draw_violins
+from tactile_loc.evaluation.pictures import save_figure
+from tactile_loc.evaluation.protocol import Evaluation, evaluate
+from tactile_loc.evaluation.tables import Run
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Run]:
+    return [make_run(name, encoder, i) for i, name in enumerate(("pin", "hook")) for encoder in ("pixel", "other")]
+
+
+def shown(axes) -> bool:
+    return bool(axes.axison)
+
+
+def test_violins_have_a_panel_for_each_object_and_a_colour_for_each_encoder(runs, tmp_path):
+    figure = draw_violins(runs, "the title")
+    panels = [axes for axes in figure.axes if shown(axes)]
+    assert [axes.get_title().split()[0] for axes in panels] == ["pin", "hook"]
+    assert all("mm" in axes.get_title() for axes in panels)
+    assert figure._suptitle.get_text() == "the title"
+    assert "ADD" in panels[0].get_ylabel()
+    for axes in panels:
+        labels = [label.get_text() for label in axes.get_xticklabels()]
+        assert labels == [line.capitalize() for line in DRAWN]
+        assert len(axes.collections) == 2 * 2 * len(DRAWN)  # a violin and a bar for each line and encoder
+    (legend,) = figure.legends
+    words = " ".join(text.get_text() for text in legend.get_texts())
+    for word in ("pixel", "other", "random", "closest"):
+        assert word in words
+    assert save_figure(tmp_path / "violins.png", figure, dpi=40).stat().st_size > 1000
+
+
+def test_violins_show_the_medians(runs):
+    axes = draw_violins(runs[:1], "t").axes[0]
+    dots = [line for line in axes.lines if line.get_marker() == "o"]
+    medians = [np.median(runs[0].evaluation.normalised(line)) for line in DRAWN]
+    assert [10 ** dot.get_ydata()[0] for dot in dots] == pytest.approx(medians)
+    levels = [10 ** line.get_ydata()[0] for line in axes.lines if line.get_marker() != "o"]
+    expected = [np.median(runs[0].evaluation.normalised(line)) for line in ("random", "closest")]
+    assert levels == pytest.approx(expected)
+    low, high = axes.get_ylim()
+    assert all(low <= np.log10(m) <= high for m in medians)
+
+
+def test_violins_of_a_single_exact_touch(tmp_path):
+    run = make_run("pin", "pixel", 0)
+    errors = run.evaluation.errors_m[:1].copy()
+    errors[:, :2] = 0.0  # an error of zero has no logarithm
+    one = Run(
+        "pin", "none", "pixel", 10, Evaluation(errors, run.evaluation.T_sensor_object[:1], run.evaluation.seconds)
+    )
+    figure = draw_violins([one], "t")
+    dots = [line for line in figure.axes[0].lines if line.get_marker() == "o"]
+    assert dots[0].get_ydata()[0] == np.log10(FLOOR)
+    assert save_figure(tmp_path / "one.png", figure, dpi=40).exists()
+
+
+@pytest.mark.parametrize(("count", "columns"), [(6, 6), (3, 3), (1, 1)])
+def test_a_gallery_shows_the_best_the_median_and_the_worst_touch(localizer, tmp_path, count, columns):
+    six = evaluate(localizer, 6, "strong", seed=3)
+    evaluation = Evaluation(six.errors_m[:count], six.T_sensor_object[:count], six.seconds[:count])
+    figure = draw_gallery(localizer, evaluation, "strong", 3, "pin")
+    titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+    assert len(titles) == columns
+    assert titles[0].startswith("best: ")
+    assert all("mm" in title and "touch-" in title for title in titles)
+    errors = evaluation.errors("reg-1")
+    assert f"touch-{int(errors.argmin()):04d}" in titles[0]
+    assert f"touch-{int(errors.argmax()):04d}" in titles[-1]
+    labels = " ".join(axes.get_xlabel() + axes.get_ylabel() for axes in figure.axes)
+    for word in ("x (mm)", "y (mm)", "observed", "estimated", "depth from full penetration (mm)"):
+        assert word in labels
+    assert save_figure(tmp_path / "gallery.png", figure, dpi=40).exists()

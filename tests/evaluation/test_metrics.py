@@ -1,0 +1,126 @@
+"""Distances between poses, against values known by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.geometry import make_transform, rotation_about, translation
+from tactile_loc.evaluation.metrics import add, add_s, hull_corners, mssd, symmetric_add, symmetric_adds
+
+SHIFT_M = np.array([0.003, -0.004, 0.012])
+LENGTH_M = 0.013
+
+
+def turn(axis, angle_rad):
+    return make_transform(rotation_about(axis, angle_rad), np.zeros(3))
+
+
+@pytest.fixture(scope="module")
+def true_pose():
+    return make_transform(rotation_about([1, 2, 3], 0.7), [0.01, 0.02, 0.03])
+
+
+@pytest.fixture(scope="module")
+def points_m(box):
+    return box.mesh.sample(10_000, np.random.default_rng(0))
+
+
+def test_a_shift_moves_every_point_by_its_length(box, points_m, true_pose):
+    shifted = translation(SHIFT_M) @ true_pose
+    assert add(points_m, shifted, true_pose) == pytest.approx(LENGTH_M)
+    assert symmetric_add(box, points_m, shifted, true_pose) == pytest.approx(LENGTH_M)
+    assert mssd(box, hull_corners(box.mesh), shifted[None], true_pose) == pytest.approx(LENGTH_M)
+    assert add_s(points_m, shifted[None], true_pose)[0] < LENGTH_M
+
+
+def test_the_largest_distance_of_a_turned_box_is_its_corners(box, true_pose):
+    turned = true_pose @ turn([0, 0, 1], np.pi / 2)  # 30 x 20 mm across: the chord of a right angle
+    expected_m = np.sqrt(2) * np.hypot(0.015, 0.010)
+    assert mssd(box, hull_corners(box.mesh), turned[None], true_pose) == pytest.approx(expected_m)
+
+
+def test_the_hull_of_a_box_has_eight_corners_and_a_flat_surface_keeps_its_vertices(box, make_object):
+    assert len(hull_corners(box.mesh)) == 8
+    from trimesh import Trimesh
+
+    square = make_object(Trimesh([[0, 0, 0], [0.01, 0, 0], [0.01, 0.01, 0], [0, 0.01, 0]], [[0, 1, 2], [0, 2, 3]]))
+    assert len(hull_corners(square.mesh)) == 4
+
+
+def test_the_largest_distance_is_at_the_hull(cylinder, true_pose):
+    rng = np.random.default_rng(1)
+    poses = make_transform(rotation_about([3, 1, 2], rng.uniform(0, 3, 6)), rng.normal(0, 0.01, (6, 3)))
+    plain = make_plain(cylinder)
+    everywhere = mssd(plain, cylinder.mesh.sample(20_000, rng), poses, true_pose)
+    largest = mssd(plain, hull_corners(cylinder.mesh), poses, true_pose)
+    assert (largest >= everywhere - 1e-12).all()
+    assert largest == pytest.approx(everywhere, rel=0.02)
+
+
+def make_plain(obj):
+    """The same object without its symmetry."""
+    from tactile_loc.core.objects import ObjectModel
+    from tactile_loc.core.symmetry import SymmetryGroup
+
+    return ObjectModel(obj.name, obj.mesh, SymmetryGroup.parse("none", np.zeros(3)))
+
+
+@pytest.mark.parametrize("symmetry", ["none", "x2*y2"])
+def test_symmetry_is_regarded_where_there_is_one(make_box, true_pose, symmetry):
+    obj = make_box(0.030, 0.020, 0.012, symmetry=symmetry)
+    points_m = obj.mesh.sample(2000, np.random.default_rng(0))
+    turned = (true_pose @ turn([1, 0, 0], np.pi))[None]
+    errors = (
+        symmetric_adds(obj, points_m, turned, true_pose)[0],
+        mssd(obj, hull_corners(obj.mesh), turned, true_pose)[0],
+    )
+    same = symmetry != "none"
+    assert all((error < 1e-9) == same for error in errors)
+    assert add_s(points_m, turned, true_pose)[0] < 0.001  # forgives it in either case
+
+
+def test_turns_about_a_continuous_axis_are_no_error_and_shifts_along_it_are(cylinder, true_pose):
+    points_m = cylinder.mesh.sample(2000, np.random.default_rng(0))
+    corners_m = hull_corners(cylinder.mesh)
+    turned = true_pose @ turn([0, 0, 1], 1.2345) @ turn([1, 0, 0], np.pi)
+    moved = turned @ translation([0, 0, 0.005])
+    poses = np.stack([turned, moved])
+    assert symmetric_adds(cylinder, points_m, poses, true_pose) == pytest.approx([0, 0.005], abs=1.5e-4)
+    assert mssd(cylinder, corners_m, poses, true_pose) == pytest.approx([0, 0.005], abs=2e-4)
+
+
+def test_ranking_symmetries_loses_next_to_nothing(cylinder, true_pose):
+    """Against every sampled symmetry with every point."""
+    rng = np.random.default_rng(2)
+    points_m = cylinder.mesh.sample(1500, rng)
+    poses = make_transform(rotation_about([1, 5, 2], rng.uniform(0, 3, 10)), rng.normal(0, 0.01, (10, 3))) @ true_pose
+    from tactile_loc.core.poses import PoseMetric
+
+    same = PoseMetric(cylinder).equivalents(true_pose[None], 2e-4)[:, 0]
+    every = np.array([add(points_m, T[None], same).min() for T in poses])
+    ranked = symmetric_adds(cylinder, points_m, poses, true_pose)
+    assert (ranked >= every - 1e-12).all()
+    assert ranked == pytest.approx(every, rel=0.02)
+    corners_m = hull_corners(cylinder.mesh)
+    largest = [np.linalg.norm(corners_of(T, corners_m) - corners_of(same, corners_m), axis=-1) for T in poses]
+    assert mssd(cylinder, corners_m, poses, true_pose) == pytest.approx([d.max(axis=-1).min() for d in largest])
+
+
+def corners_of(T, corners_m):
+    return corners_m @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
+
+
+def test_add_s_is_the_mean_distance_to_the_nearest_point():
+    points_m = np.array([[0.0, 0, 0], [0.010, 0, 0], [0.020, 0, 0]])
+    slid = translation([0.010, 0, 0])[None]  # two points land on others; the first is 10 mm from the nearest
+    assert add_s(points_m, slid, np.eye(4)) == pytest.approx(0.010 / 3)
+    assert add_s(points_m, slid, np.eye(4), every=3) == pytest.approx(0.010)
+
+
+def test_the_smaller_metrics_are_smaller(box, points_m, true_pose):
+    rng = np.random.default_rng(3)
+    poses = make_transform(rotation_about([1, 1, 0], rng.uniform(0, 3, 20)), rng.normal(0, 0.01, (20, 3))) @ true_pose
+    mean = symmetric_adds(box, points_m, poses, true_pose)
+    assert (add_s(points_m, poses, true_pose) <= mean + 1e-12).all()
+    assert (mean <= mssd(box, hull_corners(box.mesh), poses, true_pose) + 1e-12).all()

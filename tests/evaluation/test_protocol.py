@@ -1,0 +1,184 @@
+"""The protocol on a coarse grid: what must hold of every touch, and that interruptions leave no trace."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import ConfigError, TouchError
+from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.store import StageStore
+from tactile_loc.evaluation import protocol
+from tactile_loc.evaluation.judge import LINES, METRICS, STAGES, Judge
+from tactile_loc.evaluation.oracle import oracle_poses
+from tactile_loc.evaluation.protocol import Evaluation, evaluate, evaluation_key, simulated_touch
+
+COUNT = 6
+
+
+@pytest.fixture(scope="module")
+def evaluation(localizer: Localizer) -> Evaluation:
+    return evaluate(localizer, COUNT, "strong", seed=3)
+
+
+def fresh(store: StageStore, **settings) -> Localizer:
+    return Localizer.create("pin", grid={"name": "face", "spacing_mm": 8}, store=store, **settings)
+
+
+@pytest.fixture(scope="module")
+def plain(localizer: Localizer) -> Evaluation:
+    """Without refinement, whose threads may add up differently: equal to the bit."""
+    return evaluate(fresh(localizer.store, refiner="none"), COUNT, "strong", seed=3)
+
+
+def assert_same(a: Evaluation, b: Evaluation) -> None:
+    assert (a.errors_m == b.errors_m).all()
+    assert (a.T_sensor_object == b.T_sensor_object).all()
+
+
+def test_every_touch_has_every_line_metric_and_stage(evaluation):
+    assert evaluation.errors_m.shape == (COUNT, len(LINES), len(METRICS))
+    assert evaluation.T_sensor_object.shape == (COUNT, len(LINES), 4, 4)
+    assert evaluation.seconds.shape == (COUNT, len(STAGES))
+    assert (evaluation.errors_m >= 0).all()
+    assert (evaluation.seconds > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("less", "more"),
+    [("closest", "best-50"), ("best-50", "best-10"), ("best-10", "best-1"), ("reg-10", "reg-1"),
+     ("closest", "oracle"), ("random-10", "random"), ("closest", "random-10")],
+)  # fmt: skip
+def test_a_line_with_more_to_choose_from_is_never_farther(evaluation, less, more):
+    assert (evaluation.errors(less) <= evaluation.errors(more)).all()
+
+
+def test_lines_differ(evaluation):
+    """The touches are hard enough to tell the lines apart."""
+    assert (evaluation.errors("best-50") < evaluation.errors("best-1")).any()
+    assert evaluation.errors("best-50").mean() < evaluation.errors("random").mean()
+    assert len(np.unique(evaluation.errors("random"))) == COUNT
+
+
+def test_the_errors_are_those_of_the_poses(evaluation, localizer):
+    from tactile_loc.evaluation.metrics import symmetric_add
+
+    points_m = localizer.object.mesh.sample(20_000, np.random.default_rng(9))
+    for number in range(COUNT):
+        truth = simulated_touch(localizer, number, "strong", 3).T_sensor_object
+        for line in LINES:
+            error_m = symmetric_add(localizer.object, points_m, evaluation.poses(line)[number], truth)
+            assert evaluation.errors(line)[number] == pytest.approx(error_m, rel=0.03, abs=1e-6)
+
+
+def test_closest_is_the_nearest_of_the_whole_grid(evaluation, localizer):
+    from tactile_loc.evaluation.metrics import symmetric_adds
+
+    points_m = localizer.object.mesh.sample(2000, np.random.default_rng(0))
+    for number in range(COUNT):
+        truth = simulated_touch(localizer, number, "strong", 3).T_sensor_object
+        every = symmetric_adds(localizer.object, points_m, localizer.model.grid.T_sensor_object, truth)
+        assert evaluation.errors("closest")[number] == pytest.approx(every.min(), rel=0.03)
+
+
+def test_the_random_line_is_one_when_normalised(evaluation):
+    for metric in METRICS:
+        assert evaluation.normalised("random", metric).mean() == pytest.approx(1)
+    assert evaluation.normalised("best-1") * evaluation.scale_m() == pytest.approx(evaluation.errors("best-1"))
+
+
+def test_the_oracle_has_the_nearest_contact_shape(localizer):
+    touches = [simulated_touch(localizer, number, "mild", 1) for number in range(4)]
+    found = oracle_poses(localizer, touches)
+    mask = localizer.coarse_scene.geometry.observed_mask
+    for touch, index in zip(touches, found, strict=True):
+        press_m = touch.press_depth_m
+        wanted = localizer.coarse_scene.contact_shape(touch.T_sensor_object, press_m).depth_m
+        bank = np.concatenate(list(localizer.model.shapes.shards(press_m)))
+        distances = ((bank.astype(float) - wanted.astype(float))[:, mask] ** 2).sum(axis=1)
+        assert distances[index] == pytest.approx(distances.min(), rel=1e-6)
+        assert distances[index] <= np.delete(distances, index).min() * (1 + 1e-9)
+
+
+def test_a_seed_always_gives_the_same_and_another_seed_others(plain, localizer, tmp_path):
+    again = evaluate(fresh(StageStore(tmp_path), refiner="none"), COUNT, "strong", seed=3)
+    assert_same(plain, again)
+    other = evaluate(fresh(localizer.store, refiner="none"), 2, "strong", seed=4)
+    assert not np.allclose(other.errors_m, plain.errors_m[:2])
+
+
+def test_the_number_of_touches_does_not_change_the_first_ones(evaluation, localizer):
+    """With refinement, up to what its threads may add up differently."""
+    fewer = evaluate(localizer, 2, "strong", seed=3)
+    np.testing.assert_allclose(fewer.errors_m, evaluation.errors_m[:2], atol=1e-8)
+
+
+def test_encoders_are_asked_about_the_same_touches(plain, localizer):
+    settings = {"encoder": {"name": "pixel", "cells": 5}, "refiner": "none"}
+    other = evaluate(fresh(localizer.store, **settings), COUNT, "strong", seed=3)
+    for line in ("oracle", "random", "random-10"):
+        assert (other.errors(line) == plain.errors(line)).all()
+    assert not (other.errors("best-1") == plain.errors("best-1")).all()
+
+
+def test_an_interrupted_evaluation_resumes_and_ends_the_same(plain, localizer, tmp_path, monkeypatch):
+    monkeypatch.setattr(protocol, "SHARD", 2)
+    store, judged = StageStore(tmp_path), []
+    judge = Judge.judge
+
+    def interrupted(self, touch, *others):
+        if touch.name == "touch-0003" and len(judged) == 3:
+            raise KeyboardInterrupt
+        judged.append(touch.name)
+        return judge(self, touch, *others)
+
+    monkeypatch.setattr(Judge, "judge", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(fresh(store, refiner="none"), COUNT, "strong", seed=3)
+    judged.append("interrupted")
+    resumed = evaluate(fresh(store, refiner="none"), COUNT, "strong", seed=3)
+    after = judged[judged.index("interrupted") + 1 :]
+    assert after == [f"touch-{i:04d}" for i in (2, 3, 4, 5)]  # the first shard stayed
+    assert_same(plain, resumed)
+
+
+def test_what_is_finished_is_not_done_again(evaluation, localizer, monkeypatch):
+    monkeypatch.setattr(Judge, "judge", lambda *others: pytest.fail("localised again"))
+    again = evaluate(fresh(localizer.store), COUNT, "strong", seed=3)
+    assert (again.errors_m == evaluation.errors_m).all()
+    assert (again.seconds == evaluation.seconds).all()
+
+
+def test_the_key_holds_whatever_changes_the_errors(localizer):
+    def digest(local=localizer, count=COUNT, noise="strong", seed=3):
+        return evaluation_key(local, count, noise, seed).digest
+
+    store = localizer.store
+    others = [digest(count=7), digest(noise="mild"), digest(seed=4)]
+    for settings in ({"refiner": "none"}, {"encoder": {"name": "pixel", "cells": 10}}, {"matcher": "faiss"}):
+        others.append(digest(fresh(store, **settings)))
+    assert digest() == digest(fresh(store))
+    assert len({digest(), *others}) == 7
+
+
+def test_a_symmetric_object_may_be_found_at_any_equivalent(localizer):
+    """The pin turned by half about its axis looks the same: such an estimate is as good."""
+    judge = Judge(localizer)
+    touch = simulated_touch(localizer, 0, "none", 0)
+    truth = touch.T_sensor_object
+    same = localizer.model.grid.metric.equivalents(truth[None], 2e-4)[:, 0]
+    assert len(same) == 2
+    errors = judge._measure(same, truth)
+    assert errors[:, :2] == pytest.approx(0, abs=1e-9)
+
+
+def test_touches_without_a_true_pose_and_unknown_noise_are_refused(localizer):
+    import dataclasses
+
+    touch = dataclasses.replace(simulated_touch(localizer, 0), T_sensor_object=None)
+    with pytest.raises(TouchError, match="no true pose"):
+        oracle_poses(localizer, [touch])
+    with pytest.raises(TouchError, match="no true pose"):
+        Judge(localizer).judge(touch, 0, np.random.default_rng(0))
+    with pytest.raises(ConfigError, match="noise"):
+        evaluate(localizer, 1, "loud")

@@ -1,0 +1,99 @@
+"""The tables of an evaluation say the same in Markdown, CSV and JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import OutputError
+from tactile_loc.evaluation.judge import LINES, METRICS, STAGES
+from tactile_loc.evaluation.protocol import Evaluation
+from tactile_loc.evaluation.tables import (
+    Run,
+    Statistics,
+    csv_text,
+    markdown,
+    mm,
+    record,
+    summary_header,
+    summary_rows,
+    write_tables,
+)
+
+PROTOCOL = {"touches": 12, "noise": "mild", "seed": 1}
+
+
+def make_run(name: str, encoder: str, seed: int) -> Run:
+    rng = np.random.default_rng(seed)
+    errors = rng.uniform(1e-4, 3e-2, (12, len(LINES), len(METRICS)))
+    poses = np.broadcast_to(np.eye(4), (12, len(LINES), 4, 4))
+    return Run(name, "z2", encoder, 500, Evaluation(errors, poses, rng.uniform(0, 0.01, (12, len(STAGES)))))
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Run]:
+    return [make_run(name, encoder, i) for i, name in enumerate(("pin", "hook")) for encoder in ("pixel", "other")]
+
+
+def test_statistics_of_known_values():
+    s = Statistics.of(np.arange(1.0, 12.0))
+    assert (s.mean, s.median, s.q25, s.q75, s.p90) == (6, 6, 3.5, 8.5, 10)
+    assert s.std == pytest.approx(np.sqrt(10))
+
+
+def test_csv_json_and_markdown_agree(runs):
+    rows = list(csv.DictReader(io.StringIO(csv_text(runs))))
+    assert len(rows) == len(runs) * len(LINES) * len(METRICS)
+    found = json.loads(json.dumps(record(runs, PROTOCOL)))["runs"]
+    by_name = {(run["object"], run["encoder"]): run for run in found}
+    sections = {part.split("\n")[0]: part for part in markdown(runs, "title").split("\n## ")[1:]}
+    for row in rows:
+        entry = by_name[row["object"], row["encoder"]]["lines"][row["line"]][row["metric"]]
+        for statistic in ("mean", "median", "std", "q25", "q75", "p90"):
+            assert float(row[f"{statistic}_mm"]) == pytest.approx(1e3 * entry["metres"][statistic], rel=1e-5)
+            assert float(row[f"{statistic}_normalised"]) == pytest.approx(entry["normalised"][statistic], rel=1e-5)
+        if row["metric"] == "add":
+            section = sections[f"{row['object']}, {row['encoder']}"]
+            (line,) = [text for text in section.splitlines() if text.startswith(f"| {row['line']} |")]
+            cells = [cell.strip() for cell in line.split("|")[1:-1]]
+            assert cells[1] == mm(1e-3 * float(row["median_mm"]))
+            assert cells[2] == mm(1e-3 * float(row["mean_mm"]))
+            assert cells[6] == f"{float(row['median_normalised']):.3f}"
+
+
+def test_the_statistics_are_those_of_the_touches(runs):
+    (run, *_) = record(runs, PROTOCOL)["runs"]
+    for line in LINES:
+        for metric in METRICS:
+            errors = np.array(run["errors_m"][line][metric])
+            entry = run["lines"][line][metric]
+            assert entry["metres"]["median"] == pytest.approx(np.median(errors))
+            scale = run["random_mean_m"][metric]
+            assert entry["normalised"]["p90"] == pytest.approx(np.quantile(errors, 0.9) / scale)
+    assert run["lines"]["random"]["add"]["normalised"]["mean"] == pytest.approx(1)
+
+
+def test_the_summary_has_a_cell_for_each_column(runs):
+    header, rows = summary_header(), summary_rows(runs)
+    assert [row[:2] for row in rows] == [[run.object, run.encoder] for run in runs]
+    assert {len(row) for row in rows} == {len(header)}
+    assert rows[0][2].startswith(mm(runs[0].statistics("best-1").median))
+
+
+def test_lengths_for_people():
+    assert [mm(v) for v in (2.1e-5, 1.94e-3, 4.82e-2)] == ["0.021", "1.94", "48.2"]
+
+
+def test_files_are_written_whole_or_refused(runs, tmp_path):
+    written = write_tables(tmp_path / "out", runs, PROTOCOL, "title")
+    assert [path.name for path in written] == ["results.json", "results.csv", "results.md"]
+    assert json.loads(written[0].read_text())["protocol"]["noise"] == "mild"
+    assert written[1].read_text() == csv_text(runs)
+    assert written[2].read_text() == markdown(runs, "title")
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="--out"):
+        write_tables(tmp_path / "file", runs, PROTOCOL, "title")
