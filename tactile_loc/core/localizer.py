@@ -31,7 +31,8 @@ from tactile_loc.core.training import train_encoder
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-PRESS_STEP_M = 5e-5  # banks are kept for press depths in these steps
+PRESS_STEP_M = 1e-4  # banks are made for press depths in these steps
+MOST_MATCHERS = 8  # as many are kept in memory, the last used
 MODE_RADIUS = 2.0  # grid spacings between poses that count as one hypothesis
 SAME_POSE = 0.25  # mode radii between refined poses that count as one
 
@@ -156,14 +157,19 @@ class Localizer:
     def matcher(self, press_depth_m: float) -> Matcher:
         """Return the matcher whose bank was cut at this press depth (metres), built at first use."""
         press_m = self._bank_press(press_depth_m)
-        if press_m not in self._matchers:
-            bank = build_bank(
-                self.model, self.coarse_scene, self.encoder, press_m, self.store, self.progress, self._trained
-            )
-            matcher = self._component("matcher")
-            matcher.index(bank)
-            self._matchers[press_m] = matcher
-        return self._matchers[press_m]
+        matcher = self._matchers.pop(press_m, None) or self._indexed(press_m)
+        self._matchers[press_m] = matcher  # the last used comes last
+        while len(self._matchers) > MOST_MATCHERS:
+            del self._matchers[next(iter(self._matchers))]
+        return matcher
+
+    def _indexed(self, press_m: float) -> Matcher:
+        bank = build_bank(
+            self.model, self.coarse_scene, self.encoder, press_m, self.store, self.progress, self._trained
+        )  # fmt: skip
+        matcher: Matcher = self._component("matcher")
+        matcher.index(bank)
+        return matcher
 
     def _bank_press(self, press_depth_m: float) -> float:
         """The press depth, rounded down to a step, at which touch and bank are compared."""

@@ -10,7 +10,7 @@ from tactile_loc.core.errors import ConfigError, GridError, TouchError
 from tactile_loc.core.geometry import make_transform, rotation_about, transform_points
 from tactile_loc.core.interfaces import Capabilities
 from tactile_loc.core.localization import Localization
-from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.localizer import MOST_MATCHERS, Localizer
 from tactile_loc.core.meshes import load_object
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.sensing import ContactShape, Touch
@@ -193,9 +193,9 @@ def test_a_touch_from_a_file_is_the_same_touch(pin, touches, tmp_path):
 
 
 def test_banks_are_kept_by_press_depth(coarse):
-    assert coarse.matcher(0.001) is coarse.matcher(0.00104), "in steps of 0.05 mm"
+    assert coarse.matcher(0.001) is coarse.matcher(0.00109), "in steps of 0.1 mm"
     assert coarse.matcher(0.001) is coarse.matcher(0.001 - 1e-12), "rounding does not count"
-    assert coarse.matcher(0.001) is not coarse.matcher(0.00106)
+    assert coarse.matcher(0.001) is not coarse.matcher(0.00112)
 
 
 def test_touch_and_bank_are_cut_at_the_same_press(coarse):
@@ -295,3 +295,11 @@ def test_a_hotter_temperature_is_less_certain(store, coarse):
     ]
     assert entropies == sorted(entropies)
     assert entropies[0] < entropies[-1]
+
+
+def test_only_the_matchers_used_last_are_kept_in_memory(coarse):
+    kept = coarse.matcher(0.002)
+    for step in range(1, MOST_MATCHERS + 3):
+        coarse.matcher(step * 1e-4)
+        assert coarse.matcher(0.002) is kept
+    assert len(coarse._matchers) == MOST_MATCHERS

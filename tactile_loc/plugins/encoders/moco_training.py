@@ -130,7 +130,7 @@ class Trainer:
                 if not math.isfinite(loss):
                     self._stop_at_nan()
                     break
-                self._judge(self._median_error(validation), loss)
+                self._judge(loss, validation)
                 self._checkpoint()
                 advance(1)
                 if self.stale >= self.recipe.patience:
@@ -193,21 +193,26 @@ class Trainer:
         return torch.cat(rows).float()
 
     @torch.no_grad()
-    def _median_error(self, validation: Queries) -> float:
-        """Median distance in metres of the best grid pose from the true one's nearest, over the validation touches."""
+    def _validate(self, validation: Queries) -> tuple[float, float]:
+        """Return the loss (unitless) and the median distance, metres, of the best grid pose from the label's."""
         self.network.eval()
         rng = np.random.default_rng([self.recipe.seed, 3])
         depth_m, press_m, labels = validation.batch(len(validation), rng)
         vectors = self.recipe.embed(self.network, depth_m, press_m, self.problem.scene.geometry, self.device).float()
-        best = (vectors @ self._keys(self.network).T).argmax(dim=1).cpu().numpy()
-        grid = self.problem.grid
-        return float(np.median(np.linalg.norm(grid.phi[best] - grid.phi[labels], axis=1)))
+        scores = vectors @ self._keys(self.network).T / self.recipe.temperature
+        loss = F.cross_entropy(scores, torch.from_numpy(labels).to(self.device))
+        phi = self.problem.grid.phi
+        errors = np.linalg.norm(phi[scores.argmax(dim=1).cpu().numpy()] - phi[labels], axis=1)
+        return float(loss), float(np.median(errors))
 
-    def _judge(self, error_m: float, loss: float) -> None:
-        self.problem.progress.note(f"loss {loss:.2f}, validation best-1 {error_m * 1e3:.2f} mm")
-        log.info("epoch %d: loss %.3f, validation best-1 %.2f mm", self.epoch, loss, error_m * 1e3)
-        if error_m < self.best:
-            self.best, self.stale, self.best_weights = error_m, 0, _weights(self.network)
+    def _judge(self, loss: float, validation: Queries) -> None:
+        """Keep the network if its validation loss is the least so far: unlike the error, it moves in small steps."""
+        validation_loss, error_m = self._validate(validation)
+        shown = f"loss {loss:.2f}, validation loss {validation_loss:.2f}, validation best-1 {error_m * 1e3:.2f} mm"
+        self.problem.progress.note(shown)
+        log.info("epoch %d: %s", self.epoch, shown)
+        if validation_loss < self.best:
+            self.best, self.stale, self.best_weights = validation_loss, 0, _weights(self.network)
         else:
             self.stale += 1
 

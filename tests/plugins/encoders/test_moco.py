@@ -110,9 +110,9 @@ def test_an_interrupted_training_ends_as_an_uninterrupted_one(problem, tmp_path,
 
 
 def test_stopping_early_keeps_the_best(problem, monkeypatch):
-    errors = iter([3.0, 1.0, 2.0, 2.0, 2.0, 2.0])
+    losses = iter([3.0, 1.0, 2.0, 2.0, 2.0, 2.0])
     seen = []
-    monkeypatch.setattr(moco_training.Trainer, "_median_error", lambda self, v: next(errors))
+    monkeypatch.setattr(moco_training.Trainer, "_validate", lambda self, v: (next(losses), 0.0))
     judge = moco_training.Trainer._judge
 
     def judge_and_keep(self, *measured):
