@@ -63,8 +63,15 @@ def warnings_shown() -> Iterator[None]:
             logger.removeHandler(handler)
 
 
+def _unseen(text: str) -> None:
+    """Take a note that no bar can show."""
+
+
 class Bars(Progress):
     """Progress bars on stderr that vanish when their task ends."""
+
+    def __init__(self) -> None:
+        self._note: Callable[[str], None] = _unseen
 
     @contextmanager
     def task(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
@@ -76,7 +83,15 @@ class Bars(Progress):
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         with RichProgress(*columns, console=Console(stderr=True), transient=True) as bars:
             number = bars.add_task(description, total=total)
-            yield lambda steps: bars.advance(number, steps)
+            self._note = lambda text: bars.update(number, description=f"{description}: {text}")
+            try:
+                yield lambda steps: bars.advance(number, steps)
+            finally:
+                self._note = _unseen
+
+    def note(self, text: str) -> None:
+        """Show a line beside the bar that is open."""
+        self._note(text)
 
 
 def progress() -> Progress:
