@@ -5,9 +5,6 @@ Nothing is ever unpickled, and no unit is ever guessed.
 
 from __future__ import annotations
 
-import os
-import uuid
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import OutputError, TouchError
+from tactile_loc.core.files import replacing
 from tactile_loc.core.sensing import ContactShape, Touch, contact_shape_from_array
 from tactile_loc.core.touch_files import FileContents, read_colour_image, read_contents
 
@@ -70,18 +68,11 @@ def write_touch(path: str | Path, touch: Touch) -> Path:
         "press_depth": np.array(touch.press_depth_m, np.float64),
         **{name: np.asarray(T, np.float64) for name, T in poses.items() if T is not None},
     }
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
     try:
-        with temporary.open("xb") as file:
+        with replacing(path) as temporary, temporary.open("xb") as file:
             np.savez_compressed(file, allow_pickle=False, **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
     except OSError as error:
         raise OutputError(f"{path} cannot be written ({error.strerror}); choose another place") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
     return path
 
 

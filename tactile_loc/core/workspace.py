@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.artifact import MANIFEST, FileRecord, write_manifest
 from tactile_loc.core.errors import StoreError
+from tactile_loc.core.files import replacing
 from tactile_loc.core.hashing import StageKey, hash_file
 
 logger = logging.getLogger(__name__)
@@ -101,7 +102,7 @@ class Workspace:
         """
         if not _FILE_NAME.fullmatch(file_name) or file_name == MANIFEST:
             raise StoreError(f"{file_name!r} cannot name a file of stage {self._key}; use letters, digits, . - and _.")
-        with storing(f"{file_name} of stage {self._key}", self.path), _replacing(self.path / file_name) as temporary:
+        with storing(f"{file_name} of stage {self._key}", self.path), replacing(self.path / file_name) as temporary:
             write(temporary)
             # Recorded before the rename, beside the checksum it replaces: a kill between the two loses neither.
             self._pieces[file_name] = [hash_file(temporary), *self._pieces.get(file_name, [])[:1]]
@@ -112,7 +113,7 @@ class Workspace:
         """Delete what is not part of the artifact and write its manifest. Called by the store when `make` returns."""
         with storing(f"the manifest of stage {self._key}", self.path):
             files = {name: self._record(name) for name in self._kept}
-            with _replacing(self.path / MANIFEST) as temporary:
+            with replacing(self.path / MANIFEST) as temporary:
                 write_manifest(temporary, self._key, files)
             # Only now: had the disk refused the manifest, all pieces would have to remain.
             for path in list(self.path.iterdir()):
@@ -138,7 +139,7 @@ class Workspace:
         return pieces if isinstance(pieces, dict) else {}
 
     def _write_pieces(self) -> None:
-        with _replacing(self.path / _PIECES) as temporary:
+        with replacing(self.path / _PIECES) as temporary:
             temporary.write_text(json.dumps(self._pieces, sort_keys=True, indent=1) + "\n")
 
 
@@ -173,16 +174,3 @@ def sync_folder(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
-
-
-@contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`; when the block ends well, sync what was written there and rename it."""
-    temporary = path.with_name(f".tmp-{path.name}")
-    try:
-        yield temporary
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)

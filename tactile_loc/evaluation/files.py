@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import os
 import tempfile
-import uuid
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 from tactile_loc.core.errors import OutputError
+from tactile_loc.core.files import replacing
 
 
 def require_writable(folder: Path) -> None:
@@ -37,16 +36,10 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
 
     Raises OutputError when the disk refuses; an older file at `path` is then still whole.
     """
-    temporary = path.with_name(f".{uuid.uuid4().hex}.tmp{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write(temporary)
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
-        temporary.replace(path)
+        with replacing(path) as temporary:
+            write(temporary)
     except OSError as error:
         raise OutputError(f"{path} cannot be written ({error.strerror or error}); choose another --out") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
     return path
