@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from tactile_loc.core.progress import Progress
+from tactile_loc.core.progress import Progress, rank
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,8 +28,9 @@ def output() -> Console:
 
 
 def say(text: str = "") -> None:
-    """Write a line of results as it is, never wrapped."""
-    sys.stdout.write(text + "\n")
+    """Write a line of results as it is, never wrapped; of processes that work together, the first does."""
+    if rank() == 0:
+        sys.stdout.write(text + "\n")
 
 
 def complain(kind: str, text: str) -> None:
@@ -96,4 +97,4 @@ class Bars(Progress):
 
 def progress() -> Progress:
     """Return progress bars where somebody watches, and the null watcher otherwise."""
-    return Bars() if sys.stderr.isatty() else Progress()
+    return Bars() if sys.stderr.isatty() and rank() == 0 else Progress()

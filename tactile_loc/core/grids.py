@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.interfaces import GridSampler
+from tactile_loc.core.interfaces import Float32, GridSampler
 from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses, remove_equivalent
 from tactile_loc.core.scene import Scene
 
@@ -61,18 +62,36 @@ def random_contact_poses(sampler: GridSampler, scene: Scene, count: int, rng: np
 
     Raises GridError when hardly any drawn pose has enough contact.
     """
-    found: list[Poses] = [np.empty((0, 4, 4))]
+    found = [poses for poses, _ in random_contacts(sampler, scene, count, rng)]
+    return np.concatenate([np.empty((0, 4, 4)), *found])
+
+
+def random_contacts(
+    sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator,
+    misplace: Callable[[Poses], Poses] | None = None,
+) -> Iterator[tuple[Poses, Float32]]:  # fmt: skip
+    """Draw `count` contact poses as `random_contact_poses` does; yield them in batches (K, 4, 4) with depths (K, H, W).
+
+    Contact depths, metres, are rendered at full press where `misplace` (if any) says that the poses really are; what
+    touches enough there is kept. Raises GridError when hardly any does.
+    """
     tried = kept = 0
     while kept < count:
         batch = int(np.clip(2 * (count - kept), 16, BATCH))
         poses, touching = scene.in_contact(sampler.random(scene.object, scene.geometry, batch, rng))
         poses = poses[touching]
-        found.append(poses[enough_contact(scene.contact_depths(poses), scene, sampler.options.min_contact_percent)])
-        tried, kept = tried + batch, kept + len(found[-1])
+        seen = poses
+        if misplace is not None:
+            seen, touching = scene.in_contact(misplace(poses))
+            poses, seen = poses[touching], seen[touching]
+        depths = scene.contact_depths(seen)
+        enough = enough_contact(depths, scene, sampler.options.min_contact_percent)
+        poses, depths = poses[enough][: count - kept], depths[enough][: count - kept]
+        tried, kept = tried + batch, kept + len(poses)
+        yield poses, depths
         if tried > 2 / HARDLY_ANY and kept < HARDLY_ANY * tried:
             raise GridError(
                 f"hardly any random pose of {scene.object.name} touches the sensor with "
                 f"{sampler.options.min_contact_percent:g} % of it; lower grid.min_contact_percent or choose another "
                 "face"
             )
-    return np.concatenate(found)[:count]

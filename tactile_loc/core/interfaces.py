@@ -27,10 +27,17 @@ Float32 = NDArray[np.float32]
 class ComponentOptions(BaseModel):
     """Base of every component's options: frozen, no infinity or NaN, unknown keys refused.
 
-    A field's description states its unit.
+    A field's description states its unit. One that cannot change any result, such as where to compute, says so with
+    `json_schema_extra={"neutral": True}`.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @classmethod
+    def neutral(cls) -> set[str]:
+        """Return the names of the options that cannot change any result."""
+        extras = {name: field.json_schema_extra for name, field in cls.model_fields.items()}
+        return {name for name, extra in extras.items() if isinstance(extra, dict) and extra.get("neutral")}
 
 
 @dataclass(frozen=True)
@@ -68,9 +75,13 @@ class Component(ABC):
         self.options: Any = options if options is not None else self.Options()
 
     def describe(self) -> dict[str, Any]:
-        """Return what identifies this component's output (class, version, options), as JSON values."""
+        """Return what identifies this component's output (class, version, options), as JSON values.
+
+        Options that are marked neutral are left out: they change where or how it computes, not what comes out.
+        """
         kind = f"{type(self).__module__}:{type(self).__qualname__}"
-        return {"class": kind, "version": self.version, "options": self.options.model_dump(mode="json")}
+        options = self.options.model_dump(mode="json", exclude=self.options.neutral())
+        return {"class": kind, "version": self.version, "options": options}
 
 
 class SensorModel(Component):

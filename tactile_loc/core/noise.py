@@ -1,9 +1,9 @@
 """What a real touch has and a clean render has not: a seeded model of the imperfections, in separable parts.
 
 In the order in which they happen: the sensor is not quite where its calibration says; the press is as deep as it is,
-and measured with an error; the elastomer rounds edges off; the contact's edge wanders; patches are missed (bubbles,
-dirt, a lifted border) and others appear (wear, markers, reflections). All sizes are metres on the sensing surface, so
-that the noise is the same however many pixels an image has.
+and measured with an error; the elastomer rounds edges off; the contact's edge wanders, and so does the measured depth
+inside it; patches are missed (bubbles, dirt, a lifted border) and others appear (wear, markers, reflections). All sizes
+are metres on the sensing surface, so that the noise is the same however many pixels an image has.
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ class TouchNoise:
     `press_share` (least, most) of the sensor's deepest press is drawn uniformly, and measured with a relative error of
     standard deviation `press_error`. `smoothing_m` is the elastomer's rounding (standard deviation of a Gaussian on the
     imprint). An imprint shallower than `least_m` does not show; over patches of `edge_patch_m` this threshold wanders
-    by `edge_m` (standard deviation), but never below `FAINTEST` of `least_m`. `missing` and `spurious` are mean numbers
-    of round patches, of radius up to `patch_m`; contact within a strip, up to `border_m` wide, along a random side of
-    the sensing rectangle is lost. `sensor_m`, `sensor_rad` are standard deviations of the sensor pose's calibration
-    error, along and about each axis. Raises ConfigError for impossible values.
+    by `edge_m` (standard deviation), but never below `FAINTEST` of `least_m`. The depth of what shows drifts by
+    `drift_m` (standard deviation) over patches of `drift_patch_m`, and still shows. `missing` and `spurious` are mean
+    numbers of round patches, of radius up to `patch_m`; contact within a strip, up to `border_m` wide, along a random
+    side of the sensing rectangle is lost. `sensor_m`, `sensor_rad` are standard deviations of the sensor pose's
+    calibration error, along and about each axis. Raises ConfigError for impossible values.
     """
 
     press_share: tuple[float, float] = (1.0, 1.0)
@@ -44,6 +45,8 @@ class TouchNoise:
     least_m: float = 0.0
     edge_m: float = 0.0
     edge_patch_m: float = 1e-3
+    drift_m: float = 0.0
+    drift_patch_m: float = 5e-3
     missing: float = 0.0
     spurious: float = 0.0
     patch_m: float = 2e-3
@@ -58,8 +61,9 @@ class TouchNoise:
         for name, value in asdict(self).items():
             if name != "press_share" and not (math.isfinite(value) and value >= 0):
                 raise ConfigError(f"the noise's {name} is {value}; it must be zero or a positive number")
-        if not self.edge_patch_m > 0:
-            raise ConfigError("the noise's edge_patch_m is 0; it must be a positive number")
+        for name in ("edge_patch_m", "drift_patch_m"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"the noise's {name} is 0; it must be a positive number")
 
     def describe(self) -> dict[str, object]:
         """Return the settings as JSON values: what identifies the noise."""
@@ -114,6 +118,9 @@ class TouchNoise:
             depth[...] = np.maximum(press - gel.blurred(press - depth, self.smoothing_m), 0.0)
         if self.least_m > 0 or self.edge_m > 0:
             np.copyto(depth, press, where=press - depth <= self._threshold(len(depth), gel, rng))
+        if self.drift_m > 0:
+            drifted = depth + np.float32(self.drift_m) * gel.random_field(len(depth), self.drift_patch_m, rng)
+            np.copyto(depth, np.clip(drifted, 0, np.nextafter(press, np.float32(0))), where=depth < press)
         self._add_patches(depth, press, gel, rng)
         if self.border_m > 0:
             np.copyto(depth, press, where=gel.border(self.border_m * rng.random(len(depth)), rng))
@@ -153,12 +160,12 @@ class TouchNoise:
 NOISE = {
     "none": TouchNoise(),
     "mild": TouchNoise(
-        press_share=(0.75, 1.0), press_error=0.03, smoothing_m=1.5e-4, least_m=5e-5, edge_m=5e-5, missing=0.5,
-        spurious=0.2, patch_m=1.5e-3, border_m=5e-4, sensor_m=1e-4, sensor_rad=math.radians(0.3),
+        press_share=(0.75, 1.0), press_error=0.03, smoothing_m=1.5e-4, least_m=5e-5, edge_m=5e-5, drift_m=3e-5,
+        missing=0.5, spurious=0.2, patch_m=1.5e-3, border_m=5e-4, sensor_m=1e-4, sensor_rad=math.radians(0.3),
     ),
     "strong": TouchNoise(
-        press_share=(0.5, 1.0), press_error=0.08, smoothing_m=3e-4, least_m=5e-5, edge_m=1.5e-4, missing=2.0,
-        spurious=1.0, patch_m=2.5e-3, border_m=2e-3, sensor_m=3e-4, sensor_rad=math.radians(1.0),
+        press_share=(0.5, 1.0), press_error=0.08, smoothing_m=3e-4, least_m=5e-5, edge_m=1.5e-4, drift_m=1e-4,
+        missing=2.0, spurious=1.0, patch_m=2.5e-3, border_m=2e-3, sensor_m=3e-4, sensor_rad=math.radians(1.0),
     ),
 }  # fmt: skip
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -16,3 +17,8 @@ class Progress:
 
     def note(self, text: str) -> None:
         """Show one line about the running task, such as a loss; the next replaces it."""
+
+
+def rank() -> int:
+    """Return this process's number among those that torchrun started together; 0 when it did not."""
+    return int(os.environ.get("RANK", "0"))

@@ -8,7 +8,7 @@ from pathlib import Path
 from tactile_loc.core.hashing import StageKey
 from tactile_loc.core.interfaces import Checkpoints, Encoder, GridSampler, TrainingProblem
 from tactile_loc.core.model import ObjectPoseModel
-from tactile_loc.core.progress import Progress
+from tactile_loc.core.progress import Progress, rank
 from tactile_loc.core.scene import Scene
 from tactile_loc.core.store import StageStore
 from tactile_loc.core.workspace import Workspace
@@ -38,7 +38,8 @@ def train_encoder(
 ) -> str:  # fmt: skip
     """Train `encoder` on the model's object, or load what was trained before; return what identifies the result.
 
-    Encoders that need no training are left alone and identified by their description. Raises what `fit` raises.
+    Encoders that need no training are left alone and identified by their description. Of several processes that
+    torchrun started, the first stores what all of them train together. Raises what `fit` raises.
     """
     if not encoder.capabilities.needs_training:
         return ""
@@ -51,5 +52,8 @@ def train_encoder(
         encoder.fit(TrainingProblem(model.grid, scene, sampler, model.shapes.shards, progress, checkpoints))
         work.save_file(WEIGHTS, encoder.save_weights)
 
-    encoder.load_weights(store.build(key, fit).file(WEIGHTS))
+    if rank() > 0 and store.get(key) is None:  # the first process holds the lock, and waits for this one in `fit`
+        encoder.fit(TrainingProblem(model.grid, scene, sampler, model.shapes.shards, progress))
+    else:
+        encoder.load_weights(store.build(key, fit).file(WEIGHTS))
     return key.digest

@@ -77,8 +77,7 @@ def check_describe_names_every_option(component: Component) -> None:
 def _changed_options(options: Any) -> Iterator[tuple[str, Any]]:
     """Yield (name, options with another valid value of that one) for options that are numbers, switches or choices."""
     for name, field in type(options).model_fields.items():
-        extra = field.json_schema_extra
-        if isinstance(extra, dict) and extra.get("neutral"):
+        if name in options.neutral():
             continue
         for value in _other_values(field, getattr(options, name)):
             try:

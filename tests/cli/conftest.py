@@ -29,10 +29,13 @@ def cli(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cli:
 
 @pytest.fixture
 def run_process(store: Path, tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Run the command in a process of its own; keywords are environment variables."""
+    """Run the command in a process of its own, or in several; keywords are environment variables."""
 
-    def run(*words: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    def run(*words: object, processes: int = 1, **environment: str) -> subprocess.CompletedProcess[str]:
+        line = command(*words)
+        if processes > 1:
+            line[1:1] = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
         variables = {**os.environ, "TACTILE_LOC_STORE": str(store), **environment}
-        return subprocess.run(command(*words), cwd=tmp_path, env=variables, capture_output=True, text=True, timeout=120)
+        return subprocess.run(line, cwd=tmp_path, env=variables, capture_output=True, text=True, timeout=120)
 
     return run

@@ -236,6 +236,29 @@ def test_the_wandering_edge_stays_within_the_imprint():
 
 
 @pytest.mark.parametrize("px", [80, 240])
+def test_the_depth_of_what_shows_drifts_and_nothing_else_does(px):
+    drift_m, patch_m = 1e-4, 4e-3
+    depth = empty(60, px)
+    depth[:, : px // 2] = PRESS_M / 2
+    off = corrupted(TouchNoise(drift_m=drift_m, drift_patch_m=patch_m), depth, sensor(px)) - depth
+    assert not off[:, px // 2 :].any()
+    inside = off[:, : px // 2]
+    assert inside.mean() == pytest.approx(0, abs=1.5e-5)
+    assert inside.std() == pytest.approx(drift_m, rel=0.1)
+    step = round(2 * patch_m * px / 0.04)
+    near = (inside[:, :, step:] * inside[:, :, :-step]).mean() / inside.var()
+    assert near == pytest.approx(np.exp(-1.0), abs=0.12)
+
+
+def test_what_drifts_still_shows():
+    depth = empty(4)
+    depth[:, 20:40], depth[:, 40:60] = PRESS_M - 1e-5, 0.0
+    shown = corrupted(TouchNoise(drift_m=1e-3), depth, sensor())
+    assert np.array_equal(shown < np.float32(PRESS_M), depth < np.float32(PRESS_M))
+    assert shown.min() >= 0
+
+
+@pytest.mark.parametrize("px", [80, 240])
 def test_missing_patches_have_their_number_and_size(px):
     """Of the area of n discs of radius U(0.3, 1) r: where few overlap, n pi r^2 0.4633."""
     count, missing = 300, 0.5
@@ -318,6 +341,7 @@ def documented_rows() -> list[str]:
     }  # fmt: skip
     used = {  # a size means nothing where there is nothing of that size
         "edge_patch_m": lambda level: level.edge_m,
+        "drift_patch_m": lambda level: level.drift_m,
         "patch_m": lambda level: level.missing + level.spurious,
     }
     rows = []

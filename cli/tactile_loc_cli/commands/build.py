@@ -60,7 +60,8 @@ def _report(localizer: Localizer, seconds: float) -> None:
     spacing = f", {1e3 * _spacing_m(grid):.2f} mm apart on average" if len(grid) > 1 else ""
     say(f"grid: {len(grid)} poses{spacing}")
     built = [key.stage for key in localizer.store.built]
-    for stage in ("grid", "shapes", "bank"):
+    learned = ("encoder",) if localizer.encoder.capabilities.needs_training else ()
+    for stage in ("grid", "shapes", *learned, "bank"):
         say(f"{stage}: {'built' if stage in built else 'reused'}")
     say(f"stored in {localizer.store.root} ({seconds:.1f} s)")
 

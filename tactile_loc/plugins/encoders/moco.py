@@ -13,24 +13,28 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from pydantic import Field
+from pydantic import Field, JsonValue
 from torch import nn
 
 from tactile_loc.core.errors import ConfigError, GridError, WeightsError
 from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Encoder, Float32, TrainingProblem
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.plugins.encoders.backbones import load_pretrained, make_backbone
-from tactile_loc.plugins.encoders.moco_training import Recipe, Trainer
+from tactile_loc.plugins.encoders.moco_crew import local_cuda
+from tactile_loc.plugins.encoders.moco_training import Recipe, Signal, Trainer
 
+NEUTRAL: dict[str, JsonValue] = {"neutral": True}
 PRESETS = {
     # minutes on two CPU cores
     "cpu": Recipe(
-        backbone="small", channels=16, norm="group", image_px=64, epochs=20, queries=6144, repeats=2, batch=256,
+        backbone="small", channels=16, norm="group", signal="depth", image_px=64,
+        epochs=20, queries=6144, repeats=2, batch=256,
         optimizer="adamw", rate=2e-3, weight_decay=1e-4, momentum=0.98, temperature=0.07, refresh=24,
     ),
     # the paper's network and optimiser, for a GPU
     "paper": Recipe(
-        backbone="resnet50", channels=64, norm="batch", image_px=200, epochs=30, queries=20480, repeats=1, batch=128,
+        backbone="resnet50", channels=64, norm="batch", signal="binary", image_px=200,
+        epochs=30, queries=20480, repeats=1, batch=128,
         optimizer="sgd", rate=0.03, weight_decay=1e-4, momentum=0.999, temperature=0.07, refresh=0,
     ),
 }  # fmt: skip
@@ -48,6 +52,7 @@ class MocoEncoder(Encoder):
         preset: Literal["cpu", "paper"] = Field(default="cpu", description="cpu: minutes on 2 cores; paper: for a GPU")
         backbone: Literal["small", "resnet18", "resnet50"] | None = Field(default=None, description="the network")
         channels: int | None = Field(default=None, ge=1, le=2048, description="channels of the map kept as the vector")
+        signal: Signal | None = Field(default=None, description="the contact mask alone, or the depth as well")
         epochs: int | None = Field(default=None, ge=1, description="epochs, each of fresh touches")
         queries: int | None = Field(default=None, ge=32, description="touches rendered an epoch")
         batch: int | None = Field(default=None, ge=2, description="touches a step")
@@ -62,12 +67,17 @@ class MocoEncoder(Encoder):
         seed: int = Field(default=0, ge=0, description="of all that is drawn in training")
         pretrained: str | None = Field(default=None, description="weights to start from: a file, or hub")
         device: Literal["auto", "cpu", "cuda"] = Field(
-            default="auto", description="where to compute", json_schema_extra={"neutral": True}
+            default="auto", description="where to compute", json_schema_extra=NEUTRAL
+        )
+        tensorboard: str | None = Field(
+            default=None, description="folder for a TensorBoard log of the training", json_schema_extra=NEUTRAL
         )
 
     def __init__(self, options: ComponentOptions | None = None) -> None:
         super().__init__(options)
-        chosen = self.options.model_dump(include={"backbone", "channels", "epochs", "queries", "batch", "rate"})
+        chosen = self.options.model_dump(
+            include={"backbone", "channels", "signal", "epochs", "queries", "batch", "rate"}
+        )
         changes = {name: value for name, value in chosen.items() if value is not None}
         self.recipe: Recipe = PRESETS[self.options.preset].changed(
             **changes,
@@ -80,9 +90,7 @@ class MocoEncoder(Encoder):
 
     def describe(self) -> dict[str, Any]:
         """Return what identifies the encoder's output: the whole recipe, not where it is computed."""
-        record = super().describe()
-        options = {k: v for k, v in record["options"].items() if k != "device"}
-        return {**record, "options": options, "recipe": self.recipe.describe()}
+        return {**super().describe(), "recipe": self.recipe.describe()}
 
     @property
     def device(self) -> torch.device:
@@ -93,12 +101,16 @@ class MocoEncoder(Encoder):
                 "the encoder 'moco' was asked to run on CUDA, but torch sees no CUDA device here; install a CUDA "
                 "build of torch and a driver, or set encoder.device to cpu"
             )
-        return torch.device("cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu")
+        return local_cuda() if wanted != "cpu" and torch.cuda.is_available() else torch.device("cpu")
 
     def fit(self, problem: TrainingProblem) -> None:
-        """Train on simulated touches. Raises GridError for a grid too large for memory, WeightsError, ConfigError."""
+        """Train on simulated touches, together with the other processes if torchrun started several.
+
+        Raises GridError for a grid too large for memory, WeightsError, ConfigError, MissingLibraryError.
+        """
         _require_memory(self.recipe, len(problem.grid))
-        self._network = Trainer(self.recipe, problem, self._fresh_network(self.options.seed), self.device).run()
+        network = self._fresh_network(self.options.seed)
+        self._network = Trainer(self.recipe, problem, network, self.device, self.options.tensorboard).run()
 
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
         """Return unit embeddings (N, D) of contact depths (N, H, W) in metres cut at `press_depth_m`."""
@@ -138,8 +150,8 @@ class MocoEncoder(Encoder):
     def _fresh_network(self, seed: int, pretrained: bool = True) -> nn.Module:
         recipe = self.recipe
         network = make_backbone(
-            recipe.backbone, generator=torch.Generator().manual_seed(seed), in_channels=2, channels=recipe.channels,
-            norm=recipe.norm,
+            recipe.backbone, generator=torch.Generator().manual_seed(seed), in_channels=recipe.planes,
+            channels=recipe.channels, norm=recipe.norm,
         )  # fmt: skip
         if pretrained and self.options.pretrained:
             load_pretrained(network, self.options.pretrained)

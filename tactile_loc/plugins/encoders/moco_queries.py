@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.grids import random_contact_poses
+from tactile_loc.core.grids import random_contacts
 from tactile_loc.core.interfaces import Float32, TrainingProblem
 from tactile_loc.core.noise import TouchNoise
+from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import SensorGeometry
-
-RENDERED_AT_ONCE = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,21 +39,24 @@ class Queries:
 
 
 class QuerySource:
-    """Renders `count` touches an epoch, the next epoch's while the present one is being used."""
+    """Renders `count` touches an epoch, the next epoch's while the present one is being used.
 
-    def __init__(self, problem: TrainingProblem, noise: TouchNoise, count: int, seed: int) -> None:
-        self.problem, self.noise, self.count, self.seed = problem, noise, count, seed
+    Each `rank` of processes that train together renders others.
+    """
+
+    def __init__(self, problem: TrainingProblem, noise: TouchNoise, count: int, seed: int, rank: int = 0) -> None:
+        self.problem, self.noise, self.count, self.seed, self.rank = problem, noise, count, seed, rank
 
     def epochs(self, first: int, last: int) -> Iterator[Queries]:
         """Yield the touches of epochs `first` ... `last` - 1."""
         if first >= last:
             return
         with ThreadPoolExecutor(1) as ahead:
-            coming = ahead.submit(self._render, [self.seed, first, 0], self.count)
+            coming = ahead.submit(self._render, [self.seed, first, 0, self.rank], self.count)
             for epoch in range(first, last):
                 queries = coming.result()
                 if epoch + 1 < last:
-                    coming = ahead.submit(self._render, [self.seed, epoch + 1, 0], self.count)
+                    coming = ahead.submit(self._render, [self.seed, epoch + 1, 0, self.rank], self.count)
                 yield queries
 
     def validation(self, count: int) -> Queries:
@@ -66,9 +68,11 @@ class QuerySource:
         scene, grid = self.problem.scene, self.problem.grid
         depths: list[Float32] = []
         labels: list[NDArray[np.int64]] = []
-        while (missing := count - sum(map(len, labels))) > 0:
-            poses = random_contact_poses(self.problem.sampler, scene, min(RENDERED_AT_ONCE, missing), rng)
-            seen, touching = scene.in_contact(self.noise.misplace(poses, scene.geometry, rng))
-            depths.append(scene.contact_depths(seen[touching]))
-            labels.append(grid.nearest(poses[touching])[1])
+
+        def misplaced(poses: Poses) -> Poses:
+            return self.noise.misplace(poses, scene.geometry, rng)
+
+        for poses, depth in random_contacts(self.problem.sampler, scene, count, rng, misplaced):
+            depths.append(depth)
+            labels.append(grid.nearest(poses)[1])
         return Queries(np.concatenate(depths), np.concatenate(labels), self.noise, scene.geometry)

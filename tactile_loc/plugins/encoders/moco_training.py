@@ -20,11 +20,14 @@ from tactile_loc.core.errors import TrainingError
 from tactile_loc.core.interfaces import Float32, TrainingProblem
 from tactile_loc.core.noise import noise
 from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugins.encoders.moco_crew import Crew
+from tactile_loc.plugins.encoders.moco_log import TrainingLog
 from tactile_loc.plugins.encoders.moco_queries import Queries, QuerySource
 
 log = logging.getLogger(__name__)
 
 VALIDATION_TOUCHES = 256
+Signal = Literal["binary", "depth"]
 KEYS_AT_ONCE = 512
 
 
@@ -32,14 +35,16 @@ KEYS_AT_ONCE = 512
 class Recipe:
     """Everything that decides what is learned.
 
-    `queries` touches are rendered an epoch and used `repeats` times, with new noise; `batch` a step. `refresh` is how
-    many steps keys are kept before they are encoded again (0: an epoch). `momentum` is that of the key encoder's
-    weights, `temperature` divides the similarities (unitless), `image_px` is the longer side of the input.
+    `signal` is what of a contact shape the network sees: its mask, or the penetration depth as well. `queries` touches
+    are rendered an epoch and used `repeats` times, with new noise; `batch` a step. `refresh` is how many steps keys are
+    kept before they are encoded again (0: an epoch). `momentum` is that of the key encoder's weights, `temperature`
+    divides the similarities (unitless), `image_px` is the longer side of the input.
     """
 
     backbone: str
     channels: int
     norm: Literal["batch", "group"]
+    signal: Signal
     image_px: int
     epochs: int
     queries: int
@@ -59,6 +64,11 @@ class Recipe:
     def changed(self, **changes: Any) -> Recipe:
         """Return the recipe with some settings changed."""
         return replace(self, **changes)
+
+    @property
+    def planes(self) -> int:
+        """How many planes the network's input has."""
+        return 3 if self.signal == "depth" else 2
 
     def describe(self) -> dict[str, Any]:
         """Return the settings as JSON values."""
@@ -80,7 +90,7 @@ class Recipe:
         device: torch.device,
     ) -> torch.Tensor:
         """Return unit vectors (N, D) of contact depths (N, H, W) in metres, cut at press depths (N,)."""
-        planes = input_planes(depth_m, press_m, geometry, self.image_px).to(device)
+        planes = input_planes(depth_m, press_m, geometry, self.image_px, self.signal).to(device)
         if device.type == "cuda":
             planes = planes.contiguous(memory_format=torch.channels_last)
         with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
@@ -88,30 +98,41 @@ class Recipe:
 
 
 def input_planes(
-    depth_m: Float32, press_m: NDArray[np.float64], geometry: SensorGeometry, image_px: int
+    depth_m: Float32, press_m: NDArray[np.float64], geometry: SensorGeometry, image_px: int, signal: Signal
 ) -> torch.Tensor:
-    """Return the network's input (N, 2, h, w): the observed contact mask, and the press as a share of the deepest.
+    """Return the network's input (N, P, h, w), shares from 0 to 1, averaged to a longer side of `image_px` pixels.
 
-    The mask is averaged to images whose longer side is `image_px` pixels: the share of each pixel in contact, unitless.
+    The observed contact mask; with the signal "depth" also the penetration; and the press, both as shares of the
+    sensor's deepest.
     """
-    press = np.asarray(press_m, np.float32)[:, None, None]
-    mask = torch.from_numpy((depth_m < press) & geometry.observed_mask)[:, None].float()
+    press, deepest = np.asarray(press_m, np.float32)[:, None, None], np.float32(geometry.max_depth_m)
+    contact = (depth_m < press) & geometry.observed_mask
+    planes = [contact.astype(np.float32)]
+    if signal == "depth":
+        planes.append(np.where(contact, (press - depth_m) / deepest, np.float32(0)))
+    images = torch.from_numpy(np.stack(planes, axis=1))
     small = geometry.with_long_side(image_px).shape
-    mask = mask if mask.shape[-2:] == small else F.interpolate(mask, small, mode="area")
-    share = torch.from_numpy(press / np.float32(geometry.max_depth_m))[:, None].expand_as(mask)
-    return torch.cat([mask, share], dim=1)
+    images = images if images.shape[-2:] == small else F.interpolate(images, small, mode="area")
+    share = torch.from_numpy(press / deepest)[:, None].expand(-1, 1, *small)
+    return torch.cat([images, share], dim=1)
 
 
 class Trainer:
     """Trains a network on a problem. All randomness comes from the recipe's seed, a stream an epoch, so that a training
     that was interrupted goes on as if it had not been."""
 
-    def __init__(self, recipe: Recipe, problem: TrainingProblem, network: nn.Module, device: torch.device) -> None:
-        self.recipe, self.problem, self.device = recipe, problem, device
+    def __init__(
+        self, recipe: Recipe, problem: TrainingProblem, network: nn.Module, device: torch.device,
+        log_folder: str | None = None,
+    ) -> None:  # fmt: skip
+        self.recipe, self.problem, self.device, self.log_folder = recipe, problem, device, log_folder
+        self.crew = Crew(device)
         self.network = network.to(device)
         self.key_network = copy.deepcopy(self.network).requires_grad_(False)
         self.optimizer = _optimizer(recipe, self.network)
-        self.source = QuerySource(problem, noise(recipe.noise), recipe.queries, recipe.seed)
+        count = self.crew.share(recipe.queries)
+        self.source = QuerySource(problem, noise(recipe.noise), count, recipe.seed, self.crew.rank)
+        self.batch = min(count, self.crew.share(recipe.batch))
         self.steps = recipe.repeats * max(1, recipe.queries // recipe.batch)
         self.epoch, self.best, self.stale = 0, math.inf, 0
         self.best_weights = _weights(self.network)
@@ -122,7 +143,16 @@ class Trainer:
         Raises TrainingError when the loss is no number in the first epoch; later, the best network is kept.
         """
         self._resume()
-        validation = self.source.validation(VALIDATION_TOUCHES)
+        self.board = TrainingLog(self.log_folder if self.crew.rank == 0 else None, self.epoch)
+        try:
+            self._run_epochs(self.source.validation(VALIDATION_TOUCHES))
+        finally:
+            self.board.close()
+            self.crew.leave()
+        self.network.load_state_dict(self.best_weights)
+        return self.network.eval()
+
+    def _run_epochs(self, validation: Queries) -> None:
         with self.problem.progress.task("training the encoder", self.recipe.epochs) as advance:
             advance(self.epoch)
             for queries in self.source.epochs(self.epoch, self.recipe.epochs):
@@ -136,18 +166,16 @@ class Trainer:
                 if self.stale >= self.recipe.patience:
                     log.info("no better validation for %d epochs: stopped early", self.stale)
                     break
-        self.network.load_state_dict(self.best_weights)
-        return self.network.eval()
 
     def _train_epoch(self, queries: Queries) -> float:
         """One epoch of steps; returns the mean loss (unitless), NaN as soon as one is."""
         self.network.train()
-        order = np.random.default_rng([self.recipe.seed, self.epoch, 2])
+        order = np.random.default_rng([self.recipe.seed, self.epoch, 2, self.crew.rank])
         losses, keys = [], self._keys(self.key_network)
         for step in range(self.steps):
             if self.recipe.refresh and step and step % self.recipe.refresh == 0:
                 keys = self._keys(self.key_network)
-            loss = self._step(queries.batch(self.recipe.batch, order), keys, step, order)
+            loss = self._step(queries.batch(self.batch, order), keys, step, order)
             losses.append(loss)
             if not math.isfinite(loss):
                 return math.nan
@@ -165,13 +193,17 @@ class Trainer:
         loss = F.cross_entropy(vectors.float() @ keys.T / self.recipe.temperature, targets)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
+        self.crew.average(p.grad for p in self.network.parameters() if p.grad is not None)
         self.optimizer.step()
+        self.crew.average(b for b in self.network.buffers() if b.is_floating_point())
         with torch.no_grad():
             for slow, fast in zip(
                 self.key_network.state_dict().values(), self.network.state_dict().values(), strict=True
             ):
                 slow.copy_(torch.lerp(fast, slow, self.recipe.momentum) if slow.is_floating_point() else fast)
-        return float(loss.detach())
+        mean_loss = loss.detach()
+        self.crew.average([mean_loss])
+        return float(mean_loss)
 
     def _rate(self, epochs_done: float) -> float:
         """Learning rate: a warm-up of half an epoch, then a cosine down to a hundredth."""
@@ -180,17 +212,22 @@ class Trainer:
 
     @torch.no_grad()
     def _keys(self, network: nn.Module) -> torch.Tensor:
-        """Encode the grid's clean contact shapes: keys (N, D)."""
+        """Encode the grid's clean contact shapes, each process some of them: keys (N, D)."""
         geometry = self.problem.scene.geometry
         training = network.training
         network.eval()
         rows = []
         for shard in self.problem.shapes():
-            for part in np.array_split(shard, max(1, len(shard) // KEYS_AT_ONCE)):
-                press = np.full(len(part), geometry.max_depth_m)
-                rows.append(self.recipe.embed(network, part, press, geometry, self.device))
+            for part in np.array_split(shard, -(-len(shard) // KEYS_AT_ONCE)):
+                own = part[self.crew.rank :: self.crew.size]
+                vectors = self.recipe.embed(
+                    network, own, np.full(len(own), geometry.max_depth_m), geometry, self.device
+                )
+                keys = vectors.new_zeros((len(part), vectors.shape[1]), dtype=torch.float32)
+                keys[self.crew.rank :: self.crew.size] = vectors.float()
+                rows.append(keys)
         network.train(training)
-        return torch.cat(rows).float()
+        return self.crew.add(torch.cat(rows))
 
     @torch.no_grad()
     def _validate(self, validation: Queries) -> tuple[float, float]:
@@ -207,10 +244,13 @@ class Trainer:
 
     def _judge(self, loss: float, validation: Queries) -> None:
         """Keep the network if its validation loss is the least so far: unlike the error, it moves in small steps."""
-        validation_loss, error_m = self._validate(validation)
+        validation_loss, error_m = self.crew.agree(self._validate(validation))
         shown = f"loss {loss:.2f}, validation loss {validation_loss:.2f}, validation best-1 {error_m * 1e3:.2f} mm"
         self.problem.progress.note(shown)
         log.info("epoch %d: %s", self.epoch, shown)
+        self.board.epoch(
+            self.epoch, {"loss": loss, "validation/loss": validation_loss, "validation/best-1_mm": error_m * 1e3}
+        )
         if validation_loss < self.best:
             self.best, self.stale, self.best_weights = validation_loss, 0, _weights(self.network)
         else:
@@ -225,6 +265,8 @@ class Trainer:
     def _checkpoint(self) -> None:
         from safetensors.torch import save_file
 
+        if self.crew.rank > 0:
+            return
         tensors = {f"best.{k}": v for k, v in self.best_weights.items()}
         tensors |= {f"network.{k}": v for k, v in _weights(self.network).items()}
         tensors |= {f"key.{k}": v for k, v in _weights(self.key_network).items()}
@@ -235,10 +277,11 @@ class Trainer:
         self.problem.checkpoints.save(lambda path: save_file(copies, path, {"progress": json.dumps(progress)}))
 
     def _resume(self) -> None:
-        path = self.problem.checkpoints.load()
-        if path is None:
+        path = self.problem.checkpoints.load() if self.crew.rank == 0 else None
+        found = self.crew.agree(None if path is None else _read_checkpoint(path))
+        if found is None:
             return
-        tensors, progress = _read_checkpoint(path)
+        tensors, progress = found
         self.epoch, self.best, self.stale = progress["epoch"], progress["best"], progress["stale"]
         self.best_weights = _under(tensors, "best.")
         self.network.load_state_dict(_under(tensors, "network."))

@@ -202,15 +202,21 @@ def test_sampled_softmax_trains(problem):
     assert all(np.isfinite(v).all() for v in weights(encoder).values())
 
 
-def test_the_input_is_the_observed_mask_averaged_and_the_press(problem):
+def test_the_input_is_the_observed_contact_averaged_and_the_press(problem):
     geometry = problem.scene.geometry
     depth = np.full((1, *geometry.shape), geometry.max_depth_m, np.float32)
     depth[0, : geometry.height_px // 2] = 0.0
-    planes = moco_training.input_planes(depth, np.array([0.5 * geometry.max_depth_m]), geometry, 40)
-    assert planes.shape[:2] == (1, 2)
-    assert planes.shape[2:] == geometry.with_long_side(40).shape
+    depth[0, 0, 0] = 0.3 * geometry.max_depth_m
+    press_m = np.array([0.5 * geometry.max_depth_m])
+    planes = moco_training.input_planes(depth, press_m, geometry, 40, "depth")
+    assert planes.shape == (1, 3, *geometry.with_long_side(40).shape)
     np.testing.assert_allclose(planes[0, 0].mean(), 0.5, atol=0.02)
-    np.testing.assert_allclose(planes[0, 1], 0.5)
+    np.testing.assert_allclose(planes[0, 1].mean(), 0.25, atol=0.01)
+    np.testing.assert_allclose(planes[0, 2], 0.5)
+    whole = moco_training.input_planes(depth, press_m, geometry, max(geometry.shape), "depth")
+    np.testing.assert_allclose(whole[0, 1, 0, 0], 0.2, atol=1e-6)
+    mask_alone = moco_training.input_planes(depth, press_m, geometry, 40, "binary")
+    assert torch.equal(mask_alone, planes[:, [0, 2]])
 
 
 def test_a_localizer_trains_once_and_reads_it_back(store):

@@ -1,0 +1,170 @@
+#!/usr/bin/env python3
+"""What learning is worth: the same noisy touches located by matching pixels and by the learned encoder, in one run.
+
+For each mesh: one face, a grid of about `--poses` poses, `--touches` simulated touches at poses off the grid, the
+encoders' default settings. Errors are medians of ADD over 10 000 surface points, symmetry regarded; in brackets as a
+share of a random pose's mean. Meshes are given as FILE[:UNITS]; without any, the demo objects are used. What is done
+is kept in `--out`: an interrupted run goes on where it stopped. Training is timed when it happens.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from single_touch import spacing_for
+
+from tactile_loc.core.config import RunConfig
+from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.meshes import load_object
+from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.registry import registry
+from tactile_loc.core.store import StageStore
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.evaluation.figures import draw_violins
+from tactile_loc.evaluation.judge import STAGES
+from tactile_loc.evaluation.pictures import save_figure
+from tactile_loc.evaluation.protocol import evaluate
+from tactile_loc.evaluation.tables import Run
+
+ENCODERS = ("pixel", "moco")
+LINES = ("best-1", "best-10", "best-50", "reg-1", "reg-10", "closest", "oracle", "random")
+MATCHED = 20_000  # keys in the matcher's timing
+
+
+def config_for(arguments: argparse.Namespace, encoder: str, spacing_mm: float) -> RunConfig:
+    """Return the configuration of one encoder's runs."""
+    return RunConfig.from_dict({
+        "sensor": arguments.sensor, "refiner": arguments.refiner, "encoder": encoder,
+        "grid": {"name": "face", "spacing_mm": spacing_mm},
+    })  # fmt: skip
+
+
+def measure(obj: ObjectModel, arguments: argparse.Namespace) -> tuple[dict[str, Any], list[Run]]:
+    """Locate one object's touches with each encoder; return a row of the table and the runs."""
+    base = {"sensor": arguments.sensor, "refiner": arguments.refiner}
+    spacing_mm = spacing_for(obj, base, arguments.poses)
+    store = StageStore(arguments.out / "store")
+    runs = []
+    row: dict[str, Any] = {"object": obj.name, "symmetry": str(obj.symmetry), "spacing_mm": spacing_mm}
+    for encoder in ENCODERS:
+        localizer = Localizer(config_for(arguments, encoder, spacing_mm), obj, store)
+        row["poses"] = localizer.model.size
+        start = time.perf_counter()
+        localizer.matcher(localizer.scene.geometry.max_depth_m)
+        if any(key.stage == "encoder" for key in store.built):
+            row["train_s"] = time.perf_counter() - start
+            _note(arguments.out, obj.name, row["train_s"])
+        result = evaluate(localizer, arguments.touches, arguments.noise, arguments.seed)
+        runs.append(Run(obj.name, str(obj.symmetry), encoder, localizer.model.size, result))
+        row[encoder] = {
+            "median_mm": {k: float(np.median(result.errors(k))) * 1e3 for k in LINES},
+            "mean_mm": {k: float(np.mean(result.errors(k))) * 1e3 for k in LINES},
+            "median_normalised": {k: float(np.median(result.normalised(k))) for k in LINES},
+            "median_ms": {k: float(np.median(result.stage_seconds(k))) * 1e3 for k in STAGES},
+        }
+    row.setdefault("train_s", _noted(arguments.out).get(obj.name))
+    return row, runs
+
+
+def _noted(out: Path) -> dict[str, float]:
+    path = out / "training.json"
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
+def _note(out: Path, name: str, seconds: float) -> None:
+    """Keep how long a training took for the run that resumes this one."""
+    (out / "training.json").write_text(json.dumps({**_noted(out), name: seconds}) + "\n")
+
+
+def report(row: dict[str, Any]) -> str:
+    """Return one object's rows of the Markdown table."""
+    trained = f"{row['train_s']:.0f}" if row["train_s"] else "?"
+    lines = []
+    for encoder in ENCODERS:
+        cells = [
+            f"{row[encoder]['median_mm'][k]:.2f} ({row[encoder]['median_normalised'][k]:.3f})"
+            for k in LINES
+            if k != "random"
+        ]
+        random = f"{row[encoder]['mean_mm']['random']:.1f}"
+        lines.append(
+            f"| {row['object']} | {row['poses']} | {encoder} | {' | '.join(cells)} | {random} | "
+            f"{trained if encoder == 'moco' else ''} |"
+        )
+    return "\n".join(lines)
+
+
+def header() -> str:
+    """Return the head of the Markdown table."""
+    names = ["object", "poses", "encoder", *(k for k in LINES if k != "random"), "random, mean", "training, s"]
+    return f"| {' | '.join(names)} |\n|{'---|' * len(names)}"
+
+
+def summary(rows: list[dict[str, Any]]) -> str:
+    """Say how the learned encoder compares over all objects."""
+    ratios = np.array([r["moco"]["median_mm"]["best-1"] / r["pixel"]["median_mm"]["best-1"] for r in rows])
+    listed = {r["object"]: r["moco"]["median_mm"]["best-10"] / r["moco"]["median_mm"]["closest"] for r in rows}
+    worst = max(listed, key=lambda name: listed[name])
+    return (
+        f"best-1, moco / pixel: below 1 on {int((ratios < 1).sum())} of {len(rows)}, geometric mean "
+        f"{np.exp(np.log(ratios).mean()):.3f}, from {ratios.min():.2f} to {ratios.max():.2f}\n"
+        f"best-10 of moco / closest: at most {listed[worst]:.2f} ({worst})"
+    )
+
+
+def matching_ms(floats: int) -> dict[str, float]:
+    """Return the median milliseconds in which each matcher scores MATCHED keys of so many floats for one touch."""
+    rng = np.random.default_rng(0)
+    bank = rng.standard_normal((MATCHED, floats), dtype=np.float32)
+    found = {}
+    for name in ("dense", "faiss"):
+        matcher = registry().create("matcher", name, {})
+        matcher.index(bank)
+        seconds = []
+        for _ in range(50):
+            start = time.perf_counter()
+            matcher.scores(bank[:1])
+            seconds.append(time.perf_counter() - start)
+        found[name] = float(np.median(seconds)) * 1e3
+    return found
+
+
+def main() -> None:
+    """Run the benchmark, print its table, and write results.json and violins.png."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("meshes", nargs="*", help="FILE[:UNITS]; default: the demo objects")
+    parser.add_argument("--poses", type=int, default=10_000, help="about how many poses a grid has")
+    parser.add_argument("--touches", type=int, default=150)
+    parser.add_argument("--noise", default="strong")
+    parser.add_argument("--sensor", default="gelslim")
+    parser.add_argument("--refiner", default="icp")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("out/encoders"))
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    rows, runs = [], []
+    print(header(), flush=True)
+    for mesh in arguments.meshes or DEMO_OBJECTS:
+        path, _, units = mesh.partition(":")
+        row, measured = measure(load_object(path, units or "auto"), arguments)
+        rows.append(row)
+        runs += measured
+        print(report(row), flush=True)
+    matching = matching_ms(256)
+    record = {"settings": {k: str(v) for k, v in vars(arguments).items()}, "rows": rows, "matching_ms": matching}
+    (arguments.out / "results.json").write_text(json.dumps(record, indent=1) + "\n")
+    heading = f"{arguments.touches} simulated touches for each object (noise: {arguments.noise})"
+    save_figure(arguments.out / "violins.png", draw_violins(runs, heading))
+    encode = np.median([r["moco"]["median_ms"]["encode"] for r in rows])
+    print(summary(rows))
+    print(f"encoding one touch with moco: {encode:.1f} ms")
+    print(f"scoring {MATCHED} keys of 256 floats: {', '.join(f'{k} {v:.2f} ms' for k, v in matching.items())}")
+
+
+if __name__ == "__main__":
+    main()

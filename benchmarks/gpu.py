@@ -1,0 +1,155 @@
+#!/usr/bin/env python3
+"""The learned encoder on a GPU: how long an epoch of training takes, and how long it takes to encode and match a touch.
+
+An epoch is one of `--preset`'s, on a grid of about `--poses` poses of a demo object: rendering its touches, the steps,
+and encoding the keys. Encoding begins with contact depths in the memory of `--device` and ends with the scores of
+20 000 keys there; medians, in one run, for one touch and for 256, in float32 and in bfloat16, and as a CUDA graph.
+`--device cpu` rehearses it, without graphs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from single_touch import spacing_for
+from torch import nn
+
+from tactile_loc.core.interfaces import TrainingProblem
+from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.meshes import load_object
+from tactile_loc.core.store import StageStore
+from tactile_loc.plugins.encoders.backbones import make_backbone
+from tactile_loc.plugins.encoders.moco import PRESETS
+from tactile_loc.plugins.encoders.moco_training import Recipe, Trainer
+
+BATCHES = (1, 256)
+
+
+def fresh_network(recipe: Recipe) -> nn.Module:
+    """Return the recipe's network, untrained: it is as fast as a trained one."""
+    generator = torch.Generator().manual_seed(0)
+    return make_backbone(
+        recipe.backbone, generator=generator, in_channels=recipe.planes, channels=recipe.channels, norm=recipe.norm
+    )
+
+
+def epoch_seconds(recipe: Recipe, arguments: argparse.Namespace, device: torch.device) -> dict[str, float]:
+    """Train two epochs and return what the second took: in all, and its parts, seconds."""
+    obj = load_object(arguments.object)
+    settings = {"sensor": "gelslim", "shape_px": recipe.image_px}
+    grid = {"name": "face", "spacing_mm": spacing_for(obj, settings, arguments.poses)}
+    with tempfile.TemporaryDirectory() as store:
+        localizer = Localizer.create(arguments.object, store=StageStore(Path(store)), grid=grid, **settings)
+        model = localizer.model
+        problem = TrainingProblem(model.grid, localizer.coarse_scene, localizer.sampler, model.shapes.shards)
+        trainer = Trainer(recipe, problem, fresh_network(recipe), device)
+        rendered = trainer.source.epochs(0, 2)
+        trainer._train_epoch(next(rendered))
+        start = time.perf_counter()
+        queries = next(rendered)
+        waited = time.perf_counter() - start
+        trainer._train_epoch(queries)
+        _finish(device)
+        whole = time.perf_counter() - start
+        start = time.perf_counter()
+        trainer._keys(trainer.key_network)
+        _finish(device)
+        return {
+            "poses": model.size,
+            "queries": recipe.queries,
+            "epoch_s": whole,
+            "keys_s": time.perf_counter() - start,
+            "waiting_for_renders_s": waited,
+        }
+
+
+def latencies_ms(recipe: Recipe, keys: int, device: torch.device, rounds: int) -> dict[str, float]:
+    """Return median milliseconds from the network's input to the scores of `keys` keys, for each way of computing."""
+    found: dict[str, float] = {}
+    for dtype in (torch.float32, torch.bfloat16):
+        network = fresh_network(recipe).to(device, dtype).eval().to(memory_format=torch.channels_last)
+        for batch in BATCHES:
+            with torch.inference_mode():
+                locate = matching(network, recipe, batch, keys)
+                name = f"{str(dtype).removeprefix('torch.')}, {batch}"
+                found[name] = median_ms(locate, device, rounds)
+                if device.type == "cuda":
+                    found[f"{name}, CUDA graph"] = median_ms(graphed(locate), device, rounds)
+    return found
+
+
+def matching(network: nn.Module, recipe: Recipe, batch: int, keys: int) -> Callable[[], torch.Tensor]:
+    """Return what encodes a batch of touches and scores `keys` keys."""
+    weight = next(network.parameters())
+    images = torch.rand(batch, recipe.planes, recipe.image_px, recipe.image_px, device=weight.device)
+    images = images.to(weight.dtype).to(memory_format=torch.channels_last)
+    floats = network(images[:1]).flatten(1).shape[1]
+    bank = torch.randn(keys, floats, device=weight.device, dtype=weight.dtype)
+    return lambda: nn.functional.normalize(network(images).flatten(1), dim=1) @ bank.T
+
+
+def graphed(work: Callable[[], Any]) -> Callable[[], Any]:
+    """Record work as a CUDA graph and return what replays it."""
+    side = torch.cuda.Stream()
+    side.wait_stream(torch.cuda.current_stream())
+    with torch.cuda.stream(side):
+        for _ in range(3):
+            work()
+    torch.cuda.current_stream().wait_stream(side)
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        work()
+    return graph.replay
+
+
+def median_ms(work: Callable[[], Any], device: torch.device, rounds: int) -> float:
+    """Return the median duration of work, waiting for the device each time, milliseconds."""
+    for _ in range(3):
+        work()
+    seconds = []
+    for _ in range(rounds):
+        _finish(device)
+        start = time.perf_counter()
+        work()
+        _finish(device)
+        seconds.append(time.perf_counter() - start)
+    return float(np.median(seconds)) * 1e3
+
+
+def _finish(device: torch.device) -> None:
+    if device.type == "cuda":
+        torch.cuda.synchronize()
+
+
+def main() -> None:
+    """Run the benchmark and print what it finds as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--object", default="pin", help="a demo object's name or a mesh file")
+    parser.add_argument("--preset", default="paper", choices=sorted(PRESETS))
+    parser.add_argument("--poses", type=int, default=20_000, help="about how many poses the grid has")
+    parser.add_argument("--queries", type=int, help="touches an epoch; default: the preset's")
+    parser.add_argument("--keys", type=int, default=20_000, help="keys that a touch is matched against")
+    parser.add_argument("--rounds", type=int, default=100)
+    parser.add_argument("--device", default="cuda", choices=("cuda", "cpu"))
+    arguments = parser.parse_args()
+    if arguments.device == "cuda" and not torch.cuda.is_available():
+        parser.error("torch sees no CUDA device here; rehearse with --device cpu")
+    device = torch.device(arguments.device)
+    recipe = PRESETS[arguments.preset].changed(**({"queries": arguments.queries} if arguments.queries else {}))
+    chip = torch.cuda.get_device_name() if device.type == "cuda" else platform.processor() or "CPU"
+    print(json.dumps({"chip": chip, "torch": torch.__version__, "recipe": recipe.describe()}, indent=1), flush=True)
+    print(json.dumps({"latency_ms": latencies_ms(recipe, arguments.keys, device, arguments.rounds)}, indent=1))
+    print(json.dumps({"training": epoch_seconds(recipe, arguments, device)}, indent=1))
+
+
+if __name__ == "__main__":
+    main()

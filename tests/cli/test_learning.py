@@ -1,0 +1,106 @@
+"""The learned encoder from the command line: tables that can be had again, and what is said when it cannot learn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from cli_helpers import TINY, assert_refused
+
+torch = pytest.importorskip("torch")
+
+from tactile_loc.core.store import StageStore  # noqa: E402
+from tactile_loc.plugins.encoders import moco, moco_training  # noqa: E402
+
+OPTIONS = ("epochs=2", "queries=64", "batch=32", "channels=4")
+MOCO = ["--encoder", "moco", *(word for option in OPTIONS for word in ("-o", f"encoder.{option}"))]
+PIN = ["--object", "pin", *TINY, *MOCO]
+EVALUATE = ["evaluate", *PIN, "--encoder", "pixel", "--refiner", "none", "--touches", 4]
+
+
+def table(cli, folder: str) -> str:
+    done = cli(*EVALUATE, "--store", folder, "--out", f"out-{folder}")
+    assert done.exit_code == 0, done.stderr
+    return (Path(f"out-{folder}") / "results.csv").read_text()
+
+
+def test_the_same_seed_gives_the_same_table_though_training_was_interrupted(cli, monkeypatch):
+    whole = table(cli, "whole")
+    assert {line.split(",")[1] for line in whole.splitlines()[1:]} == {"moco", "pixel"}
+    assert table(cli, "again") == whole
+
+    save = moco_training.Trainer._checkpoint
+
+    def save_and_stop(self):
+        save(self)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(moco_training.Trainer, "_checkpoint", save_and_stop)
+        assert cli(*EVALUATE, "--store", "stopped", "--out", "out-stopped").exit_code == 130
+    assert not Path("out-stopped/results.csv").exists()
+    steps = []
+    step = moco_training.Trainer._step
+    monkeypatch.setattr(moco_training.Trainer, "_step", lambda self, *a: steps.append(1) or step(self, *a))
+    assert table(cli, "stopped") == whole
+    assert len(steps) == 4  # the second epoch's; the first's are not done again
+
+
+def build(cli, *words: object):
+    return cli("build", *PIN, "--store", "fresh", *words)
+
+
+def test_weights_that_are_not_there_or_damaged_or_of_another_network(cli):
+    resnet = ["-o", "encoder.backbone=resnet18", "-o"]
+    assert_refused(build(cli, *resnet, "encoder.pretrained=none.pth"), "none.pth", "hub")
+    torch.save({"stages.0.0.weight": torch.zeros(24, 2, 3, 3)}, "small.pth")
+    assert_refused(build(cli, *resnet, "encoder.pretrained=small.pth"), "small.pth", "does not fit resnet18")
+    Path("cut.pth").write_bytes(Path("small.pth").read_bytes()[:-200])
+    assert_refused(build(cli, *resnet, "encoder.pretrained=cut.pth"), "cut.pth", "damaged")
+
+
+def test_a_gpu_that_is_not_there(cli, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert_refused(build(cli, "-o", "encoder.device=cuda"), "no CUDA device", "encoder.device")
+
+
+def test_a_grid_too_large_for_memory(cli, monkeypatch):
+    monkeypatch.setattr(moco, "_available_bytes", lambda: 10**6)
+    assert_refused(build(cli), "GiB", "encoder.negatives", "grid.spacing_mm")
+
+
+def test_a_loss_that_is_no_number(cli, monkeypatch):
+    monkeypatch.setattr(moco_training.Trainer, "_step", lambda *a: float("nan"))
+    assert_refused(build(cli), "NaN", "encoder.rate")
+    assert not [entry for entry in StageStore(Path("fresh")).entries() if entry.stage == "encoder" and entry.complete]
+
+
+def test_a_stored_encoder_that_was_cut_off_is_trained_again(cli):
+    assert build(cli).exit_code == 0
+    (stored,) = Path("fresh").glob("encoder/*/encoder.safetensors")
+    whole = stored.read_bytes()
+    stored.chmod(0o644)
+    stored.write_bytes(whole[:-100])
+    for bank in Path("fresh").glob("bank/*/manifest.json"):
+        bank.unlink()
+    done = build(cli)
+    assert done.exit_code == 0, done.stderr
+    assert stored.read_bytes() == whole
+
+
+def test_a_training_can_be_watched_in_tensorboard(cli):
+    pytest.importorskip("tensorboard")
+    assert build(cli, "-o", "encoder.tensorboard=log").exit_code == 0
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator("log").Reload()
+    assert {"loss", "validation/loss", "validation/best-1_mm"} <= set(events.Tags()["scalars"])
+    assert [event.step for event in events.Scalars("loss")] == [1, 2]
+
+
+def test_several_processes_train_one_encoder(tmp_path, run_process):
+    done = run_process("build", *PIN, "--store", tmp_path / "crew", processes=2, OMP_NUM_THREADS="1")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("encoder: ") == 1  # the first process says what was built
+    store = StageStore(tmp_path / "crew")
+    assert [entry.complete for entry in store.entries() if entry.stage == "encoder"] == [True]
