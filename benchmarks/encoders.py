@@ -31,12 +31,12 @@ from tactile_loc.evaluation.pictures import save_figure
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.tables import Run
 
-ENCODERS = ("pixel", "moco")
+ENCODERS = {"pixel": {"name": "pixel"}, "pixel, depth": {"name": "pixel", "signal": "depth"}, "moco": {"name": "moco"}}
 LINES = ("best-1", "best-10", "best-50", "reg-1", "reg-10", "closest", "oracle", "random")
 MATCHED = 20_000  # keys in the matcher's timing
 
 
-def config_for(arguments: argparse.Namespace, encoder: str, spacing_mm: float) -> RunConfig:
+def config_for(arguments: argparse.Namespace, encoder: dict[str, str], spacing_mm: float) -> RunConfig:
     """Return the configuration of one encoder's runs."""
     return RunConfig.from_dict({
         "sensor": arguments.sensor, "refiner": arguments.refiner, "encoder": encoder,
@@ -51,8 +51,8 @@ def measure(obj: ObjectModel, arguments: argparse.Namespace) -> tuple[dict[str, 
     store = StageStore(arguments.out / "store")
     runs = []
     row: dict[str, Any] = {"object": obj.name, "symmetry": str(obj.symmetry), "spacing_mm": spacing_mm}
-    for encoder in ENCODERS:
-        localizer = Localizer(config_for(arguments, encoder, spacing_mm), obj, store)
+    for encoder, settings in ENCODERS.items():
+        localizer = Localizer(config_for(arguments, settings, spacing_mm), obj, store)
         row["poses"] = localizer.model.size
         start = time.perf_counter()
         localizer.matcher(localizer.scene.geometry.max_depth_m)

@@ -28,7 +28,7 @@ PRESETS = {
     # minutes on two CPU cores
     "cpu": Recipe(
         backbone="small", channels=16, norm="group", signal="depth", image_px=64,
-        epochs=20, queries=6144, repeats=2, batch=256,
+        epochs=20, queries=3072, repeats=4, batch=256,
         optimizer="adamw", rate=2e-3, weight_decay=1e-4, momentum=0.98, temperature=0.07, refresh=24,
     ),
     # the paper's network and optimiser, for a GPU

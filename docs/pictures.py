@@ -1,0 +1,151 @@
+#!/usr/bin/env python3
+"""Draws the pictures of docs/method.md and docs/conventions.md from what the code computes, into docs/images."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.sensing import ContactShape, Touch
+from tactile_loc.evaluation.pictures import (
+    draw_contact_shape,
+    draw_noise,
+    draw_outline,
+    make_figure,
+    millimetres,
+    percent,
+    save_figure,
+)
+from tactile_loc.evaluation.pose_panel import draw_pose
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+IMAGES = Path(__file__).parent / "images"
+OBJECT = "hook"
+SPACING_MM = 4.51  # about 10 000 poses
+NEIGHBOURS = 5
+SHOWN = 4  # most probable poses
+TOUCH_SEED = 3
+
+
+def draw_rendering(localizer: Localizer) -> Figure:
+    """Draw one pose on the sensor, what its camera sees, and the contact shape that makes of it."""
+    geometry, scene = localizer.sensor.geometry, localizer.scene
+    T = _touch(localizer).T_sensor_object
+    z_m = scene.renderer.render(scene.object.mesh, T[None], geometry)[0]
+    figure = make_figure(13.6, 4.5)
+    left, middle, right = figure.subfigures(1, 3, width_ratios=[5, 4.3, 4.3])
+    left.suptitle("the object in contact", size=10, y=0.93)
+    draw_pose(left.add_axes((0.02, 0.02, 0.96, 0.86)), scene.object.mesh, geometry, T)
+    extent = [1e3 * v for v in _extent(localizer)]
+    views = (
+        (middle, "camera depth z(u) beyond the surface (mm)", np.where(np.isfinite(z_m), z_m, np.nan)),
+        (right, "contact shape c(u): depth from full penetration (mm)", None),
+    )
+    for panel, name, depth_m in views:
+        axes = panel.add_axes((0.14, 0.1, 0.76, 0.78))
+        if depth_m is None:
+            image = draw_contact_shape(axes, scene.contact_shape(T, geometry.max_depth_m), geometry)
+        else:
+            image = axes.imshow(1e3 * (depth_m - geometry.standoff_m), cmap="cividis", extent=extent, origin="upper")
+            axes.set_facecolor("#eceff1")
+        axes.set(xlabel="x (mm)", ylabel="y (mm)")
+        panel.colorbar(image, ax=axes, fraction=0.046)
+        axes.set_title(name, size=10)
+    return figure
+
+
+def draw_neighbours(localizer: Localizer) -> Figure:
+    """Draw the contact shapes of a pose of the grid and of those nearest to it, with their distances."""
+    grid, geometry = localizer.model.grid, localizer.sensor.geometry
+    own = int(grid.nearest(_touch(localizer).T_sensor_object[None])[1][0])
+    distances_m = np.linalg.norm(grid.phi - grid.phi[own], axis=1)
+    nearest = np.argsort(distances_m)[: NEIGHBOURS + 1]
+    figure = make_figure(2.6 * len(nearest), 3.0, constrained=True)
+    for axes, i in zip(figure.subplots(1, len(nearest)), nearest, strict=True):
+        shape = localizer.scene.contact_shape(grid.T_sensor_object[i], geometry.max_depth_m)
+        draw_contact_shape(axes, shape, geometry)
+        axes.set_title("a pose of the grid" if i == own else f"{millimetres(float(distances_m[i]))} away", size=10)
+        axes.set_xlabel("x (mm)", size=8)
+    figure.suptitle(f"neighbours in a grid of {len(grid)} poses, root mean square distance of the surface", size=12)
+    return figure
+
+
+def draw_matching(localizers: dict[str, Localizer]) -> Figure:
+    """Draw a noisy touch and, for each encoder, the most probable poses' contact shapes and the whole posterior."""
+    first = next(iter(localizers.values()))
+    touch = _touch(first)
+    figure = make_figure(3.0 * (SHOWN + 2), 3.0 * len(localizers) + 0.5, constrained=True)
+    panels: NDArray[Any] = figure.subplots(len(localizers), SHOWN + 2, squeeze=False)
+    for row, (name, localizer) in zip(panels, localizers.items(), strict=True):
+        posterior = localizer.posterior(touch)
+        draw_contact_shape(row[0], touch.contact_shape, touch.geometry)
+        row[0].set_title("touch, strong noise", size=10)
+        row[0].set_ylabel(f"{name}\ny (mm)", size=11)
+        metric, T_true = posterior.grid.metric, touch.T_sensor_object
+        for axes, index in zip(row[1:], posterior.top(SHOWN), strict=False):
+            pose = posterior.grid.T_sensor_object[index]
+            shape: ContactShape = localizer.scene.contact_shape(pose, touch.press_depth_m)
+            draw_contact_shape(axes, shape, touch.geometry)
+            draw_outline(axes, touch)
+            off_m = float(metric.symmetric_distance(pose[None], T_true[None])[0])
+            axes.set_title(f"{percent(float(posterior.probabilities[index]))}, {millimetres(off_m)} off", size=10)
+        _draw_posterior(row[-1], posterior, T_true)
+    figure.suptitle("most probable poses (red: observed outline), and the posterior over all poses", size=12)
+    return figure
+
+
+def _draw_posterior(axes: Any, posterior: Any, T_true: NDArray[np.float64]) -> None:
+    """Draw each pose's place as a dot: its area is the probability, its colour the yaw."""
+    T = posterior.grid.T_sensor_object
+    likely = posterior.top(300)
+    centroid = posterior.grid.metric.object.mesh.centroid_m
+    at = 1e3 * (T[likely, :2, :3] @ centroid + T[likely, :2, 3])
+    yaw = np.degrees(np.arctan2(T[likely, 1, 0], T[likely, 0, 0]))
+    dots = axes.scatter(
+        *at.T, s=2 + 600 * posterior.probabilities[likely], c=yaw, cmap="twilight", vmin=-180, vmax=180, alpha=0.8
+    )
+    true_at = 1e3 * (T_true[:2, :3] @ centroid + T_true[:2, 3])
+    axes.plot(*true_at, "x", color="#e03131", ms=11, mew=2.2)
+    axes.set(aspect="equal", xlabel="x of the centroid (mm)", ylabel="y (mm)")
+    axes.invert_yaxis()
+    axes.set_title("area: probability; cross: truth", size=10)
+    axes.figure.colorbar(dots, ax=axes, fraction=0.046, label="yaw (°)")
+
+
+def _touch(localizer: Localizer) -> Touch:
+    return localizer.simulate(1, TOUCH_SEED, noise="strong")[0]
+
+
+def _extent(localizer: Localizer) -> tuple[float, float, float, float]:
+    g = localizer.sensor.geometry
+    sx, sy = g.scale_at_surface
+    return -g.cx / sx, (g.width_px - g.cx) / sx, (g.height_px - g.cy) / sy, -g.cy / sy
+
+
+def main() -> None:
+    """Draw all pictures; the learned encoder is trained if the store has it not."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=IMAGES)
+    out = parser.parse_args().out
+    grid = {"name": "face", "spacing_mm": SPACING_MM}
+    localizers = {name: Localizer.create(OBJECT, grid=grid, encoder=name) for name in ("pixel", "moco")}
+    plain = localizers["pixel"]
+    figures = {
+        "rendering": draw_rendering(plain),
+        "neighbours": draw_neighbours(plain),
+        "noise": draw_noise(plain),
+        "matching": draw_matching(localizers),
+    }
+    for name, figure in figures.items():
+        print(save_figure(out / f"{name}.png", figure))
+
+
+if __name__ == "__main__":
+    main()
