@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,10 +12,15 @@ from tactile_loc_cli import flags
 from tactile_loc_cli.console import say
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from tactile_loc.core.localizer import Localizer
     from tactile_loc.core.sensing import Touch
+    from tactile_loc.imaging.optics import Optics
 
 DEFAULT_OUT = Path("tactile-loc-touches")
+GENERIC_OPTICS = "gelslim"  # for sensors whose lights nobody has described
+BATCH = 16  # images rendered at once
 
 
 def simulate(
@@ -30,6 +35,18 @@ def simulate(
     renderer: flags.Renderer = None,
     option: flags.SetOption = None,
     config: flags.Config = None,
+    images: Annotated[
+        bool, typer.Option("--images", help="Also write what the camera sees: NAME.png for a touch, background.png.")
+    ] = False,
+    optics: Annotated[
+        str | None,
+        typer.Option(
+            "--optics",
+            metavar="NAME",
+            help="Whose lights and gel the images show: gelslim, gelsight-mini or digit; by default the sensor's own "
+            "if it is one of these, else gelslim. Implies --images.",
+        ),
+    ] = None,
     seed: flags.Seed = None,
     out: Annotated[
         Path, typer.Option("--out", metavar="FOLDER", help="Where touches, poses.json and touches.png go.")
@@ -43,11 +60,17 @@ def simulate(
     from tactile_loc.evaluation.files import require_writable
 
     settings = flags.run_config(asked)
+    seen_by = _optics(optics or settings.sensor.name, optics is not None) if images or optics is not None else None
     require_writable(out)
     localizer = flags.open_localizer(settings, None)
     touches = localizer.simulate(count, settings.seed, flags.press_depth_m(settings), settings.touch.noise)
     _write(localizer, touches, out)
-    say(f"written: {len(touches)} touches, poses.json and touches.png in {out}")
+    if seen_by is not None:
+        _write_images(touches, seen_by, settings.seed, out)
+    written = (
+        "poses.json and touches.png" if seen_by is None else "their images, background.png, poses.json, touches.png"
+    )
+    say(f"written: {len(touches)} touches, {written} in {out}")
 
 
 def _write(localizer: Localizer, touches: list[Touch], out: Path) -> None:
@@ -76,3 +99,35 @@ def _write(localizer: Localizer, touches: list[Touch], out: Path) -> None:
     name, sensor, noise = localizer.object.name, localizer.config.sensor.name, localizer.config.touch.noise
     title = f"{name} on {sensor}, simulated" + (f" with {noise} noise" if noise != "none" else "")
     save_figure(out / "touches.png", draw_touches(touches, title))
+
+
+def _optics(name: str, asked: bool) -> Optics:
+    """Return the optics that were asked for, or the sensor's, or a usual sensor's."""
+    from tactile_loc.imaging.optics import OPTICS, optics
+
+    return optics(name if asked or name in OPTICS else GENERIC_OPTICS)
+
+
+def _write_images(touches: list[Touch], optics: Optics, seed: int, out: Path) -> None:
+    import numpy as np
+
+    from tactile_loc.imaging.shading import background
+    from tactile_loc.imaging.simulate import touch_images
+
+    geometry = touches[0].geometry
+    _write_png(out / "background.png", background(geometry, optics))
+    rng = np.random.default_rng(seed)
+    for start in range(0, len(touches), BATCH):
+        batch = touches[start : start + BATCH]
+        depth_m = np.stack([touch.contact_shape.depth_m for touch in batch])
+        press_m = np.array([touch.press_depth_m for touch in batch])
+        for touch, image in zip(batch, touch_images(depth_m, press_m, geometry, optics, rng), strict=True):
+            _write_png(out / f"{touch.name}.png", image)
+
+
+def _write_png(path: Path, image: NDArray[Any]) -> None:
+    from PIL import Image
+
+    from tactile_loc.evaluation.files import write_atomically
+
+    write_atomically(path, lambda temporary: Image.fromarray(image).save(temporary))

@@ -1,0 +1,161 @@
+"""Two calibration boards: plates with simple raised shapes, to press on a sensor anywhere and learn what it shows.
+
+After the idea of Bauza et al. (CoRL 2020, appendix); the shapes are our own. A board's frame has its origin in the
+middle of the plate's upper face, x along the longer side and z out of the raised side.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.objects import ObjectModel, TriangleMesh
+from tactile_loc.core.poses import Poses
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.symmetry import SymmetryGroup
+
+if TYPE_CHECKING:
+    import trimesh
+
+PLATE_M = (0.080, 0.060, 0.006)
+COLUMNS, ROWS, PITCH_M = 7, 5, 0.011
+HEIGHTS_M = (0.0020, 0.0025, 0.0030, 0.0035, 0.0040, 0.0035, 0.0030, 0.0025)  # neighbours touch together
+SCALES = (1.0, 0.75, 0.9, 0.6)  # of a shape's full size, which fills its place on the plate
+SUNK_M = 0.001  # how far the shapes reach into the plate: they overlap, so that no gap is left
+GOLDEN_RAD = math.pi * (3 - math.sqrt(5))  # turns neighbours by angles that never repeat
+MOST_TILT_RAD = math.radians(8)
+ABOVE_M = 0.001  # of the undeformed surface, before a pose is brought to contact
+
+Shape = Callable[[float, float], "trimesh.Trimesh"]
+
+
+def board(number: int) -> ObjectModel:
+    """Return calibration board 1 or 2, metres. Raises ConfigError for another number.
+
+    Board 1 has cylinders, boxes, cones and spherical caps, board 2 pyramids, rings, ridges and steps: 35 each, 2 to
+    4 mm high. Every shape is closed, and overlaps the plate without being united with it.
+    """
+    import trimesh
+
+    if number not in (1, 2):
+        raise ConfigError(f"there is no calibration board {number}; give 1 or 2")
+    shapes = (_cylinder, _box, _cone, _cap) if number == 1 else (_pyramid, _ring, _ridge, _steps)
+    x, y, thickness = PLATE_M
+    plate = trimesh.creation.box(bounds=[(-x / 2, -y / 2, -thickness), (x / 2, y / 2, 0.0)])
+    whole: Any = trimesh.util.concatenate([plate, *_raised(shapes)])
+    mesh = TriangleMesh(np.asarray(whole.vertices, np.float64), np.asarray(whole.faces, np.int64))
+    return ObjectModel(f"calibration-board-{number}", mesh, SymmetryGroup.parse("none", mesh.centroid_m))
+
+
+def random_board_poses(board: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
+    """Draw poses `T_sensor_object` (count, 4, 4), metres, of a board above the sensor, its raised side down on it.
+
+    Any yaw, tilts up to `MOST_TILT_RAD` in any direction, any place of the board over the middle of the sensing
+    rectangle. All of the board lies beyond the undeformed surface: bring the poses to contact.
+    """
+    from scipy.spatial.transform import Rotation
+
+    yaw, towards = (rng.uniform(0, 2 * math.pi, count) for _ in range(2))
+    tilt = MOST_TILT_RAD * rng.random(count)
+    axis = np.stack([np.cos(towards), np.sin(towards), np.zeros(count)], axis=-1)
+    tilted = Rotation.from_rotvec(tilt[:, None] * axis).as_matrix()
+    R = tilted @ rotation_about([0, 0, 1], yaw) @ np.diag([1.0, -1.0, -1.0])
+    half = np.array([COLUMNS, ROWS]) * PITCH_M / 2
+    place = np.concatenate([rng.uniform(-half, half, (count, 2)), np.zeros((count, 1))], axis=1)
+    x0, x1, y0, y1 = geometry.rectangle
+    t = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0]) - np.einsum("nij,nj->ni", R, place)
+    lowest = (board.mesh.vertices_m @ R[:, 2, :].T).min(axis=0)
+    t[:, 2] = geometry.standoff_m + ABOVE_M - lowest
+    return make_transform(R, t)
+
+
+def _raised(shapes: tuple[Shape, ...]) -> list[trimesh.Trimesh]:
+    """The shapes at their places on the plate, in turn, of sizes, heights and yaws that follow one another."""
+    placed = []
+    for i in range(ROWS * COLUMNS):
+        row, column = divmod(i, COLUMNS)
+        kind = (column + 2 * row) % len(shapes)
+        radius_m = 0.45 * PITCH_M * SCALES[(row + column // 2) % len(SCALES)]
+        solid = shapes[kind](radius_m, HEIGHTS_M[(row + column) % len(HEIGHTS_M)])
+        centre = [(column - (COLUMNS - 1) / 2) * PITCH_M, (row - (ROWS - 1) / 2) * PITCH_M, 0.0]
+        solid.apply_transform(make_transform(rotation_about([0, 0, 1], i * GOLDEN_RAD), centre))
+        placed.append(solid)
+    return placed
+
+
+def _cylinder(radius_m: float, height_m: float) -> trimesh.Trimesh:
+    return _hull([*_circle(radius_m, -SUNK_M), *_circle(radius_m, height_m)])
+
+
+def _cone(radius_m: float, height_m: float) -> trimesh.Trimesh:
+    """A cone with a blunt tip."""
+    return _hull([*_circle(radius_m, -SUNK_M), *_circle(radius_m, 0.0), *_circle(0.25 * radius_m, height_m)])
+
+
+def _cap(radius_m: float, height_m: float) -> trimesh.Trimesh:
+    """The cap of a sphere, as high as asked for, at most half of it."""
+    height = min(height_m, radius_m)
+    sphere_m = (radius_m**2 + height**2) / (2 * height)
+    widest = math.asin(min(1.0, radius_m / sphere_m))
+    rings = [
+        _circle(sphere_m * math.sin(a), height - sphere_m * (1 - math.cos(a)))
+        for a in np.linspace(0, widest, 17)[1:]
+    ]  # fmt: skip
+    return _hull([(0.0, 0.0, height), *np.concatenate(rings), *_circle(radius_m, -SUNK_M)])
+
+
+def _box(radius_m: float, height_m: float) -> trimesh.Trimesh:
+    x, y = 0.86 * radius_m, 0.5 * radius_m
+    return _hull([(a, b, z) for a in (-x, x) for b in (-y, y) for z in (-SUNK_M, height_m)])
+
+
+def _pyramid(radius_m: float, height_m: float) -> trimesh.Trimesh:
+    """A square pyramid with a blunt tip."""
+    corners = [_circle(radius_m, -SUNK_M, 4), _circle(radius_m, 0.0, 4), _circle(0.25 * radius_m, height_m, 4)]
+    return _hull(np.concatenate(corners))
+
+
+def _ring(radius_m: float, height_m: float) -> trimesh.Trimesh:
+    import trimesh
+
+    solid: trimesh.Trimesh = trimesh.creation.annulus(0.6 * radius_m, radius_m, height_m + SUNK_M, sections=64)
+    solid.apply_translation([0, 0, (height_m - SUNK_M) / 2])
+    return solid
+
+
+def _ridge(radius_m: float, height_m: float) -> trimesh.Trimesh:
+    """A rounded ridge: half an elliptic cylinder, lying."""
+    angle = np.linspace(0, math.pi, 33)
+    arc = np.stack([0.45 * radius_m * np.cos(angle), height_m * np.sin(angle)], axis=1)
+    profile = [*arc, (0.45 * radius_m, -SUNK_M), (-0.45 * radius_m, -SUNK_M)]
+    return _hull([(x, y, z) for x in (-0.85 * radius_m, 0.85 * radius_m) for y, z in profile])
+
+
+def _steps(radius_m: float, height_m: float) -> trimesh.Trimesh:
+    """A hexagonal prism with a lower, wider one around it."""
+    import trimesh
+
+    sizes = ((radius_m, height_m - 0.0008), (0.6 * radius_m, height_m))
+    prisms = [_hull([*_circle(r, -SUNK_M, 6), *_circle(r, z, 6)]) for r, z in sizes]
+    joined: Any = trimesh.util.concatenate(prisms)
+    return cast("trimesh.Trimesh", joined)
+
+
+def _circle(radius_m: float, z_m: float, points: int = 64) -> NDArray[np.float64]:
+    """Points (points, 3) of a circle about z, metres."""
+    angle = np.arange(points) * 2 * math.pi / points
+    return np.stack([radius_m * np.cos(angle), radius_m * np.sin(angle), np.full(points, z_m)], axis=1)
+
+
+def _hull(points_m: ArrayLike) -> trimesh.Trimesh:
+    """The convex solid around points (P, 3), metres."""
+    import trimesh
+
+    hull: trimesh.Trimesh = trimesh.Trimesh(np.asarray(points_m, float), process=False).convex_hull
+    return hull

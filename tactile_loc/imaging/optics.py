@@ -1,0 +1,189 @@
+"""Light on the elastomer: coloured lamps, the unpressed gel's curvature, the camera that sees it; and known styles.
+
+Angles and directions are those of the image: x right, y down, and elevation from the sensing surface towards the
+camera. Lengths that belong to the housing are in units of the field's radius (half the sensing rectangle's diagonal),
+so that one style fits sensors of every size; lengths on the surface are metres.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from tactile_loc.core.errors import ConfigError, did_you_mean
+
+Vector = tuple[float, float, float]
+
+NEAREST = 1.2  # field radii: a lamp above the gel itself would shade it in no simple way
+
+
+@dataclass(frozen=True)
+class Light:
+    """A coloured lamp. `direction` (3,) points from the middle of the surface to it: x right, y down, z to the camera.
+
+    `colour` (3,) is what the camera's red, green and blue see of it, `strength` the share of full white that a surface
+    facing it in the middle of the field gives back. `distance` is in field radii: near lamps light their own side more,
+    by the inverse square; infinity is even light. Raises ConfigError for impossible values.
+    """
+
+    direction: Vector
+    colour: Vector
+    strength: float
+    distance: float = math.inf
+
+    def __post_init__(self) -> None:
+        _require_triple("a light's direction", self.direction)
+        _require_triple("a light's colour", self.colour)
+        _require_share("a light's colour", min(self.colour))
+        _require_share("a light's strength", self.strength)
+        if not self.direction[2] > 0:
+            raise ConfigError(
+                f"a light's direction is {self.direction}: behind the gel; its third number must be positive, "
+                "towards the camera"
+            )
+        if not self.distance >= NEAREST:
+            raise ConfigError(f"a light's distance is {self.distance} field radii; it must be at least {NEAREST}")
+
+    @classmethod
+    def at(
+        cls, azimuth_rad: float, elevation_rad: float, colour: Vector, strength: float, distance: float = math.inf
+    ) -> Light:
+        """Return a light by its angles, radians: azimuth from image right towards image down, and elevation."""
+        flat = math.cos(elevation_rad)
+        direction = (flat * math.cos(azimuth_rad), flat * math.sin(azimuth_rad), math.sin(elevation_rad))
+        return cls(direction, colour, strength, distance)
+
+    @property
+    def azimuth_rad(self) -> float:
+        """Where in the image the light comes from: 0 right, pi/2 below. Radians."""
+        return math.atan2(self.direction[1], self.direction[0])
+
+    @property
+    def elevation_rad(self) -> float:
+        """How far the light stands above the sensing surface, 0 to pi/2 radians."""
+        return math.atan2(self.direction[2], math.hypot(*self.direction[:2]))
+
+    def varied(self, rng: np.random.Generator, strength: float) -> Light:
+        """Return a light that differs as one specimen's from another's; `strength` 1 (unitless) is a usual spread."""
+        elevation = self.elevation_rad + strength * math.radians(3) * rng.normal()
+        red, green, blue = (c * math.exp(0.1 * strength * rng.normal()) for c in self.colour)
+        return Light.at(
+            self.azimuth_rad + strength * math.radians(6) * rng.normal(),
+            min(max(elevation, math.radians(5)), math.radians(89)),
+            (red, green, blue),
+            self.strength * math.exp(0.15 * strength * rng.normal()),
+            max(NEAREST, self.distance * math.exp(0.15 * strength * rng.normal())),
+        )
+
+
+@dataclass(frozen=True)
+class Optics:
+    """How a sensor sees its gel. Brightness is a share of full white (255 counts).
+
+    `ambient` (3,) is light from everywhere. `dome` is the unpressed gel's slope at the field's radius, unitless:
+    positive where it bulges towards the object. `specular` and `shininess` are the coating's gloss (Blinn and Phong:
+    share of each light, exponent). `vignetting` is the share of light lost at the field's radius. `blur_m` is the
+    lens's (standard deviation on the surface, metres), `read_noise` and `shot_noise` are the camera's: standard
+    deviations in 8-bit counts, of every pixel and of a full white one. Raises ConfigError for impossible values.
+    """
+
+    lights: tuple[Light, ...]
+    ambient: Vector = (0.0, 0.0, 0.0)
+    dome: float = 0.0
+    specular: float = 0.0
+    shininess: float = 20.0
+    vignetting: float = 0.0
+    blur_m: float = 0.0
+    read_noise: float = 0.0
+    shot_noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.lights:
+            raise ConfigError("the optics have no lights; give at least one")
+        _require_triple("the optics' ambient", self.ambient)
+        for name in ("specular", "shininess", "vignetting", "blur_m", "read_noise", "shot_noise"):
+            _require_share(f"the optics' {name}", getattr(self, name))
+        _require_share("the optics' ambient", min(self.ambient))
+        if not math.isfinite(self.dome):
+            raise ConfigError(f"the optics' dome is {self.dome}; it must be a number")
+        if self.vignetting > 1:
+            raise ConfigError(f"the optics' vignetting is {self.vignetting}; it must be from 0 to 1")
+
+    def describe(self) -> dict[str, Any]:
+        """Return the settings as JSON values: what identifies the optics. An infinite distance is None."""
+        lights = [
+            {**asdict(v), "direction": list(v.direction), "colour": list(v.colour),
+             "distance": v.distance if math.isfinite(v.distance) else None}
+            for v in self.lights
+        ]  # fmt: skip
+        return {**asdict(self), "lights": lights, "ambient": list(self.ambient)}
+
+    def noiseless(self) -> Optics:
+        """Return the same optics before a camera without noise."""
+        return dataclasses.replace(self, read_noise=0.0, shot_noise=0.0)
+
+    def varied(self, rng: np.random.Generator, strength: float = 1.0) -> Optics:
+        """Return optics as another specimen of the sensor has: lights, exposure, curvature, blur and noise differ.
+
+        `strength` (unitless) scales the spread: 0 gives the same optics, 1 what one would expect of a make. Raises
+        ConfigError for a negative strength.
+        """
+        _require_share("the optics' variation", strength)
+        if strength == 0:
+            return self
+
+        def scaled(value: float, spread: float) -> float:
+            return value * math.exp(spread * strength * rng.normal())
+
+        exposure = scaled(1.0, 0.1)
+        lights = tuple(light.varied(rng, strength) for light in self.lights)
+        red, green, blue = (exposure * scaled(a, 0.2) for a in self.ambient)
+        return dataclasses.replace(
+            self,
+            lights=tuple(dataclasses.replace(light, strength=exposure * light.strength) for light in lights),
+            ambient=(red, green, blue), dome=scaled(self.dome, 0.3), specular=scaled(self.specular, 0.2),
+            vignetting=min(1.0, scaled(self.vignetting, 0.2)), blur_m=scaled(self.blur_m, 0.2),
+            read_noise=scaled(self.read_noise, 0.2), shot_noise=scaled(self.shot_noise, 0.2),
+        )  # fmt: skip
+
+
+def _require_triple(name: str, values: Vector) -> None:
+    if len(values) != 3 or not all(math.isfinite(v) for v in values):
+        raise ConfigError(f"{name} is {values}; it must be three numbers")
+
+
+def _require_share(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value >= 0):
+        raise ConfigError(f"{name} is {value}; it must be zero or a positive number")
+
+
+def _ring(*lamps: tuple[float, float, float, Vector], distance: float = math.inf) -> tuple[Light, ...]:
+    """Lights of (azimuth, elevation, strength, colour), angles in degrees, at one distance in field radii."""
+    return tuple(Light.at(math.radians(a), math.radians(e), c, s, distance) for a, e, s, c in lamps)
+
+
+OPTICS = {  # set beside photos of balls pressed into one specimen of each make; others differ: see `Optics.varied`
+    "gelslim": Optics(
+        _ring((-29, 23, 1.4, (1.0, 0.0, 0.0)), (117, 22, 0.6, (0.0, 1.0, 0.15)), (205, 28, 1.2, (0.0, 0.1, 1.0))),
+        ambient=(0.03, 0.35, 0.03), dome=0.3, vignetting=0.35, blur_m=4e-5, read_noise=1.0, shot_noise=2.0,
+    ),
+    "gelsight-mini": Optics(
+        _ring((-100, 25, 0.55, (1.0, 0.0, 0.15)), (0, 30, 0.5, (0.05, 1.0, 0.2)), (125, 30, 0.5, (0.0, 0.25, 1.0))),
+        ambient=(0.16, 0.2, 0.24), dome=0.35, vignetting=0.35, blur_m=6e-5, read_noise=1.0, shot_noise=2.0,
+    ),
+    "digit": Optics(
+        _ring((-30, 25, 0.8, (1.0, 0.1, 0.1)), (200, 25, 0.8, (0.05, 1.0, 0.05)), (90, 25, 0.65, (0.0, 0.1, 1.0))),
+        ambient=(0.12, 0.08, 0.1), dome=0.35, specular=0.1, vignetting=0.4, blur_m=8e-5, read_noise=1.5, shot_noise=2.0,
+    ),
+}  # fmt: skip
+
+
+def optics(name: str) -> Optics:
+    """Return the optics called gelslim, gelsight-mini or digit. Raises ConfigError for another name."""
+    if name not in OPTICS:
+        raise ConfigError(f"there are no optics {name!r}; give one of {', '.join(OPTICS)}.{did_you_mean(name, OPTICS)}")
+    return OPTICS[name]

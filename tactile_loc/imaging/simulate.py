@@ -1,0 +1,101 @@
+"""The short ways: from contact shapes to pictures, and from the calibration boards to training pairs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile_loc.core.errors import ConfigError, TouchError
+from tactile_loc.core.interfaces import Renderer
+from tactile_loc.core.scene import Scene
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.imaging.boards import board, random_board_poses
+from tactile_loc.imaging.gel import SOFTNESS_M, contact_indentation, gel_surface
+from tactile_loc.imaging.optics import Optics
+from tactile_loc.imaging.shading import render_images
+
+Float32 = NDArray[np.float32]
+Image = NDArray[np.uint8]
+
+BATCH = 16
+LIGHTEST = 0.3  # of the sensor's deepest press
+LEAST_CONTACT = 0.01  # of the observed pixels, for a press to show anything
+MOST_ROUNDS = 100  # of drawing presses of which none shows anything
+
+
+class BoardPresses(NamedTuple):
+    """Presses of a board: `images` (N, H, W, 3) uint8 RGB, and the truth to learn from them, metres.
+
+    `indentation_m` (N, H, W) float32 is press - depth where the board touches, else 0; `press_depth_m` (N,) float64.
+    """
+
+    images: Image
+    indentation_m: Float32
+    press_depth_m: NDArray[np.float64]
+
+
+def touch_images(
+    depth_m: NDArray[np.floating[Any]],
+    press_depth_m: ArrayLike,
+    geometry: SensorGeometry,
+    optics: Optics,
+    rng: np.random.Generator,
+    softness_m: float = SOFTNESS_M,
+    background: Image | None = None,
+) -> Image:
+    """Return pictures (N, H, W, 3) uint8 RGB of contact depths (N, H, W) at presses (N,), metres.
+
+    `softness_m` is the elastomer's (see `gel_surface`), `background` (H, W, 3) uint8 a photo of the unpressed sensor
+    (see `render_images`). Raises ConfigError for sizes that do not fit.
+    """
+    surface = gel_surface(depth_m, press_depth_m, geometry, softness_m)
+    return render_images(surface, geometry, optics, rng, background)
+
+
+def board_presses(
+    geometry: SensorGeometry,
+    count: int,
+    optics: Optics,
+    rng: np.random.Generator,
+    renderer: Renderer,
+    softness_m: float = SOFTNESS_M,
+    background: Image | None = None,
+) -> Iterator[BoardPresses]:
+    """Yield `count` presses of the calibration boards in batches of at most `BATCH`, the two boards in turn.
+
+    Poses are `random_board_poses` in contact, the same for one `rng` whatever the optics; presses are uniform
+    from `LIGHTEST` of the sensor's deepest to all of it.
+    For lights that differ, take each share of the presses with optics of its own (`Optics.varied`). Raises ConfigError
+    for a negative count, TouchError when the boards hardly ever leave an imprint.
+    """
+    if count < 0:
+        raise ConfigError(f"{count} presses were asked for; give zero or more")
+    camera = rng.spawn(1)[0]  # so that its noise does not change the presses
+    scenes = [Scene(board(number), geometry, renderer) for number in (1, 2)]
+    for i in range(math.ceil(count / BATCH)):
+        depth, press = _presses(scenes[i % 2], min(BATCH, count - i * BATCH), rng)
+        images = touch_images(depth, press, geometry, optics, camera, softness_m, background)
+        yield BoardPresses(images, contact_indentation(depth, press), press)
+
+
+def _presses(scene: Scene, count: int, rng: np.random.Generator) -> tuple[Float32, NDArray[np.float64]]:
+    """Draw contact depths (count, H, W) of a board, and their presses (count,), metres; each shows something."""
+    geometry = scene.geometry
+    depths, presses = np.empty((0, *geometry.shape), np.float32), np.empty(0)
+    for _ in range(MOST_ROUNDS):
+        T, touching = scene.in_contact(random_board_poses(scene.object, geometry, count - len(depths), rng))
+        press = geometry.max_depth_m * rng.uniform(LIGHTEST, 1.0, len(T))
+        depth = np.minimum(scene.contact_depths(T), press.astype(np.float32)[:, None, None])
+        contact = (depth < press.astype(np.float32)[:, None, None]) & geometry.observed_mask
+        shows = touching & (contact.sum(axis=(1, 2)) >= max(1.0, LEAST_CONTACT * geometry.observed_mask.sum()))
+        depths, presses = np.concatenate([depths, depth[shows]]), np.concatenate([presses, press[shows]])
+        if len(depths) == count:
+            return depths, presses
+    raise TouchError(
+        f"hardly any press of {scene.object.name} leaves an imprint on this sensor; check its sensing rectangle and "
+        "its mask"
+    )

@@ -1,0 +1,93 @@
+"""`tactile-loc simulate --images`: what the camera sees, beside the contact shapes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_helpers import assert_refused, write_box
+from PIL import Image
+
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.imaging.optics import OPTICS
+from tactile_loc.imaging.shading import background
+from tactile_loc.plugins.sensors.presets import Digit, GelSlim
+
+SENSOR = """\
+camera = "orthographic"
+image_size_px = [64, 48]
+max_depth_mm = 1.0
+mm_per_px = 0.5
+"""
+
+
+def image(path: str) -> np.ndarray:
+    with Image.open(path) as picture:
+        assert picture.mode == "RGB"
+        return np.asarray(picture)
+
+
+def simulate(cli, *words: object):
+    done = cli("simulate", "--count", 2, "--seed", 4, *words)
+    assert done.exit_code == 0, done.stderr
+    return done
+
+
+def test_every_touch_has_its_image_and_there_is_a_background(cli):
+    done = simulate(cli, "--images", "--out", "out")
+    assert "background.png" in done.stdout
+    names = ["touch-0000", "touch-0001"]
+    files = ["background.png", "poses.json", *(f"{n}.{e}" for n in names for e in ("npz", "png")), "touches.png"]
+    assert sorted(p.name for p in Path("out").iterdir()) == files
+    unpressed = image("out/background.png")
+    assert np.array_equal(unpressed, background(GelSlim().geometry, OPTICS["gelslim"]))
+    for name in names:
+        seen = image(f"out/{name}.png")
+        assert seen.shape == unpressed.shape
+        changed = np.abs(seen.astype(int) - unpressed).max(axis=-1) > 25
+        with np.load(f"out/{name}.npz") as touch:
+            contact = touch["depth"] < touch["press_depth"]
+        grown = np.pad(contact, 15)
+        near = np.any([np.roll(grown, (i, j), (0, 1)) for i in (-15, 0, 15) for j in (-15, 0, 15)], axis=0)
+        assert changed.any()
+        assert near[15:-15, 15:-15][changed].mean() > 0.9  # it changes where the object is
+
+
+def test_without_asking_there_are_no_images_and_the_touches_are_the_same(cli):
+    simulate(cli, "--out", "plain")
+    simulate(cli, "--images", "--out", "seen")
+    assert not list(Path("plain").glob("touch-*.png"))
+    for path in Path("plain").glob("*.npz"):
+        with np.load(path) as a, np.load(Path("seen") / path.name) as b:
+            assert np.array_equal(a["depth"], b["depth"])
+
+
+def test_one_seed_gives_the_same_images(cli):
+    for out in ("a", "b"):
+        simulate(cli, "--images", "--out", out)
+    assert np.array_equal(image("a/touch-0001.png"), image("b/touch-0001.png"))
+
+
+@pytest.mark.parametrize(
+    ("words", "geometry", "style"),
+    [
+        (["--images", "--sensor", "digit"], Digit().geometry, "digit"),
+        (["--optics", "gelsight-mini"], GelSlim().geometry, "gelsight-mini"),
+    ],
+)
+def test_the_optics_are_the_sensors_or_those_asked_for(cli, words, geometry: SensorGeometry, style):
+    simulate(cli, *words, "--out", "out")
+    assert np.array_equal(image("out/background.png"), background(geometry, OPTICS[style]))
+
+
+def test_a_sensor_of_ones_own_has_images_too(cli):
+    Path("sensor.toml").write_text(SENSOR)
+    write_box(Path("box.obj"))
+    simulate(cli, "--object", "box.obj", "--units", "mm", "--sensor", "sensor.toml", "--images", "--out", "out")
+    assert image("out/touch-0000.png").shape == (48, 64, 3)
+
+
+def test_unknown_optics_are_refused_before_anything_is_made(cli):
+    assert_refused(cli("simulate", "--optics", "gelslam", "--out", "out"), "gelslam", "gelslim")
+    assert not Path("out").exists()

@@ -1,0 +1,102 @@
+"""Descriptions of lights and cameras: what is refused, what identifies them, and how specimens differ."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from imaging_helpers import lamp, lit, rng
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.imaging.optics import OPTICS, Light, Optics, optics
+
+WHITE = (1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(("azimuth", "elevation"), [(0.3, 0.2), (-2.5, 1.2), (math.pi / 2, 0.7)])
+def test_a_light_is_where_its_angles_say(azimuth, elevation):
+    light = Light.at(azimuth, elevation, WHITE, 1.0)
+    assert light.azimuth_rad == pytest.approx(azimuth)
+    assert light.elevation_rad == pytest.approx(elevation)
+    assert np.linalg.norm(light.direction) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"direction": (1.0, 0.0, 0.0)}, "behind the gel"),
+        ({"direction": (1.0, 0.0, -0.2)}, "behind the gel"),
+        ({"direction": (1.0, math.nan, 1.0)}, "direction"),
+        ({"direction": (1.0, 0.0)}, "three numbers"),
+        ({"colour": (1.0, -0.1, 0.0)}, "colour is -0.1"),
+        ({"colour": (1.0, 1.0)}, "three numbers"),
+        ({"strength": -1.0}, "strength is -1"),
+        ({"strength": math.inf}, "strength is inf"),
+        ({"distance": 0.5}, "at least 1.2"),
+        ({"distance": math.nan}, "distance is nan"),
+    ],
+)
+def test_impossible_lights_are_refused(change, words):
+    with pytest.raises(ConfigError, match=words):
+        dataclasses.replace(lamp(), **change)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"lights": ()}, "no lights"),
+        ({"ambient": (0.1, 0.1, -0.1)}, "ambient is -0.1"),
+        ({"dome": math.nan}, "dome is nan"),
+        ({"vignetting": 1.5}, "from 0 to 1"),
+        ({"blur_m": -1e-5}, "blur_m is -1e-05"),
+        ({"read_noise": -1.0}, "read_noise"),
+        ({"shot_noise": math.inf}, "shot_noise"),
+        ({"specular": math.nan}, "specular"),
+        ({"shininess": -2.0}, "shininess"),
+    ],
+)
+def test_impossible_optics_are_refused(change, words):
+    with pytest.raises(ConfigError, match=words):
+        dataclasses.replace(lit("right"), **change)
+
+
+def test_optics_are_described_as_json():
+    near = Optics((lamp(distance=3.0), lamp("left")), dome=0.2)
+    described = near.describe()
+    assert json.loads(json.dumps(described, allow_nan=False)) == described
+    assert [light["distance"] for light in described["lights"]] == [3.0, None]
+    descriptions = [json.dumps(o.describe()) for o in (near, near.noiseless(), lit("right"), *OPTICS.values())]
+    assert len(set(descriptions)) == len(descriptions) - 1  # `near` has no noise to lose
+
+
+@pytest.mark.parametrize("name", list(OPTICS))
+def test_specimens_differ_around_their_make(name):
+    make = OPTICS[name]
+    assert make.varied(rng(), 0.0) == make
+    assert make.varied(rng(3)) == make.varied(rng(3))
+    assert make.varied(rng(3)) != make.varied(rng(4))
+    generator = rng()
+    specimens = [make.varied(generator) for _ in range(400)]
+    strengths = np.array([[light.strength for light in o.lights] for o in specimens])
+    made = np.array([light.strength for light in make.lights])
+    assert np.median(strengths, axis=0) == pytest.approx(made, rel=0.05)
+    spread = np.log(strengths / made).std(axis=0)
+    assert spread == pytest.approx(math.hypot(0.15, 0.1) * np.ones(3), rel=0.2)  # the lamp's and the exposure's
+    turned = np.array([o.lights[0].azimuth_rad for o in specimens]) - make.lights[0].azimuth_rad
+    assert np.degrees(np.angle(np.exp(1j * turned))).std() == pytest.approx(6.0, rel=0.2)
+    wild = [make.varied(generator, 5.0) for _ in range(50)]  # whatever is drawn, no light is behind the gel
+    assert all(light.direction[2] > 0 for o in wild for light in o.lights)
+
+
+def test_a_negative_variation_is_refused():
+    with pytest.raises(ConfigError, match="variation is -1"):
+        lit("right").varied(rng(), -1.0)
+
+
+def test_an_unknown_make_is_refused_with_the_near_name():
+    assert optics("digit") is OPTICS["digit"]
+    with pytest.raises(ConfigError, match=r"'gelslam'.*'gelslim'"):
+        optics("gelslam")
