@@ -113,8 +113,9 @@ def _draw_posterior(axes: Any, posterior: Any, T_true: NDArray[np.float64]) -> N
     )
     true_at = 1e3 * (T_true[:2, :3] @ centroid + T_true[:2, 3])
     axes.plot(*true_at, "x", color="#e03131", ms=11, mew=2.2)
-    axes.set(aspect="equal", xlabel="x of the centroid (mm)", ylabel="y (mm)")
-    axes.invert_yaxis()
+    reach = 1e3 * (T[:, :2, :3] @ centroid + T[:, :2, 3])
+    (left, top), (right, bottom) = reach.min(axis=0), reach.max(axis=0)
+    axes.set(aspect="equal", xlabel="x of the centroid (mm)", ylabel="y (mm)", xlim=(left, right), ylim=(bottom, top))
     axes.set_title("area: probability; cross: truth", size=10)
     axes.figure.colorbar(dots, ax=axes, fraction=0.046, label="yaw (°)")
 
