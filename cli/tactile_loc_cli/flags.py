@@ -58,7 +58,12 @@ Symmetry = Annotated[
     _option("--symmetry", "GROUP", "Rotations onto itself: none, z2, z6*x2, zinf, ...; by default auto finds them."),
 ]
 Sensor = Annotated[
-    str | None, _option("--sensor", "NAME|FILE.toml", "A sensor, or a file that describes one; by default gelslim.")
+    str | None,
+    _option(
+        "--sensor",
+        "NAME|FILE.toml|FOLDER",
+        "A sensor, its description, or its calibration; by default gelslim.",
+    ),
 ]
 Grid = Annotated[str | None, _option("--grid", "NAME", "Which poses are searched; by default face.")]
 Renderer = Annotated[str | None, _option("--renderer", "NAME", "What renders contact shapes; by default heightmap.")]
@@ -138,9 +143,20 @@ def _component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, A
     given.setdefault("name", RunConfig.model_fields[slot].default.name)
     if flag is not None and flag != given["name"]:
         given = {"name": flag}
-    if slot == "sensor" and str(given["name"]).endswith(".toml"):
-        given = {**given, "name": "file", "path": given["name"]}
+    if slot == "sensor" and (kind := _kind_of_sensor(str(given["name"]))):
+        given = {**given, "name": kind, "path": given["name"]}
     return {**given, **overrides}
+
+
+def _kind_of_sensor(name: str) -> str | None:
+    """The component that reads a sensor given by its path; None when it is the name of one."""
+    from tactile_loc.core.registry import registry
+
+    if name in registry().names("sensor"):
+        return None
+    if name.endswith(".toml"):
+        return "file"
+    return "calibrated" if Path(name).is_dir() or "/" in name else None
 
 
 def open_localizer(config: RunConfig, store: Path | None) -> Localizer:

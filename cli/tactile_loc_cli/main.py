@@ -10,6 +10,7 @@ from typer.core import TyperGroup
 
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc_cli.commands.build import build
+from tactile_loc_cli.commands.calibrate import calibrate
 from tactile_loc_cli.commands.evaluate import evaluate
 from tactile_loc_cli.commands.objects import objects
 from tactile_loc_cli.commands.plugins import plugins
@@ -82,7 +83,7 @@ def tactile_loc(
         typer.echo(context.get_help())
 
 
-for command in (run, build, simulate, evaluate, objects, plugins):
+for command in (run, build, simulate, evaluate, calibrate, objects, plugins):
     app.command()(command)
 
 

@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-COMMANDS = ("run", "build", "simulate", "evaluate", "objects", "plugins")
+COMMANDS = ("run", "build", "simulate", "evaluate", "calibrate", "objects", "plugins")
 WIDTH = "100"
 
 INTRODUCTION = """\

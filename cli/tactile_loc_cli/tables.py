@@ -55,7 +55,7 @@ def summary(record: ResultRecord) -> Iterator[str]:
 
 def _sensor(record: ResultRecord) -> str:
     sensor = record.configuration["sensor"]
-    return Path(sensor["options"]["path"]).stem if sensor["name"] == "file" else str(sensor["name"])
+    return Path(path).stem if (path := sensor["options"].get("path")) else str(sensor["name"])
 
 
 def _cells(h: HypothesisRecord) -> list[str]:

@@ -26,6 +26,10 @@ class TouchError(TactileLocError):
     """A touch cannot be used: wrong size, type or unit, no contact, or nothing but contact."""
 
 
+class CalibrationError(TactileLocError):
+    """A sensor cannot be calibrated from these presses, or a calibration cannot be used."""
+
+
 class GridError(TactileLocError):
     """No usable pose grid comes out of the object, the sensor and the options."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -105,7 +105,38 @@ class Localizer:
         `prior` maps poses (N, 4, 4) in metres to log-weights (N,). Raises TactileLocError when nothing fits.
         """
         seconds: dict[str, float] = {}
-        posterior = self.posterior(touch, prior, seconds)
+        return self._explained(touch, self.posterior(touch, prior, seconds), seconds, top)
+
+    def localize_many(self, touches: Sequence[Touch], top: int | None = None) -> list[Localization]:
+        """Localise touches of this sensor, each for itself, as `localize` does; those of one press are matched at once.
+
+        Raises TactileLocError when nothing fits one of them.
+        """
+        for touch in touches:
+            self._require_own(touch)
+        press_m = [self._bank_press(touch.press_depth_m) for touch in touches]
+        found: dict[int, Localization] = {}
+        for pressed_m in sorted(set(press_m)):
+            numbers = [number for number, m in enumerate(press_m) if m == pressed_m]
+            rows, seconds = self._matched([touches[number] for number in numbers], pressed_m)
+            for number, scores in zip(numbers, rows, strict=True):
+                times = dict(seconds)
+                posterior = self._fused(touches[number], scores, None, times)
+                found[number] = self._explained(touches[number], posterior, times, top)
+        return [found[number] for number in range(len(touches))]
+
+    def _matched(self, touches: Sequence[Touch], press_m: float) -> tuple[NDArray[np.float32], dict[str, float]]:
+        """Scores (M, N) of touches against the bank of one press, metres, and seconds a stage for each of them."""
+        matcher = self.matcher(press_m)
+        seconds: dict[str, float] = {}
+        queries = _timed(seconds, "encode", lambda: np.concatenate([self._encode(touch, press_m) for touch in touches]))
+        rows = _timed(seconds, "match", lambda: matcher.scores(queries))
+        return rows, {stage: duration / len(touches) for stage, duration in seconds.items()}
+
+    def _explained(
+        self, touch: Touch, posterior: PosePosterior, seconds: dict[str, float], top: int | None
+    ) -> Localization:
+        """A posterior's modes, refined."""
         radius_m = MODE_RADIUS * self.sampler.options.spacing_mm * 1e-3
         modes = _timed(seconds, "modes", lambda: posterior.modes(radius_m, top or self.config.top))
         refined = _timed(seconds, "refine", lambda: [self.refine(touch, posterior, m.index) for m in modes])
@@ -129,6 +160,12 @@ class Localizer:
         press_m = self._bank_press(touch.press_depth_m)
         query = _timed(seconds, "encode", lambda: self._encode(touch, press_m))
         scores = _timed(seconds, "match", lambda: matcher.scores(query)[0])
+        return self._fused(touch, scores, prior, seconds)
+
+    def _fused(
+        self, touch: Touch, scores: NDArray[np.float32], prior: Prior | None, seconds: dict[str, float]
+    ) -> PosePosterior:
+        """The posterior of a touch's scores (N,) and the prior."""
         temperature = self.config.temperature or self.encoder.temperature
         single = PosePosterior.from_scores(self.model.grid, scores, temperature)
         return _timed(seconds, "fuse", lambda: self.fuser.fuse([single], [touch.T_base_sensor], prior))

@@ -214,7 +214,8 @@ class Touch:
     """One tactile observation.
 
     `contact_shape` as seen by a sensor of `geometry`; `T_base_sensor` (4, 4) where the sensor was, if known;
-    `T_sensor_object` (4, 4) the true pose, known only in simulation or experiments. Lengths in metres.
+    `T_sensor_object` (4, 4) the true pose, known only in simulation or experiments. Lengths in metres. `image`
+    (H, W, 3) uint8 is the photo that the contact shape was estimated from, if it was.
     Raises TouchError when the shape does not fit the sensor, has no contact, or nothing but contact.
     """
 
@@ -223,6 +224,7 @@ class Touch:
     name: str = "touch"
     T_base_sensor: NDArray[np.float64] | None = None
     T_sensor_object: NDArray[np.float64] | None = None
+    image: NDArray[np.uint8] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         depth = self.contact_shape.depth_m

@@ -81,8 +81,8 @@ def _unreadable(path: Path, error: BaseException) -> str:
 
 def _is_image(path: Path) -> str:
     return (
-        f"{path} is an image, which only a sensor calibrated for images can read; "
-        f"give a contact shape as {FORMATS}, with its unit"
+        f"{path} is an image, but not one in colour of 8 bits, which a sensor calibrated for images reads; convert it, "
+        f"or give a contact shape as {FORMATS}, with its unit"
     )
 
 

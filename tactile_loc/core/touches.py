@@ -50,7 +50,7 @@ def read_touch(
     image = read_colour_image(path)
     if image is not None:
         shape = _cut(_ask_sensor(sensor, image, path), path, press_depth_m)
-        return Touch(shape, geometry, path.name)
+        return Touch(shape, geometry, path.name, image=image)
     contents = read_contents(path)
     shape = _shape(contents, path, geometry.max_depth_m, unit, press_depth_m)
     return Touch(shape, geometry, path.name, contents.T_base_sensor, contents.T_sensor_object)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
 NO_CONTACT, UNSEEN, OUTLINE = "#eceff1", "#b0bec5", "#e03131"
+EXPECTED = "#ffffff"  # on a photo
 MOST_TOUCHES = 30
 DPI = 130
 
@@ -33,14 +34,18 @@ def draw_result(
 ) -> Figure:
     """Draw the touch, the contact shapes of the best hypotheses with the touch's outline, and the object on the sensor.
 
-    `scene` renders at the touch's geometry; `errors_m` (K,) are the hypotheses' distances to the truth, metres.
+    A touch that was estimated from an image begins with it, and on it the outline of the most probable pose. `scene`
+    renders at the touch's geometry; `errors_m` (K,) are the hypotheses' distances to the truth, metres.
     """
     columns = 1 if len(localization.hypotheses) < 3 else 2
-    widths = [4.7, 2.5 * columns, 6.3]
+    photo = [] if localization.touch.image is None else [4.7]
+    widths = [*photo, 4.7, 2.5 * columns, 6.3]
     figure = make_figure(sum(widths), 5.9)
     figure.suptitle(title, size=14, weight="bold", x=0.5, y=0.978)
-    panels: Any = figure.subfigures(1, 3, width_ratios=widths)
-    left, middle, right = panels
+    panels: Any = figure.subfigures(1, len(widths), width_ratios=widths)
+    left, middle, right = panels[-3:]
+    if photo:
+        _draw_photo(panels[0], localization, scene)
     _draw_observed(left, localization.touch)
     _draw_candidates(middle, localization, scene, errors_m, columns)
     _draw_scene(right, localization, scene)
@@ -124,6 +129,20 @@ def _draw_observed(panel: SubFigure, touch: Touch) -> None:
     bar.tick_params(labelsize=8)
 
 
+def _draw_photo(panel: SubFigure, localization: Localization, scene: Scene) -> None:
+    """The image, and where the contact of the most probable pose would end in it."""
+    touch = localization.touch
+    axes = panel.add_axes((0.125, 0.19, 0.85, 0.68))
+    axes.imshow(np.asarray(touch.image), extent=_extent_mm(touch.geometry), origin="upper")
+    made = scene.contact_shape(localization.best.refined.T_sensor_object, touch.press_depth_m)
+    draw_outline(axes, dataclasses.replace(touch, contact_shape=made), EXPECTED)
+    axes.tick_params(labelsize=8, length=2.5)
+    axes.set_xlabel("x (mm)", size=9, labelpad=2)
+    axes.set_ylabel("y (mm)", size=9, labelpad=-2)
+    _heading(panel, "image")
+    panel.text(0.55, 0.085, "white: outline that the most probable pose makes", size=9, ha="center", color="#37474f")
+
+
 def _draw_candidates(
     panel: SubFigure, localization: Localization, scene: Scene, errors_m: NDArray[np.float64] | None, columns: int
 ) -> None:
@@ -176,13 +195,13 @@ def _draw_scene(panel: SubFigure, localization: Localization, scene: Scene) -> N
     panel.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, -0.005), ncols=2, frameon=False, fontsize=9)
 
 
-def draw_outline(axes: Axes, touch: Touch) -> None:
+def draw_outline(axes: Axes, touch: Touch, colour: str = OUTLINE) -> None:
     """Draw the border of the touch's contact, as the sensor sees it, in mm."""
     left, right, bottom, top = _extent_mm(touch.geometry)
     height, width = touch.geometry.shape
     x = left + (np.arange(width) + 0.5) / width * (right - left)
     y = top + (np.arange(height) + 0.5) / height * (bottom - top)
-    axes.contour(x, y, touch.contact_shape.contact.astype(float), levels=[0.5], colors=OUTLINE, linewidths=1.1)
+    axes.contour(x, y, touch.contact_shape.contact.astype(float), levels=[0.5], colors=colour, linewidths=1.1)
 
 
 def _extent_mm(geometry: SensorGeometry) -> tuple[float, float, float, float]:

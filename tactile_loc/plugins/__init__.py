@@ -16,6 +16,13 @@ def tactile_loc_components() -> list[ComponentSpec]:
         ComponentSpec("sensor", "digit", f"{_HERE}.sensors.presets:Digit", "DIGIT, nominal"),
         ComponentSpec("sensor", "file", f"{_HERE}.sensors.file:FileSensor", "any sensor described by a TOML file"),
         ComponentSpec(
+            "sensor",
+            "calibrated",
+            f"{_HERE}.sensors.calibrated:CalibratedSensor",
+            "a sensor that was calibrated for images",
+            requires="tactile-loc[learned]",
+        ),
+        ComponentSpec(
             "renderer",
             "heightmap",
             f"{_HERE}.renderers.heightmap:HeightmapRenderer",

@@ -88,6 +88,19 @@ def test_best_pose_is_the_most_probable_refined(pin, touches):
     assert np.array_equal(pin.best_pose(touch).T_sensor_object, expected.T_sensor_object)
 
 
+def test_many_touches_are_located_as_each_alone(pin, touches):
+    lighter = pin.simulate(2, seed=3, press_depth_m=0.0012)
+    mixed = [touches[0], lighter[0], touches[1], lighter[1]]
+    together = pin.localize_many(mixed, top=3)
+    for touch, found in zip(mixed, together, strict=True):
+        alone = pin.localize(touch, top=3)
+        assert found.touch is touch
+        np.testing.assert_allclose(found.posterior.log_p, alone.posterior.log_p, atol=1e-2)
+        np.testing.assert_allclose(found.best.refined.T_sensor_object, alone.best.refined.T_sensor_object, atol=1e-5)
+        assert set(found.seconds) == set(alone.seconds)
+    assert pin.localize_many([]) == []
+
+
 def test_a_touch_at_a_grid_pose_is_matched_to_it(pin):
     for index in (10, pin.model.size // 2, pin.model.size - 5):
         T = pin.model.grid.T_sensor_object[index]

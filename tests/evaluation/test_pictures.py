@@ -5,6 +5,7 @@ import dataclasses
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -57,6 +58,21 @@ def test_without_a_true_pose_none_is_promised(localizer, localization):
     shown = texts(draw_result(unknown, localizer.scene, "pin"))
     assert "true pose" not in shown
     assert not any("off" in text for text in shown)
+
+
+def test_a_photo_is_shown_with_the_outline_that_the_best_pose_makes(localizer, localization):
+    photo = np.full((*localization.touch.geometry.shape, 3), (10, 90, 160), np.uint8)
+    seen = dataclasses.replace(localization, touch=dataclasses.replace(localization.touch, image=photo))
+    figure = draw_result(seen, localizer.scene, "pin")
+    assert {"image", "observed contact shape"} <= set(texts(figure))
+    axes = next(a for a in figure.findobj(Axes) if a.images and a.images[0].get_array().shape == photo.shape)
+    contours = [c for c in axes.collections if len(c.get_paths())]
+    made = localizer.scene.contact_shape(seen.best.refined.T_sensor_object, seen.touch.press_depth_m)
+    x_mm = np.concatenate([path.vertices for c in contours for path in c.get_paths()])[:, 0]
+    columns = np.flatnonzero(made.contact.any(axis=0)) + 0.5
+    geometry = seen.touch.geometry
+    wanted_mm = 1e3 * (columns[[0, -1]] - geometry.cx) / geometry.scale_at_surface[0]
+    np.testing.assert_allclose([x_mm.min(), x_mm.max()], wanted_mm, atol=1.5e3 * geometry.pixel_pitch_m)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from press_sets import write_calibrated
 
 from tactile_loc.core.errors import RenderError
 from tactile_loc.core.interfaces import Component, Encoder, Renderer
@@ -19,7 +21,9 @@ from tactile_loc.testing.problems import CAMERAS, training_problem
 from tactile_loc.testing.shapes import ReferenceRenderer
 
 ROOT = Path(__file__).parents[2]
+FOLDER = TemporaryDirectory()
 OPTIONS = {
+    ("sensor", "calibrated"): {"path": str(write_calibrated(Path(FOLDER.name)))},
     ("sensor", "file"): {"path": str(ROOT / "examples" / "my_sensor.toml")},
     ("encoder", "moco"): {"epochs": 2, "queries": 64, "batch": 32, "channels": 4, "noise": "none"},
 }

@@ -22,7 +22,12 @@ DRAWN = 8  # touches are simulated, and the one with the most contact is shown
 
 Touch = Annotated[
     str | None,
-    typer.Option("--touch", metavar="FILE", help="The touch (npz, npy, 16-bit png); without it one is simulated."),
+    typer.Option(
+        "--touch",
+        metavar="FILE|FOLDER",
+        help="The touch: a contact shape (npz, npy, 16-bit png), an image; a folder or '*.png' for many; by default "
+        "simulated.",
+    ),
 ]
 TouchUnit = Annotated[
     flags.TouchUnit | None,
@@ -30,6 +35,11 @@ TouchUnit = Annotated[
 ]
 Top = Annotated[int | None, typer.Option("--top", metavar="N", help="How many poses to list; by default 10.")]
 Out = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where result.json and result.png go.")]
+
+
+Pictures = Annotated[
+    bool, typer.Option("--pictures", help="With a folder of touches: draw result.png for each of them, too.")
+]
 
 
 def run(
@@ -52,9 +62,10 @@ def run(
     top: Top = None,
     seed: flags.Seed = None,
     out: Out = DEFAULT_OUT,
+    pictures: Pictures = False,
     store: flags.Store = None,
 ) -> None:
-    """Locate an object from one touch.
+    """Locate an object from one touch, or from each of a folder's touches.
 
     Without any options: a demo object and a simulated touch (of eight, the one with the most contact). The object's
     model is built the first time and kept.
@@ -66,6 +77,11 @@ def run(
     _require_one_source(settings, noise)
     require_writable(out)
     localizer = flags.open_localizer(settings, store)
+    from tactile_loc_cli.commands.run_folder import is_many, run_folder
+
+    if settings.touch.path is not None and is_many(Path(settings.touch.path)):
+        run_folder(localizer, Path(settings.touch.path), flags.press_depth_m(settings), out, pictures)
+        return
     seconds: dict[str, float] = {}
     observed = _touch(localizer)
     start = time.perf_counter()

@@ -3,61 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
-from tactile_loc.core.config import read_toml
-from tactile_loc.core.errors import ConfigError, SensorError, did_you_mean
 from tactile_loc.core.interfaces import ComponentOptions
 from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensor_files import read_sensor_file
 from tactile_loc.plugins.sensors.depth import DepthSensor
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-PositiveInt = Annotated[int, Field(gt=0)]
-
-
-class _SensorFile(BaseModel):
-    """The keys that every sensor has. A field's description completes "key must be ..."."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
-
-    camera: Literal["pinhole", "orthographic"] = Field(description="'pinhole' or 'orthographic'")
-    image_size_px: list[PositiveInt] = Field(
-        min_length=2, max_length=2, description="[width, height], positive whole numbers (pixels)"
-    )
-    max_depth_mm: Positive = Field(description="a positive number (mm)")
-    cx: Finite | None = Field(None, description="a number (pixels), by default the image's centre")
-    cy: Finite | None = Field(None, description="a number (pixels), by default the image's centre")
-    sensing_rectangle_mm: list[Finite] | None = Field(
-        None, min_length=4, max_length=4, description="[x_min, x_max, y_min, y_max], four numbers (mm)"
-    )
-    mask: str | None = Field(None, description="the path of a PNG, relative to the sensor file, in quotes")
-
-
-class _Pinhole(_SensorFile):
-    fx: Positive = Field(description="a positive number (pixels)")
-    fy: Positive = Field(description="a positive number (pixels)")
-    standoff_mm: Positive = Field(description="a positive number (mm)")
-
-    @property
-    def focal(self) -> tuple[float, float]:
-        return self.fx, self.fy
-
-
-class _Orthographic(_SensorFile):
-    mm_per_px: Positive | Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
-        description="a positive number, or [x, y] (mm)"
-    )
-    standoff_mm: Positive = Field(10.0, description="a positive number (mm), by default 10")
-
-    @property
-    def focal(self) -> tuple[float, float]:
-        x, y = self.mm_per_px if isinstance(self.mm_per_px, list) else (self.mm_per_px, self.mm_per_px)
-        return 1e3 / x, 1e3 / y
 
 
 class FileSensor(DepthSensor):
@@ -74,67 +27,3 @@ class FileSensor(DepthSensor):
 
     def _make_geometry(self) -> SensorGeometry:
         return read_sensor_file(Path(self.options.path).expanduser())
-
-
-def read_sensor_file(path: Path) -> SensorGeometry:
-    """Read a sensor file (TOML, mm and pixels) into a geometry in metres and pixels.
-
-    Raises SensorError when the file or its mask cannot be read, a key is missing, unknown or ill-typed, or the numbers
-    contradict one another.
-    """
-    try:
-        values = read_toml(path)
-    except ConfigError as error:
-        raise SensorError(str(error)) from error
-    model = _Orthographic if values.get("camera") == "orthographic" else _Pinhole
-    try:
-        description = model(**values)
-    except ValidationError as error:
-        raise SensorError(f"{path}: {_explain(error, model, values)}") from error
-    mask = None if description.mask is None else _read_mask(path.parent / description.mask, path)
-    try:
-        return _geometry(description, mask)
-    except SensorError as error:
-        raise SensorError(f"{path}: {error}") from error
-
-
-def _geometry(description: _Pinhole | _Orthographic, mask: NDArray[np.bool_] | None) -> SensorGeometry:
-    width, height = description.image_size_px
-    fx, fy = description.focal
-    rectangle = description.sensing_rectangle_mm
-    x0, x1, y0, y1 = (v * 1e-3 for v in rectangle or (0.0,) * 4)
-    return SensorGeometry(
-        description.camera, width, height, fx, fy,
-        cx=width / 2 if description.cx is None else description.cx,
-        cy=height / 2 if description.cy is None else description.cy,
-        standoff_m=description.standoff_mm * 1e-3,
-        max_depth_m=description.max_depth_mm * 1e-3,
-        rectangle_m=None if rectangle is None else (x0, x1, y0, y1),
-        observed=mask,
-    )  # fmt: skip
-
-
-def _explain(error: ValidationError, model: type[_SensorFile], values: dict[str, Any]) -> str:
-    """Say in one sentence which key is wrong and what is allowed."""
-    fields = model.model_fields
-    problems = sorted(error.errors(), key=lambda p: (p["loc"][0] != "camera", p["type"] != "extra_forbidden"))
-    key = str(problems[0]["loc"][0])
-    if key in fields:
-        must_be = f"it must be {fields[key].description}"
-        return f"{key} = {values[key]!r} is wrong; {must_be}" if key in values else f"{key} is missing; {must_be}"
-    kind = f"an {values['camera']}" if model is _Orthographic else "a pinhole"
-    return f"{kind} sensor has no key {key!r}.{did_you_mean(key, fields)} Its keys: {', '.join(fields)}"
-
-
-def _read_mask(path: Path, sensor_file: Path) -> NDArray[np.bool_]:
-    """Read the mask (H, W) of observed pixels from a PNG: white (at least half) is observed."""
-    from PIL import Image
-
-    try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert("L")) >= 128
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise SensorError(
-            f"{sensor_file}: the mask {path} cannot be read as an image ({error}); mask must be the path of a PNG, "
-            "white where the sensor observes, relative to the sensor file"
-        ) from error

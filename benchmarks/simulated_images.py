@@ -1,0 +1,113 @@
+#!/usr/bin/env python3
+"""Depth from simulated images of the demo objects, by an estimator that has only seen simulated calibration boards.
+
+The sensor is calibrated as `tactile-loc calibrate --simulated` does it, or found in the store. Then it reads touches of
+objects that it has never seen, at random poses, pressed as deep as the sensor goes, under the nominal lamps. Errors of
+the indentation are RMS over the whole image and over what is in contact; IoU is the overlap of the contact's mask with
+the true one. Times are medians on this machine. Prints a Markdown table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import time
+from pathlib import Path
+
+import numpy as np
+
+from tactile_loc.calibration.estimator import GelEstimator
+from tactile_loc.calibration.reading import contact_shape, press_depth_m
+from tactile_loc.calibration.simulated import calibrate_simulated, simulated_sensor
+from tactile_loc.core.config import parse_overrides
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.sensing import Touch
+from tactile_loc.core.store import StageStore
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.imaging.gel import contact_indentation, gel_surface
+from tactile_loc.imaging.optics import Optics
+from tactile_loc.imaging.simulate import touch_images
+
+BATCH = 10
+COLUMNS = ("object", "RMSE, image (mm)", "RMSE, contact (mm)", "IoU", "least IoU", "press error (mm)", "ms an image")
+
+
+def measure(estimator: GelEstimator, noise_m: float, touches: list[Touch], lamps: Optics) -> np.ndarray:
+    """Return a row of numbers for each touch, (N, 6), in the order of COLUMNS: mm, shares and ms."""
+    rows, rng = [], np.random.default_rng(0)
+    for start in range(0, len(touches), BATCH):
+        some = touches[start : start + BATCH]
+        depth_m, press_m = np.stack([t.contact_shape.depth_m for t in some]), [t.press_depth_m for t in some]
+        images = touch_images(depth_m, press_m, estimator.geometry, lamps, rng)
+        known = (
+            gel_surface(depth_m, press_m, estimator.geometry)
+            if estimator.sees_skirt
+            else contact_indentation(depth_m, press_m)
+        )
+        rows += [
+            errors(estimator, noise_m, t, image, truth) for t, image, truth in zip(some, images, known, strict=True)
+        ]
+    return np.array(rows)
+
+
+def errors(
+    estimator: GelEstimator, noise_m: float, touch: Touch, image: np.ndarray, known_m: np.ndarray
+) -> tuple[float, ...]:
+    """Measure one touch; the IoU is 0 when no contact is found in it."""
+    observed = estimator.geometry.observed_mask
+    start = time.perf_counter()
+    found_m = estimator.indentation(image)
+    took_ms = 1e3 * (time.perf_counter() - start)
+    off_mm = 1e3 * (found_m - known_m)
+    try:
+        shape = contact_shape(found_m, estimator.geometry, noise_m, estimator.sees_skirt)
+    except TouchError:
+        iou = 0.0
+    else:
+        true = touch.contact_shape.pressed_to(shape.press_depth_m) if estimator.sees_skirt else touch.contact_shape
+        iou = shape.overlap(true, observed)
+    press_mm = 1e3 * abs(press_depth_m(found_m, estimator.geometry) - touch.press_depth_m)
+    inside = off_mm[touch.contact_shape.contact & observed]
+    return (*(float(np.sqrt(np.mean(np.square(part)))) for part in (off_mm[observed], inside)), iou, press_mm, took_ms)
+
+
+def row(name: str, values: np.ndarray) -> str:
+    """Return a line of the table: means over touches, the least IoU, the median time."""
+    image, contact, iou, press, _ = values.mean(axis=0)
+    numbers = (f"{v:.3f}" for v in (image, contact, iou, values[:, 2].min(), press))
+    return f"| {name} | {' | '.join(numbers)} | {np.median(values[:, 4]):.0f} |"
+
+
+def main() -> None:
+    """Calibrate, measure and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sensor", default="gelslim")
+    parser.add_argument("--estimator", default="cnn")
+    parser.add_argument("--presses", type=int, help="on the boards; default: the estimator's own")
+    parser.add_argument("-o", "--option", action="append", default=[], metavar="OPTION=VALUE")
+    parser.add_argument("--touches", type=int, default=30)
+    parser.add_argument("--seed", type=int, default=7, help="of the touches")
+    parser.add_argument("--store", type=Path)
+    arguments = parser.parse_args()
+    logging.basicConfig(level=logging.WARNING)
+    logging.getLogger("tactile_loc.calibration").setLevel(logging.INFO)
+    geometry, lamps = simulated_sensor(arguments.sensor)
+    options = parse_overrides([f"sensor.{word}" for word in arguments.option]).get("sensor", {})
+    start = time.perf_counter()
+    presses, estimator, record = calibrate_simulated(
+        geometry, lamps, arguments.presses, arguments.estimator, options, 0, StageStore(arguments.store)
+    )
+    held_out = ", ".join(f"{k} {v:.3g}" for k, v in record["held_out"]["mean"].items())
+    print(f"{arguments.estimator}, {len(presses)} presses, {time.perf_counter() - start:.0f} s; held out: {held_out}\n")
+    print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
+    measured = []
+    for name in DEMO_OBJECTS:
+        touches = Localizer.create(name, sensor=arguments.sensor).simulate(arguments.touches, seed=arguments.seed)
+        measured.append(measure(estimator, record["noise_m"], touches, lamps))
+        print(row(name, measured[-1]), flush=True)
+    print(row("all", np.concatenate(measured)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,225 @@
+"""`tactile-loc calibrate`: from presses of known shape to a sensor that reads images."""
+
+from __future__ import annotations
+
+import tempfile
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tactile_loc_cli import flags
+from tactile_loc_cli.console import progress, say
+
+if TYPE_CHECKING:
+    from tactile_loc.calibration.estimator import GelEstimator, LabelledPresses
+    from tactile_loc.core.sensing import SensorGeometry
+
+DEFAULT_OUT = Path("my_sensor")
+DEFAULT_SENSOR = "gelslim"
+
+
+class Estimator(StrEnum):
+    """What turns an image into an indentation."""
+
+    PHOTOMETRIC = "photometric"
+    CNN = "cnn"
+
+
+class Format(StrEnum):
+    """Public calibration sets."""
+
+    GS_SDK = "gs_sdk"
+    TAXIM = "taxim"
+    FOTS = "fots"
+    CIRCLES = "circles"
+
+
+class Background(StrEnum):
+    """Where the untouched gel's image comes from."""
+
+    TABLE = "table"
+    MEDIAN = "median"
+
+
+def calibrate(
+    folder: Annotated[
+        Path | None,
+        typer.Argument(metavar="FOLDER", help="Images of presses, and presses.csv with what was pressed."),
+    ] = None,
+    sensor: Annotated[
+        str | None,
+        typer.Option(
+            "--sensor",
+            metavar="FILE.toml|NAME",
+            help="The sensor's geometry; by default FOLDER/sensor.toml. With --simulated also a name, by default "
+            "gelslim.",
+        ),
+    ] = None,
+    estimator: Annotated[
+        Estimator, typer.Option("--estimator", help="What learns: slope from colour, or a network on the whole image.")
+    ] = Estimator.PHOTOMETRIC,
+    background: Annotated[
+        Background,
+        typer.Option("--background", help="The untouched gel: the table's, or the median of all presses."),
+    ] = Background.TABLE,
+    format: Annotated[
+        Format | None, typer.Option("--format", help="FOLDER is a public set of this format, not a table.")
+    ] = None,
+    ball_radius: Annotated[
+        float | None, typer.Option("--ball-radius", metavar="MM", help="With --format: the ball's radius, in mm.")
+    ] = None,
+    mm_per_px: Annotated[
+        float | None, typer.Option("--mm-per-px", metavar="MM", help="With --format: the size of a pixel, in mm.")
+    ] = None,
+    simulated: Annotated[
+        bool, typer.Option("--simulated", help="No FOLDER: press two calibration boards in simulation.")
+    ] = False,
+    optics: Annotated[
+        str | None,
+        typer.Option(
+            "--optics", metavar="NAME", help="With --simulated: whose lamps, gelslim, gelsight-mini or digit."
+        ),
+    ] = None,
+    presses: Annotated[
+        int | None,
+        typer.Option(
+            "--presses",
+            min=5,
+            max=100_000,
+            metavar="N",
+            help="With --simulated: how many presses; by default 200, or 2000 for cnn.",
+        ),
+    ] = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option("-o", "--option", metavar="OPTION=VALUE", help="The estimator's option, as steps=4000."),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Seed of what is held out.")] = 0,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Where the calibrated sensor goes.")
+    ] = DEFAULT_OUT,
+    store: flags.Store = None,
+) -> None:
+    """Calibrate a sensor for images.
+
+    Presses of a ball, or of any mesh at a known pose, teach it what the gel looks like; or simulated ones, for
+    simulated images. A fifth of them is held out, and the errors on these are reported. Use the result with:
+    run --sensor FOLDER --touch photo.png
+    """
+    from tactile_loc.calibration.folder import require_replaceable
+    from tactile_loc.evaluation.files import require_writable
+
+    require_writable(out)
+    require_replaceable(out.absolute())
+    options = _options(option or [])
+    _require_one_source(folder, format, background, simulated, optics, presses)
+    if folder is None:
+        _calibrate_simulated(sensor, optics, presses, estimator, options, seed, out, store)
+        return
+    with tempfile.TemporaryDirectory() as temporary:
+        if format is not None:
+            folder = _convert(folder, Path(temporary), format, ball_radius, mm_per_px)
+        file = folder / "sensor.toml" if sensor is None else Path(sensor)
+        _calibrate(folder, file, estimator, background, options, seed, out, store)
+
+
+def _require_one_source(
+    folder: Path | None, format: Format | None, background: Background, simulated: bool, optics: str | None,
+    presses: int | None,
+) -> None:  # fmt: skip
+    from tactile_loc.core.errors import ConfigError
+
+    if simulated and (folder is not None or format is not None or background is not Background.TABLE):
+        raise ConfigError("--simulated makes its presses itself: leave out FOLDER, --format and --background")
+    if not simulated and folder is None:
+        raise ConfigError("there is nothing to learn from; give FOLDER, with images of presses, or --simulated")
+    if not simulated and (optics is not None or presses is not None):
+        raise ConfigError("--optics and --presses go with --simulated; the images of FOLDER are what they are")
+
+
+def _convert(source: Path, folder: Path, format: Format, ball_radius: float | None, mm_per_px: float | None) -> Path:
+    from tactile_loc.calibration.converters import convert, write_sensor
+    from tactile_loc.core.errors import ConfigError
+
+    if not (ball_radius and ball_radius > 0 and mm_per_px and mm_per_px > 0):
+        raise ConfigError(f"--format {format} needs --ball-radius and --mm-per-px, positive numbers in mm")
+    convert(source, folder, format, ball_radius, mm_per_px)
+    write_sensor(folder, mm_per_px)
+    return folder
+
+
+def _options(words: list[str]) -> dict[str, Any]:
+    from tactile_loc.core.config import parse_overrides
+    from tactile_loc.core.errors import ConfigError
+
+    for word in words:
+        if not word.partition("=")[1]:
+            raise ConfigError(f"cannot read the option {word!r}; write it as OPTION=VALUE, as steps=4000")
+    # the words of one component, read by the rules of all
+    return parse_overrides([f"sensor.{word}" for word in words]).get("sensor", {})
+
+
+def _calibrate(
+    folder: Path, sensor: Path, estimator: Estimator, background: Background, options: dict[str, Any], seed: int,
+    out: Path, store: Path | None,
+) -> None:  # fmt: skip
+    from tactile_loc.calibration.presses import read_presses
+    from tactile_loc.calibration.stage import calibrate_stage
+    from tactile_loc.core.errors import CalibrationError
+    from tactile_loc.core.store import StageStore
+
+    if not folder.is_dir():
+        raise CalibrationError(f"there is no folder {folder}; give one with images of presses and presses.csv")
+    presses = read_presses(folder, _geometry(sensor), background is Background.MEDIAN)
+    made, record = calibrate_stage(presses, folder, estimator, options, seed, StageStore(store), progress())
+    _finish(presses, made, record, out)
+
+
+def _calibrate_simulated(
+    sensor: str | None, optics: str | None, count: int | None, estimator: Estimator, options: dict[str, Any],
+    seed: int, out: Path, store: Path | None,
+) -> None:  # fmt: skip
+    from tactile_loc.calibration.simulated import calibrate_simulated, simulated_sensor
+    from tactile_loc.core.store import StageStore
+
+    geometry, lamps = simulated_sensor(sensor or DEFAULT_SENSOR, optics)
+    where = StageStore(store)
+    presses, made, record = calibrate_simulated(geometry, lamps, count, estimator, options, seed, where, progress())
+    _finish(presses, made, record, out)
+
+
+def _finish(presses: LabelledPresses, made: GelEstimator, record: dict[str, Any], out: Path) -> None:
+    from tactile_loc.calibration.folder import PICTURE, write_calibration
+    from tactile_loc.calibration.pictures import draw_held_out
+    from tactile_loc.evaluation.pictures import save_figure
+
+    write_calibration(out.absolute(), made.geometry, made.background, made, {"presses": len(presses), **record})
+    held_out = record["held_out"]
+    title = f"{len(held_out['presses'])} of {len(presses)} presses were held out"
+    picture = save_figure(out / PICTURE, draw_held_out(made, presses, held_out["presses"], title))
+    say(f"{title}; mean errors on these:")
+    for line in _lines(held_out["mean"]):
+        say(line)
+    say(f"written: {out} (look at {picture})")
+    say(f"use it with: tactile-loc run --sensor {out} --touch IMAGE")
+
+
+def _geometry(path: Path) -> SensorGeometry:
+    from tactile_loc.core.errors import SensorError
+    from tactile_loc.core.sensor_files import read_sensor_file
+
+    if not path.is_file():
+        raise SensorError(f"there is no {path}; describe the sensor in it (docs/conventions.md), or give --sensor")
+    return read_sensor_file(path)
+
+
+def _lines(mean: dict[str, float]) -> list[str]:
+    said = {
+        "slope_deg": lambda v: f"surface angle in the contact: {v:.2f}°",
+        "shape_m": lambda v: f"indentation in the contact, but for a constant: {1e3 * v:.3f} mm",
+        "depth_m": lambda v: f"indentation in the contact: {1e3 * v:.3f} mm",
+        "untouched_m": lambda v: f"indentation where the gel is untouched: {1e3 * v:.3f} mm",
+    }
+    return [f"  {write(mean[name])}" for name, write in said.items() if name in mean]

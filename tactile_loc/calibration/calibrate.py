@@ -1,0 +1,117 @@
+"""Calibrates a sensor: learn from most presses, measure on those held out, keep both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.calibration.estimator import (
+    CalibrationProblem,
+    Chosen,
+    GelEstimator,
+    LabelledPresses,
+    estimator_class,
+    estimator_options,
+)
+from tactile_loc.calibration.labels import PressLabel
+from tactile_loc.core.errors import CalibrationError
+from tactile_loc.core.interfaces import Checkpoints
+from tactile_loc.core.progress import Progress
+from tactile_loc.core.sensing import SensorGeometry
+
+Image = NDArray[np.uint8]
+
+HELD_OUT = 0.2  # of the presses
+FEWEST = 5  # presses, of which one is held out
+
+
+@dataclass(frozen=True)
+class PressErrors:
+    """What an estimator makes of one press. Lengths in metres; NaN what cannot be said.
+
+    `slope_deg` is the mean absolute error of the surface's angles along x and along y, in degrees, in the contact (NaN
+    for an estimator without slopes); `shape_m` the RMS error of the indentation in the contact when all of it is moved
+    by the mean error, `depth_m` when it is not (NaN where the label is not absolute), `untouched_m` the RMS indentation
+    where the gel is untouched.
+    """
+
+    slope_deg: float
+    shape_m: float
+    depth_m: float
+    untouched_m: float
+
+
+def mean_errors(errors: Sequence[PressErrors]) -> dict[str, float]:
+    """Return the mean of each error over the presses of which it can be said; none is left out silently otherwise."""
+    found = {name: [getattr(e, name) for e in errors] for name in (f.name for f in fields(PressErrors))}
+    said = {name: [v for v in values if np.isfinite(v)] for name, values in found.items()}
+    return {name: float(np.mean(values)) for name, values in said.items() if values}
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """An estimator, the numbers of the presses that it did not learn from, and its errors on them."""
+
+    estimator: GelEstimator
+    held_out: tuple[int, ...]
+    errors: tuple[PressErrors, ...]
+
+    def record(self) -> dict[str, Any]:
+        """Return the errors as JSON values, and the noise of the untouched gel, metres."""
+        mean = mean_errors(self.errors)
+        return {"noise_m": mean.get("untouched_m", 0.0), "held_out": {"presses": list(self.held_out), "mean": mean}}
+
+
+def calibrate(
+    presses: LabelledPresses, geometry: SensorGeometry, background: Image, estimator: str,
+    options: dict[str, Any] | None = None, seed: int = 0, progress: Progress | None = None,
+    checkpoints: Checkpoints | None = None,
+) -> Calibrated:  # fmt: skip
+    """Train the estimator of this name on four fifths of the presses, drawn by `seed`, and measure it on the rest.
+
+    `background` (H, W, 3) is the image of the untouched gel. Raises CalibrationError when there are too few presses.
+    """
+    if len(presses) < FEWEST:
+        raise CalibrationError(f"there are {len(presses)} presses; a calibration needs {FEWEST} at least, better 30")
+    kind = estimator_class(estimator)
+    made = kind(geometry, background, estimator_options(kind, options or {}))
+    learned, held_out = split(len(presses), seed)
+    problem = CalibrationProblem(
+        geometry, background, Chosen(presses, learned), progress or Progress(), checkpoints or Checkpoints()
+    )
+    made.fit(problem)
+    errors = tuple(press_errors(made, *presses.press(number)) for number in held_out)
+    return Calibrated(made, held_out, errors)
+
+
+def split(count: int, seed: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return which of `count` presses are learned from and which are held out, by number, in order."""
+    drawn = np.random.default_rng(seed).permutation(count)
+    few = max(1, round(HELD_OUT * count))
+    return tuple(sorted(drawn[few:].tolist())), tuple(sorted(drawn[:few].tolist()))
+
+
+def press_errors(estimator: GelEstimator, image: Image, label: PressLabel) -> PressErrors:
+    """Measure an estimator on one press."""
+    off = estimator.indentation(image) - label.indentation_m
+    inside = off[label.contact]
+    shape_m = _rms(inside - inside.mean()) if inside.size else np.nan
+    depth_m = _rms(inside) if label.absolute else np.nan
+    untouched_m = _rms(off[label.known & ~label.contact])
+    return PressErrors(_slope_error_deg(estimator, image, label), shape_m, depth_m, untouched_m)
+
+
+def _slope_error_deg(estimator: GelEstimator, image: Image, label: PressLabel) -> float:
+    slopes = getattr(estimator, "slopes", None)
+    inside = label.contact & label.known
+    if slopes is None or not inside.any():
+        return np.nan
+    return float(np.degrees(np.abs(np.arctan(slopes(image)[inside]) - np.arctan(label.slope[inside]))).mean())
+
+
+def _rms(values: NDArray[np.floating]) -> float:
+    return float(np.sqrt(np.mean(np.square(values, dtype=np.float64)))) if values.size else np.nan

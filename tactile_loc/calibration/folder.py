@@ -1,0 +1,124 @@
+"""A calibrated sensor as a folder: geometry, untouched gel, what was learned, and how well that held."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import uuid
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.calibration.estimator import GelEstimator, estimator_class, estimator_options
+from tactile_loc.core.errors import CalibrationError, OutputError, SensorError, TouchError
+from tactile_loc.core.hashing import hash_file
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensor_files import read_sensor_file, write_sensor_file
+from tactile_loc.core.touch_files import read_colour_image
+
+Image = NDArray[np.uint8]
+
+SCHEMA_VERSION = 1
+SENSOR, BACKGROUND, RECORD, WEIGHTS = "sensor.toml", "background.png", "calibration.json", "estimator.safetensors"
+PICTURE = "held-out.png"
+OURS = {SENSOR, "sensor_mask.png", BACKGROUND, RECORD, WEIGHTS, PICTURE}
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A calibrated sensor: `record` is what calibration.json says; `folder` holds the weights."""
+
+    geometry: SensorGeometry
+    background: Image
+    record: dict[str, Any]
+    folder: Path
+
+    @property
+    def noise_m(self) -> float:
+        """How deep the untouched gel seems to be pressed, metres, by error: standard deviation."""
+        return float(self.record["noise_m"])
+
+    @cached_property
+    def estimator(self) -> GelEstimator:
+        """The estimator with what it learned. Raises WeightsError, MissingLibraryError."""
+        kind = estimator_class(self.record["estimator"])
+        estimator = kind(self.geometry, self.background, estimator_options(kind, self.record["options"]))
+        estimator.load(self.folder / WEIGHTS)
+        return estimator
+
+    def describe(self) -> dict[str, Any]:
+        """Return what identifies the calibration, as JSON values."""
+        files = {name: hash_file(self.folder / name) for name in (BACKGROUND, WEIGHTS)}
+        return {"geometry": self.geometry.describe(), "estimator": self.record["estimator"], **files}
+
+
+def read_calibration(folder: Path) -> Calibration:
+    """Read a calibrated sensor. Raises CalibrationError when something is missing, damaged, or of another sensor."""
+    if not folder.is_dir():
+        raise CalibrationError(f"there is no folder {folder}; make it with tactile-loc calibrate")
+    for name in (SENSOR, BACKGROUND, RECORD, WEIGHTS):
+        if not (folder / name).is_file():
+            raise CalibrationError(f"{folder} is no calibrated sensor: {name} is missing; calibrate it again")
+    try:
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        geometry = read_sensor_file(folder / SENSOR)
+        background = read_colour_image(folder / BACKGROUND)
+    except (OSError, ValueError, SensorError, TouchError) as error:
+        raise CalibrationError(
+            f"{folder} cannot be read as a calibrated sensor ({error}); calibrate it again"
+        ) from error
+    if not isinstance(record, dict) or record.get("schema_version") != SCHEMA_VERSION:
+        raise CalibrationError(f"{folder / RECORD} is of another version of tactile-loc; calibrate the sensor again")
+    _require_record(record, folder / RECORD)
+    if background is None or background.shape[:2] != geometry.shape:
+        raise CalibrationError(
+            f"{folder}: {BACKGROUND} does not have the size that {SENSOR} says; they belong to two sensors"
+        )
+    return Calibration(geometry, background, record, folder)
+
+
+def _require_record(record: dict[str, Any], path: Path) -> None:
+    """Refuse a record that does not say what reading an image takes."""
+    wanted: dict[str, Any] = {"estimator": str, "options": dict, "noise_m": (int, float)}
+    for key, kind in wanted.items():
+        if not isinstance(record.get(key), kind):
+            raise CalibrationError(f"{path} is damaged: {key} is missing or ill-typed; calibrate the sensor again")
+
+
+def require_replaceable(folder: Path) -> None:
+    """Check that a calibrated sensor may be written to `folder`. Raises OutputError when it holds something else."""
+    if folder.exists() and not (folder.is_dir() and {path.name for path in folder.iterdir()} <= OURS):
+        raise OutputError(f"{folder} holds something else than a calibrated sensor; choose another --out")
+
+
+def write_calibration(
+    folder: Path, geometry: SensorGeometry, background: Image, estimator: GelEstimator, record: dict[str, Any]
+) -> Path:
+    """Write a calibrated sensor as a folder, whole or not at all; one that is there already is replaced.
+
+    Raises OutputError when the folder holds something else or the disk refuses.
+    """
+    from PIL import Image as Picture
+
+    require_replaceable(folder)
+    temporary = folder.with_name(f".tmp-{uuid.uuid4().hex}-{folder.name}")
+    options = estimator.options.model_dump(mode="json")
+    whole = {"schema_version": SCHEMA_VERSION, "estimator": estimator.name, "options": options, **record}
+    try:
+        temporary.mkdir(parents=True)
+        write_sensor_file(temporary / SENSOR, geometry)
+        Picture.fromarray(background).save(temporary / BACKGROUND)
+        estimator.save(temporary / WEIGHTS)
+        (temporary / RECORD).write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
+        if folder.exists():
+            shutil.rmtree(folder)
+        temporary.rename(folder)
+    except OSError as error:
+        raise OutputError(f"{folder} cannot be written ({error.strerror or error}); choose another --out") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return folder

@@ -1,0 +1,106 @@
+"""What the gel's surface is under a press of known shape: indentation and slope at each pixel.
+
+Indentation is how far the surface lies below the untouched gel, metres. Slope is its derivative along x and y of the
+sensor frame, unitless. Labels are approximate for a pinhole camera: they are laid on the untouched surface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import CalibrationError
+from tactile_loc.core.scene import Scene
+from tactile_loc.core.sensing import SensorGeometry
+
+Float32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+SKIRT = 2.5  # contact radii: from there on the gel is untouched
+STEEPEST = 0.98  # of the ball's radius: beyond, its surface stands upright
+SKIRT_M = 3e-3  # from a mesh's contact
+
+
+@dataclass(frozen=True, eq=False)
+class PressLabel:
+    """One press: `indentation_m` (H, W) float32 and `slope` (H, W, 2) float32, `contact` (H, W) bool.
+
+    `known` (H, W) marks the pixels at which this holds: between the contact and the untouched gel, the gel hangs down
+    nobody knows how. Nor is it known how deep a ball's visible circle lies: then `absolute` is False, and all of the
+    contact is deeper than the label says, by the same.
+    """
+
+    indentation_m: Float32
+    slope: Float32
+    contact: Mask
+    known: Mask
+    absolute: bool = True
+
+
+def ball_label(
+    geometry: SensorGeometry, centre_px: tuple[float, float], radius_px: float, ball_radius_m: float
+) -> PressLabel:
+    """Return the label of a ball whose visible circle has its centre (x, y) and radius in pixels of the image.
+
+    With rho the distance from the centre on the surface, r the circle's radius and R the ball's, the indentation is
+    sqrt(R^2 - rho^2) - sqrt(R^2 - r^2) inside and 0 outside. Raises CalibrationError when the circle is larger than the
+    ball or its centre is outside the image.
+    """
+    height, width = geometry.shape
+    if not (0 <= centre_px[0] <= width and 0 <= centre_px[1] <= height):
+        raise CalibrationError(
+            f"the circle's centre ({centre_px[0]:g}, {centre_px[1]:g}) px is outside the image of {width} x {height} px"
+        )
+    r, R = radius_px * geometry.pixel_pitch_m, ball_radius_m
+    if not (r > 0 and R > 0):
+        raise CalibrationError(
+            f"the circle's radius is {radius_px:g} px and the ball's {1e3 * R:.3g} mm; both must be positive"
+        )
+    if not r <= STEEPEST * R:
+        raise CalibrationError(
+            f"the circle's radius of {radius_px:g} px is {1e3 * r:.3g} mm, but the ball's is {1e3 * R:.3g} mm: a "
+            f"contact is at most {STEEPEST:g} of the ball; check the radius, the ball, and the sensor's scale"
+        )
+    sx, sy = geometry.scale_at_surface
+    x = ((np.arange(width) + 0.5 - centre_px[0]) / sx)[None, :]
+    y = ((np.arange(height) + 0.5 - centre_px[1]) / sy)[:, None]
+    rho2 = x**2 + y**2
+    contact = rho2 < r**2
+    below = np.sqrt(np.maximum(R**2 - rho2, (R * (1 - STEEPEST)) ** 2))
+    indentation = np.where(contact, below - np.sqrt(R**2 - r**2), 0.0).astype(np.float32)
+    slope = np.stack([-x / below, -y / below], axis=-1) * contact[..., None]
+    return PressLabel(indentation, slope.astype(np.float32), contact, contact | (rho2 > (SKIRT * r) ** 2), False)
+
+
+def mesh_label(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> PressLabel:
+    """Return the label of the scene's object at a pose (4, 4), brought to contact and pressed `press_depth_m` metres.
+
+    Raises CalibrationError when the object does not touch the sensor there, or is not pressed in.
+    """
+    if not press_depth_m > 0:
+        raise CalibrationError(f"the press depth is {1e3 * press_depth_m:g} mm; it must be positive")
+    shape = scene.contact_shape(T_sensor_object, press_depth_m)
+    if not shape.contact.any():
+        raise CalibrationError(f"{scene.object.name} does not touch the sensor at this pose; check it")
+    return surface_label(np.where(shape.contact, press_depth_m - shape.depth_m, 0.0), shape.contact, scene.geometry)
+
+
+def surface_label(indentation_m: NDArray[np.floating], contact: Mask, geometry: SensorGeometry) -> PressLabel:
+    """Return the label of an indentation (H, W), metres, that is known where there is contact (H, W)."""
+    from scipy.ndimage import binary_erosion, distance_transform_edt
+
+    sx, sy = geometry.scale_at_surface
+    down, across = np.gradient(indentation_m)
+    slope = np.stack([across * sx, down * sy], axis=-1).astype(np.float32)
+    away_m = distance_transform_edt(~contact) * geometry.pixel_pitch_m
+    inside = binary_erosion(contact)  # where the slope is not half that of the step at the border
+    return PressLabel(np.asarray(indentation_m, np.float32), slope, contact, inside | (away_m > SKIRT_M))
+
+
+def untouched_label(geometry: SensorGeometry) -> PressLabel:
+    """Return the label of an image without contact."""
+    nothing = np.zeros(geometry.shape, np.float32)
+    none = np.zeros(geometry.shape, bool)
+    return PressLabel(nothing, np.zeros((*geometry.shape, 2), np.float32), none, ~none)

@@ -1,0 +1,145 @@
+"""Slope from colour, pixel by pixel, then height by integration: learned from a few dozen presses of a ball.
+
+Photometric stereo with the light measured instead of modelled, after Johnson and Adelson (CVPR 2009); that a small
+network is enough for it, and needs few presses, is Wang et al.'s finding (GelSight Wedge, ICRA 2021).
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field
+from torch import nn
+
+from tactile_loc.calibration.estimator import CalibrationProblem, GelEstimator, Image
+from tactile_loc.calibration.integration import indentation_from_slopes
+from tactile_loc.calibration.networks import load_network, save_network
+from tactile_loc.core.errors import CalibrationError, TrainingError
+from tactile_loc.core.interfaces import ComponentOptions
+from tactile_loc.core.sensing import SensorGeometry
+
+Float32 = NDArray[np.float32]
+
+FEATURES = 8  # colour difference, background, place
+COLOUR_STEP = 64.0  # counts of 255: a difference of this size is one
+BACKGROUND_M = 2e-4  # the background's own grain is not looked at: standard deviation of its smoothing
+PIXELS_AT_ONCE = 1 << 16
+REPORT_EVERY = 50  # steps
+
+
+class SlopeNetwork(nn.Module):
+    """Slopes (N, 2) of features (N, FEATURES): a linear map, which carries on beyond what was seen, and the rest."""
+
+    def __init__(self, hidden: int) -> None:
+        super().__init__()
+        self.linear = nn.Linear(FEATURES, 2)
+        layers = [nn.Linear(FEATURES, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh(), nn.Linear(hidden, 2)]
+        self.bent = nn.Sequential(*layers)
+
+    def forward(self, features: torch.Tensor) -> torch.Tensor:
+        """Return slopes (N, 2), unitless."""
+        slopes: torch.Tensor = self.linear(features) + self.bent(features)
+        return slopes
+
+
+class PhotometricEstimator(GelEstimator):
+    """A network a pixel: from colour difference, background and place to slope; the slopes are integrated."""
+
+    name = "photometric"
+
+    class Options(ComponentOptions):
+        """How the network is made and trained."""
+
+        hidden: int = Field(default=48, ge=4, le=512, description="units of each of the two hidden layers")
+        steps: int = Field(default=2000, ge=1, description="training steps")
+        pixels: int = Field(default=4096, ge=64, description="pixels a step")
+        rate: float = Field(default=3e-3, gt=0, description="learning rate at its highest")
+        untouched: float = Field(
+            default=0.5, ge=0, le=10, description="untouched pixels learned from, a pixel of contact"
+        )
+        seed: int = Field(default=0, ge=0, description="of all that is drawn in training")
+
+    def __init__(self, geometry: SensorGeometry, background: Image, options: ComponentOptions | None = None) -> None:
+        super().__init__(geometry, background, options)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.options.seed)
+            self._network = SlopeNetwork(self.options.hidden)
+        self._fixed = fixed_features(background, geometry)
+
+    def fit(self, problem: CalibrationProblem) -> None:
+        """Learn the slope of pixels in contact and of some untouched ones. Raises CalibrationError, TrainingError."""
+        features, slopes = self._samples(problem)
+        generator = torch.Generator().manual_seed(self.options.seed)
+        optimizer = torch.optim.AdamW(self._network.parameters(), self.options.rate, weight_decay=1e-3)
+        steps = self.options.steps
+        with problem.progress.task("learning slope from colour", steps) as advance:
+            for step in range(steps):
+                for group in optimizer.param_groups:
+                    group["lr"] = self.options.rate * 0.5 * (1.003 + math.cos(math.pi * step / steps))
+                chosen = torch.randint(len(features), (self.options.pixels,), generator=generator)
+                loss = nn.functional.mse_loss(self._network(features[chosen]).atan(), slopes[chosen].atan())
+                if not math.isfinite(float(loss.detach())):
+                    raise TrainingError("the loss became NaN; lower the estimator's rate")
+                optimizer.zero_grad(set_to_none=True)
+                loss.backward()  # type: ignore[no-untyped-call]
+                optimizer.step()
+                if step % REPORT_EVERY == 0:
+                    problem.progress.note(
+                        f"RMS error of the angle {math.degrees(math.sqrt(float(loss.detach()))):.2f}°"
+                    )
+                advance(1)
+
+    def slopes(self, image: Image) -> Float32:
+        """Return the slope (H, W, 2) of the gel's surface along x and y, unitless."""
+        features = torch.from_numpy(self._features(image).reshape(-1, FEATURES))
+        with torch.inference_mode():
+            parts = [self._network(part) for part in features.split(PIXELS_AT_ONCE)]
+        return torch.cat(parts).numpy().reshape(*image.shape[:2], 2)
+
+    def indentation(self, image: Image) -> Float32:
+        """Return how far the gel is pressed in (H, W), metres, about 0 where it is untouched."""
+        return indentation_from_slopes(self.slopes(image), self.geometry)
+
+    def save(self, path: Path) -> None:
+        """Write the network to a safetensors file."""
+        save_network(self._network, path)
+
+    def load(self, path: Path) -> None:
+        """Read the network. Raises WeightsError when the file is damaged or of another estimator."""
+        load_network(self._network, path, self.name)
+
+    def _features(self, image: Image) -> Float32:
+        difference = (image.astype(np.float32) - self.background) / np.float32(COLOUR_STEP)
+        return np.concatenate([difference, self._fixed], axis=-1)
+
+    def _samples(self, problem: CalibrationProblem) -> tuple[torch.Tensor, torch.Tensor]:
+        """Features (P, FEATURES) and slopes (P, 2) of all known pixels in contact and of some without."""
+        rng = np.random.default_rng(self.options.seed)
+        features, slopes, touched = [], [], 0
+        for image, label in problem.presses.presses():
+            inside = label.contact & label.known
+            touched += int(inside.sum())
+            outside = np.flatnonzero(label.known & ~label.contact)
+            wanted = int(self.options.untouched * max(int(inside.sum()), 1000))
+            chosen = inside.ravel()
+            chosen[rng.permutation(outside)[:wanted]] = True
+            features.append(self._features(image).reshape(-1, FEATURES)[chosen])
+            slopes.append(label.slope.reshape(-1, 2)[chosen])
+        if not touched:
+            raise CalibrationError("no press shows any contact; a calibration needs presses of known shape")
+        return torch.from_numpy(np.concatenate(features)), torch.from_numpy(np.concatenate(slopes))
+
+
+def fixed_features(background: Image, geometry: SensorGeometry) -> Float32:
+    """Return what no touch changes, (H, W, 5): the smoothed background's colour, and the place; about -1 to 1."""
+    from scipy.ndimage import gaussian_filter
+
+    sigma = BACKGROUND_M / geometry.pixel_pitch_m
+    colour = gaussian_filter(background.astype(np.float32), (sigma, sigma, 0), mode="nearest") / 127.5 - 1
+    height, width = geometry.shape
+    y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
+    return np.concatenate([colour, x[..., None], y[..., None]], axis=-1).astype(np.float32)

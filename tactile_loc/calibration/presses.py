@@ -1,0 +1,202 @@
+"""A folder of presses: images, a table of labels, and the sensor's geometry. docs/sensors.md has the format."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.calibration.estimator import LabelledPresses
+from tactile_loc.calibration.labels import PressLabel, ball_label, mesh_label
+from tactile_loc.core.errors import CalibrationError, TactileLocError
+from tactile_loc.core.geometry import make_transform
+from tactile_loc.core.meshes import load_object
+from tactile_loc.core.registry import registry
+from tactile_loc.core.scene import Scene
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch_files import read_colour_image
+
+Image = NDArray[np.uint8]
+
+TABLE = "presses.csv"
+KINDS = {
+    "background": (),
+    "ball": ("center_x_px", "center_y_px", "radius_px", "ball_radius_mm"),
+    "mesh": ("mesh", "units", "x_mm", "y_mm", "roll_deg", "pitch_deg", "yaw_deg", "press_mm"),
+}
+FOR_MEDIAN = 9  # presses at different places, at least, for their median to show the untouched gel
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A row of the table: where it is, the image it is about, its kind, and the values of that kind's columns."""
+
+    where: str
+    folder: Path
+    image: Path
+    kind: str
+    values: dict[str, str]
+
+    @property
+    def mesh(self) -> Path:
+        """The mesh that was pressed. Raises CalibrationError when the row names none."""
+        if not self.values.get("mesh"):
+            raise CalibrationError("mesh is missing; a mesh press needs the path of its mesh, relative to the table")
+        return self.folder / self.values["mesh"]
+
+    def number(self, column: str) -> float:
+        """Return a column's value. Raises CalibrationError when it is missing or no finite number."""
+        text = self.values.get(column, "")
+        try:
+            value = float(text)
+        except ValueError:
+            value = np.nan
+        if not np.isfinite(value):
+            said = f"{text!r}, which is no number" if text else "missing"
+            raise CalibrationError(f"{self.where}: {column} is {said}; a {self.kind} press needs it")
+        return value
+
+
+@dataclass(frozen=True, eq=False)
+class PressFolder(LabelledPresses):
+    """The presses that a table lists, images in memory. `geometry` is the sensor's that took them."""
+
+    rows: tuple[Row, ...]
+    images: tuple[Image, ...]
+    background: Image
+    geometry: SensorGeometry
+
+    def __len__(self) -> int:
+        """Return the number of presses."""
+        return len(self.rows)
+
+    def press(self, number: int) -> tuple[Image, PressLabel]:
+        """Return an image (H, W, 3) and its label. Raises CalibrationError that names the row when it cannot be so."""
+        return self.images[number], self.label(number)
+
+    def name(self, number: int) -> str:
+        """Return the name of a press's image."""
+        return self.rows[number].image.name
+
+    def label(self, number: int) -> PressLabel:
+        """Return the label of a press."""
+        row = self.rows[number]
+        try:
+            return self._ball(row) if row.kind == "ball" else self._mesh(row)
+        except TactileLocError as error:
+            if str(error).startswith(row.where):
+                raise
+            raise CalibrationError(f"{row.where}: {error}") from error
+
+    def _ball(self, row: Row) -> PressLabel:
+        x, y, radius, ball_mm = (row.number(column) for column in KINDS["ball"])
+        return ball_label(self.geometry, (x, y), radius, 1e-3 * ball_mm)
+
+    def _mesh(self, row: Row) -> PressLabel:
+        from scipy.spatial.transform import Rotation
+
+        scene = self._scene(row.mesh, row.values.get("units") or "auto")
+        angles = [row.number(f"{name}_deg") for name in ("yaw", "pitch", "roll")]
+        T = make_transform(
+            Rotation.from_euler("ZYX", angles, degrees=True).as_matrix(),
+            [1e-3 * row.number("x_mm"), 1e-3 * row.number("y_mm"), 0.0],
+        )
+        return mesh_label(scene, T, 1e-3 * row.number("press_mm"))
+
+    @cached_property
+    def _scenes(self) -> dict[tuple[Path, str], Scene]:
+        return {}
+
+    def _scene(self, path: Path, units: Any) -> Scene:
+        key = (path, units)
+        if key not in self._scenes:
+            renderer = registry().create("renderer", "heightmap", {})
+            self._scenes[key] = Scene(load_object(path, units, "none"), self.geometry, renderer)
+        return self._scenes[key]
+
+
+def read_presses(folder: Path, geometry: SensorGeometry, median_background: bool = False) -> PressFolder:
+    """Read a folder of presses whose table is `presses.csv`, taken by a sensor of `geometry`.
+
+    The background is the mean of the table's background images; or, with `median_background`, the median of all presses
+    pixel by pixel, which needs at least FOR_MEDIAN of them at different places. Raises CalibrationError for whatever is
+    wrong, naming the row.
+    """
+    table = folder / TABLE
+    rows = _read_table(table)
+    images = {row: _read_image(row, geometry) for row in rows}
+    unpressed = [image for row, image in images.items() if row.kind == "background"]
+    pressed = tuple(row for row in rows if row.kind != "background")
+    if not pressed:
+        raise CalibrationError(f"{table} lists no press; give at least a few rows of kind ball or mesh")
+    if not unpressed and not median_background:
+        raise CalibrationError(
+            f"{table} lists no image of the untouched gel; add a row of kind background, or say "
+            "--background median when the presses are many and at different places"
+        )
+    if median_background and len(pressed) < FOR_MEDIAN:
+        raise CalibrationError(
+            f"{table} lists {len(pressed)} presses; their median shows the untouched gel only from {FOR_MEDIAN} on, at "
+            "different places; add a row of kind background"
+        )
+    stack = np.stack([images[row] for row in pressed] if median_background else unpressed)
+    background = np.median(stack, axis=0) if median_background else stack.mean(axis=0)
+    presses = PressFolder(
+        pressed, tuple(images[row] for row in pressed), np.rint(background).astype(np.uint8), geometry
+    )
+    for number in range(len(presses)):
+        presses.label(number)  # all that is wrong is said before anything is trained
+    return presses
+
+
+def _read_table(table: Path) -> list[Row]:
+    try:
+        with table.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file)
+            missing = {"image", "kind"} - set(reader.fieldnames or ())
+            lines = [(reader.line_num, line) for line in reader]
+    except FileNotFoundError as error:
+        raise CalibrationError(
+            f"there is no {table}; a calibration reads a folder of images and a table of that name"
+        ) from error
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise CalibrationError(f"{table} cannot be read as a table ({error})") from error
+    if missing:
+        raise CalibrationError(
+            f"{table} has no column {' and no column '.join(sorted(missing))}; its first line names them"
+        )
+    return [_row(line, f"{table}, line {number}", table.parent) for number, line in lines]
+
+
+def _row(line: dict[str, str | None], where: str, folder: Path) -> Row:
+    values = {key: (value or "").strip() for key, value in line.items() if key and not isinstance(value, list)}
+    image, kind = values["image"], values["kind"]
+    if not image:
+        raise CalibrationError(f"{where}: image is missing; it is the path of a picture, relative to the table")
+    if kind not in KINDS:
+        said = f"the kind {kind!r} is unknown" if kind else f"{image} has no label, as kind is missing"
+        raise CalibrationError(f"{where}: {said}; give one of {', '.join(KINDS)}")
+    return Row(where, folder, folder / image, kind, values)
+
+
+def _read_image(row: Row, geometry: SensorGeometry) -> Image:
+    try:
+        image = read_colour_image(row.image)
+    except TactileLocError as error:
+        raise CalibrationError(f"{row.where}: {error}") from error
+    if image is None:
+        raise CalibrationError(
+            f"{row.where}: {row.image.name} is no colour image; give PNG or JPEG with three channels"
+        )
+    if image.shape[:2] != geometry.shape:
+        got, want = (f"{shape[1]} x {shape[0]}" for shape in (image.shape, geometry.shape))
+        raise CalibrationError(
+            f"{row.where}: {row.image.name} is {got} px but the sensor's image is {want} px (width x height); "
+            "all images must be of that size"
+        )
+    return image

@@ -1,0 +1,80 @@
+"""Reading an image: is it one of this sensor's, is there contact, how deep, and which contact shape is it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.sensing import ContactShape, SensorGeometry
+
+Image = NDArray[np.uint8]
+
+SKIRT = 0.5  # of the press: up there the gel hangs between the object and its untouched surface
+TIP_M = 3e-4  # the press depth is that of the deepest area of this size, squared
+LEAST_M = 5e-5  # no sensor tells a lighter press from none
+ABOVE_NOISE = 4.0  # noise floors that a press stands out by
+BLACK, WHITE = 8, 253  # counts of 255
+STRANGE = 22  # counts by which half the image may differ from the untouched gel's; presses do by 2 to 19
+
+
+def require_image(image: NDArray[Any], background: Image) -> Image:
+    """Return an image that can be this sensor's. Raises TouchError for another size, type, or what no gel looks like.
+
+    All black, mostly saturated, or altogether unlike `background` (H, W, 3).
+    """
+    image = np.asarray(image)
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+        raise TouchError(
+            f"the image is {image.dtype} of shape {image.shape}; it must be colour, (H, W, 3) of 8 bits; convert it"
+        )
+    if image.shape != background.shape:
+        got, want = (f"{shape[1]} x {shape[0]}" for shape in (image.shape, background.shape))
+        raise TouchError(f"the image is {got} px but the sensor was calibrated at {want} px (width x height)")
+    if (image <= BLACK).all(axis=2).mean() > 0.95:
+        raise TouchError("the image is black; is the sensor's light on, and its camera uncovered?")
+    if (image >= WHITE).any(axis=2).mean() > 0.5 > (background >= WHITE).any(axis=2).mean():
+        raise TouchError("more than half of the image is saturated; lower the camera's exposure or its gain")
+    if np.median(np.abs(image.astype(np.int16) - background)) > STRANGE:
+        raise TouchError(
+            "the image does not look like the sensor's untouched gel anywhere; was it taken by another sensor, or has "
+            "the light changed? calibrate this one"
+        )
+    return image
+
+
+def press_depth_m(indentation_m: NDArray[np.float32], geometry: SensorGeometry) -> float:
+    """Return how deep the gel is pressed in, metres: at the border of the deepest TIP_M x TIP_M of (H, W)."""
+    pixels = max(1, round((TIP_M / geometry.pixel_pitch_m) ** 2))
+    observed = np.sort(indentation_m[geometry.observed_mask])
+    return float(observed[-min(pixels, len(observed))])
+
+
+def contact_shape(
+    indentation_m: NDArray[np.float32], geometry: SensorGeometry, noise_m: float, sees_skirt: bool = True
+) -> ContactShape:
+    """Return the contact shape of an indentation (H, W), metres, whose noise is `noise_m`.
+
+    The object is where the gel is, except at the skirt, where the gel hangs from the contact's edge to its untouched
+    surface: so the shape is cut below it, at 1 - SKIRT of the press. A steep edge is then where it is, for the gel
+    rounds it to both sides alike, and a ball's imprint is as wide as at this lighter press. An indentation that is of
+    the contact alone (`sees_skirt` False) is cut where it stands out of the noise. Raises TouchError when the gel is
+    not pressed in.
+    """
+    press = press_depth_m(indentation_m, geometry)
+    least = max(LEAST_M, ABOVE_NOISE * noise_m)
+    if press < least:
+        raise TouchError(
+            f"no contact: nowhere is the gel pressed in by {1e3 * least:.2g} mm, the least that stands out here "
+            f"(deepest: {max(0.0, 1e3 * press):.2g} mm)"
+        )
+    press = min(press, geometry.max_depth_m)
+    if not sees_skirt:
+        contact = geometry.observed_mask & (indentation_m > least)
+        depth = np.maximum(np.float32(press) - indentation_m, 0)
+        return ContactShape(np.where(contact, depth, press).astype(np.float32), press)
+    cut = np.float32((1 - SKIRT) * press)
+    depth = np.clip(np.float32(press) - indentation_m, 0, cut)
+    return ContactShape(np.where(geometry.observed_mask, depth, cut).astype(np.float32), float(cut))

@@ -1,0 +1,49 @@
+"""A sensor that was calibrated for images: the folder that `tactile-loc calibrate` wrote."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from tactile_loc.calibration.folder import Calibration, read_calibration
+from tactile_loc.calibration.reading import contact_shape, require_image
+from tactile_loc.core.interfaces import ComponentOptions
+from tactile_loc.core.sensing import ContactShape, SensorGeometry
+from tactile_loc.plugins.sensors.depth import DepthSensor
+
+
+class CalibratedSensor(DepthSensor):
+    """Reads images of the gel; contact shapes as well. Raises CalibrationError when the folder is not whole."""
+
+    class Options(ComponentOptions):
+        """`path` of the calibration's folder."""
+
+        path: str = Field(description="the folder that `tactile-loc calibrate` wrote")
+
+    def describe(self) -> dict[str, Any]:
+        """Return what identifies the sensor, as JSON values: what the folder holds, not where it lies."""
+        return {**super().describe(), "options": self.calibration.describe()}
+
+    def contact_shape(self, image: NDArray[Any]) -> ContactShape:
+        """Turn an image (H, W, 3) uint8, or depths (H, W) in metres, into a contact shape.
+
+        Raises TouchError for an image that is not this sensor's, or one without contact.
+        """
+        image = np.asarray(image)
+        if image.ndim == 2 and image.dtype != np.uint8:
+            return super().contact_shape(image)
+        sees_skirt = self.calibration.estimator.sees_skirt
+        return contact_shape(self.indentation(image), self.geometry, self.calibration.noise_m, sees_skirt)
+
+    def indentation(self, image: NDArray[Any]) -> NDArray[np.float32]:
+        """Return how far the gel is pressed in (H, W), metres. Raises TouchError for an image of another sensor."""
+        image = require_image(image, self.calibration.background)
+        return self.calibration.estimator.indentation(image)
+
+    def _make_geometry(self) -> SensorGeometry:
+        self.calibration: Calibration = read_calibration(Path(self.options.path).expanduser())
+        return self.calibration.geometry

@@ -1,0 +1,225 @@
+"""A calibrated sensor as a folder: what was written comes back, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from PIL import Image  # noqa: E402
+from press_sets import TINY, ball_set, sensor, write_image  # noqa: E402
+
+from tactile_loc.calibration import folder as module  # noqa: E402
+from tactile_loc.calibration.estimator import estimator_options  # noqa: E402
+from tactile_loc.calibration.folder import (  # noqa: E402
+    BACKGROUND,
+    OURS,
+    PICTURE,
+    RECORD,
+    SCHEMA_VERSION,
+    SENSOR,
+    WEIGHTS,
+    read_calibration,
+    require_replaceable,
+    write_calibration,
+)
+from tactile_loc.calibration.photometric import PhotometricEstimator  # noqa: E402
+from tactile_loc.core.errors import CalibrationError, ConfigError, OutputError, WeightsError  # noqa: E402
+from tactile_loc.core.sensor_files import write_sensor_file  # noqa: E402
+
+BALLS = ball_set(1)
+MASK = np.tri(64, dtype=bool)
+GEOMETRY = sensor(64, rectangle_m=(-0.007, 0.006, -0.005, 0.0075), observed=MASK)
+NOISE = {"noise_m": 7e-6, "presses": 12}
+
+
+def untrained(seed: int = 0) -> PhotometricEstimator:
+    options = estimator_options(PhotometricEstimator, {**TINY, "seed": seed})
+    return PhotometricEstimator(GEOMETRY, BALLS.background, options)
+
+
+def write(folder: Path, seed: int = 0) -> Path:
+    return write_calibration(folder, GEOMETRY, BALLS.background, untrained(seed), NOISE)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write(tmp_path / "sensor")
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_what_was_written_comes_back(folder):
+    found = read_calibration(folder)
+    assert found.geometry.is_same_sensor(GEOMETRY)
+    np.testing.assert_array_equal(found.geometry.observed, MASK)
+    np.testing.assert_array_equal(found.background, BALLS.background)
+    assert found.noise_m == 7e-6
+    assert found.record["schema_version"] == SCHEMA_VERSION
+    assert found.record["presses"] == 12
+    assert found.estimator.options == untrained().options
+    np.testing.assert_array_equal(
+        found.estimator.indentation(BALLS.images[0]), untrained().indentation(BALLS.images[0])
+    )
+
+
+def test_every_file_is_known_and_nothing_is_left_beside(folder):
+    assert contents(folder).keys() == OURS - {PICTURE}
+    assert [path.name for path in folder.parent.iterdir()] == ["sensor"]
+
+
+def test_one_that_is_there_is_replaced_as_a_whole(folder):
+    write_image(folder / PICTURE, BALLS.background)
+    write(folder, seed=1)
+    assert not (folder / PICTURE).exists()  # of the calibration before
+    assert read_calibration(folder).estimator.options.seed == 1
+    assert [path.name for path in folder.parent.iterdir()] == ["sensor"]
+
+
+def test_an_empty_folder_may_be_used(tmp_path):
+    (tmp_path / "new").mkdir()
+    read_calibration(write(tmp_path / "new"))
+    read_calibration(write(tmp_path / "deep" / "er"))
+
+
+@pytest.mark.parametrize("other", ["presses.csv", ".git", "sensor.toml.bak"])
+def test_a_folder_that_holds_something_else_is_not_touched(folder, other):
+    (folder / other).write_text("mine")
+    before = contents(folder)
+    for refuse in (lambda: write(folder, seed=1), lambda: require_replaceable(folder)):
+        with pytest.raises(OutputError, match=r"something else than a calibrated sensor; choose another --out"):
+            refuse()
+    assert contents(folder) == before
+
+
+def test_a_file_is_not_replaced(tmp_path):
+    (tmp_path / "sensor").write_text("mine")
+    with pytest.raises(OutputError, match="something else"):
+        write(tmp_path / "sensor")
+    with pytest.raises(OutputError, match="cannot be written"):
+        write(tmp_path / "sensor" / "deeper")
+    assert (tmp_path / "sensor").read_text() == "mine"
+
+
+def test_a_disk_that_refuses_leaves_the_old_one(folder, monkeypatch):
+    before = contents(folder)
+
+    def refuse(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(module, "write_sensor_file", refuse)
+    with pytest.raises(OutputError, match=r"No space left on device\); choose another --out"):
+        write(folder, seed=1)
+    monkeypatch.undo()
+    assert contents(folder) == before
+    assert [path.name for path in folder.parent.iterdir()] == ["sensor"]
+
+
+def test_an_interruption_leaves_the_old_one(folder, monkeypatch):
+    before = contents(folder)
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(PhotometricEstimator, "save", stop)
+    with pytest.raises(KeyboardInterrupt):
+        write(folder, seed=1)
+    assert contents(folder) == before
+    assert [path.name for path in folder.parent.iterdir()] == ["sensor"]
+
+
+def test_what_identifies_it_is_what_it_holds(folder, tmp_path):
+    described = read_calibration(folder).describe()
+    shutil.copytree(folder, tmp_path / "elsewhere")
+    assert read_calibration(tmp_path / "elsewhere").describe() == described
+    write(tmp_path / "elsewhere", seed=1)
+    assert read_calibration(tmp_path / "elsewhere").describe() != described
+    assert json.loads(json.dumps(described, allow_nan=False)) == described
+
+
+def test_a_folder_that_is_not_there(tmp_path):
+    with pytest.raises(CalibrationError, match=r"there is no folder .*none; make it with tactile-loc calibrate"):
+        read_calibration(tmp_path / "none")
+    with pytest.raises(CalibrationError, match=r"no calibrated sensor: sensor\.toml is missing"):
+        read_calibration(tmp_path)
+
+
+@pytest.mark.parametrize("name", [SENSOR, BACKGROUND, RECORD, WEIGHTS])
+def test_a_missing_file_is_named(folder, name):
+    (folder / name).unlink()
+    with pytest.raises(CalibrationError, match=rf"{name} is missing; calibrate it again"):
+        read_calibration(folder)
+
+
+@pytest.mark.parametrize("name", [SENSOR, BACKGROUND, RECORD, "sensor_mask.png"])
+def test_a_damaged_file_is_refused(folder, name):
+    whole = (folder / name).read_bytes()
+    (folder / name).write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(CalibrationError, match=r"cannot be read as a calibrated sensor .*; calibrate it again"):
+        read_calibration(folder)
+
+
+def test_damaged_weights_are_refused_when_they_are_needed(folder):
+    whole = (folder / WEIGHTS).read_bytes()
+    (folder / WEIGHTS).write_bytes(whole[:-50])
+    with pytest.raises(WeightsError, match=r"estimator\.safetensors .* calibrate the sensor again"):
+        _ = read_calibration(folder).estimator
+
+
+def rewrite(folder: Path, **changes: object) -> None:
+    record = json.loads((folder / RECORD).read_text()) | changes
+    (folder / RECORD).write_text(json.dumps({k: v for k, v in record.items() if v is not None}))
+
+
+@pytest.mark.parametrize("version", [SCHEMA_VERSION + 1, "1", None])
+def test_a_record_of_another_version_is_refused(folder, version):
+    rewrite(folder, schema_version=version)
+    with pytest.raises(CalibrationError, match=r"calibration\.json is of another version"):
+        read_calibration(folder)
+
+
+@pytest.mark.parametrize("text", ["[]", "3", "{}"])
+def test_a_record_that_is_none_is_refused(folder, text):
+    (folder / RECORD).write_text(text)
+    with pytest.raises(CalibrationError, match=r"calibration\.json"):
+        read_calibration(folder)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("noise_m", None), ("noise_m", "small"), ("estimator", None), ("options", None), ("options", 3)]
+)
+def test_a_record_without_what_reading_takes_is_refused(folder, key, value):
+    rewrite(folder, **{key: value})
+    with pytest.raises(CalibrationError, match=rf"calibration\.json is damaged: {key} is missing or ill-typed"):
+        read_calibration(folder)
+
+
+def test_a_record_of_what_is_not_known_is_refused(folder):
+    rewrite(folder, estimator="magic")
+    with pytest.raises(CalibrationError, match="'magic'"):
+        _ = read_calibration(folder).estimator
+    rewrite(folder, estimator="photometric", options={"colour": "red"})
+    with pytest.raises(ConfigError, match="'colour'"):
+        _ = read_calibration(folder).estimator
+
+
+def test_a_background_of_another_sensor_is_refused(folder):
+    write_image(folder / BACKGROUND, BALLS.background[:40])
+    with pytest.raises(CalibrationError, match="two sensors"):
+        read_calibration(folder)
+    Image.fromarray(BALLS.background).convert("L").save(folder / BACKGROUND)
+    with pytest.raises(CalibrationError, match="two sensors"):
+        read_calibration(folder)
+
+
+def test_a_sensor_file_of_another_size_is_refused(folder):
+    write_sensor_file(folder / SENSOR, sensor(32))
+    with pytest.raises(CalibrationError, match="two sensors"):
+        read_calibration(folder)

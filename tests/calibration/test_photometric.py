@@ -1,0 +1,179 @@
+"""Slope from colour: it learns a simulated sensor from a few presses, and what it learned survives a file."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from press_sets import BALL_M, TINY, ball_indentation, ball_set, contact_radius, photographed, places  # noqa: E402
+
+from tactile_loc.calibration.calibrate import press_errors  # noqa: E402
+from tactile_loc.calibration.estimator import (  # noqa: E402
+    CalibrationProblem,
+    Chosen,
+    LabelledPresses,
+    estimator_class,
+    estimator_options,
+)
+from tactile_loc.calibration.labels import untouched_label  # noqa: E402
+from tactile_loc.calibration.photometric import FEATURES, PhotometricEstimator, fixed_features  # noqa: E402
+from tactile_loc.core.errors import CalibrationError, ConfigError, TrainingError, WeightsError  # noqa: E402
+
+BALLS = ball_set(12)
+GEOMETRY = BALLS.geometry
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def make(**options) -> PhotometricEstimator:
+    chosen = estimator_options(PhotometricEstimator, {**TINY, **options})
+    return PhotometricEstimator(GEOMETRY, BALLS.background, chosen)
+
+
+def problem(presses: LabelledPresses = BALLS) -> CalibrationProblem:
+    return CalibrationProblem(GEOMETRY, BALLS.background, presses)
+
+
+def trained(**options) -> PhotometricEstimator:
+    estimator = make(**options)
+    estimator.fit(problem())
+    return estimator
+
+
+@pytest.fixture(scope="module")
+def estimator() -> PhotometricEstimator:
+    learned = make(steps=500)
+    learned.fit(problem(Chosen(BALLS, range(9))))
+    return learned
+
+
+def weights(estimator: PhotometricEstimator) -> dict[str, np.ndarray]:
+    return {k: v.numpy() for k, v in estimator._network.state_dict().items()}
+
+
+def same(a: PhotometricEstimator, b: PhotometricEstimator) -> bool:
+    left, right = weights(a), weights(b)
+    return left.keys() == right.keys() and all(np.array_equal(left[k], right[k]) for k in left)
+
+
+def test_it_learns_the_slope_of_presses_that_it_has_not_seen(estimator):
+    errors = [press_errors(estimator, *BALLS.press(number)) for number in (9, 10, 11)]
+    assert np.mean([e.slope_deg for e in errors]) < 1.5
+    assert np.mean([e.shape_m for e in errors]) < 2e-5
+    assert np.mean([e.untouched_m for e in errors]) < 1e-5
+
+
+def test_signs_and_axes_are_the_sensors(estimator):
+    image = photographed(ball_indentation(GEOMETRY, 1e-3, -2e-3)[None], GEOMETRY)[0]
+    slope = estimator.slopes(image)
+    assert slope.shape == (64, 64, 2)
+    x, y = places(GEOMETRY)
+    x, y = x - 1e-3, y + 2e-3
+    ring = (np.hypot(x, y) > 0.3 * BALL_M) & (np.hypot(x, y) < 0.6 * BALL_M)
+    steep = np.sqrt(BALL_M**2 - x[ring] ** 2 - y[ring] ** 2)
+    assert np.median(np.abs(slope[ring, 0] + x[ring] / steep)) < 0.1
+    assert np.median(np.abs(slope[ring, 1] + y[ring] / steep)) < 0.1
+
+
+def test_the_indentation_is_a_balls_and_zero_elsewhere(estimator):
+    true = ball_indentation(GEOMETRY, -1e-3, 1.5e-3, 7e-4)
+    found = estimator.indentation(photographed(true[None], GEOMETRY)[0])
+    assert found.shape == GEOMETRY.shape
+    assert found.dtype == np.float32
+    rho = np.hypot(places(GEOMETRY)[0] + 1e-3, places(GEOMETRY)[1] - 1.5e-3)
+    assert found[rho < 5e-4].mean() == pytest.approx(true[rho < 5e-4].mean(), rel=0.12)
+    assert np.abs(found[rho > 2.5 * contact_radius(7e-4)]).max() < 3e-5
+
+
+def test_the_untouched_gel_is_flat(estimator):
+    assert np.abs(estimator.indentation(BALLS.background)).max() < 2e-5
+
+
+def test_the_same_seed_learns_the_same_and_another_one_does_not():
+    first, again, other = trained(steps=20), trained(steps=20), trained(steps=20, seed=1)
+    assert same(first, again)
+    assert not same(first, other)
+    assert not same(make(), make(seed=1))
+
+
+def test_training_leaves_the_callers_random_numbers_alone():
+    torch.manual_seed(5)
+    expected = torch.rand(3)
+    torch.manual_seed(5)
+    trained(steps=2)
+    assert torch.equal(torch.rand(3), expected)
+
+
+def test_what_was_learned_survives_a_file(estimator, tmp_path):
+    path = tmp_path / "e.safetensors"
+    estimator.save(path)
+    other = make(steps=500)
+    assert not same(other, estimator)
+    other.load(path)
+    np.testing.assert_array_equal(other.slopes(BALLS.images[0]), estimator.slopes(BALLS.images[0]))
+
+
+@pytest.mark.parametrize("damage", ["truncated", "another network", "missing", "another estimator's"])
+def test_weights_that_do_not_fit_are_refused(estimator, tmp_path, damage):
+    path = tmp_path / "e.safetensors"
+    estimator.save(path)
+    if damage == "truncated":
+        path.write_bytes(path.read_bytes()[:-100])
+    elif damage == "missing":
+        path.unlink()
+    elif damage == "another estimator's":
+        from safetensors.torch import save_file
+
+        save_file({"layers.0.weight": torch.zeros(3)}, path)
+    reader = make(hidden=8) if damage == "another network" else make()
+    with pytest.raises(WeightsError, match=r"e\.safetensors .* photometric .* calibrate"):
+        reader.load(path)
+
+
+class Untouched(LabelledPresses):
+    def __len__(self) -> int:
+        return 6
+
+    def press(self, number: int):
+        return BALLS.background, untouched_label(GEOMETRY)
+
+
+def test_presses_without_contact_teach_nothing():
+    with pytest.raises(CalibrationError, match="no press shows any contact"):
+        make().fit(problem(Untouched()))
+
+
+def test_a_loss_that_is_no_number_stops_with_advice(monkeypatch):
+    monkeypatch.setattr(torch.nn.functional, "mse_loss", lambda *a: torch.tensor(float("nan"), requires_grad=True))
+    with pytest.raises(TrainingError, match="lower the estimator's rate"):
+        make().fit(problem())
+
+
+def test_unknown_options_and_estimators_are_named():
+    with pytest.raises(ConfigError, match=r"'photometric' has no option 'stepz'.*'steps'.*hidden \(int\)"):
+        make(stepz=3)
+    with pytest.raises(ConfigError, match="steps = 0"):
+        make(steps=0)
+    with pytest.raises(CalibrationError, match=r"'photometrik'.*Did you mean 'photometric'"):
+        estimator_class("photometrik")
+
+
+def test_what_no_touch_changes_is_scaled_and_oriented():
+    wide = dataclasses.replace(GEOMETRY, width_px=80, cx=40.0)
+    gel = np.zeros((64, 80, 3), np.uint8)
+    gel[..., 0] = 255
+    features = fixed_features(gel, wide)
+    assert features.shape == (64, 80, FEATURES - 3)
+    np.testing.assert_allclose(features[..., :3], np.broadcast_to([1, -1, -1], (64, 80, 3)), atol=1e-6)
+    np.testing.assert_allclose(features[[0, 63], :, 4], [[-1] * 80, [1] * 80])
+    np.testing.assert_allclose(features[:, [0, 79], 3], [[-1, 1]] * 64)

@@ -1,0 +1,251 @@
+"""The table of presses: every kind of row, and everything that can be wrong with one."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from press_sets import BALL_M, COLUMNS, MM, ball_set, places, write_image, write_table
+
+from tactile_loc.calibration.presses import FOR_MEDIAN, read_presses
+from tactile_loc.core.errors import CalibrationError
+
+BALLS = ball_set(3)
+GEOMETRY = BALLS.geometry
+BOX = {"mesh": "box.stl", "units": "mm", "x_mm": 1, "y_mm": -0.5, "roll_deg": 0, "pitch_deg": 0, "yaw_deg": 90,
+       "press_mm": 0.4}  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three presses of a ball, and a box as a mesh in mm."""
+    trimesh.creation.box((6, 3, 4)).export(tmp_path / "box.stl")
+    return BALLS.write(tmp_path)
+
+
+def change(folder: Path, line: int, **values: object) -> None:
+    """Change the row that stands in this line of the table (the first press is in line 3); None removes a value."""
+    rows = BALLS.rows()
+    rows[line - 2] |= values
+    write_table(folder, rows)
+
+
+def refused(folder: Path, *words: str, median: bool = False) -> None:
+    with pytest.raises(CalibrationError) as caught:
+        read_presses(folder, GEOMETRY, median)
+    message = str(caught.value)
+    assert "\n" not in message
+    for word in ("presses.csv", *words):
+        assert word in message
+
+
+def test_balls_are_read_as_they_were_written(folder):
+    presses = read_presses(folder, GEOMETRY)
+    assert len(presses) == 3
+    np.testing.assert_array_equal(presses.background, BALLS.background)
+    for number, (image, label) in enumerate(presses.presses()):
+        np.testing.assert_array_equal(image, BALLS.images[number])
+        known = BALLS.press(number)[1]
+        np.testing.assert_allclose(label.indentation_m, known.indentation_m, atol=1e-9)
+        deeper = (BALLS.indentation_m[number] - label.indentation_m)[label.contact]
+        np.testing.assert_allclose(deeper, deeper[0], atol=1e-9)  # how deep the visible circle lies
+        np.testing.assert_array_equal(label.known, known.known)
+
+
+def test_the_background_is_the_mean_of_its_images(folder):
+    write_image(folder / "brighter.png", np.minimum(BALLS.background, 200) + np.uint8(4))
+    rows = [*BALLS.rows(), {"image": "brighter.png", "kind": "background"}]
+    write_table(folder, rows)
+    found = read_presses(folder, GEOMETRY).background
+    dark = BALLS.background <= 200
+    np.testing.assert_array_equal(found[dark], BALLS.background[dark] + 2)
+
+
+def test_the_median_of_many_presses_shows_the_untouched_gel(tmp_path):
+    many = ball_set(15, seed=3)
+    many.write(tmp_path)
+    write_table(tmp_path, many.rows()[1:])
+    found = read_presses(tmp_path, GEOMETRY, median_background=True).background
+    off, pressed_off = (np.abs(image.astype(int) - many.background).mean() for image in (found, many.images[0]))
+    assert off < 0.3 * pressed_off
+
+
+def test_the_median_needs_many_presses(folder):
+    refused(folder, "3 presses", f"from {FOR_MEDIAN} on", "background", median=True)
+
+
+def test_a_mesh_is_pressed_at_its_pose(folder, caplog):
+    change(folder, 4, kind="mesh", **BOX)
+    with caplog.at_level(logging.WARNING):
+        presses = read_presses(folder, GEOMETRY)
+    assert not caplog.records  # its unit is said
+    label = presses.label(1)
+    x, y = (v / MM for v in places(GEOMETRY))
+    beyond = np.maximum(np.abs(x - 1) - 1.5, np.abs(y + 0.5) - 3)  # turned by 90 degrees
+    assert label.contact[beyond < -0.25].all()
+    assert not label.contact[beyond > 0.25].any()
+    np.testing.assert_allclose(label.indentation_m[beyond < -0.25], 4e-4, rtol=1e-4)
+    assert label.absolute
+    assert not presses.label(0).absolute
+
+
+@pytest.mark.parametrize(("angle", "edge_mm"), [("roll_deg", (-1.5, -2)), ("pitch_deg", (3, -2))])
+def test_a_tilted_mesh_is_deepest_at_its_lowest_edge(folder, angle, edge_mm):
+    change(folder, 3, kind="mesh", **(BOX | {"x_mm": 0, "y_mm": 0, "yaw_deg": 0, angle: 10}))
+    label = read_presses(folder, GEOMETRY).label(0)
+    turn = np.radians(10 if angle == "roll_deg" else -10)  # in the plane of y and z, or of x and z
+    edge = np.cos(turn) * edge_mm[0] - np.sin(turn) * edge_mm[1]
+    across, along = (v / MM for v in (places(GEOMETRY) if angle == "pitch_deg" else places(GEOMETRY)[::-1]))
+    deepest = label.indentation_m > 0.9 * label.indentation_m.max()
+    assert across[deepest].mean() == pytest.approx(edge, abs=0.3)  # a pixel is 0.25 mm
+    assert np.ptp(along[label.contact]) == pytest.approx(6 if angle == "roll_deg" else 3, abs=0.3)
+
+
+def test_a_mesh_and_an_image_are_found_from_the_table(folder):
+    (folder / "images").mkdir()
+    (folder / "0000.png").rename(folder / "images" / "0000.png")
+    change(folder, 3, image="images/0000.png", kind="mesh", **BOX)
+    assert read_presses(folder, GEOMETRY).label(0).contact.any()
+
+
+def test_units_matter(folder):
+    change(folder, 3, kind="mesh", **(BOX | {"units": "cm", "x_mm": 0, "y_mm": 0}))
+    assert read_presses(folder, GEOMETRY).label(0).contact.all()  # 60 x 30 mm
+    change(folder, 3, kind="mesh", **(BOX | {"units": "feet"}))
+    refused(folder, "line 3", "'feet'", "mm")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"mesh": ""}, ("mesh is missing",)),
+        ({"mesh": "bax.stl"}, ("bax.stl", "check the path")),
+        ({"mesh": "background.png"}, ("background.png", "cannot be read as a mesh")),
+        ({"yaw_deg": ""}, ("yaw_deg is missing", "mesh press")),
+        ({"press_mm": ""}, ("press_mm is missing",)),
+        ({"press_mm": "0"}, ("press depth", "positive")),
+        ({"press_mm": "-0.3"}, ("press depth", "positive")),
+        ({"x_mm": "100"}, ("does not touch",)),
+        ({"roll_deg": "steep"}, ("roll_deg", "'steep'", "no number")),
+    ],
+)
+def test_what_can_be_wrong_with_a_mesh(folder, changes, words):
+    change(folder, 4, kind="mesh", **(BOX | changes))
+    refused(folder, "line 4", *words)
+
+
+@pytest.mark.parametrize("column", ["center_x_px", "center_y_px", "radius_px", "ball_radius_mm"])
+@pytest.mark.parametrize(("text", "said"), [("", "is missing"), ("9;5", "'9;5'"), ("nan", "no number"), ("inf", "inf")])
+def test_what_can_be_wrong_with_a_balls_numbers(folder, column, text, said):
+    change(folder, 5, **{column: text})
+    refused(folder, "line 5", column, said, "ball press")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"center_x_px": 70}, ("(70, ", "outside the image of 64 x 64 px")),
+        ({"center_y_px": -3}, ("outside the image",)),
+        ({"radius_px": 30}, ("30 px is 7.5 mm", "ball's is 3 mm")),
+        ({"radius_px": 0}, ("positive",)),
+        ({"ball_radius_mm": -3}, ("positive",)),
+    ],
+)
+def test_circles_that_cannot_be(folder, changes, words):
+    change(folder, 3, **changes)
+    refused(folder, "line 3", *words)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"kind": "bull"}, ("'bull'", "background, ball, mesh")),
+        ({"kind": ""}, ("0001.png has no label", "kind is missing")),
+        ({"image": ""}, ("image is missing",)),
+        ({"image": "none.png"}, ("none.png", "no file")),
+        ({"image": "box.stl"}, ("box.stl", "no colour image")),
+        ({"image": "."}, ("no colour image",)),
+    ],
+)
+def test_what_can_be_wrong_with_a_row(folder, changes, words):
+    change(folder, 4, **changes)
+    refused(folder, "line 4", *words)
+
+
+def test_the_line_that_is_named_counts_empty_lines_too(folder):
+    change(folder, 4, kind="bull")
+    text = (folder / "presses.csv").read_text().splitlines()
+    (folder / "presses.csv").write_text("\n".join([*text[:2], "", "", *text[2:]]))
+    refused(folder, "line 6", "'bull'")
+
+
+def image_of(mode: str, size: tuple[int, int] = (64, 64)) -> Image.Image:
+    return Image.fromarray(BALLS.background).convert(mode).resize(size)
+
+
+@pytest.mark.parametrize(("mode", "suffix"), [("L", "png"), ("RGBA", "png"), ("L", "jpg")])
+def test_images_must_be_in_colour(folder, mode, suffix):
+    image_of(mode).save(folder / f"odd.{suffix}")
+    change(folder, 3, image=f"odd.{suffix}")
+    refused(folder, "line 3", f"odd.{suffix} is no colour image", "three channels")
+
+
+def test_images_must_all_be_of_the_sensors_size(folder):
+    image_of("RGB", (64, 48)).save(folder / "0002.png")
+    refused(folder, "line 5", "0002.png is 64 x 48 px", "64 x 64 px")
+    with pytest.raises(CalibrationError, match=r"line 2: background\.png is 64 x 64 px .* 32 x 32 px"):
+        read_presses(folder, dataclasses.replace(GEOMETRY, width_px=32, height_px=32))
+
+
+def test_damaged_images_are_named(folder):
+    whole = (folder / "0001.png").read_bytes()
+    (folder / "0001.png").write_bytes(whole[: len(whole) // 2])
+    refused(folder, "line 4", "0001.png", "damaged")
+
+
+def test_a_folder_without_a_table(tmp_path):
+    refused(tmp_path, "there is no", "images and a table")
+
+
+@pytest.mark.parametrize("column", ["image", "kind"])
+def test_a_table_without_its_columns(folder, column):
+    write_table(folder, BALLS.rows(), [name for name in COLUMNS if name != column])
+    refused(folder, f"no column {column}", "first line")
+
+
+def test_tables_that_are_none(folder):
+    table = folder / "presses.csv"
+    table.write_text("")
+    refused(folder, "no column image and no column kind")
+    table.write_bytes(b"\xff\xfe\x00image,kind")
+    refused(folder, "cannot be read as a table")
+    table.unlink()
+    table.mkdir()
+    refused(folder, "cannot be read as a table")
+
+
+def test_a_table_may_come_from_a_spreadsheet(folder):
+    table = folder / "presses.csv"
+    table.write_bytes(b"\xef\xbb\xbf" + table.read_bytes().replace(b"\n", b" \r\n").replace(b"\r \r", b"\r"))
+    assert len(read_presses(folder, GEOMETRY)) == 3
+
+
+def test_a_table_without_presses_or_without_the_untouched_gel(folder):
+    write_table(folder, BALLS.rows()[:1])
+    refused(folder, "no press", "ball or mesh")
+    write_table(folder, [])
+    refused(folder, "no press")
+    write_table(folder, BALLS.rows()[1:])
+    refused(folder, "untouched gel", "kind background", "--background median")
+
+
+def test_the_ball_is_the_tables(folder):
+    change(folder, 3, ball_radius_mm=2 * BALL_M / MM)
+    flatter, ball = read_presses(folder, GEOMETRY).label(0), BALLS.press(0)[1]
+    assert flatter.indentation_m.max() < 0.6 * ball.indentation_m.max()
+    np.testing.assert_array_equal(flatter.contact, ball.contact)

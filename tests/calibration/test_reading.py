@@ -1,0 +1,168 @@
+"""From an indentation to a contact shape, and which images are refused before anything is estimated."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from press_sets import BALL_M, MM, ball_indentation, contact_radius, places, sensor
+from scipy.ndimage import gaussian_filter
+
+from tactile_loc.calibration.reading import (
+    ABOVE_NOISE,
+    LEAST_M,
+    SKIRT,
+    TIP_M,
+    contact_shape,
+    press_depth_m,
+    require_image,
+)
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.sensing import Touch
+from tactile_loc.imaging.optics import OPTICS
+from tactile_loc.imaging.shading import background
+
+GEOMETRY = sensor(128)
+PITCH_M = GEOMETRY.pixel_pitch_m
+PRESS_M = 6e-4
+GEL = background(GEOMETRY, OPTICS["gelslim"])
+
+
+def flat_punch(half_m: float = 3e-3, press_m: float = PRESS_M, softness_m: float = 0.0) -> np.ndarray:
+    x, y = places(GEOMETRY)
+    sharp = np.where(np.maximum(np.abs(x), np.abs(y)) < half_m, press_m, 0.0)
+    return (gaussian_filter(sharp, softness_m / PITCH_M) if softness_m else sharp).astype(np.float32)
+
+
+@pytest.mark.parametrize("softness_m", [0.0, 3e-4])
+def test_a_flat_punch_is_where_it_is_though_the_gel_rounds_its_edge(softness_m):
+    shape = contact_shape(flat_punch(softness_m=softness_m), GEOMETRY, 0.0)
+    x, y = places(GEOMETRY)
+    inside = np.maximum(np.abs(x), np.abs(y)) < 3e-3
+    corner = np.hypot(np.abs(x) - 3e-3, np.abs(y) - 3e-3) < 1.5 * softness_m  # these do get round
+    np.testing.assert_array_equal(shape.contact[~corner], inside[~corner])
+    flat = np.maximum(np.abs(x), np.abs(y)) < 3e-3 - 4 * softness_m
+    np.testing.assert_allclose(shape.depth_m[flat], 0, atol=1e-7)
+    assert shape.press_depth_m == pytest.approx((1 - SKIRT) * PRESS_M, rel=1e-3)
+    assert shape.depth_m.dtype == np.float32
+
+
+def test_a_balls_contact_shape_is_that_of_the_lighter_press():
+    shape = contact_shape(ball_indentation(GEOMETRY, press_m=PRESS_M), GEOMETRY, 0.0)
+    tip_m = PRESS_M - press_depth_m(ball_indentation(GEOMETRY, press_m=PRESS_M), GEOMETRY)
+    assert 0 <= tip_m < TIP_M**2 / (2 * np.pi * BALL_M) + 3e-6  # how far the ball falls off over the deepest area
+    assert shape.press_depth_m == pytest.approx((1 - SKIRT) * (PRESS_M - tip_m), rel=1e-5)
+    rho = np.hypot(*places(GEOMETRY))
+    true_m = contact_radius(shape.press_depth_m + tip_m)
+    np.testing.assert_array_equal(shape.contact, rho < true_m)
+    rise = BALL_M - np.sqrt(BALL_M**2 - rho**2, where=rho < BALL_M, out=np.zeros_like(rho))
+    np.testing.assert_allclose(shape.depth_m[shape.contact], np.maximum(rise - tip_m, 0)[shape.contact], atol=1e-7)
+    assert shape.depth_m.min() == 0.0
+    Touch(shape, GEOMETRY)  # it is one
+
+
+def test_one_pixel_does_not_make_the_press():
+    indentation = flat_punch()
+    indentation[5, 5] = 1.4e-3
+    assert press_depth_m(indentation, GEOMETRY) == pytest.approx(PRESS_M)
+    area = round((TIP_M / PITCH_M) ** 2)
+    indentation[20, 20 : 20 + area] = 1e-3
+    assert press_depth_m(indentation, GEOMETRY) == pytest.approx(1e-3)
+
+
+def test_the_press_is_the_same_in_smaller_pixels():
+    found = [press_depth_m(ball_indentation(g, press_m=PRESS_M), g) for g in (sensor(64), sensor(256))]
+    assert found[0] == pytest.approx(found[1], abs=3e-6)
+
+
+@pytest.mark.parametrize("depth_m", [0.0, -1e-3, 0.9 * LEAST_M])
+def test_without_contact_it_says_so(depth_m):
+    with pytest.raises(TouchError, match=r"^no contact: nowhere .* 0\.05 mm"):
+        contact_shape(np.full(GEOMETRY.shape, depth_m, np.float32), GEOMETRY, 0.0)
+
+
+def test_noise_raises_what_counts_as_contact():
+    light = ball_indentation(GEOMETRY, press_m=1.5e-4)
+    assert contact_shape(light, GEOMETRY, 1e-5).contact.any()
+    with pytest.raises(TouchError, match=r"no contact.* 0\.2 mm.*deepest: 0\.1[45] mm"):
+        contact_shape(light, GEOMETRY, 2e-4 / ABOVE_NOISE)
+
+
+def test_an_indentation_of_the_contact_alone_is_all_of_it():
+    ball = ball_indentation(GEOMETRY, press_m=PRESS_M)
+    shape = contact_shape(ball, GEOMETRY, 1e-5, sees_skirt=False)
+    np.testing.assert_array_equal(shape.contact, ball > LEAST_M)
+    assert shape.press_depth_m == pytest.approx(press_depth_m(ball, GEOMETRY))
+    expected = np.maximum(shape.press_depth_m - ball, 0)
+    np.testing.assert_allclose(shape.depth_m[shape.contact], expected[shape.contact], atol=1e-9)
+    noisier = contact_shape(ball, GEOMETRY, 3e-5, sees_skirt=False)
+    np.testing.assert_array_equal(noisier.contact, ball > ABOVE_NOISE * 3e-5)
+    with pytest.raises(TouchError, match="no contact"):
+        contact_shape(ball, GEOMETRY, 3e-4, sees_skirt=False)
+
+
+def test_a_press_beyond_the_sensors_range_is_cut_at_it():
+    shape = contact_shape(flat_punch(press_m=5 * MM), GEOMETRY, 0.0)
+    assert shape.press_depth_m == pytest.approx((1 - SKIRT) * GEOMETRY.max_depth_m)
+    assert shape.contact.sum() == (flat_punch() > 0).sum()
+
+
+def test_what_is_not_observed_is_neither_contact_nor_press():
+    observed = np.ones(GEOMETRY.shape, bool)
+    observed[:, :64] = False
+    half = dataclasses.replace(GEOMETRY, observed=observed)
+    indentation = flat_punch(half_m=1.5e-3)
+    indentation[30:40, 10:30] = 1.2e-3
+    shape = contact_shape(indentation, half, 0.0)
+    assert shape.press_depth_m == pytest.approx((1 - SKIRT) * PRESS_M)
+    np.testing.assert_array_equal(shape.contact, (indentation > 0) & observed)
+
+
+def test_an_image_of_this_sensor_passes():
+    dim = (0.9 * GEL).astype(np.uint8)
+    assert require_image(dim, GEL) is dim
+
+
+def refused(image, *words: str, gel=GEL) -> None:
+    with pytest.raises(TouchError) as caught:
+        require_image(image, gel)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert not message.endswith(".")  # one sentence, which the file's name goes before
+    for word in words:
+        assert word in message
+
+
+def test_another_size_is_refused():
+    refused(GEL[:100], "128 x 100 px", "128 x 128 px")
+    refused(GEL[:, :64], "64 x 128 px")
+    refused(GEL[:0], "128 x 0 px")
+
+
+@pytest.mark.parametrize(
+    "image",
+    [GEL[..., 0], np.dstack([GEL, GEL[..., 0]]), GEL[..., :1], GEL / 255.0, GEL.astype(np.uint16), GEL.astype(str)],
+    ids=["grey", "alpha", "one channel", "float", "16 bits", "text"],
+)
+def test_what_is_no_colour_image_of_8_bits_is_refused(image):
+    refused(image, str(image.dtype), str(image.shape), "8 bits")
+
+
+def test_black_and_white_images_are_refused():
+    refused(np.zeros_like(GEL), "black", "light")
+    refused(np.full_like(GEL, 5), "black")
+    refused(np.full_like(GEL, 255), "saturated", "exposure")
+    bright = GEL.copy()
+    bright[:80, :, 1] = 255
+    refused(bright, "saturated")
+
+
+def test_a_gel_that_is_saturated_itself_is_no_reason_to_refuse():
+    bright = np.full_like(GEL, 255)
+    assert require_image(bright, bright) is bright
+
+
+def test_another_sensors_image_is_refused():
+    refused(background(GEOMETRY, OPTICS["digit"]), "another sensor", "calibrate")
+    refused(np.random.default_rng(0).integers(0, 250, GEL.shape).astype(np.uint8), "another sensor")

@@ -1,0 +1,253 @@
+"""`tactile-loc calibrate FOLDER`: from photos of presses to a sensor that locates an object in a photo."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from cli_helpers import Cli, assert_refused
+from PIL import Image
+
+torch = pytest.importorskip("torch")
+
+from press_sets import MM, ball_set, sensor, write_image, write_table  # noqa: E402
+
+from tactile_loc.calibration.calibrate import split  # noqa: E402
+from tactile_loc.calibration.folder import read_calibration  # noqa: E402
+from tactile_loc.calibration.photometric import PhotometricEstimator  # noqa: E402
+from tactile_loc.core.sensor_files import write_sensor_file  # noqa: E402
+from tactile_loc.core.store import StageStore  # noqa: E402
+from tactile_loc.imaging.optics import OPTICS  # noqa: E402
+from tactile_loc.imaging.shading import background  # noqa: E402
+
+BALLS = ball_set(16, px=80)
+STEPS = ["-o", "steps=300", "-o", "hidden=16"]
+FEW = ["-o", "steps=2", "-o", "hidden=4"]
+GRID = ["-o", "grid.spacing_mm=2.5"]
+ELL = ["--object", "ell.stl", "--units", "mm", "--symmetry", "none"]
+
+NOT_ITS_IMAGES = {
+    "small": (BALLS.background[:40], "80 x 40 px"),
+    "black": (0 * BALLS.background, "the image is black"),
+    "grey": (BALLS.background[..., 0], "image"),
+    "alpha": (np.dstack([BALLS.background, BALLS.background[..., 0]]), "image"),
+    "other": (background(BALLS.geometry, OPTICS["digit"]), "another sensor"),
+}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture
+def presses(cli: Cli) -> Path:
+    """The folder of presses, in the command's folder."""
+    return BALLS.write(Path("presses"))
+
+
+def write_ell(path: Path) -> None:
+    """A part of the shape of an L, 9 x 8.5 x 4 mm."""
+    parts = [trimesh.creation.box((9, 3, 4)), trimesh.creation.box((3, 7, 4))]
+    parts[1].apply_translation([3, 5, 0])
+    trimesh.util.concatenate(parts).export(path)
+
+
+def add_m(found: list, true: list) -> float:
+    """The mean distance between the part's corners at two poses, metres."""
+    corners = MM * np.array(
+        [[-4.5, -1.5, 2], [4.5, -1.5, 2], [4.5, 8.5, 2], [1.5, 8.5, 2], [-4.5, 1.5, -2], [3, 3, -2]]
+    )
+    R, t = np.subtract(found, true)[:3, :3], np.subtract(found, true)[:3, 3]
+    return float(np.linalg.norm(corners @ R.T + t, axis=1).mean())
+
+
+def test_a_photo_is_located_by_a_sensor_that_was_calibrated_from_photos(cli, presses):
+    done = cli("calibrate", presses, *STEPS, "--out", "mine")
+    assert done.exit_code == 0, done.stderr
+    assert "3 of 16 presses were held out" in done.stdout
+    assert "surface angle in the contact: " in done.stdout
+    assert "--sensor mine --touch IMAGE" in done.stdout
+    calibration = read_calibration(Path("mine"))
+    assert calibration.geometry.is_same_sensor(BALLS.geometry)
+    assert calibration.record["presses"] == 16
+    assert calibration.record["held_out"]["mean"]["slope_deg"] < 2
+    assert calibration.noise_m < 2e-5
+    with Image.open("mine/held-out.png") as picture:
+        assert min(picture.size) > 300
+
+    write_ell(Path("ell.stl"))
+    made = cli("simulate", *ELL, "--sensor", "mine", "--images", "--count", 8, "--press-depth", 0.8, "--out", "sim",
+               *GRID)  # fmt: skip
+    assert made.exit_code == 0, made.stderr
+    record = json.loads(Path("sim/poses.json").read_text())["T_sensor_object"]
+    contact = {}
+    for name in record:
+        with np.load(f"sim/{name}.npz") as touch:
+            contact[name] = int((touch["depth"] < touch["press_depth"]).sum())
+    most = max(contact, key=contact.__getitem__)
+    run = cli("run", *ELL, "--sensor", "mine", "--touch", f"sim/{most}.png", "--out", "out", *GRID)
+    assert run.exit_code == 0, run.stderr
+    result = json.loads(Path("out/result.json").read_text())
+    assert add_m(result["hypotheses"][0]["T_sensor_object"], record[most]) < 2e-3
+    assert Path("out/result.png").is_file()
+
+    refused = cli("run", *ELL, "--sensor", "mine", "--touch", "mine/background.png", "--out", "none", *GRID)
+    assert_refused(refused, "mine/background.png", "no contact")
+    for name, (image, words) in NOT_ITS_IMAGES.items():
+        photo = write_image(Path(f"{name}.png"), image)
+        assert_refused(
+            cli("run", *ELL, "--sensor", "mine", "--touch", photo, "--out", "none", *GRID), photo.name, words
+        )
+    assert not Path("none").exists()
+
+
+def test_the_second_time_nothing_is_trained_and_what_was_there_is_replaced(cli, presses, monkeypatch):
+    first = cli("calibrate", presses, *FEW, "--out", "mine")
+    monkeypatch.setattr(PhotometricEstimator, "fit", None)
+    again = cli("calibrate", presses, *FEW, "--out", "mine")
+    assert (first.exit_code, again.exit_code) == (0, 0), again.stderr
+    assert again.stdout == first.stdout
+
+
+def test_an_interruption_leaves_nothing_half_written(cli, presses, monkeypatch):
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(PhotometricEstimator, "fit", stop)
+        assert cli("calibrate", presses, *FEW, "--out", "mine", "--store", "store").exit_code == 130
+    assert not Path("mine").exists()
+    assert not any(entry.complete for entry in StageStore(Path("store")).entries())
+    assert cli("calibrate", presses, *FEW, "--out", "mine", "--store", "store").exit_code == 0
+
+
+def test_the_seed_says_what_is_held_out(cli, presses):
+    assert cli("calibrate", presses, *FEW, "--seed", 5, "--out", "mine").exit_code == 0
+    held_out = json.loads(Path("mine/calibration.json").read_text())["held_out"]["presses"]
+    assert held_out == list(split(16, 5)[1]) != list(split(16, 0)[1])
+
+
+def test_a_public_set_needs_no_table(cli, presses):
+    lines = [f"{n:04d}.png ({x - 0.5}, {y - 0.5}) {r}" for n, (x, y, r) in enumerate(BALLS.circles)]
+    (presses / "labels.txt").write_text("\n".join(lines))
+    (presses / "presses.csv").unlink()
+    (presses / "sensor.toml").unlink()
+    words = ["--format", "circles", "--ball-radius", 3, "--mm-per-px", 0.2]
+    done = cli("calibrate", presses, *words, *FEW, "--out", "mine")
+    assert done.exit_code == 0, done.stderr
+    found = read_calibration(Path("mine")).geometry
+    assert found.shape == (80, 80)
+    assert found.view == pytest.approx(BALLS.geometry.view)
+    assert_refused(cli("calibrate", presses, *words[:2]), "--ball-radius", "--mm-per-px")
+    assert_refused(cli("calibrate", presses, *words[:4], "--mm-per-px", -1), "positive")
+    assert_refused(cli("calibrate", presses, "--format", "gs_sdk", *words[2:]), "presses", "gs_sdk")
+    (presses / "background.png").write_bytes(b"no picture")
+    assert_refused(cli("calibrate", presses, *words), "background.png")
+
+
+def test_the_median_of_the_presses_may_be_the_background(cli, presses):
+    write_table(presses, BALLS.rows()[1:])
+    assert_refused(cli("calibrate", presses), "untouched gel", "--background median")
+    done = cli("calibrate", presses, "--background", "median", *FEW, "--out", "mine")
+    assert done.exit_code == 0, done.stderr
+    assert np.abs(read_calibration(Path("mine")).background.astype(int) - BALLS.background).mean() < 2
+
+
+def break_table(folder: Path, line: int, **values: object) -> None:
+    rows = BALLS.rows()
+    rows[line - 2] |= values
+    write_table(folder, rows)
+
+
+def remove(folder: Path, name: str) -> None:
+    (folder / name).unlink()
+
+
+def cut_image(folder: Path, name: str) -> None:
+    (folder / name).write_bytes((folder / name).read_bytes()[:300])
+
+
+BAD = {
+    "no table": (lambda f: remove(f, "presses.csv"), ("presses.csv", "table")),
+    "no column": (lambda f: write_table(f, BALLS.rows(), ["image", "radius_px"]), ("presses.csv", "no column kind")),
+    "unknown kind": (lambda f: break_table(f, 4, kind="bull"), ("presses.csv, line 4", "'bull'", "ball")),
+    "no label": (lambda f: break_table(f, 4, kind=""), ("line 4", "0001.png has no label")),
+    "no number": (lambda f: break_table(f, 5, radius_px=""), ("line 5", "radius_px is missing")),
+    "text for a number": (lambda f: break_table(f, 5, center_x_px="left"), ("line 5", "'left'")),
+    "outside": (lambda f: break_table(f, 3, center_x_px=200), ("line 3", "outside the image")),
+    "larger than the ball": (lambda f: break_table(f, 3, radius_px=40), ("line 3", "8 mm", "3 mm")),
+    "no mesh": (lambda f: break_table(f, 3, kind="mesh", mesh="none.stl"), ("line 3", "none.stl")),
+    "no image": (lambda f: remove(f, "0003.png"), ("line 6", "0003.png")),
+    "damaged image": (lambda f: cut_image(f, "0003.png"), ("line 6", "0003.png", "damaged")),
+    "grey image": (lambda f: write_image(f / "0003.png", BALLS.background[..., 0]), ("line 6", "no colour image")),
+    "mixed sizes": (
+        lambda f: write_image(f / "0003.png", BALLS.background[:50]),
+        ("line 6", "80 x 50 px", "80 x 80 px"),
+    ),
+    "few presses": (lambda f: write_table(f, BALLS.rows()[:4]), ("3 presses", "needs 5")),
+    "no press": (lambda f: write_table(f, BALLS.rows()[:1]), ("presses.csv", "no press")),
+    "no sensor": (lambda f: remove(f, "sensor.toml"), ("sensor.toml", "--sensor")),
+    "bad sensor": (lambda f: (f / "sensor.toml").write_text("camera = 'pinhole'"), ("sensor.toml", "image_size_px")),
+    "another sensor": (lambda f: write_sensor_file(f / "sensor.toml", sensor(32)), ("80 x 80 px", "32 x 32 px")),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_what_is_wrong_is_said_in_one_sentence(cli, presses, what):
+    spoil, words = BAD[what]
+    spoil(presses)
+    assert_refused(cli("calibrate", presses, *FEW, "--out", "mine"), *words)
+    assert not Path("mine").exists()
+
+
+def test_a_folder_that_is_not_there(cli):
+    assert_refused(cli("calibrate", "none", *FEW), "no folder none")
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ("stepz=3", ("'photometric'", "'stepz'", "'steps'")),
+        ("steps=many", ("steps", "'many'", "integer")),
+        ("steps=0", ("steps = 0",)),
+        ("steps", ("steps", "OPTION=VALUE")),
+    ],
+)
+def test_options_that_cannot_be(cli, presses, option, words):
+    assert_refused(cli("calibrate", presses, "-o", option, "--out", "mine"), *words)
+    assert not Path("mine").exists()
+
+
+def test_a_place_that_is_taken_is_seen_before_anything_is_learned(cli, presses, monkeypatch):
+    monkeypatch.setattr(PhotometricEstimator, "fit", None)
+    before = sorted(os.listdir(presses))
+    new = ["-o", "seed=99"]  # that no store has
+    assert_refused(cli("calibrate", presses, *FEW, *new, "--out", presses), "something else", "--out")
+    assert sorted(os.listdir(presses)) == before
+    Path("file").write_text("mine")
+    assert_refused(cli("calibrate", presses, *FEW, "--out", "file"), "file", "--out")
+    assert_refused(cli("calibrate", presses, *FEW, "--out", "file/deeper"), "file", "--out")
+
+
+def test_a_calibration_that_is_not_whole_is_refused(cli, presses):
+    assert cli("calibrate", presses, *FEW, "--out", "mine").exit_code == 0
+    write_ell(Path("ell.stl"))
+    photo = write_image(Path("photo.png"), BALLS.images[0])
+    run = ["run", *ELL, *GRID, "--sensor", "mine", "--touch", photo, "--out", "out"]
+    record = Path("mine/calibration.json").read_text()
+    Path("mine/calibration.json").write_text(record.replace('"noise_m"', '"noise"'))
+    assert_refused(cli(*run), "calibration.json", "noise_m", "calibrate")
+    Path("mine/calibration.json").write_text(record)
+    cut_image(Path("mine"), "estimator.safetensors")
+    assert_refused(cli(*run), "estimator.safetensors", "calibrate")
+    remove(Path("mine"), "background.png")
+    assert_refused(cli(*run), "mine", "background.png is missing")
+    assert_refused(cli(*run[:-4], "--sensor", "no/where"), "no/where", "calibrate")

@@ -1,0 +1,82 @@
+"""`tactile-loc calibrate --simulated`: a sensor calibrated without touching anything."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_helpers import assert_refused
+from PIL import Image
+
+from tactile_loc.calibration.folder import read_calibration
+from tactile_loc.core.sensor_files import read_sensor_file
+from tactile_loc.imaging.optics import OPTICS
+from tactile_loc.imaging.shading import background
+
+SENSOR = """\
+camera = "orthographic"
+image_size_px = [48, 40]
+max_depth_mm = 2.0
+mm_per_px = 0.4
+"""
+TINY = {
+    "photometric": ["--estimator", "photometric", "-o", "steps=20"],
+    "cnn": ["--estimator", "cnn", "-o", "channels=4", "-o", "epochs=1"],
+}
+
+
+@pytest.fixture
+def calibrate(cli):
+    Path("sensor.toml").write_text(SENSOR)
+    return lambda *words: cli("calibrate", "--simulated", "--presses", 12, *words)
+
+
+@pytest.mark.parametrize("estimator", TINY)
+def test_it_is_calibrated_on_boards_under_the_lamps_asked_for(calibrate, estimator):
+    done = calibrate("--sensor", "sensor.toml", "--optics", "digit", *TINY[estimator], "--out", "out")
+    assert done.exit_code == 0, done.stderr
+    assert "2 of 12 presses were held out" in done.stdout
+    calibration = read_calibration(Path("out"))
+    assert calibration.record["estimator"] == estimator
+    assert calibration.record["presses"] == 12
+    assert calibration.record["simulated"]["optics"] == OPTICS["digit"].describe()
+    assert calibration.geometry.describe() == read_sensor_file(Path("sensor.toml")).describe()
+    assert np.array_equal(calibration.background, background(calibration.geometry, OPTICS["digit"]))
+    assert calibration.estimator.indentation(calibration.background).shape == (40, 48)
+    with Image.open("out/held-out.png") as picture:
+        assert min(picture.size) > 100
+
+
+def test_the_same_again_is_found_and_a_new_seed_is_not(calibrate):
+    words = ["--sensor", "sensor.toml", *TINY["cnn"]]
+    for out, seed in (("a", 1), ("b", 1), ("c", 2)):
+        done = calibrate(*words, "--seed", seed, "--out", out)
+        assert done.exit_code == 0, done.stderr
+    a, b, c = (Path(name, "estimator.safetensors").read_bytes() for name in "abc")
+    assert a == b != c
+    record = json.loads(Path("a/calibration.json").read_text())
+    assert record["simulated"]["optics"] == OPTICS["gelslim"].describe()  # nobody described this sensor's lamps
+
+
+def test_one_source_of_presses_is_wanted(cli, calibrate):
+    assert_refused(calibrate("somewhere"), "--simulated", "leave out FOLDER")
+    assert_refused(calibrate("--format", "taxim"), "--format")
+    assert_refused(cli("calibrate"), "nothing to learn from", "FOLDER", "--simulated")
+    assert_refused(cli("calibrate", "somewhere", "--optics", "digit"), "--optics", "--simulated")
+    assert not Path("my_sensor").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "mentioned"),
+    [
+        (["--optics", "gelslam"], ["gelslam", "gelslim"]),
+        (["--sensor", "depth"], ["depth", "gelslim"]),
+        (["--sensor", "none.toml"], ["none.toml"]),
+        (["--estimator", "cnn", "-o", "depth=3"], ["cnn", "depth", "dilations"]),
+    ],
+)
+def test_what_there_is_not_is_refused_before_anything_is_made(calibrate, words, mentioned):
+    assert_refused(calibrate(*words, "--out", "out"), *mentioned)
+    assert not Path("out").exists()

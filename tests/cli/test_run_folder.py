@@ -1,0 +1,68 @@
+"""`tactile-loc run --touch FOLDER`."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_helpers import TINY, assert_refused, touch_depths
+
+FOLDER = Path("touches")
+PIN = ["--object", "pin", *TINY]
+
+
+@pytest.fixture
+def folder(cli, tmp_path) -> Path:
+    """Two touches of the pin, and a file without contact."""
+    assert cli("simulate", "--object", "pin", "--count", 2, "--out", FOLDER, *TINY).exit_code == 0
+    np.savez(FOLDER / "zero.npz", depth=np.full((200, 200), 0.002, np.float32), unit="m")
+    return FOLDER
+
+
+def rows(out: Path) -> list[dict[str, str]]:
+    with (out / "results.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_each_touch_has_a_line_and_its_results(cli, folder):
+    done = cli("run", *PIN, "--touch", folder, "--out", "out", "--pictures")
+    assert done.exit_code == 0, done.stderr
+    found = rows(Path("out"))
+    assert [row["touch"] for row in found] == ["touch-0000.npz", "touch-0001.npz", "zero.npz"]
+    assert "shows no contact" in found[2]["says"]
+    assert "located: 2 of 3" in done.stdout
+    assert done.stderr.count("warning: ") == 1
+    for row in found[:2]:
+        assert row["touch"] in done.stdout
+        result = json.loads((Path("out") / Path(row["touch"]).stem / "result.json").read_text())
+        T = np.array(result["hypotheses"][0]["T_sensor_object"])
+        np.testing.assert_allclose([float(row[k]) for k in ("x_mm", "y_mm", "z_mm")], 1e3 * T[:3, 3], atol=1e-3)
+        assert (Path("out") / Path(row["touch"]).stem / "result.png").stat().st_size > 10_000
+
+
+def test_it_finds_what_each_touch_alone_finds(cli, folder):
+    assert cli("run", *PIN, "--touch", folder, "--out", "all").exit_code == 0
+    assert cli("run", *PIN, "--touch", folder / "touch-0001.npz", "--out", "one").exit_code == 0
+    both = [json.loads(Path(p).read_text()) for p in ("all/touch-0001/result.json", "one/result.json")]
+    poses = [np.array(r["hypotheses"][0]["T_sensor_object"]) for r in both]
+    np.testing.assert_allclose(*poses, atol=1e-5)
+    assert both[0]["touch"]["T_sensor_object"] == both[1]["touch"]["T_sensor_object"]
+    assert not Path("all/touch-0001/result.png").exists()
+
+
+def test_a_pattern_chooses_files(cli, folder):
+    assert cli("run", *PIN, "--touch", folder / "touch-*.npz", "--out", "out").exit_code == 0
+    assert [row["touch"] for row in rows(Path("out"))] == ["touch-0000.npz", "touch-0001.npz"]
+    assert_refused(cli("run", *PIN, "--touch", folder / "photo-*.png"), "photo-*.png", "holds no touch")
+
+
+def test_a_folder_without_touches_or_with_none_that_can_be_located(cli, tmp_path):
+    (tmp_path / "empty").mkdir()
+    assert_refused(cli("run", *PIN, "--touch", "empty"), "empty", "holds no touch")
+    (tmp_path / "bad").mkdir()
+    np.savez("bad/a.npz", depth=np.full((200, 200), 0.002, np.float32), unit="m")
+    np.savez("bad/b.npz", depth=touch_depths((30, 30)), unit="m")
+    assert_refused(cli("run", *PIN, "--touch", "bad"), "no touch of bad", "a.npz")

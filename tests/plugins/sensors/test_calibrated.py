@@ -1,0 +1,186 @@
+"""A calibrated sensor: images become contact shapes, and contact shapes stay what they are."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from press_sets import (  # noqa: E402
+    BALL_M,
+    ball_indentation,
+    ball_set,
+    contact_radius,
+    photographed,
+    places,
+    write_calibrated,
+    write_image,
+)
+
+from tactile_loc.calibration.reading import SKIRT  # noqa: E402
+from tactile_loc.core.errors import CalibrationError, ConfigError, TouchError, WeightsError  # noqa: E402
+from tactile_loc.core.registry import registry  # noqa: E402
+from tactile_loc.core.sensing import ContactShape, Touch  # noqa: E402
+from tactile_loc.core.touches import read_touch  # noqa: E402
+from tactile_loc.imaging.optics import OPTICS  # noqa: E402
+from tactile_loc.imaging.shading import background  # noqa: E402
+from tactile_loc.plugins.sensors.calibrated import CalibratedSensor  # noqa: E402
+from tactile_loc.testing import checks_for  # noqa: E402
+
+BALLS = ball_set(12)
+PRESS_M = 7e-4
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    return write_calibrated(tmp_path_factory.mktemp("calibrated") / "sensor", BALLS, steps=500)
+
+
+@pytest.fixture(scope="module")
+def sensor(folder: Path) -> CalibratedSensor:
+    return registry().create("sensor", "calibrated", {"path": str(folder)})
+
+
+@pytest.fixture(scope="module")
+def truth() -> np.ndarray:
+    return ball_indentation(BALLS.geometry, 1.2e-3, -1e-3, PRESS_M)
+
+
+@pytest.fixture(scope="module")
+def photo(truth: np.ndarray) -> np.ndarray:
+    return photographed(truth[None], BALLS.geometry)[0]
+
+
+def test_it_is_registered(sensor):
+    assert isinstance(sensor, CalibratedSensor)
+    assert sensor.geometry.is_same_sensor(BALLS.geometry)
+
+
+def test_it_keeps_the_contract(sensor):
+    checks = checks_for(sensor)
+    assert len(checks) > 8
+    for check in checks:
+        check(sensor)
+
+
+def test_an_image_becomes_the_balls_contact_shape(sensor, photo):
+    shape = sensor.contact_shape(photo)
+    assert isinstance(shape, ContactShape)
+    assert shape.depth_m.dtype == np.float32
+    assert shape.press_depth_m == pytest.approx((1 - SKIRT) * PRESS_M, rel=0.15)
+    x, y = places(BALLS.geometry)
+    rho = np.hypot(x - 1.2e-3, y + 1e-3)
+    true = rho < contact_radius(shape.press_depth_m)
+    assert (shape.contact & true).sum() > 0.8 * (shape.contact | true).sum()
+    rise = BALL_M - np.sqrt(BALL_M**2 - rho**2, where=true, out=np.full_like(rho, BALL_M))
+    inner = rho < 0.7 * contact_radius(shape.press_depth_m)
+    assert np.sqrt(np.mean((shape.depth_m - rise)[inner] ** 2)) < 4e-5
+    Touch(shape, sensor.geometry)
+
+
+def test_the_same_image_gives_the_same_and_is_left_alone(sensor, photo):
+    kept = photo.copy()
+    first, again = sensor.contact_shape(photo), sensor.contact_shape(photo)
+    np.testing.assert_array_equal(first.depth_m, again.depth_m)
+    assert first.press_depth_m == again.press_depth_m
+    np.testing.assert_array_equal(photo, kept)
+
+
+def test_a_read_only_image_will_do(sensor, photo):
+    fixed = photo.copy()
+    fixed.flags.writeable = False
+    np.testing.assert_array_equal(sensor.contact_shape(fixed).depth_m, sensor.contact_shape(photo).depth_m)
+
+
+def test_the_deeper_press_is_the_larger_contact(sensor):
+    shapes = [
+        sensor.contact_shape(photographed(ball_indentation(BALLS.geometry, press_m=p)[None], BALLS.geometry)[0])
+        for p in (3e-4, 8e-4)
+    ]
+    assert shapes[0].press_depth_m < 0.5 * shapes[1].press_depth_m
+    assert shapes[0].contact.sum() < 0.6 * shapes[1].contact.sum()
+
+
+def test_an_image_without_contact_says_so(sensor):
+    for image in (BALLS.background, BALLS.background + np.uint8(1)):
+        with pytest.raises(TouchError, match="no contact"):
+            sensor.contact_shape(image)
+
+
+def test_contact_shapes_stay_what_they_are(sensor, truth):
+    depth = np.where(truth > 0, PRESS_M - truth, np.nan)
+    shape = sensor.contact_shape(depth)
+    np.testing.assert_array_equal(shape.contact, truth > 0)
+    np.testing.assert_allclose(shape.depth_m[truth > 0], depth[truth > 0], atol=1e-9)
+    with pytest.raises(TouchError, match="pixels"):
+        sensor.contact_shape(depth[:20])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda image: image[:50], "64 x 50 px"),
+        (lambda image: image[..., 1], r"uint8 of shape \(64, 64\).* colour"),
+        (lambda image: np.dstack([image, image[..., 0]]), "colour"),
+        (lambda image: image / 255.0, "float64"),
+        (lambda image: background(BALLS.geometry, OPTICS["digit"]), "another sensor"),
+        (lambda image: 0 * image, "black"),
+        (lambda image: image[0, 0], "pixels|colour"),
+        (lambda image: image[:0], "px"),
+    ],
+    ids=["cropped", "grey", "alpha", "float", "another sensor's", "black", "one pixel", "empty"],
+)
+def test_images_that_are_not_this_sensors_are_refused(sensor, photo, change, words):
+    with pytest.raises(TouchError, match=words):
+        sensor.contact_shape(change(photo))
+
+
+def test_a_photos_file_is_read(sensor, photo, tmp_path):
+    path = write_image(tmp_path / "photo.png", photo)
+    touch = read_touch(path, sensor)
+    np.testing.assert_array_equal(touch.contact_shape.depth_m, sensor.contact_shape(photo).depth_m)
+    lighter = read_touch(path, sensor, press_depth_m=1e-4)
+    assert lighter.press_depth_m == pytest.approx(1e-4)
+    assert lighter.contact_shape.contact.sum() < touch.contact_shape.contact.sum()
+    with pytest.raises(TouchError, match=r"gel\.png: no contact"):
+        read_touch(write_image(tmp_path / "gel.png", BALLS.background), sensor)
+
+
+def test_what_identifies_it_is_what_the_folder_holds(sensor, folder, tmp_path):
+    described = sensor.describe()
+    assert str(folder) not in json.dumps(described)
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    again = CalibratedSensor(CalibratedSensor.Options(path=str(copy)))
+    assert again.describe() == described
+    write_calibrated(copy, BALLS, steps=2)
+    other = CalibratedSensor(CalibratedSensor.Options(path=str(copy)))
+    assert other.describe() != described
+
+
+def test_a_home_folder_is_found(folder, monkeypatch):
+    monkeypatch.setenv("HOME", str(folder.parent))
+    assert CalibratedSensor(CalibratedSensor.Options(path="~/sensor")).geometry.shape == (64, 64)
+
+
+def test_a_folder_that_is_none_is_refused(tmp_path):
+    with pytest.raises(CalibrationError, match="there is no folder"):
+        CalibratedSensor(CalibratedSensor.Options(path=str(tmp_path / "none")))
+    with pytest.raises(CalibrationError, match=r"sensor\.toml is missing"):
+        CalibratedSensor(CalibratedSensor.Options(path=str(tmp_path)))
+    with pytest.raises(ConfigError, match="path"):
+        registry().create("sensor", "calibrated", {})
+
+
+def test_damaged_weights_are_refused(folder, photo, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    weights = copy / "estimator.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-40])
+    with pytest.raises(WeightsError, match=r"estimator\.safetensors"):
+        CalibratedSensor(CalibratedSensor.Options(path=str(copy))).contact_shape(photo)

@@ -1,0 +1,152 @@
+"""Simulated presses of a ball whose numbers are known, as arrays and as the folder that `calibrate` reads."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from tactile_loc.calibration.estimator import LabelledPresses
+from tactile_loc.calibration.labels import PressLabel, ball_label
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensor_files import write_sensor_file
+from tactile_loc.imaging.gel import gel_surface
+from tactile_loc.imaging.optics import OPTICS
+from tactile_loc.imaging.shading import background, render_images
+
+MM = 1e-3
+BALL_M = 3e-3
+TINY = {"steps": 200, "hidden": 16, "pixels": 1024}
+COLUMNS = (
+    "image", "kind", "center_x_px", "center_y_px", "radius_px", "ball_radius_mm",
+    "mesh", "units", "x_mm", "y_mm", "roll_deg", "pitch_deg", "yaw_deg", "press_mm",
+)  # fmt: skip
+
+
+def sensor(px: int = 64, size_m: float = 0.016, max_depth_m: float = 1.5e-3, **more) -> SensorGeometry:
+    """An orthographic sensor of a square field, 16 mm wide."""
+    k = px / size_m
+    return SensorGeometry("orthographic", px, px, k, k, px / 2, px / 2, 0.01, max_depth_m, **more)
+
+
+def places(geometry: SensorGeometry) -> tuple[np.ndarray, np.ndarray]:
+    """Where the pixels of an orthographic sensor are, x and y (H, W), metres."""
+    return np.meshgrid(*geometry.pixel_slopes)
+
+
+def ball_indentation(geometry: SensorGeometry, x_m=0.0, y_m=0.0, press_m=1e-3, ball_m=BALL_M) -> np.ndarray:
+    """How far a ball reaches below the untouched surface (H, W), metres."""
+    x, y = places(geometry)
+    rho2 = (x - x_m) ** 2 + (y - y_m) ** 2
+    return np.maximum(np.sqrt(np.maximum(ball_m**2 - rho2, 0)) - (ball_m - press_m), 0).astype(np.float32)
+
+
+def contact_radius(press_m, ball_m: float = BALL_M):
+    """The radius of the circle in which a ball at a press, metres, cuts the untouched surface."""
+    return np.sqrt(2 * ball_m * press_m - press_m**2)
+
+
+def gel_under(indentation_m: np.ndarray, geometry: SensorGeometry) -> np.ndarray:
+    """The gel's surface (N, H, W), metres, under what objects push in (N, H, W), metres."""
+    press = indentation_m.max(axis=(1, 2))
+    return gel_surface(press[:, None, None] - indentation_m, press, geometry)
+
+
+def visible_radius(press_m: np.ndarray, ball_m: float = BALL_M) -> np.ndarray:
+    """The radius of the circle in which the gel lies on a ball at presses (N,), metres; around it the gel hangs."""
+    geometry = sensor(240, 8e-3)
+    ball = np.stack([ball_indentation(geometry, press_m=p, ball_m=ball_m) for p in press_m])
+    lies = (ball > 0) & (gel_under(ball, geometry) - ball < 1e-6)
+    return np.sqrt(lies.sum(axis=(1, 2)) / np.pi) * geometry.pixel_pitch_m
+
+
+def photographed(indentation_m: np.ndarray, geometry: SensorGeometry) -> np.ndarray:
+    """Noiseless pictures (N, H, W, 3) of the gel under what objects push in (N, H, W), metres."""
+    optics = OPTICS["gelslim"].noiseless()
+    return render_images(gel_under(indentation_m, geometry), geometry, optics, np.random.default_rng(0))
+
+
+@dataclass(frozen=True, eq=False)
+class BallSet(LabelledPresses):
+    """Presses of one ball: images (N, H, W, 3), visible circles (N, 3) of x, y, radius in pixels, and the truth.
+
+    `indentation_m` (N, H, W) is the ball's, metres, deeper than the label by how deep the visible circle lies.
+    """
+
+    geometry: SensorGeometry
+    background: np.ndarray
+    images: np.ndarray
+    circles: np.ndarray
+    indentation_m: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def press(self, number: int) -> tuple[np.ndarray, PressLabel]:
+        x, y, radius = self.circles[number]
+        return self.images[number], ball_label(self.geometry, (x, y), radius, BALL_M)
+
+    def rows(self) -> list[dict[str, object]]:
+        """The rows of the table."""
+        names = ("center_x_px", "center_y_px", "radius_px")
+        balls = [
+            {"image": f"{i:04d}.png", "kind": "ball", "ball_radius_mm": BALL_M / MM, **dict(zip(names, c, strict=True))}
+            for i, c in enumerate(self.circles.tolist())
+        ]
+        return [{"image": "background.png", "kind": "background"}, *balls]
+
+    def write(self, folder: Path) -> Path:
+        """Write images, table and sensor file, and return the folder."""
+        folder.mkdir(parents=True, exist_ok=True)
+        write_image(folder / "background.png", self.background)
+        for i, image in enumerate(self.images):
+            write_image(folder / f"{i:04d}.png", image)
+        write_table(folder, self.rows())
+        write_sensor_file(folder / "sensor.toml", self.geometry)
+        return folder
+
+
+def ball_set(count: int = 12, px: int = 64, seed: int = 0) -> BallSet:
+    """Presses at random places of the middle half of the field, 0.3 to 0.9 mm deep."""
+    rng, geometry = np.random.default_rng(seed), sensor(px)
+    x, y = rng.uniform(-4e-3, 4e-3, (2, count))
+    press = rng.uniform(3e-4, 9e-4, count)
+    indentation = np.stack([ball_indentation(geometry, *p) for p in zip(x, y, press, strict=True)])
+    (kx, ky), radius = geometry.scale_at_surface, visible_radius(press)
+    circles = np.stack([x * kx + geometry.cx, y * ky + geometry.cy, radius * kx], axis=1)
+    unpressed = background(geometry, OPTICS["gelslim"])
+    return BallSet(geometry, unpressed, photographed(indentation, geometry), circles, indentation)
+
+
+def write_calibrated(folder: Path, learned_from: BallSet | None = None, **options: object) -> Path:
+    """Write a calibrated sensor, trained on a set of presses or not at all, and return the folder; needs torch."""
+    from tactile_loc.calibration.calibrate import calibrate
+    from tactile_loc.calibration.estimator import estimator_options
+    from tactile_loc.calibration.folder import write_calibration
+    from tactile_loc.calibration.photometric import PhotometricEstimator
+
+    chosen = {**TINY, **options}
+    if learned_from is None:
+        geometry = sensor()
+        gel = background(geometry, OPTICS["gelslim"])
+        estimator = PhotometricEstimator(geometry, gel, estimator_options(PhotometricEstimator, chosen))
+        return write_calibration(folder, geometry, gel, estimator, {"noise_m": 5e-6})
+    made = calibrate(learned_from, learned_from.geometry, learned_from.background, "photometric", chosen)
+    return write_calibration(folder, learned_from.geometry, learned_from.background, made.estimator, made.record())
+
+
+def write_image(path: Path, image: np.ndarray) -> Path:
+    Image.fromarray(image).save(path)
+    return path
+
+
+def write_table(folder: Path, rows: Iterable[dict[str, object]], columns: Iterable[str] = COLUMNS) -> Path:
+    with (folder / "presses.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, tuple(columns), extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(rows)
+    return folder / "presses.csv"
