@@ -80,8 +80,10 @@ class CnnEstimator(GelEstimator):
         dropout: float = Field(default=0.5, ge=0, lt=1, description="share of the fifth convolution that is dropped")
         epochs: int = Field(default=30, ge=1, description="how often every press is learned from")
         batch: int = Field(default=8, ge=1, description="presses a training step")
-        crop_px: int = Field(default=128, ge=8, description="side of the part of an image that is learned from, pixels")
-        rate: float = Field(default=1e-4, gt=0, description="learning rate of Adam, at its highest")
+        crop_px: int = Field(default=96, ge=8, description="side of the part of an image that is learned from, pixels")
+        rate: float = Field(
+            default=2e-3, gt=0, description="learning rate of Adam, at its highest; the paper's is 1e-4"
+        )
         seed: int = Field(default=0, ge=0, description="of all that is drawn in training")
 
     def __init__(self, geometry: SensorGeometry, background: Image, options: ComponentOptions | None = None) -> None:

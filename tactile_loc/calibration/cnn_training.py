@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+ON_CONTACT = 0.75  # of the crops: most of an image is untouched, and learned from soon
 LEAST_STD = 1e-3  # of an input plane: one that never changes is not blown up
 
 
@@ -71,15 +72,20 @@ class Samples:
 
         No crop is turned or mirrored: the lamps are not.
         """
-        sides = [min(crop_px, side) for side in self.observed.shape]
-        parts = []
-        for press in chosen:
-            starts = [
-                int(rng.integers(whole - side + 1)) for whole, side in zip(self.observed.shape, sides, strict=True)
-            ]
-            parts.append(self._part(press, *(slice(a, a + side) for a, side in zip(starts, sides, strict=True))))
+        parts = [self._part(press, *self._crop(press, rng, crop_px)) for press in chosen]
         features, indentation_m, observed = (torch.from_numpy(np.stack(part)) for part in zip(*parts, strict=True))
         return features.permute(0, 3, 1, 2), indentation_m, observed
+
+    def _crop(self, press: int, rng: np.random.Generator, crop_px: int) -> tuple[slice, slice]:
+        """Rows and columns of a random crop: ON_CONTACT of them with a pixel of the contact somewhere in it."""
+        sides = np.minimum(crop_px, self.observed.shape)
+        last = self.observed.shape - sides
+        start = rng.integers(last + 1)
+        touched = np.argwhere(self.shares[press] > 0)
+        if len(touched) and rng.random() < ON_CONTACT:
+            start = np.clip(touched[rng.integers(len(touched))] - rng.integers(sides), 0, last)
+        (top, left), (bottom, right) = start, start + sides
+        return slice(top, bottom), slice(left, right)
 
     def _part(self, press: int, rows: slice, columns: slice) -> tuple[NDArray[np.float32], ...]:
         """Features (h, w, F), indentation in metres and observed pixels (h, w) of a part of a press."""
