@@ -16,6 +16,7 @@ from tactile_loc.evaluation.pictures import (
     draw_contact_shape,
     draw_noise,
     draw_outline,
+    extent_mm,
     make_figure,
     millimetres,
     percent,
@@ -43,7 +44,7 @@ def draw_rendering(localizer: Localizer) -> Figure:
     left, middle, right = figure.subfigures(1, 3, width_ratios=[5, 4.3, 4.3])
     left.suptitle("the object in contact", size=10, y=0.93)
     draw_pose(left.add_axes((0.02, 0.02, 0.96, 0.86)), scene.object.mesh, geometry, T)
-    extent = [1e3 * v for v in _extent(localizer)]
+    extent = extent_mm(geometry)
     views = (
         (middle, "camera depth z(u) beyond the surface (mm)", np.where(np.isfinite(z_m), z_m, np.nan)),
         (right, "contact shape c(u): depth from full penetration (mm)", None),
@@ -122,12 +123,6 @@ def _draw_posterior(axes: Any, posterior: Any, T_true: NDArray[np.float64]) -> N
 
 def _touch(localizer: Localizer) -> Touch:
     return localizer.simulate(1, TOUCH_SEED, noise="strong")[0]
-
-
-def _extent(localizer: Localizer) -> tuple[float, float, float, float]:
-    g = localizer.sensor.geometry
-    sx, sy = g.scale_at_surface
-    return -g.cx / sx, (g.width_px - g.cx) / sx, (g.height_px - g.cy) / sy, -g.cy / sy
 
 
 def main() -> None:

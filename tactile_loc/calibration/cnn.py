@@ -14,13 +14,13 @@ from torch import nn
 from tactile_loc.calibration.cnn_training import CnnTrainer, Recipe
 from tactile_loc.calibration.estimator import CalibrationProblem, GelEstimator, Image
 from tactile_loc.calibration.networks import load_network, save_network
-from tactile_loc.calibration.photometric import COLOUR_STEP, fixed_features
+from tactile_loc.calibration.photometric import FEATURES, features, fixed_features
 from tactile_loc.core.interfaces import ComponentOptions
 from tactile_loc.core.sensing import SensorGeometry
 
 Float32 = NDArray[np.float32]
 
-PLANES = 8  # colour difference, background, place
+PLANES = FEATURES
 
 Dilation = Annotated[int, Field(ge=1, le=256)]
 
@@ -102,8 +102,7 @@ class CnnEstimator(GelEstimator):
 
     def indentation(self, image: Image) -> Float32:
         """Return how far the gel is pressed in by the contact (H, W), metres, 0 outside of it."""
-        difference = (image.astype(np.float32) - self.background) / np.float32(COLOUR_STEP)
-        planes = np.concatenate([difference, self._fixed], axis=-1)
+        planes = features(image, self.background, self._fixed)
         with torch.inference_mode():
             found = self._network.metres(torch.from_numpy(planes).permute(2, 0, 1)[None])
         return found[0].numpy()

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from tactile_loc.calibration.estimator import CalibrationProblem
-from tactile_loc.calibration.photometric import COLOUR_STEP
+from tactile_loc.calibration.photometric import features
 from tactile_loc.core.errors import CalibrationError, TrainingError
 
 if TYPE_CHECKING:
@@ -73,8 +73,8 @@ class Samples:
         No crop is turned or mirrored: the lamps are not.
         """
         parts = [self._part(press, *self._crop(press, rng, crop_px)) for press in chosen]
-        features, indentation_m, observed = (torch.from_numpy(np.stack(part)) for part in zip(*parts, strict=True))
-        return features.permute(0, 3, 1, 2), indentation_m, observed
+        seen, indentation_m, observed = (torch.from_numpy(np.stack(part)) for part in zip(*parts, strict=True))
+        return seen.permute(0, 3, 1, 2), indentation_m, observed
 
     def _crop(self, press: int, rng: np.random.Generator, crop_px: int) -> tuple[slice, slice]:
         """Rows and columns of a random crop: ON_CONTACT of them with a pixel of the contact somewhere in it."""
@@ -89,18 +89,17 @@ class Samples:
 
     def _part(self, press: int, rows: slice, columns: slice) -> tuple[NDArray[np.float32], ...]:
         """Features (h, w, F), indentation in metres and observed pixels (h, w) of a part of a press."""
-        difference = self.images[press, rows, columns].astype(np.float32) - self.background[rows, columns]
-        features = np.concatenate([difference / np.float32(COLOUR_STEP), self.fixed[rows, columns]], axis=-1)
+        seen = features(self.images[press, rows, columns], self.background[rows, columns], self.fixed[rows, columns])
         indentation_m = self.shares[press, rows, columns].astype(np.float32) * np.float32(self.deepest_m)
-        return features, indentation_m, self.observed[rows, columns].astype(np.float32)
+        return seen, indentation_m, self.observed[rows, columns].astype(np.float32)
 
     def normalise(self, network: GelNetwork) -> None:
         """Set a network's statistics to those of all observed pixels."""
         whole = slice(None)
         sums = np.zeros((2, 3 + self.fixed.shape[-1] + 1))
         for press in range(len(self.images)):
-            features, indentation_m, _ = self._part(press, whole, whole)
-            values = np.concatenate([features, indentation_m[..., None]], axis=-1)[self.observed].astype(np.float64)
+            seen, indentation_m, _ = self._part(press, whole, whole)
+            values = np.concatenate([seen, indentation_m[..., None]], axis=-1)[self.observed].astype(np.float64)
             sums += np.stack([values.mean(axis=0), np.square(values).mean(axis=0)])
         mean, square = sums / len(self.images)
         std = np.sqrt(np.maximum(square - mean**2, 0))

@@ -95,9 +95,9 @@ class PhotometricEstimator(GelEstimator):
 
     def slopes(self, image: Image) -> Float32:
         """Return the slope (H, W, 2) of the gel's surface along x and y, unitless."""
-        features = torch.from_numpy(self._features(image).reshape(-1, FEATURES))
+        pixels = torch.from_numpy(self._features(image).reshape(-1, FEATURES))
         with torch.inference_mode():
-            parts = [self._network(part) for part in features.split(PIXELS_AT_ONCE)]
+            parts = [self._network(part) for part in pixels.split(PIXELS_AT_ONCE)]
         return torch.cat(parts).numpy().reshape(*image.shape[:2], 2)
 
     def indentation(self, image: Image) -> Float32:
@@ -113,8 +113,7 @@ class PhotometricEstimator(GelEstimator):
         load_network(self._network, path, self.name)
 
     def _features(self, image: Image) -> Float32:
-        difference = (image.astype(np.float32) - self.background) / np.float32(COLOUR_STEP)
-        return np.concatenate([difference, self._fixed], axis=-1)
+        return features(image, self.background, self._fixed)
 
     def _samples(self, problem: CalibrationProblem) -> tuple[torch.Tensor, torch.Tensor]:
         """Features (P, FEATURES) and slopes (P, 2) of all known pixels in contact and of some without."""
@@ -132,6 +131,15 @@ class PhotometricEstimator(GelEstimator):
         if not touched:
             raise CalibrationError("no press shows any contact; a calibration needs presses of known shape")
         return torch.from_numpy(np.concatenate(features)), torch.from_numpy(np.concatenate(slopes))
+
+
+def features(image: Image, background: Image, fixed: Float32) -> Float32:
+    """Return what an estimator sees of an image (H, W, 3), or of a part of it: (H, W, FEATURES), about -1 to 1.
+
+    The colour's difference from the `background` (H, W, 3), and what no touch changes, `fixed` (H, W, 5).
+    """
+    difference = (image.astype(np.float32) - background) / np.float32(COLOUR_STEP)
+    return np.concatenate([difference, fixed], axis=-1)
 
 
 def fixed_features(background: Image, geometry: SensorGeometry) -> Float32:

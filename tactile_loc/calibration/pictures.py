@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.calibration.estimator import GelEstimator, LabelledPresses
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.evaluation.pictures import make_figure
+from tactile_loc.evaluation.pictures import extent_mm, make_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,7 +23,7 @@ def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Se
     figure = make_figure(13.5, 2.9 * len(shown) + 0.6, constrained=True)
     figure.suptitle(title, size=13, weight="bold")
     rows: NDArray[Any] = figure.subplots(len(shown), 4, squeeze=False)
-    extent = [1e3 * v for v in _extent(estimator.geometry)]
+    extent = extent_mm(estimator.geometry)
     for row, number in zip(rows, shown, strict=True):
         image, label = presses.press(number)
         found_mm, known_mm = 1e3 * estimator.indentation(image), 1e3 * label.indentation_m
@@ -52,8 +51,3 @@ def _draw_profile(axes: Any, found_mm: Any, known_mm: Any, known: Any, extent: S
     axes.set_xlabel("x (mm)", size=8)
     axes.set_ylabel("indentation (mm)", size=8)
     axes.legend(frameon=False, fontsize=8)
-
-
-def _extent(geometry: SensorGeometry) -> tuple[float, float, float, float]:
-    x0, x1, y0, y1 = geometry.view
-    return x0, x1, y1, y0

@@ -14,10 +14,9 @@ from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.core.sensor_files import read_sensor_file
 from tactile_loc.core.store import StageStore
-from tactile_loc.imaging.optics import OPTICS, Optics, optics
+from tactile_loc.imaging.optics import OPTICS, Optics, optics, optics_of
 
 PRESSES = {"photometric": 200, "cnn": 2000}  # by default; the paper's number for its network
-GENERIC_OPTICS = "gelslim"  # for sensors whose lamps nobody has described
 
 
 def simulated_sensor(sensor: str, lamps: str | None = None) -> tuple[SensorGeometry, Optics]:
@@ -26,8 +25,7 @@ def simulated_sensor(sensor: str, lamps: str | None = None) -> tuple[SensorGeome
     By default the optics are the sensor's own, or a usual sensor's. Raises SensorError, ConfigError or
     UnknownPluginError for what there is not, CalibrationError for a sensor that reads no images of its own.
     """
-    own = sensor if sensor in OPTICS else GENERIC_OPTICS
-    chosen = optics(lamps or own)
+    chosen = optics(lamps) if lamps else optics_of(sensor)
     if sensor.endswith(".toml"):
         return read_sensor_file(Path(sensor)), chosen
     if sensor not in OPTICS:

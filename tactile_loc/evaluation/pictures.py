@@ -97,7 +97,7 @@ def draw_contact_shape(
 
     colours = colormaps["viridis"].with_extremes(bad=NO_CONTACT)
     depth_mm = np.ma.masked_where(~shape.contact, 1e3 * shape.depth_m)
-    extent = _extent_mm(geometry)
+    extent = extent_mm(geometry)
     image: AxesImage = axes.imshow(
         depth_mm, cmap=colours, vmin=0.0, vmax=1e3 * (deepest_m or shape.press_depth_m), extent=extent, origin="upper"
     )
@@ -133,7 +133,7 @@ def _draw_photo(panel: SubFigure, localization: Localization, scene: Scene) -> N
     """The image, and where the contact of the most probable pose would end in it."""
     touch = localization.touch
     axes = panel.add_axes((0.125, 0.19, 0.85, 0.68))
-    axes.imshow(np.asarray(touch.image), extent=_extent_mm(touch.geometry), origin="upper")
+    axes.imshow(np.asarray(touch.image), extent=extent_mm(touch.geometry), origin="upper")
     made = scene.contact_shape(localization.best.refined.T_sensor_object, touch.press_depth_m)
     draw_outline(axes, dataclasses.replace(touch, contact_shape=made), EXPECTED)
     axes.tick_params(labelsize=8, length=2.5)
@@ -197,15 +197,15 @@ def _draw_scene(panel: SubFigure, localization: Localization, scene: Scene) -> N
 
 def draw_outline(axes: Axes, touch: Touch, colour: str = OUTLINE) -> None:
     """Draw the border of the touch's contact, as the sensor sees it, in mm."""
-    left, right, bottom, top = _extent_mm(touch.geometry)
+    left, right, bottom, top = extent_mm(touch.geometry)
     height, width = touch.geometry.shape
     x = left + (np.arange(width) + 0.5) / width * (right - left)
     y = top + (np.arange(height) + 0.5) / height * (bottom - top)
     axes.contour(x, y, touch.contact_shape.contact.astype(float), levels=[0.5], colors=colour, linewidths=1.1)
 
 
-def _extent_mm(geometry: SensorGeometry) -> tuple[float, float, float, float]:
-    """The image's borders (left, right, bottom, top) on the sensing surface, mm; y runs down."""
+def extent_mm(geometry: SensorGeometry) -> tuple[float, float, float, float]:
+    """Return the image's borders (left, right, bottom, top) on the sensing surface, mm; y runs down."""
     sx, sy = geometry.scale_at_surface
     x0, x1 = -geometry.cx / sx, (geometry.width_px - geometry.cx) / sx
     y0, y1 = -geometry.cy / sy, (geometry.height_px - geometry.cy) / sy

@@ -166,6 +166,7 @@ def _ring(*lamps: tuple[float, float, float, Vector], distance: float = math.inf
     return tuple(Light.at(math.radians(a), math.radians(e), c, s, distance) for a, e, s, c in lamps)
 
 
+GENERIC = "gelslim"
 OPTICS = {  # set beside photos of balls pressed into one specimen of each make; others differ: see `Optics.varied`
     "gelslim": Optics(
         _ring((-29, 23, 1.4, (1.0, 0.0, 0.0)), (117, 22, 0.6, (0.0, 1.0, 0.15)), (205, 28, 1.2, (0.0, 0.1, 1.0))),
@@ -187,3 +188,8 @@ def optics(name: str) -> Optics:
     if name not in OPTICS:
         raise ConfigError(f"there are no optics {name!r}; give one of {', '.join(OPTICS)}.{did_you_mean(name, OPTICS)}")
     return OPTICS[name]
+
+
+def optics_of(sensor: str) -> Optics:
+    """Return the optics of a sensor by its name; of one whose lamps nobody has described, a usual sensor's."""
+    return OPTICS.get(sensor, OPTICS[GENERIC])

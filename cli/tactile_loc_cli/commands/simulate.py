@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from tactile_loc.imaging.optics import Optics
 
 DEFAULT_OUT = Path("tactile-loc-touches")
-GENERIC_OPTICS = "gelslim"  # for sensors whose lights nobody has described
 BATCH = 16  # images rendered at once
 
 
@@ -103,9 +102,9 @@ def _write(localizer: Localizer, touches: list[Touch], out: Path) -> None:
 
 def _optics(name: str, asked: bool) -> Optics:
     """Return the optics that were asked for, or the sensor's, or a usual sensor's."""
-    from tactile_loc.imaging.optics import OPTICS, optics
+    from tactile_loc.imaging.optics import optics, optics_of
 
-    return optics(name if asked or name in OPTICS else GENERIC_OPTICS)
+    return optics(name) if asked else optics_of(name)
 
 
 def _write_images(touches: list[Touch], optics: Optics, seed: int, out: Path) -> None:
