@@ -30,6 +30,7 @@ from tactile_loc.evaluation.judge import STAGES
 from tactile_loc.evaluation.pictures import save_figure
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.tables import Run
+from tactile_loc.evaluation.touches import SimulatedTouches
 
 ENCODERS = {"pixel": {"name": "pixel"}, "pixel, depth": {"name": "pixel", "signal": "depth"}, "moco": {"name": "moco"}}
 LINES = ("best-1", "best-10", "best-50", "reg-1", "reg-10", "closest", "oracle", "random")
@@ -59,7 +60,7 @@ def measure(obj: ObjectModel, arguments: argparse.Namespace) -> tuple[dict[str, 
         if any(key.stage == "encoder" for key in store.built):
             row["train_s"] = time.perf_counter() - start
             _note(arguments.out, obj.name, row["train_s"])
-        result = evaluate(localizer, arguments.touches, arguments.noise, arguments.seed)
+        result = evaluate(localizer, arguments.touches, SimulatedTouches(arguments.noise, arguments.seed))
         runs.append(Run(obj.name, str(obj.symmetry), encoder, localizer.model.size, result))
         row[encoder] = {
             "median_mm": {k: float(np.median(result.errors(k))) * 1e3 for k in LINES},

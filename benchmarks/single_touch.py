@@ -24,6 +24,7 @@ from tactile_loc.core.store import StageStore
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.judge import STAGES
 from tactile_loc.evaluation.protocol import evaluate
+from tactile_loc.evaluation.touches import SimulatedTouches
 
 LINES = ("closest", "random", "best-1", "best-10", "reg-1")
 
@@ -48,7 +49,7 @@ def measure(obj: ObjectModel, arguments: argparse.Namespace) -> dict[str, object
         start = time.perf_counter()
         localizer.matcher(localizer.scene.geometry.max_depth_m)
         build_s = time.perf_counter() - start
-        result = evaluate(localizer, arguments.touches, seed=arguments.seed)
+        result = evaluate(localizer, arguments.touches, SimulatedTouches(seed=arguments.seed))
         poses = len(localizer.model.grid)
     return {
         "object": obj.name, "symmetry": str(obj.symmetry), "poses": poses, "spacing_mm": spacing_mm, "build_s": build_s,

@@ -19,6 +19,7 @@ from tactile_loc.core.hashing import hash_file
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.core.sensor_files import read_sensor_file, write_sensor_file
 from tactile_loc.core.touch_files import read_colour_image
+from tactile_loc.imaging.optics import Optics
 
 Image = NDArray[np.uint8]
 
@@ -49,6 +50,17 @@ class Calibration:
         estimator = kind(self.geometry, self.background, estimator_options(kind, self.record["options"]))
         estimator.load(self.folder / WEIGHTS)
         return estimator
+
+    @property
+    def optics(self) -> Optics:
+        """The lamps and the camera of the simulated images that it learned from. Raises CalibrationError for others."""
+        try:
+            return Optics.parse(self.record["simulated"]["optics"])
+        except (KeyError, TypeError) as error:
+            raise CalibrationError(
+                f"{self.folder} was not calibrated on simulated images, so none can be made for it; use one of "
+                "tactile-loc calibrate --simulated"
+            ) from error
 
     def describe(self) -> dict[str, Any]:
         """Return what identifies the calibration, as JSON values."""

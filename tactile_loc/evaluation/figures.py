@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.localizer import Localizer
 from tactile_loc.evaluation.pictures import OUTLINE, draw_contact_shape, draw_outline, make_figure, millimetres
-from tactile_loc.evaluation.protocol import Evaluation, simulated_touch
+from tactile_loc.evaluation.protocol import Evaluation
 from tactile_loc.evaluation.tables import Run
+from tactile_loc.evaluation.touches import SimulatedTouches
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,7 +58,7 @@ def draw_violins(runs: Sequence[Run], title: str) -> Figure:
     return figure
 
 
-def draw_gallery(localizer: Localizer, evaluation: Evaluation, noise: str, seed: int, title: str) -> Figure:
+def draw_gallery(localizer: Localizer, evaluation: Evaluation, touches: SimulatedTouches, title: str) -> Figure:
     """Draw the best, median and worst touches of an evaluation by the most probable pose, refined.
 
     Above the observed contact shapes, below the clean ones of the estimated poses with the observed outline.
@@ -69,7 +70,7 @@ def draw_gallery(localizer: Localizer, evaluation: Evaluation, noise: str, seed:
     panels: NDArray[Any] = figure.subplots(2, len(chosen), squeeze=False, sharex=True, sharey=True)
     deepest_m = localizer.scene.geometry.max_depth_m
     for column, (kind, number) in zip(panels.T, chosen, strict=True):
-        touch = simulated_touch(localizer, number, noise, seed)
+        touch = touches.touch(localizer, number)
         shape = localizer.scene.contact_shape(evaluation.poses(GALLERY_LINE)[number], touch.press_depth_m)
         draw_contact_shape(column[0], touch.contact_shape, touch.geometry, deepest_m)
         image = draw_contact_shape(column[1], shape, touch.geometry, deepest_m)

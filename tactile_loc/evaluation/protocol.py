@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,14 +12,13 @@ from numpy.typing import NDArray
 from tactile_loc.core.hashing import StageKey
 from tactile_loc.core.localizer import Localizer
 from tactile_loc.core.model import STAGE_VERSIONS
-from tactile_loc.core.noise import noise as noise_named
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import Touch
 from tactile_loc.core.store import Artifact, Workspace
 from tactile_loc.core.training import STAGE_VERSION as TRAINING_VERSION
 from tactile_loc.evaluation.judge import LINES, METRICS, STAGES, Judge
 from tactile_loc.evaluation.oracle import oracle_poses
+from tactile_loc.evaluation.touches import SimulatedTouches
 
 PROTOCOL_VERSION = 1  # raised when the same localizer would get other numbers
 SHARD = 25  # touches localised, saved and resumed at once
@@ -60,25 +58,25 @@ class Evaluation:
         return self.seconds[:, STAGES.index(stage)]
 
 
-def evaluate(localizer: Localizer, count: int, noise: str = "none", seed: int = 0) -> Evaluation:
-    """Localise `count` simulated touches, of a noise that `tactile_loc.core.noise` names, and measure all LINES.
+def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> Evaluation:
+    """Localise the first `count` of simulated touches and measure all LINES.
 
     The result is kept in the localizer's store; what an interrupted evaluation has finished, by shards of SHARD
-    touches, is not done again, and the errors are those of an uninterrupted one. Every touch has a seed of its own:
-    all encoders are asked about the same touches, beside the same random poses. Raises TactileLocError.
+    touches, is not done again, and the errors are those of an uninterrupted one. All encoders are asked about the same
+    touches, beside the same random poses. Raises TactileLocError.
     """
 
     def run(work: Workspace) -> None:
         judge = Judge(localizer)
         numbers = range(count)
-        shards = [_shard(work, judge, numbers[i : i + SHARD], noise, seed) for i in range(0, count, SHARD)]
+        shards = [_shard(work, judge, numbers[i : i + SHARD], touches) for i in range(0, count, SHARD)]
         for name, columns in zip(ARRAYS, zip(*shards, strict=True), strict=True):
             work.save_array(name, np.concatenate(columns))
 
-    return _read(localizer.store.build(evaluation_key(localizer, count, noise, seed), run))
+    return _read(localizer.store.build(evaluation_key(localizer, count, touches), run))
 
 
-def evaluation_key(localizer: Localizer, count: int, noise: str, seed: int) -> StageKey:
+def evaluation_key(localizer: Localizer, count: int, touches: SimulatedTouches) -> StageKey:
     """Return the key under which an evaluation is stored: everything that decides its errors."""
     config = localizer.config
     matcher = registry().create("matcher", config.matcher.name, config.matcher.options)
@@ -87,30 +85,24 @@ def evaluation_key(localizer: Localizer, count: int, noise: str, seed: int) -> S
         "encoder": localizer.encoder.describe(), "matcher": matcher.describe(),
         "refiner": localizer.refiner.describe(), "fuser": localizer.fuser.describe(),
         "temperature": config.temperature, "training": TRAINING_VERSION, "bank": STAGE_VERSIONS["bank"],
-        "noise": noise_named(noise).describe(), "seed": seed, "count": count,
+        **touches.describe(localizer), "count": count,
     })  # fmt: skip
 
 
-def simulated_touch(localizer: Localizer, number: int, noise: str = "none", seed: int = 0) -> Touch:
-    """Return touch `number` of an evaluation, with its true pose: always the same one."""
-    own_seed = int(_sequence(seed, number, 0).generate_state(1, np.uint64)[0])
-    return dataclasses.replace(localizer.simulate(1, own_seed, noise=noise)[0], name=f"touch-{number:04d}")
-
-
-def _shard(work: Workspace, judge: Judge, numbers: range, noise: str, seed: int) -> list[NDArray[Any]]:
+def _shard(work: Workspace, judge: Judge, numbers: range, source: SimulatedTouches) -> list[NDArray[Any]]:
     """The ARRAYS of some touches: localised now, or loaded if an interrupted evaluation got that far."""
     names = [f"{name}-{numbers.start:06d}" for name in ARRAYS]
     found = [array for array in (work.load(name, keep=False) for name in names) if array is not None]
     if len(found) < len(names):
-        found = _localise(judge, numbers, noise, seed)
+        found = _localise(judge, numbers, source)
         for name, array in zip(names, found, strict=True):
             work.save_array(name, array, keep=False)
     return found
 
 
-def _localise(judge: Judge, numbers: Sequence[int], noise: str, seed: int) -> list[NDArray[Any]]:
+def _localise(judge: Judge, numbers: Sequence[int], source: SimulatedTouches) -> list[NDArray[Any]]:
     localizer = judge.localizer
-    touches = [simulated_touch(localizer, number, noise, seed) for number in numbers]
+    touches = [source.touch(localizer, number) for number in numbers]
     for touch in touches:
         localizer.matcher(touch.press_depth_m)  # what is built once is no part of a touch's time
     localizer.best_pose(touches[0])  # nor is loading libraries
@@ -120,14 +112,9 @@ def _localise(judge: Judge, numbers: Sequence[int], noise: str, seed: int) -> li
     task = f"locating {what}, touches {numbers[0] + 1} to {numbers[-1] + 1}"
     with localizer.progress.task(task, len(touches)) as advance:
         for number, touch, index in zip(numbers, touches, oracle, strict=True):
-            rows.append(judge.judge(touch, int(index), np.random.default_rng(_sequence(seed, number, 1))))
+            rows.append(judge.judge(touch, int(index), np.random.default_rng(source.random(number, 1))))
             advance(1)
     return [np.stack(column) for column in zip(*rows, strict=True)]
-
-
-def _sequence(seed: int, number: int, purpose: int) -> np.random.SeedSequence:
-    """The randomness of one touch (purpose 0) or beside it (1): how many touches there are plays no part."""
-    return np.random.SeedSequence([seed, number, purpose])
 
 
 def _read(artifact: Artifact) -> Evaluation:

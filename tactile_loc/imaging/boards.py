@@ -24,12 +24,14 @@ if TYPE_CHECKING:
     import trimesh
 
 PLATE_M = (0.080, 0.060, 0.006)
-COLUMNS, ROWS, PITCH_M = 7, 5, 0.011
+COLUMNS, ROWS, PITCH_M = 7, 5, 0.010
 HEIGHTS_M = (0.0020, 0.0025, 0.0030, 0.0035, 0.0040, 0.0035, 0.0030, 0.0025)  # neighbours touch together
-SCALES = (1.0, 0.75, 0.9, 0.6)  # of a shape's full size, which fills its place on the plate
+SCALES = (1.0, 0.6, 0.8, 0.45, 0.7)  # of a shape's full size, which fills its place on the plate
+LEANS_RAD = tuple(math.radians(d) for d in (0, 12, 0, 25, 6, 0, 18))  # of one shape after another
 SUNK_M = 0.001  # how far the shapes reach into the plate: they overlap, so that no gap is left
 GOLDEN_RAD = math.pi * (3 - math.sqrt(5))  # turns neighbours by angles that never repeat
 MOST_TILT_RAD = math.radians(8)
+MIDDLE = 0.8  # of the board, whose parts come over the middle of the sensor: at its ends there is little to see
 ABOVE_M = 0.001  # of the undeformed surface, before a pose is brought to contact
 
 Shape = Callable[[float, float], "trimesh.Trimesh"]
@@ -38,14 +40,16 @@ Shape = Callable[[float, float], "trimesh.Trimesh"]
 def board(number: int) -> ObjectModel:
     """Return calibration board 1 or 2, metres. Raises ConfigError for another number.
 
-    Board 1 has cylinders, boxes, cones and spherical caps, board 2 pyramids, rings, ridges and steps: 35 each, 2 to
-    4 mm high. Every shape is closed, and overlaps the plate without being united with it.
+    Board 1 has cylinders, boxes, cones, spherical caps, pairs of rods and caps with a slot, board 2 pyramids, rings,
+    ridges, steps, rods and rounded rings: 35 each, half of them leaning, 2 to 4 mm high. Every part is closed, and
+    overlaps the plate without being united with it.
     """
     import trimesh
 
     if number not in (1, 2):
         raise ConfigError(f"there is no calibration board {number}; give 1 or 2")
-    shapes = (_cylinder, _box, _cone, _cap) if number == 1 else (_pyramid, _ring, _ridge, _steps)
+    first, second = (_cylinder, _box, _cone, _cap, _rods, _slotted), (_pyramid, _ring, _ridge, _steps, _rod, _torus)
+    shapes = first if number == 1 else second
     x, y, thickness = PLATE_M
     plate = trimesh.creation.box(bounds=[(-x / 2, -y / 2, -thickness), (x / 2, y / 2, 0.0)])
     whole: Any = trimesh.util.concatenate([plate, *_raised(shapes)])
@@ -66,7 +70,7 @@ def random_board_poses(board: ObjectModel, geometry: SensorGeometry, count: int,
     axis = np.stack([np.cos(towards), np.sin(towards), np.zeros(count)], axis=-1)
     tilted = Rotation.from_rotvec(tilt[:, None] * axis).as_matrix()
     R = tilted @ rotation_about([0, 0, 1], yaw) @ np.diag([1.0, -1.0, -1.0])
-    half = np.array([COLUMNS, ROWS]) * PITCH_M / 2
+    half = MIDDLE * np.array([COLUMNS, ROWS]) * PITCH_M / 2
     place = np.concatenate([rng.uniform(-half, half, (count, 2)), np.zeros((count, 1))], axis=1)
     x0, x1, y0, y1 = geometry.rectangle
     t = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0]) - np.einsum("nij,nj->ni", R, place)
@@ -81,9 +85,15 @@ def _raised(shapes: tuple[Shape, ...]) -> list[trimesh.Trimesh]:
     for i in range(ROWS * COLUMNS):
         row, column = divmod(i, COLUMNS)
         kind = (column + 2 * row) % len(shapes)
-        radius_m = 0.45 * PITCH_M * SCALES[(row + column // 2) % len(SCALES)]
-        solid = shapes[kind](radius_m, HEIGHTS_M[(row + column) % len(HEIGHTS_M)])
-        centre = [(column - (COLUMNS - 1) / 2) * PITCH_M, (row - (ROWS - 1) / 2) * PITCH_M, 0.0]
+        radius_m = 0.5 * PITCH_M * SCALES[(row + column // 2) % len(SCALES)]
+        height_m = HEIGHTS_M[(row + column) % len(HEIGHTS_M)]
+        solid = shapes[kind](radius_m, height_m)
+        solid.apply_transform(make_transform(rotation_about([1, 0, 0], LEANS_RAD[i % len(LEANS_RAD)]), np.zeros(3)))
+        centre = [
+            (column - (COLUMNS - 1) / 2) * PITCH_M,
+            (row - (ROWS - 1) / 2) * PITCH_M,
+            height_m - solid.bounds[1, 2],
+        ]
         solid.apply_transform(make_transform(rotation_about([0, 0, 1], i * GOLDEN_RAD), centre))
         placed.append(solid)
     return placed
@@ -108,6 +118,13 @@ def _cap(radius_m: float, height_m: float) -> trimesh.Trimesh:
         for a in np.linspace(0, widest, 17)[1:]
     ]  # fmt: skip
     return _hull([(0.0, 0.0, height), *np.concatenate(rings), *_circle(radius_m, -SUNK_M)])
+
+
+def _slotted(radius_m: float, height_m: float) -> trimesh.Trimesh:
+    """A cap with a slot through its middle, as a screw's head."""
+    whole, gap = np.asarray(_cap(radius_m, height_m).vertices), 0.12 * radius_m
+    halves = [side * np.maximum(side * whole[:, 0], gap) for side in (-1, 1)]
+    return _together(*(_hull(np.column_stack([x, whole[:, 1:]])) for x in halves))
 
 
 def _box(radius_m: float, height_m: float) -> trimesh.Trimesh:
@@ -137,20 +154,63 @@ def _ridge(radius_m: float, height_m: float) -> trimesh.Trimesh:
     return _hull([(x, y, z) for x in (-0.85 * radius_m, 0.85 * radius_m) for y, z in profile])
 
 
-def _steps(radius_m: float, height_m: float) -> trimesh.Trimesh:
-    """A hexagonal prism with a lower, wider one around it."""
+def _rod(radius_m: float, height_m: float) -> trimesh.Trimesh:
+    """A lying rod with round ends, sunk to half of itself or less."""
+    return _capsule(radius_m, 0.3 * radius_m, height_m, 0.0)
+
+
+def _rods(radius_m: float, height_m: float) -> trimesh.Trimesh:
+    """Two lying rods side by side, a narrow gap between them; one is longer."""
+    lengths = (radius_m, 0.7 * radius_m)
+    return _together(
+        *(_capsule(x, 0.25 * radius_m, height_m, s * 0.28 * radius_m) for x, s in zip(lengths, (-1, 1), strict=True))
+    )
+
+
+def _capsule(half_length_m: float, radius_m: float, height_m: float, aside_m: float) -> trimesh.Trimesh:
+    """A lying rod of this radius, its top at a height, with straight walls below its middle."""
+    ball = radius_m * _hemisphere()
+    ends = [
+        ball + np.array([x, aside_m, height_m - radius_m]) for x in (radius_m - half_length_m, half_length_m - radius_m)
+    ]
+    upper = np.concatenate(ends)
+    return _hull([*upper, *(upper * [1, 1, 0] - [0, 0, SUNK_M])])
+
+
+def _torus(radius_m: float, height_m: float) -> trimesh.Trimesh:
     import trimesh
 
+    thick = 0.25 * radius_m
+    solid: trimesh.Trimesh = trimesh.creation.torus(radius_m - thick, thick, major_sections=48, minor_sections=24)
+    solid.apply_scale([1, 1, (height_m + SUNK_M) / (2 * thick)])
+    solid.apply_translation([0, 0, (height_m - SUNK_M) / 2])
+    return solid
+
+
+def _steps(radius_m: float, height_m: float) -> trimesh.Trimesh:
+    """A hexagonal prism with a lower, wider one around it."""
     sizes = ((radius_m, height_m - 0.0008), (0.6 * radius_m, height_m))
     prisms = [_hull([*_circle(r, -SUNK_M, 6), *_circle(r, z, 6)]) for r, z in sizes]
-    joined: Any = trimesh.util.concatenate(prisms)
-    return cast("trimesh.Trimesh", joined)
+    return _together(*prisms)
 
 
 def _circle(radius_m: float, z_m: float, points: int = 64) -> NDArray[np.float64]:
     """Points (points, 3) of a circle about z, metres."""
     angle = np.arange(points) * 2 * math.pi / points
     return np.stack([radius_m * np.cos(angle), radius_m * np.sin(angle), np.full(points, z_m)], axis=1)
+
+
+def _hemisphere() -> NDArray[np.float64]:
+    """Points (P, 3) of the upper half of a unit sphere."""
+    rings = [_circle(math.cos(a), math.sin(a), 32) for a in np.linspace(0, math.pi / 2, 9)]
+    return np.concatenate(rings)
+
+
+def _together(*solids: trimesh.Trimesh) -> trimesh.Trimesh:
+    import trimesh
+
+    joined: Any = trimesh.util.concatenate(list(solids))
+    return cast("trimesh.Trimesh", joined)
 
 
 def _hull(points_m: ArrayLike) -> trimesh.Trimesh:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -121,6 +122,18 @@ class Optics:
             for v in self.lights
         ]  # fmt: skip
         return {**asdict(self), "lights": lights, "ambient": list(self.ambient)}
+
+    @classmethod
+    def parse(cls, described: Mapping[str, Any]) -> Optics:
+        """Return the optics that `describe` described. Raises KeyError or TypeError for what is no description."""
+        lights = tuple(
+            Light(
+                tuple(v["direction"]), tuple(v["colour"]), v["strength"],
+                math.inf if v["distance"] is None else v["distance"],
+            )
+            for v in described["lights"]
+        )  # fmt: skip
+        return cls(**{**described, "lights": lights, "ambient": tuple(described["ambient"])})
 
     def noiseless(self) -> Optics:
         """Return the same optics before a camera without noise."""

@@ -10,8 +10,9 @@ from cli_helpers import TINY, assert_refused, write_box
 from PIL import Image
 
 from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.evaluation.touches import SimulatedTouches
 
-FEW = ["--touches", 3, "--refiner", "none", *TINY]
+FEW = ["--count", 3, "--refiner", "none", *TINY]
 
 
 def test_several_objects_are_evaluated_and_written(cli, tmp_path):
@@ -21,7 +22,7 @@ def test_several_objects_are_evaluated_and_written(cli, tmp_path):
     pictures = {"violins.png", "gallery-pin-pixel.png", "gallery-head-pixel.png"}
     assert {path.name for path in out.iterdir()} == {"results.json", "results.csv", "results.md", *pictures}
     record = json.loads((out / "results.json").read_text())
-    assert record["protocol"] == {"version": 1, "touches": 3, "noise": "strong", "seed": 2}
+    assert record["protocol"] == {"version": 1, "touches": 3, "noise": "strong", "seed": 2, "images": False}
     assert [run["object"] for run in record["runs"]] == ["pin", "head"]
     configuration = record["runs"][0]["configuration"]
     assert configuration["grid"]["options"]["spacing_mm"] == 8
@@ -39,6 +40,20 @@ def test_several_objects_are_evaluated_and_written(cli, tmp_path):
     assert max(map(len, done.stdout.splitlines()[:4])) <= 80
     for name in ("results.json", *pictures):
         assert name in done.stdout
+
+
+def test_images_are_read_by_a_sensor_calibrated_on_simulated_ones(cli, tmp_path):
+    (tmp_path / "sensor.toml").write_text(
+        'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
+    )
+    learn = ["--estimator", "photometric", "--presses", 20, "-o", "steps=200"]
+    made = cli("calibrate", "--simulated", "--sensor", "sensor.toml", *learn, "--out", "mine")
+    assert made.exit_code == 0, made.stderr
+    done = cli("evaluate", "--object", "pin", "--touches", "images", "--sensor", "mine", *FEW)
+    assert done.exit_code == 0, done.stderr
+    record = json.loads((tmp_path / "evaluation" / "results.json").read_text())
+    assert record["protocol"] == {"version": 1, "touches": 3, "noise": "none", "seed": 0, "images": True}
+    assert "3 simulated touches (as images)" in (tmp_path / "evaluation" / "results.md").read_text()
 
 
 def test_the_same_command_finds_what_was_done(cli, tmp_path):
@@ -70,7 +85,7 @@ def test_a_configuration_file_gives_object_noise_and_encoder(cli, tmp_path):
         '[object]\npath = "pin"\n[touch]\nnoise = "mild"\n[grid]\nspacing_mm = 8\n'
         '[encoder]\nname = "pixel"\ncells = 12\n'
     )
-    assert cli("evaluate", "--config", "run.toml", "--touches", 1).exit_code == 0
+    assert cli("evaluate", "--config", "run.toml", "--count", 1).exit_code == 0
     record = json.loads((tmp_path / "evaluation" / "results.json").read_text())
     (run,) = record["runs"]
     assert (run["object"], record["protocol"]["noise"]) == ("pin", "mild")
@@ -80,8 +95,9 @@ def test_a_configuration_file_gives_object_noise_and_encoder(cli, tmp_path):
 def test_by_default_all_demo_objects_are_evaluated():
     from tactile_loc_cli.commands.evaluate import _jobs
 
-    flags = ("object", "encoder", "symmetry", "option", "config", "noise")
-    jobs = _jobs(dict.fromkeys(flags))
+    flags = ("object", "encoder", "symmetry", "option", "config", "noise", "touches")
+    jobs, touches = _jobs(dict.fromkeys(flags), 5)
+    assert touches == SimulatedTouches("strong", 5)
     assert [obj.name for _, obj in jobs] == list(DEMO_OBJECTS)
     assert {settings.encoder.name for settings, _ in jobs} == {"pixel"}
     assert {settings.touch.noise for settings, _ in jobs} == {"strong"}
@@ -116,10 +132,13 @@ def test_an_encoders_option_goes_to_the_encoders_that_have_it(monkeypatch):
         (["--object", "pin", "--encoder", "pixl"], ("pixl",)),
         (["--object", "pin", "--object", "hook", "--symmetry", "none"], ("--symmetry",)),
         (["--object", "pin", "--noise", "loud"], ("loud",)),
-        (["--object", "pin", "--touches", "0"], ("touches",)),
+        (["--object", "pin", "--count", "0"], ("count",)),
         (["--object", "pin", "-o", "encoder.sells=3"], ("sells",)),
         (["--object", "pin", "--config", "none.toml"], ("none.toml",)),
         (["--object", "pin", "--out", "file"], ("--out",)),
+        (["--object", "pin", "--touches", "photos"], ("photos",)),
+        (["--object", "pin", "--touches", "images"], ("gelslim", "calibrate --simulated")),
+        (["--object", "pin", "--touches", "images", "--noise", "mild"], ("leave --noise out",)),
     ],
 )
 def test_bad_input_is_one_sentence(cli, tmp_path, words, mentioned):

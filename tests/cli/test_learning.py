@@ -15,7 +15,7 @@ from tactile_loc.plugins.encoders import moco, moco_training  # noqa: E402
 OPTIONS = ("epochs=2", "queries=64", "batch=32", "channels=4")
 MOCO = ["--encoder", "moco", *(word for option in OPTIONS for word in ("-o", f"encoder.{option}"))]
 PIN = ["--object", "pin", *TINY, *MOCO]
-EVALUATE = ["evaluate", *PIN, "--encoder", "pixel", "--refiner", "none", "--touches", 4]
+EVALUATE = ["evaluate", *PIN, "--encoder", "pixel", "--refiner", "none", "--count", 4]
 
 
 def table(cli, folder: str) -> str:

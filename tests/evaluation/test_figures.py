@@ -10,6 +10,7 @@ from tactile_loc.evaluation.figures import DRAWN, FLOOR, draw_gallery, draw_viol
 from tactile_loc.evaluation.pictures import save_figure
 from tactile_loc.evaluation.protocol import Evaluation, evaluate
 from tactile_loc.evaluation.tables import Run
+from tactile_loc.evaluation.touches import SimulatedTouches
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +67,9 @@ def test_violins_of_a_single_exact_touch(tmp_path):
 
 @pytest.mark.parametrize(("count", "columns"), [(6, 6), (3, 3), (1, 1)])
 def test_a_gallery_shows_the_best_the_median_and_the_worst_touch(localizer, tmp_path, count, columns):
-    six = evaluate(localizer, 6, "strong", seed=3)
+    six = evaluate(localizer, 6, SimulatedTouches("strong", 3))
     evaluation = Evaluation(six.errors_m[:count], six.T_sensor_object[:count], six.seconds[:count])
-    figure = draw_gallery(localizer, evaluation, "strong", 3, "pin")
+    figure = draw_gallery(localizer, evaluation, SimulatedTouches("strong", 3), "pin")
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
     assert len(titles) == columns
     assert titles[0].startswith("best: ")

@@ -11,14 +11,15 @@ from tactile_loc.core.store import StageStore
 from tactile_loc.evaluation import protocol
 from tactile_loc.evaluation.judge import LINES, METRICS, STAGES, Judge
 from tactile_loc.evaluation.oracle import oracle_poses
-from tactile_loc.evaluation.protocol import Evaluation, evaluate, evaluation_key, simulated_touch
+from tactile_loc.evaluation.protocol import Evaluation, evaluate, evaluation_key
+from tactile_loc.evaluation.touches import SimulatedTouches
 
 COUNT = 6
 
 
 @pytest.fixture(scope="module")
 def evaluation(localizer: Localizer) -> Evaluation:
-    return evaluate(localizer, COUNT, "strong", seed=3)
+    return evaluate(localizer, COUNT, SimulatedTouches("strong", 3))
 
 
 def fresh(store: StageStore, **settings) -> Localizer:
@@ -28,7 +29,7 @@ def fresh(store: StageStore, **settings) -> Localizer:
 @pytest.fixture(scope="module")
 def plain(localizer: Localizer) -> Evaluation:
     """Without refinement, whose threads may add up differently: equal to the bit."""
-    return evaluate(fresh(localizer.store, refiner="none"), COUNT, "strong", seed=3)
+    return evaluate(fresh(localizer.store, refiner="none"), COUNT, SimulatedTouches("strong", 3))
 
 
 def assert_same(a: Evaluation, b: Evaluation) -> None:
@@ -65,7 +66,7 @@ def test_the_errors_are_those_of_the_poses(evaluation, localizer):
 
     points_m = localizer.object.mesh.sample(20_000, np.random.default_rng(9))
     for number in range(COUNT):
-        truth = simulated_touch(localizer, number, "strong", 3).T_sensor_object
+        truth = SimulatedTouches("strong", 3).touch(localizer, number).T_sensor_object
         for line in LINES:
             error_m = symmetric_add(localizer.object, points_m, evaluation.poses(line)[number], truth)
             assert evaluation.errors(line)[number] == pytest.approx(error_m, rel=0.03, abs=1e-6)
@@ -76,7 +77,7 @@ def test_closest_is_the_nearest_of_the_whole_grid(evaluation, localizer):
 
     points_m = localizer.object.mesh.sample(2000, np.random.default_rng(0))
     for number in range(COUNT):
-        truth = simulated_touch(localizer, number, "strong", 3).T_sensor_object
+        truth = SimulatedTouches("strong", 3).touch(localizer, number).T_sensor_object
         every = symmetric_adds(localizer.object, points_m, localizer.model.grid.T_sensor_object, truth)
         assert evaluation.errors("closest")[number] == pytest.approx(every.min(), rel=0.03)
 
@@ -88,7 +89,7 @@ def test_the_random_line_is_one_when_normalised(evaluation):
 
 
 def test_the_oracle_has_the_nearest_contact_shape(localizer):
-    touches = [simulated_touch(localizer, number, "mild", 1) for number in range(4)]
+    touches = [SimulatedTouches("mild", 1).touch(localizer, number) for number in range(4)]
     found = oracle_poses(localizer, touches)
     mask = localizer.coarse_scene.geometry.observed_mask
     for touch, index in zip(touches, found, strict=True):
@@ -101,21 +102,21 @@ def test_the_oracle_has_the_nearest_contact_shape(localizer):
 
 
 def test_a_seed_always_gives_the_same_and_another_seed_others(plain, localizer, tmp_path):
-    again = evaluate(fresh(StageStore(tmp_path), refiner="none"), COUNT, "strong", seed=3)
+    again = evaluate(fresh(StageStore(tmp_path), refiner="none"), COUNT, SimulatedTouches("strong", 3))
     assert_same(plain, again)
-    other = evaluate(fresh(localizer.store, refiner="none"), 2, "strong", seed=4)
+    other = evaluate(fresh(localizer.store, refiner="none"), 2, SimulatedTouches("strong", 4))
     assert not np.allclose(other.errors_m, plain.errors_m[:2])
 
 
 def test_the_number_of_touches_does_not_change_the_first_ones(evaluation, localizer):
     """With refinement, up to what its threads may add up differently."""
-    fewer = evaluate(localizer, 2, "strong", seed=3)
+    fewer = evaluate(localizer, 2, SimulatedTouches("strong", 3))
     np.testing.assert_allclose(fewer.errors_m, evaluation.errors_m[:2], atol=1e-8)
 
 
 def test_encoders_are_asked_about_the_same_touches(plain, localizer):
     settings = {"encoder": {"name": "pixel", "cells": 5}, "refiner": "none"}
-    other = evaluate(fresh(localizer.store, **settings), COUNT, "strong", seed=3)
+    other = evaluate(fresh(localizer.store, **settings), COUNT, SimulatedTouches("strong", 3))
     for line in ("oracle", "random", "random-10"):
         assert (other.errors(line) == plain.errors(line)).all()
     assert not (other.errors("best-1") == plain.errors("best-1")).all()
@@ -134,9 +135,9 @@ def test_an_interrupted_evaluation_resumes_and_ends_the_same(plain, localizer, t
 
     monkeypatch.setattr(Judge, "judge", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        evaluate(fresh(store, refiner="none"), COUNT, "strong", seed=3)
+        evaluate(fresh(store, refiner="none"), COUNT, SimulatedTouches("strong", 3))
     judged.append("interrupted")
-    resumed = evaluate(fresh(store, refiner="none"), COUNT, "strong", seed=3)
+    resumed = evaluate(fresh(store, refiner="none"), COUNT, SimulatedTouches("strong", 3))
     after = judged[judged.index("interrupted") + 1 :]
     assert after == [f"touch-{i:04d}" for i in (2, 3, 4, 5)]  # the first shard stayed
     assert_same(plain, resumed)
@@ -144,14 +145,14 @@ def test_an_interrupted_evaluation_resumes_and_ends_the_same(plain, localizer, t
 
 def test_what_is_finished_is_not_done_again(evaluation, localizer, monkeypatch):
     monkeypatch.setattr(Judge, "judge", lambda *others: pytest.fail("localised again"))
-    again = evaluate(fresh(localizer.store), COUNT, "strong", seed=3)
+    again = evaluate(fresh(localizer.store), COUNT, SimulatedTouches("strong", 3))
     assert (again.errors_m == evaluation.errors_m).all()
     assert (again.seconds == evaluation.seconds).all()
 
 
 def test_the_key_holds_whatever_changes_the_errors(localizer):
     def digest(local=localizer, count=COUNT, noise="strong", seed=3):
-        return evaluation_key(local, count, noise, seed).digest
+        return evaluation_key(local, count, SimulatedTouches(noise, seed)).digest
 
     store = localizer.store
     others = [digest(count=7), digest(noise="mild"), digest(seed=4)]
@@ -164,7 +165,7 @@ def test_the_key_holds_whatever_changes_the_errors(localizer):
 def test_a_symmetric_object_may_be_found_at_any_equivalent(localizer):
     """The pin turned by half about its axis looks the same: such an estimate is as good."""
     judge = Judge(localizer)
-    touch = simulated_touch(localizer, 0, "none", 0)
+    touch = SimulatedTouches("none", 0).touch(localizer, 0)
     truth = touch.T_sensor_object
     same = localizer.model.grid.metric.equivalents(truth[None], 2e-4)[:, 0]
     assert len(same) == 2
@@ -175,10 +176,10 @@ def test_a_symmetric_object_may_be_found_at_any_equivalent(localizer):
 def test_touches_without_a_true_pose_and_unknown_noise_are_refused(localizer):
     import dataclasses
 
-    touch = dataclasses.replace(simulated_touch(localizer, 0), T_sensor_object=None)
+    touch = dataclasses.replace(SimulatedTouches().touch(localizer, 0), T_sensor_object=None)
     with pytest.raises(TouchError, match="no true pose"):
         oracle_poses(localizer, [touch])
     with pytest.raises(TouchError, match="no true pose"):
         Judge(localizer).judge(touch, 0, np.random.default_rng(0))
     with pytest.raises(ConfigError, match="noise"):
-        evaluate(localizer, 1, "loud")
+        evaluate(localizer, 1, SimulatedTouches("loud"))

@@ -9,7 +9,7 @@ import trimesh
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry import invert, is_rigid, transform_points
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.imaging.boards import MOST_TILT_RAD, PLATE_M, board, random_board_poses
+from tactile_loc.imaging.boards import COLUMNS, MIDDLE, MOST_TILT_RAD, PITCH_M, PLATE_M, ROWS, board, random_board_poses
 
 
 @pytest.fixture(scope="module", params=[1, 2])
@@ -33,7 +33,7 @@ def test_a_board_has_its_plates_outline_and_shapes_2_to_4_mm_high(numbered):
     raised = [s.bounds for s in whole.split(only_watertight=False) if s.bounds[1, 2] > 0]
     low, high = (np.array([bounds[i] for bounds in raised]) for i in (0, 1))
     assert len(raised) >= 35
-    assert high[:, 2].min() >= 1.2e-3  # the lower of two steps
+    assert high[:, 2].min() >= 1.0e-3  # the lower of two parts, leaning
     assert len(np.unique(high[:, 2].round(5))) >= 5
     assert (np.maximum(high, -low)[:, :2] <= [x / 2, y / 2]).all()
     assert (low[:, 2] < 0).all()  # rooted in the plate
@@ -63,7 +63,7 @@ def test_poses_lie_above_the_sensor_with_the_raised_side_down(numbered, pinhole)
     x0, x1, y0, y1 = pinhole.rectangle
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
     over = np.einsum("nji,nj->ni", T[:, :3, :3], middle - T[:, :3, 3])  # what is at the plate's height, nearly
-    assert np.ptp(over[:, :2], axis=0) == pytest.approx([0.077, 0.055], abs=0.012)
+    assert np.ptp(over[:, :2], axis=0) == pytest.approx(MIDDLE * PITCH_M * np.array([COLUMNS, ROWS]), abs=0.012)
     assert random_board_poses(numbered, pinhole, 0, np.random.default_rng(0)).shape == (0, 4, 4)
 
 
@@ -79,5 +79,5 @@ def test_poses_touch_the_raised_side(numbered, make_scene, size_m):
     for t, points, contact in zip(T, in_sensor, depth < np.float32(geometry.max_depth_m), strict=True):
         assert contact.any()
         on_board = transform_points(invert(t), points[contact])
-        assert on_board[:, 2].min() > -2e-4  # the raised side, the plate at the least
+        assert on_board[:, 2].min() > -4e-4  # the raised side, the plate at the least
         assert on_board[:, 2].max() <= 4.1e-3

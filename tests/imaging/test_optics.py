@@ -68,6 +68,7 @@ def test_optics_are_described_as_json():
     described = near.describe()
     assert json.loads(json.dumps(described, allow_nan=False)) == described
     assert [light["distance"] for light in described["lights"]] == [3.0, None]
+    assert Optics.parse(described).describe() == described
     descriptions = [json.dumps(o.describe()) for o in (near, near.noiseless(), lit("right"), *OPTICS.values())]
     assert len(set(descriptions)) == len(descriptions) - 1  # `near` has no noise to lose
 

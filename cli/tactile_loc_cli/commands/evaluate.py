@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import enum
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.localizer import Localizer
     from tactile_loc.core.objects import ObjectModel
     from tactile_loc.evaluation.tables import Run
+    from tactile_loc.evaluation.touches import SimulatedTouches
 
 DEFAULT_OUT = Path("evaluation")
 DEFAULT_NOISE = "strong"
@@ -31,11 +34,28 @@ Encoders = Annotated[
     list[str] | None,
     typer.Option("--encoder", metavar="NAME", help="What makes vectors; may be repeated; by default pixel."),
 ]
+Count = Annotated[
+    int, typer.Option("--count", min=1, max=100_000, metavar="N", help="How many simulated touches an object.")
+]
+
+
+class TouchKind(enum.StrEnum):
+    """What touches are given as."""
+
+    SHAPES = "shapes"
+    IMAGES = "images"
+
+
 Touches = Annotated[
-    int, typer.Option("--touches", min=1, max=100_000, metavar="N", help="How many simulated touches an object.")
+    TouchKind,
+    typer.Option(
+        "--touches",
+        help="Contact shapes, or images of them that the sensor reads: one that was calibrated on simulated ones.",
+    ),
 ]
 TouchNoise = Annotated[
-    flags.Noise | None, typer.Option("--noise", help="How far touches are from clean renders; by default strong.")
+    flags.Noise | None,
+    typer.Option("--noise", help="How far shapes are from clean renders; by default strong. Images have their own."),
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Seed of the touches and the random poses.")]
 Out = Annotated[
@@ -47,7 +67,8 @@ def evaluate(
     object: Objects = None,
     units: flags.MeshUnits = None,
     symmetry: flags.Symmetry = None,
-    touches: Touches = 150,
+    count: Count = 150,
+    touches: Touches = TouchKind.SHAPES,
     noise: TouchNoise = None,
     sensor: flags.Sensor = None,
     grid: flags.Grid = None,
@@ -68,12 +89,12 @@ def evaluate(
     surface distances. With several encoders, an option of the encoder goes to those that have it. Interrupted, the same
     command resumes.
     """
-    asked = {key: value for key, value in locals().items() if key not in ("touches", "seed", "out", "store")}
+    asked = {key: value for key, value in locals().items() if key not in ("count", "seed", "out", "store")}
     from tactile_loc.evaluation.files import require_writable
 
-    jobs = _jobs(asked)
+    jobs, source = _jobs(asked, seed)
     require_writable(out)
-    plan = _Plan(touches, jobs[0][0].touch.noise, seed, out, store)
+    plan = _Plan(count, source, out, store)
     _report(plan, [plan.work(settings, obj) for settings, obj in jobs])
 
 
@@ -81,9 +102,8 @@ def evaluate(
 class _Plan:
     """What is done with each object and encoder."""
 
-    touches: int
-    noise: str
-    seed: int
+    count: int
+    touches: SimulatedTouches
     out: Path
     store: Path | None
 
@@ -97,9 +117,9 @@ class _Plan:
 
         localizer = _localizer(settings, obj, self.store)
         encoder = settings.encoder.name
-        evaluation = run_protocol(localizer, self.touches, self.noise, self.seed)
-        title = f"{obj.name} with {encoder}: best, median and worst of {self._touches()}"
-        figure = draw_gallery(localizer, evaluation, self.noise, self.seed, title)
+        evaluation = run_protocol(localizer, self.count, self.touches)
+        title = f"{obj.name} with {encoder}: best, median and worst of {self._asked_about()}"
+        figure = draw_gallery(localizer, evaluation, self.touches, title)
         save_figure(self.out / _gallery(obj.name, encoder), figure)
         return Run(
             obj.name,
@@ -112,14 +132,15 @@ class _Plan:
 
     def heading(self) -> str:
         """Return the title of tables and pictures."""
-        return f"Localisation from one touch: {self._touches()} for each object, seed {self.seed}"
+        return f"Localisation from one touch: {self._asked_about()} for each object, seed {self.touches.seed}"
 
-    def _touches(self) -> str:
-        return f"{self.touches} simulated {'touch' if self.touches == 1 else 'touches'} (noise: {self.noise})"
+    def _asked_about(self) -> str:
+        touches = f"{self.count} simulated {'touch' if self.count == 1 else 'touches'}"
+        return f"{touches} ({'as images' if self.touches.images else f'noise: {self.touches.noise}'})"
 
 
-def _jobs(asked: dict[str, Any]) -> list[tuple[RunConfig, ObjectModel]]:
-    """Every object with every encoder; all that can be wrong with them is found before the first is evaluated."""
+def _jobs(asked: dict[str, Any], seed: int) -> tuple[list[tuple[RunConfig, ObjectModel]], SimulatedTouches]:
+    """Every object with every encoder, and the touches; what can be wrong is found before the first is evaluated."""
     from tactile_loc.core.config import parse_overrides
 
     in_file = _in_file(asked["config"])
@@ -128,20 +149,29 @@ def _jobs(asked: dict[str, Any]) -> list[tuple[RunConfig, ObjectModel]]:
     if asked["symmetry"] is not None and len(objects) > 1:
         raise _config_error("--symmetry is of one object; give one --object with it")
     overrides = parse_overrides(asked["option"] or []).get("encoder", {})
-    noise = asked["noise"] or (_named(in_file.get("touch"), "noise") or [DEFAULT_NOISE])[0]
+    touches = _touches(asked, in_file, seed)
     jobs = []
     for path in dict.fromkeys(objects):
         settings = []
         for encoder in dict.fromkeys(encoders):
             options = _options_of(encoder, encoders, asked["option"] or [], overrides)
-            one = {**asked, "object": path, "encoder": encoder, "option": options, "noise": noise}
+            one = {**asked, "object": path, "encoder": encoder, "option": options, "noise": touches.noise}
             settings.append(flags.run_config(one))
         obj = flags.load_object(settings[0])
         for setting in settings:
-            _localizer(setting, obj, None)
+            touches.require_readable(_localizer(setting, obj, None))
             jobs.append((setting, obj))
     _require_names(jobs)
-    return jobs
+    return jobs, touches
+
+
+def _touches(asked: dict[str, Any], in_file: dict[str, Any], seed: int) -> SimulatedTouches:
+    from tactile_loc.evaluation.touches import SimulatedTouches
+
+    images = asked["touches"] is TouchKind.IMAGES
+    default = "none" if images else DEFAULT_NOISE
+    noise = asked["noise"] or (_named(in_file.get("touch"), "noise") or [default])[0]
+    return SimulatedTouches(str(noise), seed, images)
 
 
 def _options_of(
@@ -209,7 +239,7 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> None:
     from tactile_loc.evaluation.pictures import save_figure
     from tactile_loc.evaluation.tables import medians_mm, medians_normalised, summary_header, write_tables
 
-    protocol = {"touches": plan.touches, "noise": plan.noise, "seed": plan.seed}
+    protocol = {"touches": plan.count, **dataclasses.asdict(plan.touches)}
     written = write_tables(plan.out, runs, protocol, plan.heading())
     written.append(save_figure(plan.out / "violins.png", draw_violins(runs, plan.heading())))
     written += [plan.out / _gallery(run.object, run.encoder) for run in runs]

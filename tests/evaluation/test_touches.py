@@ -1,0 +1,123 @@
+"""The touches that an evaluation asks about: always the same, as shapes and as images of the same poses."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tactile_loc.calibration.folder import read_calibration, write_calibration
+from tactile_loc.calibration.simulated import calibrate_simulated
+from tactile_loc.core.errors import CalibrationError, ConfigError, TouchError
+from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.evaluation.protocol import evaluate, evaluation_key
+from tactile_loc.evaluation.touches import SimulatedTouches
+from tactile_loc.imaging.optics import OPTICS
+
+IMAGES = SimulatedTouches(seed=3, images=True)
+SENSOR = SensorGeometry("orthographic", 96, 96, 3500.0, 3500.0, 48.0, 48.0, 0.01, 2e-3)
+
+
+@pytest.fixture(scope="module")
+def folder(store, tmp_path_factory) -> Path:
+    """A sensor calibrated on simulated boards."""
+    options = {"steps": 400, "hidden": 16}
+    presses, estimator, record = calibrate_simulated(SENSOR, OPTICS["digit"], 40, "photometric", options, 0, store)
+    return write_calibration(
+        tmp_path_factory.mktemp("sensor") / "calibrated", SENSOR, presses.background, estimator, record
+    )
+
+
+def located(folder: Path, store) -> Localizer:
+    sensor = {"name": "calibrated", "path": str(folder)}
+    return Localizer.create("pin", store=store, sensor=sensor, grid={"name": "face", "spacing_mm": 8}, refiner="none")
+
+
+@pytest.fixture(scope="module")
+def localizer(folder, store) -> Localizer:
+    return located(folder, store)
+
+
+def test_an_image_shows_the_touch_of_that_number(localizer):
+    for number in range(4):
+        shape, image = (SimulatedTouches(seed=3, images=i).touch(localizer, number) for i in (False, True))
+        assert (shape.T_sensor_object == image.T_sensor_object).all()
+        assert shape.name == image.name == f"touch-{number:04d}"
+        assert (shape.image, image.image.shape) == (None, (96, 96, 3))
+        true = shape.contact_shape.pressed_to(image.press_depth_m)
+        assert image.contact_shape.overlap(true, localizer.sensor.geometry.observed_mask) > 0.6
+
+
+def test_a_touch_is_always_the_same_and_another_seeds_is_not(localizer):
+    first, again = (IMAGES.touch(localizer, 2) for _ in range(2))
+    assert (first.image == again.image).all()
+    other = dataclasses.replace(IMAGES, seed=4).touch(localizer, 2)
+    assert not np.allclose(first.T_sensor_object, other.T_sensor_object)
+
+
+def test_an_image_without_contact_is_drawn_anew_and_said(localizer, monkeypatch, caplog):
+    read, asked = type(localizer.sensor).contact_shape, []
+
+    def sees_nothing_first(self, image):
+        asked.append(image)
+        if len(asked) == 1:
+            raise TouchError("no contact")
+        return read(self, image)
+
+    monkeypatch.setattr(type(localizer.sensor), "contact_shape", sees_nothing_first)
+    with caplog.at_level(logging.WARNING):
+        touch = IMAGES.touch(localizer, 1)
+    assert "touch-0001 of pin is drawn anew: no contact" in caplog.text
+    drawn_first = SimulatedTouches(seed=3).touch(localizer, 1)
+    assert not np.allclose(touch.T_sensor_object, drawn_first.T_sensor_object)
+    monkeypatch.setattr(
+        type(localizer.sensor), "contact_shape", lambda *_: (_ for _ in ()).throw(TouchError("no contact"))
+    )
+    with pytest.raises(TouchError, match="hardly any image of pin"):
+        IMAGES.touch(localizer, 1)
+
+
+def test_evaluating_images_is_another_evaluation_with_the_same_truth(localizer):
+    shapes = evaluate(localizer, 3, SimulatedTouches(seed=3))
+    images = evaluate(localizer, 3, IMAGES)
+    assert (shapes.errors("random") == images.errors("random")).all()
+    assert evaluation_key(localizer, 3, IMAGES) != evaluation_key(localizer, 3, SimulatedTouches(seed=3))
+    assert np.median(images.errors("best-1")) < np.median(images.errors("random"))
+
+
+def test_the_key_holds_the_calibration(localizer, folder, store, tmp_path):
+    other = write_altered(folder, tmp_path / "other")
+    keys = {evaluation_key(located(f, store), 3, IMAGES).digest for f in (folder, other)}
+    assert len({evaluation_key(localizer, 3, IMAGES).digest, *keys}) == 2
+
+
+def write_altered(folder: Path, to: Path) -> Path:
+    """The same calibration but for one weight."""
+    calibration = read_calibration(folder)
+    with torch.no_grad():
+        calibration.estimator._network.linear.bias += 0.01
+    kept = {k: v for k, v in calibration.record.items() if k not in ("schema_version", "estimator", "options")}
+    return write_calibration(to, calibration.geometry, calibration.background, calibration.estimator, kept)
+
+
+def test_sensors_that_cannot_read_their_own_images_are_refused(folder, store, tmp_path):
+    with pytest.raises(ConfigError, match="'gelslim' reads no images; make one that does"):
+        IMAGES.require_readable(Localizer.create("pin", store=store, sensor="gelslim"))
+    real = write_altered(folder, tmp_path / "real")
+    record = json.loads((real / "calibration.json").read_text())
+    del record["simulated"]
+    (real / "calibration.json").write_text(json.dumps(record))
+    with pytest.raises(CalibrationError, match="was not calibrated on simulated images"):
+        IMAGES.require_readable(located(real, store))
+    SimulatedTouches().require_readable(located(real, store))
+
+
+def test_noise_of_shapes_and_images_do_not_go_together():
+    with pytest.raises(ConfigError, match="leave --noise out"):
+        SimulatedTouches("mild", images=True)
