@@ -110,6 +110,14 @@ class BallSet(LabelledPresses):
         return folder
 
 
+def magnified(balls: BallSet, times: int) -> BallSet:
+    """The presses as a camera of so many times the pixels a side takes them."""
+    geometry = balls.geometry.resized(times * balls.geometry.width_px, times * balls.geometry.height_px)
+    larger = [np.asarray(a).repeat(times, axis=-3).repeat(times, axis=-2) for a in (balls.background, balls.images)]
+    indentation = balls.indentation_m.repeat(times, axis=-2).repeat(times, axis=-1)
+    return BallSet(geometry, *larger, times * balls.circles, indentation)
+
+
 def ball_set(count: int = 12, px: int = 64, seed: int = 0) -> BallSet:
     """Presses at random places of the middle half of the field, 0.3 to 0.9 mm deep."""
     rng, geometry = np.random.default_rng(seed), sensor(px)

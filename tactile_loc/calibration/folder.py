@@ -43,6 +43,12 @@ class Calibration:
         """How deep the untouched gel seems to be pressed, metres, by error: standard deviation."""
         return float(self.record["noise_m"])
 
+    @property
+    def camera_px(self) -> tuple[int, int]:
+        """The size (rows, columns) of the camera's own images, which are reduced to the sensor's."""
+        rows, columns = self.record.get("camera_px", self.geometry.shape)
+        return int(rows), int(columns)
+
     @cached_property
     def estimator(self) -> GelEstimator:
         """The estimator with what it learned. Raises WeightsError, MissingLibraryError."""
@@ -96,9 +102,12 @@ def read_calibration(folder: Path) -> Calibration:
 def _require_record(record: dict[str, Any], path: Path) -> None:
     """Refuse a record that does not say what reading an image takes."""
     wanted: dict[str, Any] = {"estimator": str, "options": dict, "noise_m": (int, float)}
-    for key, kind in wanted.items():
-        if not isinstance(record.get(key), kind):
-            raise CalibrationError(f"{path} is damaged: {key} is missing or ill-typed; calibrate the sensor again")
+    wrong = [key for key, kind in wanted.items() if not isinstance(record.get(key), kind)]
+    camera = record.get("camera_px", [1, 1])
+    if not (isinstance(camera, list) and len(camera) == 2 and all(isinstance(v, int) and v > 0 for v in camera)):
+        wrong.append("camera_px")
+    if wrong:
+        raise CalibrationError(f"{path} is damaged: {wrong[0]} is missing or ill-typed; calibrate the sensor again")
 
 
 def require_replaceable(folder: Path) -> None:

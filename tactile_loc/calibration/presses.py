@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.calibration.estimator import LabelledPresses
 from tactile_loc.calibration.labels import PressLabel, ball_label, mesh_label
+from tactile_loc.calibration.reading import reduced
 from tactile_loc.core.errors import CalibrationError, TactileLocError
 from tactile_loc.core.geometry import make_transform
 from tactile_loc.core.meshes import load_object
@@ -29,6 +30,7 @@ KINDS = {
     "ball": ("center_x_px", "center_y_px", "radius_px", "ball_radius_mm"),
     "mesh": ("mesh", "units", "x_mm", "y_mm", "roll_deg", "pitch_deg", "yaw_deg", "press_mm"),
 }
+SAME_SHAPE = 0.01  # by which the sides of a smaller image may be off
 FOR_MEDIAN = 9  # presses at different places, at least, for their median to show the untouched gel
 
 
@@ -64,12 +66,16 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class PressFolder(LabelledPresses):
-    """The presses that a table lists, images in memory. `geometry` is the sensor's that took them."""
+    """The presses that a table lists, images in memory and as large as `geometry` says.
+
+    `camera` is the geometry of the camera's own images, of whose pixels the table speaks.
+    """
 
     rows: tuple[Row, ...]
     images: tuple[Image, ...]
     background: Image
     geometry: SensorGeometry
+    camera: SensorGeometry
 
     def __len__(self) -> int:
         """Return the number of presses."""
@@ -95,7 +101,10 @@ class PressFolder(LabelledPresses):
 
     def _ball(self, row: Row) -> PressLabel:
         x, y, radius, ball_mm = (row.number(column) for column in KINDS["ball"])
-        return ball_label(self.geometry, (x, y), radius, 1e-3 * ball_mm)
+        (rows, columns), (height, width) = self.geometry.shape, self.camera.shape
+        centre_px = (x * columns / width, y * rows / height)
+        radius_px = radius * self.camera.pixel_pitch_m / self.geometry.pixel_pitch_m
+        return ball_label(self.geometry, centre_px, radius_px, 1e-3 * ball_mm)
 
     def _mesh(self, row: Row) -> PressLabel:
         from scipy.spatial.transform import Rotation
@@ -120,16 +129,21 @@ class PressFolder(LabelledPresses):
         return self._scenes[key]
 
 
-def read_presses(folder: Path, geometry: SensorGeometry, median_background: bool = False) -> PressFolder:
-    """Read a folder of presses whose table is `presses.csv`, taken by a sensor of `geometry`.
+def read_presses(
+    folder: Path, camera: SensorGeometry, median_background: bool = False, size_px: tuple[int, int] | None = None
+) -> PressFolder:
+    """Read a folder of presses whose table is `presses.csv`, taken by a sensor of geometry `camera`.
+
+    With `size_px` (width, height) images are reduced to that size, and the sensor with them.
 
     The background is the mean of the table's background images; or, with `median_background`, the median of all presses
     pixel by pixel, which needs at least FOR_MEDIAN of them at different places. Raises CalibrationError for whatever is
     wrong, naming the row.
     """
     table = folder / TABLE
+    geometry = camera if size_px is None else _smaller(camera, size_px)
     rows = _read_table(table)
-    images = {row: _read_image(row, geometry) for row in rows}
+    images = {row: reduced(_read_image(row, camera), geometry.shape) for row in rows}
     unpressed = [image for row, image in images.items() if row.kind == "background"]
     pressed = tuple(row for row in rows if row.kind != "background")
     if not pressed:
@@ -147,11 +161,23 @@ def read_presses(folder: Path, geometry: SensorGeometry, median_background: bool
     stack = np.stack([images[row] for row in pressed] if median_background else unpressed)
     background = np.median(stack, axis=0) if median_background else stack.mean(axis=0)
     presses = PressFolder(
-        pressed, tuple(images[row] for row in pressed), np.rint(background).astype(np.uint8), geometry
+        pressed, tuple(images[row] for row in pressed), np.rint(background).astype(np.uint8), geometry, camera
     )
     for number in range(len(presses)):
         presses.label(number)  # all that is wrong is said before anything is trained
     return presses
+
+
+def _smaller(camera: SensorGeometry, size_px: tuple[int, int]) -> SensorGeometry:
+    """The sensor at a smaller image size (width, height). Raises CalibrationError for another shape or a larger one."""
+    width, height = size_px
+    shares = width / camera.width_px, height / camera.height_px
+    if not (min(shares) > 0 and max(shares) <= 1 and abs(shares[0] / shares[1] - 1) <= SAME_SHAPE):
+        raise CalibrationError(
+            f"images of {camera.width_px} x {camera.height_px} px cannot be reduced to {width} x {height}; give a "
+            "smaller size of the same shape"
+        )
+    return camera.resized(width, height)
 
 
 def _read_table(table: Path) -> list[Row]:

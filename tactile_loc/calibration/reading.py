@@ -20,19 +20,33 @@ BLACK, WHITE = 8, 253  # counts of 255
 STRANGE = 22  # counts by which half the image may differ from the untouched gel's; presses do by 2 to 19
 
 
-def require_image(image: NDArray[Any], background: Image) -> Image:
-    """Return an image that can be this sensor's. Raises TouchError for another size, type, or what no gel looks like.
+def reduced(image: Image, shape: tuple[int, int]) -> Image:
+    """Return an image (H, W, 3) at a smaller size (rows, columns): each pixel is the mean of what it covers."""
+    from PIL import Image as Picture
 
-    All black, mostly saturated, or altogether unlike `background` (H, W, 3).
+    if image.shape[:2] == shape:
+        return image
+    return np.asarray(Picture.fromarray(image).resize(shape[::-1], Picture.Resampling.BOX))
+
+
+def require_image(image: NDArray[Any], background: Image, camera_px: tuple[int, int] | None = None) -> Image:
+    """Return an image that can be this sensor's, as large as `background` (H, W, 3), that of the untouched gel.
+
+    One of the camera's own size `camera_px` (rows, columns) is `reduced` to it. Raises TouchError for another size or
+    type, or what no gel looks like: all black, mostly saturated, or altogether unlike the background.
     """
     image = np.asarray(image)
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         raise TouchError(
             f"the image is {image.dtype} of shape {image.shape}; it must be colour, (H, W, 3) of 8 bits; convert it"
         )
+    if image.shape[:2] == camera_px:
+        image = reduced(image, background.shape[:2])
     if image.shape != background.shape:
-        got, want = (f"{shape[1]} x {shape[0]}" for shape in (image.shape, background.shape))
-        raise TouchError(f"the image is {got} px but the sensor was calibrated at {want} px (width x height)")
+        sizes = (image.shape, background.shape, camera_px or background.shape)
+        got, want, own = (f"{shape[1]} x {shape[0]}" for shape in sizes)
+        also = "" if own == want else f", from the camera's {own},"
+        raise TouchError(f"the image is {got} px but the sensor was calibrated at {want} px{also} (width x height)")
     if (image <= BLACK).all(axis=2).mean() > 0.95:
         raise TouchError("the image is black; is the sensor's light on, and its camera uncovered?")
     if (image >= WHITE).any(axis=2).mean() > 0.5 > (background >= WHITE).any(axis=2).mean():

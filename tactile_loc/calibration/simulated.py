@@ -37,6 +37,11 @@ def simulated_sensor(sensor: str, lamps: str | None = None) -> tuple[SensorGeome
     return geometry, chosen
 
 
+def camera_px(sensor: str) -> list[int] | None:
+    """Return the size (rows, columns) of the images of a sensor by its name; None for one in a file: its own."""
+    return list(registry().create("sensor", sensor, {}).native.shape) if sensor in OPTICS else None
+
+
 def calibrate_simulated(
     geometry: SensorGeometry, lamps: Optics, count: int | None, estimator: str, options: dict[str, Any], seed: int,
     store: StageStore, progress: Progress | None = None,

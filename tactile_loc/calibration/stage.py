@@ -34,6 +34,7 @@ def calibrate_stage(
         "table": hash_file(folder / TABLE), "images": [hash_arrays(image=image) for image in presses.images],
         "meshes": [hash_file(row.mesh) for row in presses.rows if row.kind == "mesh"],
         "background": hash_arrays(image=presses.background), "geometry": presses.geometry.describe(),
+        "camera": presses.camera.describe(),
     }  # fmt: skip
     return learned(presses, presses.geometry, presses.background, inputs, estimator, options, seed, store, progress)
 

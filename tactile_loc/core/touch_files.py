@@ -50,15 +50,20 @@ def read_contents(path: Path) -> FileContents:
 
 
 def read_colour_image(path: Path) -> NDArray[np.uint8] | None:
-    """Return a colour image (H, W, 3), or None when the file is something else; TouchError when it is damaged."""
-    if path.suffix.lower() not in IMAGE_SUFFIXES:
+    """Return a colour image (H, W, 3), or None when the file is something else; TouchError when it is damaged.
+
+    A picture in colour, or an .npy file of (H, W, 3) uint8.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in (*IMAGE_SUFFIXES, ".npy"):
         return None
     _check_file(path)
     try:
-        mode, values = _load_image(path)
+        mode, values = ("RGB", _read_npy(path).depth) if suffix == ".npy" else _load_image(path)
     except _UNREADABLE as error:
         raise TouchError(_unreadable(path, error)) from error
-    return values.astype(np.uint8) if mode == "RGB" else None
+    colour = mode == "RGB" and values.ndim == 3 and values.shape[2] == 3 and values.dtype == np.uint8
+    return values if colour else None
 
 
 def _check_file(path: Path) -> None:

@@ -58,6 +58,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def test_what_was_written_comes_back(folder):
     found = read_calibration(folder)
+    assert found.camera_px == GEOMETRY.shape
     assert found.geometry.is_same_sensor(GEOMETRY)
     np.testing.assert_array_equal(found.geometry.observed, MASK)
     np.testing.assert_array_equal(found.background, BALLS.background)
@@ -193,7 +194,18 @@ def test_a_record_that_is_none_is_refused(folder, text):
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("noise_m", None), ("noise_m", "small"), ("estimator", None), ("options", None), ("options", 3)]
+    ("key", "value"),
+    [
+        ("noise_m", None),
+        ("noise_m", "small"),
+        ("estimator", None),
+        ("options", None),
+        ("options", 3),
+        ("camera_px", 200),
+        ("camera_px", [200]),
+        ("camera_px", [200, -1]),
+        ("camera_px", ["a", "b"]),
+    ],
 )
 def test_a_record_without_what_reading_takes_is_refused(folder, key, value):
     rewrite(folder, **{key: value})

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from press_sets import BALL_M, COLUMNS, MM, ball_set, places, write_image, write_table
+from press_sets import BALL_M, COLUMNS, MM, ball_set, magnified, places, write_image, write_table
 
 from tactile_loc.calibration.presses import FOR_MEDIAN, read_presses
 from tactile_loc.core.errors import CalibrationError
@@ -55,6 +55,23 @@ def test_balls_are_read_as_they_were_written(folder):
         deeper = (BALLS.indentation_m[number] - label.indentation_m)[label.contact]
         np.testing.assert_allclose(deeper, deeper[0], atol=1e-9)  # how deep the visible circle lies
         np.testing.assert_array_equal(label.known, known.known)
+
+
+def test_a_cameras_images_are_reduced_and_their_labels_with_them(tmp_path):
+    larger = magnified(BALLS, 3)
+    presses = read_presses(larger.write(tmp_path), larger.geometry, size_px=(GEOMETRY.width_px, GEOMETRY.height_px))
+    assert presses.geometry.is_same_sensor(GEOMETRY)
+    assert presses.camera is larger.geometry
+    np.testing.assert_array_equal(presses.background, BALLS.background)
+    for number, (image, label) in enumerate(presses.presses()):
+        np.testing.assert_array_equal(image, BALLS.images[number])
+        np.testing.assert_allclose(label.indentation_m, BALLS.press(number)[1].indentation_m, atol=1e-9)
+
+
+@pytest.mark.parametrize("size_px", [(64, 32), (128, 128), (0, 0)])
+def test_images_are_not_reduced_to_another_shape_or_a_larger_size(folder, size_px):
+    with pytest.raises(CalibrationError, match=f"cannot be reduced to {size_px[0]} x {size_px[1]}; give a smaller"):
+        read_presses(folder, GEOMETRY, size_px=size_px)
 
 
 def test_the_background_is_the_mean_of_its_images(folder):

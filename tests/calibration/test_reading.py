@@ -124,6 +124,17 @@ def test_an_image_of_this_sensor_passes():
     assert require_image(dim, GEL) is dim
 
 
+def test_a_cameras_own_image_is_reduced_to_the_means_of_what_pixels_cover():
+    finer = GEL.repeat(3, axis=0).repeat(3, axis=1)
+    finer[::3, ::3] = np.minimum(finer[::3, ::3], 240) + 9  # a ninth of each pixel is 9 counts brighter
+    finer[1::3, 1::3] -= np.minimum(finer[1::3, 1::3], 9)
+    reduced = require_image(finer, GEL, (384, 384))
+    assert reduced.shape == GEL.shape
+    np.testing.assert_allclose(reduced.astype(int), GEL, atol=1)
+    with pytest.raises(TouchError, match="128 x 128 px, from the camera's 384 x 384,"):
+        require_image(finer[:200], GEL, (384, 384))
+
+
 def refused(image, *words: str, gel=GEL) -> None:
     with pytest.raises(TouchError) as caught:
         require_image(image, gel)

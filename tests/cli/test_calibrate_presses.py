@@ -14,7 +14,7 @@ from PIL import Image
 
 torch = pytest.importorskip("torch")
 
-from press_sets import MM, ball_set, sensor, write_image, write_table  # noqa: E402
+from press_sets import MM, ball_set, magnified, sensor, write_image, write_table  # noqa: E402
 
 from tactile_loc.calibration.calibrate import split  # noqa: E402
 from tactile_loc.calibration.folder import read_calibration  # noqa: E402
@@ -23,6 +23,7 @@ from tactile_loc.core.sensor_files import write_sensor_file  # noqa: E402
 from tactile_loc.core.store import StageStore  # noqa: E402
 from tactile_loc.imaging.optics import OPTICS  # noqa: E402
 from tactile_loc.imaging.shading import background  # noqa: E402
+from tactile_loc.plugins.sensors.calibrated import CalibratedSensor  # noqa: E402
 
 BALLS = ball_set(16, px=80)
 STEPS = ["-o", "steps=300", "-o", "hidden=16"]
@@ -107,6 +108,21 @@ def test_a_photo_is_located_by_a_sensor_that_was_calibrated_from_photos(cli, pre
             cli("run", *ELL, "--sensor", "mine", "--touch", photo, "--out", "none", *GRID), photo.name, words
         )
     assert not Path("none").exists()
+
+
+def test_a_camera_of_more_pixels_is_calibrated_at_the_size_asked_for(cli, presses):
+    larger = magnified(BALLS, 2)
+    larger.write(Path("larger"))
+    for words in ([presses, "--out", "mine"], ["larger", "--image-size", 80, 80, "--out", "reduced"]):
+        done = cli("calibrate", *words, *FEW)
+        assert done.exit_code == 0, done.stderr
+    sensors = [CalibratedSensor(CalibratedSensor.Options(path=name)) for name in ("mine", "reduced")]
+    assert sensors[1].calibration.camera_px == (160, 160)
+    assert sensors[1].geometry.is_same_sensor(BALLS.geometry)
+    of_small, of_large = (s.indentation(b.images[3]) for s, b in zip(sensors, (BALLS, larger), strict=True))
+    np.testing.assert_allclose(of_large, of_small, atol=1e-7)
+    np.testing.assert_array_equal(sensors[1].indentation(BALLS.images[3]), of_large)
+    assert_refused(cli("calibrate", presses, *FEW, "--image-size", 90, 80), "80 x 80", "smaller size of the same shape")
 
 
 def test_the_second_time_nothing_is_trained_and_what_was_there_is_replaced(cli, presses, monkeypatch):

@@ -11,9 +11,12 @@ from cli_helpers import assert_refused
 from PIL import Image
 
 from tactile_loc.calibration.folder import read_calibration
+from tactile_loc.calibration.reading import reduced
 from tactile_loc.core.sensor_files import read_sensor_file
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.imaging.shading import background
+from tactile_loc.plugins.sensors.calibrated import CalibratedSensor
+from tactile_loc.plugins.sensors.presets import GelSlim
 
 SENSOR = """\
 camera = "orthographic"
@@ -60,9 +63,20 @@ def test_the_same_again_is_found_and_a_new_seed_is_not(calibrate):
     assert record["simulated"]["optics"] == OPTICS["gelslim"].describe()  # nobody described this sensor's lamps
 
 
+def test_a_known_sensor_also_takes_images_of_its_cameras_own_size(cli):
+    done = cli("calibrate", "--simulated", "--presses", 8, *TINY["photometric"], "--out", "mine")
+    assert done.exit_code == 0, done.stderr
+    sensor = CalibratedSensor(CalibratedSensor.Options(path="mine"))
+    assert (sensor.geometry.shape, sensor.calibration.camera_px) == ((200, 200), (470, 470))
+    native, small = background(GelSlim.native, OPTICS["gelslim"]), sensor.calibration.background
+    assert np.abs(reduced(native, (200, 200)).astype(int) - small).max() <= 1
+    np.testing.assert_array_equal(sensor.indentation(native), sensor.indentation(reduced(native, (200, 200))))
+
+
 def test_one_source_of_presses_is_wanted(cli, calibrate):
     assert_refused(calibrate("somewhere"), "--simulated", "leave out FOLDER")
     assert_refused(calibrate("--format", "taxim"), "--format")
+    assert_refused(calibrate("--image-size", 20, 20), "--image-size")
     assert_refused(cli("calibrate"), "nothing to learn from", "FOLDER", "--simulated")
     assert_refused(cli("calibrate", "somewhere", "--optics", "digit"), "--optics", "--simulated")
     assert not Path("my_sensor").exists()

@@ -177,9 +177,12 @@ def test_a_deeper_or_impossible_press_is_refused(tmp_path: Path, touch: Touch, p
 def test_a_calibrated_sensor_reads_colour_images(tmp_path: Path) -> None:
     image = np.full((9, 12, 3), 255, np.uint8)
     image[2:5, 3:7] = 51
-    touch = read_touch(save_png(tmp_path / "a.png", image), Sensor(calibrated=True))
-    assert touch.contact_shape.contact.sum() == 12
-    assert touch.contact_shape.depth_m.min() == pytest.approx(MAX_DEPTH_M / 5)
+    np.save(tmp_path / "a.npy", image)
+    for path in (save_png(tmp_path / "a.png", image), tmp_path / "a.npy"):
+        touch = read_touch(path, Sensor(calibrated=True))
+        np.testing.assert_array_equal(touch.image, image)
+        assert touch.contact_shape.contact.sum() == 12
+        assert touch.contact_shape.depth_m.min() == pytest.approx(MAX_DEPTH_M / 5)
 
 
 def refused(path: Path, *words: str, unit: str | None = "mm") -> None:

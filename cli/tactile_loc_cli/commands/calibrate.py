@@ -73,6 +73,15 @@ def calibrate(
     mm_per_px: Annotated[
         float | None, typer.Option("--mm-per-px", metavar="MM", help="With --format: the size of a pixel, in mm.")
     ] = None,
+    image_size: Annotated[
+        tuple[int, int] | None,
+        typer.Option(
+            "--image-size",
+            min=16,
+            metavar="WIDTH HEIGHT",
+            help="Reduce the camera's images to this size, in pixels; the labels stay those of the camera's.",
+        ),
+    ] = None,
     simulated: Annotated[
         bool, typer.Option("--simulated", help="No FOLDER: press two calibration boards in simulation.")
     ] = False,
@@ -114,7 +123,7 @@ def calibrate(
     require_writable(out)
     require_replaceable(out.absolute())
     options = _options(option or [])
-    _require_one_source(folder, format, background, simulated, optics, presses)
+    _require_one_source(folder, format, background, image_size, simulated, optics, presses)
     if folder is None:
         _calibrate_simulated(sensor, optics, presses, estimator, options, seed, out, store)
         return
@@ -122,17 +131,20 @@ def calibrate(
         if format is not None:
             folder = _convert(folder, Path(temporary), format, ball_radius, mm_per_px)
         file = folder / "sensor.toml" if sensor is None else Path(sensor)
-        _calibrate(folder, file, estimator, background, options, seed, out, store)
+        _calibrate(folder, file, estimator, background, image_size, options, seed, out, store)
 
 
 def _require_one_source(
-    folder: Path | None, format: Format | None, background: Background, simulated: bool, optics: str | None,
-    presses: int | None,
+    folder: Path | None, format: Format | None, background: Background, image_size: tuple[int, int] | None,
+    simulated: bool, optics: str | None, presses: int | None,
 ) -> None:  # fmt: skip
     from tactile_loc.core.errors import ConfigError
 
-    if simulated and (folder is not None or format is not None or background is not Background.TABLE):
-        raise ConfigError("--simulated makes its presses itself: leave out FOLDER, --format and --background")
+    of_folder = folder, format, image_size
+    if simulated and (any(given is not None for given in of_folder) or background is not Background.TABLE):
+        raise ConfigError(
+            "--simulated makes its presses itself: leave out FOLDER, --format, --background and --image-size"
+        )
     if not simulated and folder is None:
         raise ConfigError("there is nothing to learn from; give FOLDER, with images of presses, or --simulated")
     if not simulated and (optics is not None or presses is not None):
@@ -162,8 +174,8 @@ def _options(words: list[str]) -> dict[str, Any]:
 
 
 def _calibrate(
-    folder: Path, sensor: Path, estimator: Estimator, background: Background, options: dict[str, Any], seed: int,
-    out: Path, store: Path | None,
+    folder: Path, sensor: Path, estimator: Estimator, background: Background, image_size: tuple[int, int] | None,
+    options: dict[str, Any], seed: int, out: Path, store: Path | None,
 ) -> None:  # fmt: skip
     from tactile_loc.calibration.presses import read_presses
     from tactile_loc.calibration.stage import calibrate_stage
@@ -172,21 +184,24 @@ def _calibrate(
 
     if not folder.is_dir():
         raise CalibrationError(f"there is no folder {folder}; give one with images of presses and presses.csv")
-    presses = read_presses(folder, _geometry(sensor), background is Background.MEDIAN)
+    presses = read_presses(folder, _geometry(sensor), background is Background.MEDIAN, image_size)
     made, record = calibrate_stage(presses, folder, estimator, options, seed, StageStore(store), progress())
-    _finish(presses, made, record, out)
+    _finish(presses, made, {**record, "camera_px": list(presses.camera.shape)}, out)
 
 
 def _calibrate_simulated(
     sensor: str | None, optics: str | None, count: int | None, estimator: Estimator, options: dict[str, Any],
     seed: int, out: Path, store: Path | None,
 ) -> None:  # fmt: skip
-    from tactile_loc.calibration.simulated import calibrate_simulated, simulated_sensor
+    from tactile_loc.calibration.simulated import calibrate_simulated, camera_px, simulated_sensor
     from tactile_loc.core.store import StageStore
 
-    geometry, lamps = simulated_sensor(sensor or DEFAULT_SENSOR, optics)
+    sensor = sensor or DEFAULT_SENSOR
+    geometry, lamps = simulated_sensor(sensor, optics)
     where = StageStore(store)
     presses, made, record = calibrate_simulated(geometry, lamps, count, estimator, options, seed, where, progress())
+    if (native := camera_px(sensor)) is not None:
+        record["camera_px"] = native
     _finish(presses, made, record, out)
 
 

@@ -41,7 +41,7 @@ class CalibratedSensor(DepthSensor):
 
     def indentation(self, image: NDArray[Any]) -> NDArray[np.float32]:
         """Return how far the gel is pressed in (H, W), metres. Raises TouchError for an image of another sensor."""
-        image = require_image(image, self.calibration.background)
+        image = require_image(image, self.calibration.background, self.calibration.camera_px)
         return self.calibration.estimator.indentation(image)
 
     def _make_geometry(self) -> SensorGeometry:
