@@ -5,26 +5,36 @@ The sensor is calibrated as `tactile-loc calibrate --simulated` does it, or foun
 objects that it has never seen, at random poses, pressed as deep as the sensor goes, under the nominal lamps. Errors of
 the indentation are RMS over the whole image and over what is in contact; IoU is the overlap of the contact's mask with
 the true one. Times are medians on this machine. Prints a Markdown table.
+
+With `--locate N` the objects are then located from N images, by the protocol of `tactile-loc evaluate`, and from the
+same touches given as clean contact shapes, with each `--encoder`, on grids of about `--poses` poses: a second table.
 """
 
 from __future__ import annotations
 
 import argparse
 import logging
+import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
+from single_touch import spacing_for
 
 from tactile_loc.calibration.estimator import GelEstimator
+from tactile_loc.calibration.folder import write_calibration
 from tactile_loc.calibration.reading import contact_shape, press_depth_m
 from tactile_loc.calibration.simulated import calibrate_simulated, simulated_sensor
-from tactile_loc.core.config import parse_overrides
+from tactile_loc.core.config import RunConfig, parse_overrides
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.meshes import load_object
 from tactile_loc.core.sensing import Touch
 from tactile_loc.core.store import StageStore
 from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.evaluation.protocol import evaluate
+from tactile_loc.evaluation.tables import mm
+from tactile_loc.evaluation.touches import SimulatedTouches
 from tactile_loc.imaging.gel import contact_indentation, gel_surface
 from tactile_loc.imaging.optics import Optics
 from tactile_loc.imaging.simulate import touch_images
@@ -79,6 +89,27 @@ def row(name: str, values: np.ndarray) -> str:
     return f"| {name} | {' | '.join(numbers)} | {np.median(values[:, 4]):.0f} |"
 
 
+LINES, WHAT = ("best-1", "reg-1"), ("shapes", "images")
+
+
+def located(name: str, sensor: Path, encoder: str, arguments: argparse.Namespace) -> str:
+    """Return a line of the second table: medians of an object's errors, from shapes and from images, in mm."""
+    obj = load_object(name, "auto")
+    spacing_mm = spacing_for(obj, {"sensor": arguments.sensor}, arguments.poses)
+    config = RunConfig.from_dict({
+        "sensor": {"name": "calibrated", "path": str(sensor)}, "encoder": encoder,
+        "grid": {"name": "face", "spacing_mm": spacing_mm},
+    })  # fmt: skip
+    localizer = Localizer(config, obj, StageStore(arguments.store))
+    shapes, images = (
+        evaluate(localizer, arguments.locate, SimulatedTouches(seed=arguments.seed, images=i)) for i in (False, True)
+    )
+    cells = [f"{mm(float(np.median(e.errors(line))))} ({np.median(e.normalised(line)):.3f})"
+             for line in LINES for e in (shapes, images)]  # fmt: skip
+    closest = mm(float(np.median(shapes.errors("closest"))))
+    return f"| {obj.name} | {localizer.model.size} | {encoder} | {' | '.join(cells)} | {closest} |"
+
+
 def main() -> None:
     """Calibrate, measure and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -88,6 +119,9 @@ def main() -> None:
     parser.add_argument("-o", "--option", action="append", default=[], metavar="OPTION=VALUE")
     parser.add_argument("--touches", type=int, default=30)
     parser.add_argument("--seed", type=int, default=7, help="of the touches")
+    parser.add_argument("--locate", type=int, default=0, metavar="N", help="touches an object to locate")
+    parser.add_argument("--encoder", action="append", metavar="NAME", help="for --locate; may be repeated")
+    parser.add_argument("--poses", type=int, default=10_000, help="about how many poses a grid has, for --locate")
     parser.add_argument("--store", type=Path)
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.WARNING)
@@ -107,6 +141,15 @@ def main() -> None:
         measured.append(measure(estimator, record["noise_m"], touches, lamps))
         print(row(name, measured[-1]), flush=True)
     print(row("all", np.concatenate(measured)))
+    if not arguments.locate:
+        return
+    names = ["object", "poses", "encoder", *(f"{line} from {what}" for line in LINES for what in WHAT), "closest"]
+    print(f"\n| {' | '.join(names)} |\n|{'---|' * len(names)}")
+    with tempfile.TemporaryDirectory() as temporary:
+        sensor = write_calibration(Path(temporary) / "sensor", geometry, presses.background, estimator, record)
+        for encoder in arguments.encoder or ["pixel"]:
+            for name in DEMO_OBJECTS:
+                print(located(name, sensor, encoder, arguments), flush=True)
 
 
 if __name__ == "__main__":

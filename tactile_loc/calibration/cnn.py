@@ -12,9 +12,9 @@ from pydantic import Field
 from torch import nn
 
 from tactile_loc.calibration.cnn_training import CnnTrainer, Recipe
+from tactile_loc.calibration.colour import FEATURES, features, fixed_features
 from tactile_loc.calibration.estimator import CalibrationProblem, GelEstimator, Image
 from tactile_loc.calibration.networks import load_network, save_network
-from tactile_loc.calibration.photometric import FEATURES, features, fixed_features
 from tactile_loc.core.interfaces import ComponentOptions
 from tactile_loc.core.sensing import SensorGeometry
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -100,7 +102,7 @@ def _drift(
     surface_m: NDArray[np.float64], untouched: NDArray[np.bool_], geometry: SensorGeometry
 ) -> NDArray[np.float64]:
     """The smooth surface (H, W), metres, through the untouched pixels (H, W), continued where there are none."""
-    from scipy.ndimage import gaussian_filter, zoom
+    from scipy.ndimage import gaussian_filter
 
     step = max(1, round(max(geometry.shape) / COARSE_PX))
     sigma = DRIFT_M / (step * geometry.pixel_pitch_m)
@@ -109,7 +111,17 @@ def _drift(
     coarse = gaussian_filter(seen, sigma, mode="nearest", truncate=6)
     coarse /= np.maximum(gaussian_filter(weights, sigma, mode="nearest", truncate=6), 1e-9)
     height, width = surface_m.shape
-    return np.asarray(zoom(coarse, step, order=1, mode="nearest", grid_mode=True))[:height, :width]
+    rows, columns = (
+        _between(blocks, step, pixels) for blocks, pixels in zip(coarse.shape, (height, width), strict=True)
+    )
+    return rows @ coarse @ columns.T
+
+
+@lru_cache(maxsize=8)
+def _between(blocks: int, step: int, pixels: int) -> NDArray[np.float64]:
+    """Weights (pixels, blocks) that interpolate linearly between the middles of blocks; constant beyond the last."""
+    middles = (np.arange(blocks) + 0.5) * step - 0.5
+    return np.stack([np.interp(np.arange(pixels), middles, one) for one in np.eye(blocks)], axis=1)
 
 
 def _blocks(image: NDArray[np.float64], step: int) -> NDArray[np.float64]:

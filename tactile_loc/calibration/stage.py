@@ -21,7 +21,7 @@ from tactile_loc.core.store import StageStore
 from tactile_loc.core.training import WorkspaceCheckpoints
 from tactile_loc.core.workspace import Workspace
 
-STAGE_VERSION = 1
+STAGE_VERSION = 2
 WEIGHTS, RECORD = "estimator.safetensors", "held-out"
 
 
