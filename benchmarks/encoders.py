@@ -29,8 +29,8 @@ from tactile_loc.evaluation.figures import draw_violins
 from tactile_loc.evaluation.judge import STAGES
 from tactile_loc.evaluation.pictures import save_figure
 from tactile_loc.evaluation.protocol import evaluate
+from tactile_loc.evaluation.sources import SimulatedTouches
 from tactile_loc.evaluation.tables import Run
-from tactile_loc.evaluation.touches import SimulatedTouches
 
 ENCODERS = {"pixel": {"name": "pixel"}, "pixel, depth": {"name": "pixel", "signal": "depth"}, "moco": {"name": "moco"}}
 LINES = ("best-1", "best-10", "best-50", "reg-1", "reg-10", "closest", "oracle", "random")

@@ -24,7 +24,7 @@ from tactile_loc.core.store import StageStore
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.judge import STAGES
 from tactile_loc.evaluation.protocol import evaluate
-from tactile_loc.evaluation.touches import SimulatedTouches
+from tactile_loc.evaluation.sources import SimulatedTouches
 
 LINES = ("closest", "random", "best-1", "best-10", "reg-1")
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
+from tactile_loc.core import confidence
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.scene import Scene
 from tactile_loc.core.sensing import SensorGeometry
@@ -27,6 +28,14 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip(f"there is no {SHARED_DATA}: it holds meshes and touches that are not part of the project")
     return SHARED_DATA
+
+
+@pytest.fixture(autouse=True, scope="session")
+def few_touches_to_learn_confidence_from() -> Iterator[None]:
+    """A tenth of the touches from which a localizer learns how sure to be: most tests ask about something else."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(confidence, "TOUCHES", 15)
+        yield
 
 
 @pytest.fixture(scope="session")

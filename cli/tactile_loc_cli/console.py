@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -31,6 +31,14 @@ def say(text: str = "") -> None:
     """Write a line of results as it is, never wrapped; of processes that work together, the first does."""
     if rank() == 0:
         sys.stdout.write(text + "\n")
+
+
+def say_table(rows: Sequence[Sequence[str]], left: int = 2) -> None:
+    """Write rows of cells, the first `left` columns to the left, the others to the right; never cut to the window."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = [c.ljust(w) if i < left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))]
+        say(" ".join(cells).rstrip())
 
 
 def complain(kind: str, text: str) -> None:

@@ -69,7 +69,7 @@ Grid = Annotated[str | None, _option("--grid", "NAME", "Which poses are searched
 Renderer = Annotated[str | None, _option("--renderer", "NAME", "What renders contact shapes; by default heightmap.")]
 Encoder = Annotated[str | None, _option("--encoder", "NAME", "What makes vectors of them; by default pixel.")]
 Matcher = Annotated[str | None, _option("--matcher", "NAME", "What compares the vectors; by default dense.")]
-Refiner = Annotated[str | None, _option("--refiner", "NAME", "What refines the best poses; by default icp.")]
+Refiner = Annotated[str | None, _option("--refiner", "NAME", "What refines the best poses; by default filterreg.")]
 Fuser = Annotated[str | None, _option("--fuser", "NAME", "What combines touches and prior; by default product.")]
 SetOption = Annotated[
     list[str] | None,
@@ -113,7 +113,7 @@ def run_config(flags: dict[str, Any]) -> RunConfig:
         settings[section] = {**_table(settings.get(section, {}), section), **chosen}
     overrides = parse_overrides(flags.get("option") or [])
     for slot in SLOTS:
-        settings[slot] = _component(slot, settings.get(slot), flags.get(slot), overrides.get(slot, {}))
+        settings[slot] = component(slot, settings.get(slot), flags.get(slot), overrides.get(slot, {}))
     settings |= {key: flags[key] for key in ("top", "seed") if flags.get(key) is not None}
     return RunConfig.from_dict(settings, "the command line" if path is None else str(path))
 
@@ -134,8 +134,8 @@ def _table(value: Any, section: str) -> dict[str, Any]:
     return value
 
 
-def _component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, Any]) -> Any:
-    """One slot's name and options: the file's, unless the flag names another component, and `overrides` on top."""
+def component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, Any]) -> Any:
+    """Return one slot's name and options: the file's, unless the flag names another component; `overrides` on top."""
     from tactile_loc.core.config import RunConfig
 
     given: dict[str, Any] = {"name": in_file} if isinstance(in_file, str) else dict(_table(in_file or {}, slot))

@@ -63,7 +63,7 @@ def _cells(h: HypothesisRecord) -> list[str]:
     angle_deg, axis = axis_angle(T[:3, :3])
     cells = [
         str(h.rank), f"{100 * h.probability:.1f}", *(f"{1e3 * v:.2f}" for v in T[:3, 3]), f"{angle_deg:.1f}",
-        "({:.3f}, {:.3f}, {:.3f})".format(*axis), f"{100 * h.fitness:.0f}",
+        "({:.3f}, {:.3f}, {:.3f})".format(*axis), f"{100 * h.explained:.0f}",
     ]  # fmt: skip
     return cells if h.error_m is None else [*cells, _mm(h.error_m)]
 

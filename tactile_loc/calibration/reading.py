@@ -12,7 +12,10 @@ from tactile_loc.core.sensing import ContactShape, SensorGeometry
 
 Image = NDArray[np.uint8]
 
-SKIRT = 0.5  # of the press: up there the gel hangs between the object and its untouched surface
+SKIRT, MOST_SKIRT = 0.3, 0.75  # of the press: below the first nothing touches, and above the second all that is left
+STEEP = 0.25  # of the steepest slope: what is flatter hangs nowhere
+HANGING_M = 1 / 600  # slope over curvature: a ball's is half the distance from its tip
+SMOOTHING_M = 1e-4  # of slope and curvature: standard deviation
 TIP_M = 3e-4  # the press depth is that of the deepest area of this size, squared
 LEAST_M = 5e-5  # no sensor tells a lighter press from none
 ABOVE_NOISE = 4.0  # noise floors that a press stands out by
@@ -72,10 +75,9 @@ def contact_shape(
     """Return the contact shape of an indentation (H, W), metres, whose noise is `noise_m`.
 
     The object is where the gel is, except at the skirt, where the gel hangs from the contact's edge to its untouched
-    surface: so the shape is cut below it, at 1 - SKIRT of the press. A steep edge is then where it is, for the gel
-    rounds it to both sides alike, and a ball's imprint is as wide as at this lighter press. An indentation that is of
-    the contact alone (`sees_skirt` False) is cut where it stands out of the noise. Raises TouchError when the gel is
-    not pressed in.
+    surface: `in_contact` tells them apart. The shape is cut at a lighter press, which leaves as much contact: a steep
+    edge is then where it is, and a ball's imprint as wide as at that press. An indentation that is of the contact alone
+    (`sees_skirt` False) is cut where it stands out of the noise. Raises TouchError when the gel is not pressed in.
     """
     press = press_depth_m(indentation_m, geometry)
     least = max(LEAST_M, ABOVE_NOISE * noise_m)
@@ -89,6 +91,31 @@ def contact_shape(
         contact = geometry.observed_mask & (indentation_m > least)
         depth = np.maximum(np.float32(press) - indentation_m, 0)
         return ContactShape(np.where(contact, depth, press).astype(np.float32), press)
-    cut = np.float32((1 - SKIRT) * press)
-    depth = np.clip(np.float32(press) - indentation_m, 0, cut)
-    return ContactShape(np.where(geometry.observed_mask, depth, cut).astype(np.float32), float(cut))
+    contact = in_contact(indentation_m, press, geometry)
+    observed = np.sort(indentation_m[geometry.observed_mask])
+    pixels = min(int(np.count_nonzero(contact)), len(observed) - 1)
+    level = float(observed[-pixels - 1])  # as many are deeper
+    if not SKIRT * press <= level <= MOST_SKIRT * press:
+        level = min(max(level, SKIRT * press), MOST_SKIRT * press)
+        contact = geometry.observed_mask & (indentation_m > level)
+    cut = np.float32(press - level)
+    depth = np.clip(np.float32(press) - indentation_m, 0, np.nextafter(cut, np.float32(0)))
+    return ContactShape(np.where(contact, depth, cut).astype(np.float32), float(cut))
+
+
+def in_contact(indentation_m: NDArray[np.float32], press_m: float, geometry: SensorGeometry) -> NDArray[np.bool_]:
+    """Mark (H, W) where the gel lies on the object, and does not hang down from it, of an indentation (H, W), metres.
+
+    At a contact's rim the gel bends over it; where it hangs it is steep, and straight or bent the other way. The border
+    is where the slope is no more than HANGING_M times the bend: at a wall, that is its edge.
+    """
+    from scipy.ndimage import binary_opening, gaussian_filter, gaussian_laplace, label
+
+    pitch_m, surface = geometry.pixel_pitch_m, indentation_m.astype(np.float64)
+    sigma = max(SMOOTHING_M / pitch_m, 0.5)
+    slope = gaussian_filter(np.hypot(*np.gradient(surface, pitch_m)), sigma)
+    bend = -gaussian_laplace(surface, sigma) / pitch_m**2
+    hangs = (slope > STEEP * slope.max()) & (slope > HANGING_M * bend)
+    parts, _ = label(binary_opening((surface > SKIRT * press_m) & ~hangs & geometry.observed_mask))
+    deep = np.unique(parts[surface > 0.5 * press_m])
+    return np.isin(parts, deep[deep > 0])

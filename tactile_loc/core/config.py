@@ -64,7 +64,7 @@ class RunConfig(_Strict):
     grid: SlotConfig = SlotConfig(name="face")
     encoder: SlotConfig = SlotConfig(name="pixel")
     matcher: SlotConfig = SlotConfig(name="dense")
-    refiner: SlotConfig = SlotConfig(name="icp")
+    refiner: SlotConfig = SlotConfig(name="filterreg")
     fuser: SlotConfig = SlotConfig(name="product")
     top: int = Field(default=10, ge=1)
     seed: int = Field(default=0, ge=0)

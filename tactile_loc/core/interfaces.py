@@ -47,7 +47,8 @@ class Capabilities:
     `exact_undercuts`: a renderer sees surfaces below overhangs. `deterministic`: same input, same output.
     `follows_press_depth`: an encoder's bank must be encoded at the touch's own press depth.
     `top_k_only`: a matcher scores only some poses, the others are -inf. `needs_training`: `fit` does work.
-    `refines`: a refiner moves poses, unlike the null one. `uses_normals`, `differentiable`, `device`: as they say.
+    `refines`: a refiner moves poses, unlike the null one. `contact_only`: a fuser asks only which poses touch a sensor,
+    not how probable they are. `uses_normals`, `differentiable`, `device`: as they say.
     """
 
     deterministic: bool = True
@@ -56,6 +57,7 @@ class Capabilities:
     top_k_only: bool = False
     needs_training: bool = False
     refines: bool = True
+    contact_only: bool = False
     uses_normals: bool = False
     differentiable: bool = False
     device: str = "cpu"
@@ -176,7 +178,6 @@ class Encoder(Component):
     """Maps contact shapes to vectors whose Euclidean distance says how alike the poses are."""
 
     slot = "encoder"
-    temperature: ClassVar[float] = 1.0
 
     def fit(self, problem: TrainingProblem) -> None:
         """Learn from simulation. Does nothing unless the encoder needs training."""
@@ -237,6 +238,13 @@ class Refiner(Component):
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
         """Return the refined pose; `converged` is False when nothing better than the candidate was found."""
 
+    def refine_many(self, touch: Touch, candidates: Sequence[Candidate], scene: Scene) -> list[RefinedPose]:
+        """Refine several candidates of one touch, in their order; the same as `refine` one by one.
+
+        Override it where candidates together are faster than one after another.
+        """
+        return [self.refine(touch, candidate, scene) for candidate in candidates]
+
 
 Prior = Callable[[Poses], NDArray[np.float64]]
 
@@ -250,4 +258,8 @@ class Fuser(Component):
     def fuse(
         self, posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None], prior: Prior | None = None
     ) -> PosePosterior:
-        """Return the posterior over the first touch's grid. `prior` maps poses (N, 4, 4) to log-weights (N,)."""
+        """Return the posterior over the first touch's grid. `prior` maps its poses (N, 4, 4) to log-weights (N,).
+
+        `T_base_sensor` (4, 4) in metres is where each touch's sensor was, None if unknown. Raises ConfigError for
+        touches that it cannot combine, such as several of unknown sensor poses, and GridError when no pose is left.
+        """

@@ -15,13 +15,16 @@ from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.sensing import Touch
 
+SHARPNESS = 30.0
+
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """One distinct explanation of the touch.
 
     `probability` is that of its whole mode; `T_sensor_object` (4, 4) the mode's peak on the grid, `refined` the pose
-    below the grid's resolution; `poses` how many grid poses the mode holds. Metres.
+    below the grid's resolution; `poses` how many grid poses the mode holds; `explained`, 0 to 1, how well the refined
+    pose explains the touch in depth and outline (`Scene.explained`). Metres.
     """
 
     probability: float
@@ -29,20 +32,25 @@ class Hypothesis:
     refined: RefinedPose
     index: int
     poses: int
+    explained: float
 
 
 @dataclass(frozen=True, eq=False)
 class Localization:
-    """The answer to one touch: the posterior, its distinct hypotheses (heaviest first), and seconds a stage."""
+    """The answer: the posterior, its distinct hypotheses (`ranked`), and seconds a stage.
+
+    Of several touches, `touch` is the first, in whose sensor's frame the answer is; `others` are the rest.
+    """
 
     touch: Touch
     posterior: PosePosterior
     hypotheses: tuple[Hypothesis, ...]
     seconds: dict[str, float]
+    others: tuple[Touch, ...] = ()
 
     @property
     def best(self) -> Hypothesis:
-        """The heaviest hypothesis."""
+        """The hypothesis that is ranked first."""
         return self.hypotheses[0]
 
     @cached_property
@@ -66,3 +74,15 @@ def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radiu
         else:
             merged.append(h)
     return tuple(sorted(merged, key=lambda h: -h.probability))
+
+
+def ranked(hypotheses: Sequence[Hypothesis], log_prior: NDArray[np.float64] | None = None) -> tuple[Hypothesis, ...]:
+    """Order hypotheses by how well their refined poses explain the touch, and by what was known before.
+
+    The grid's posterior compares coarse shapes at poses that are all a little wrong; below the grid's resolution the
+    right one of several explanations shows. With a prior, `log_prior` (K,) of the refined poses, a touch explained one
+    SHARPNESS-th better makes up for a pose e times less likely.
+    """
+    known = np.zeros(len(hypotheses)) if log_prior is None else log_prior
+    worth = SHARPNESS * np.array([h.explained for h in hypotheses]) + known
+    return tuple(hypotheses[i] for i in np.lexsort((np.arange(len(hypotheses)), -worth)))

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactile_loc.core.config import RunConfig
+from tactile_loc.core.confidence import Confidence, learn_confidence
+from tactile_loc.core.config import RunConfig, SlotConfig
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.interfaces import Candidate, Matcher, Prior, RefinedPose
-from tactile_loc.core.localization import Hypothesis, Localization, merge_hypotheses
+from tactile_loc.core.localization import Hypothesis, Localization, merge_hypotheses, ranked
 from tactile_loc.core.meshes import Units, load_object
-from tactile_loc.core.model import ObjectPoseModel, build_bank, build_model
+from tactile_loc.core.model import STAGE_VERSIONS, ObjectPoseModel, build_bank, build_model
 from tactile_loc.core.noise import noise as noise_called
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.posterior import PosePosterior
@@ -26,6 +27,7 @@ from tactile_loc.core.sensing import Touch
 from tactile_loc.core.simulation import simulate_touches
 from tactile_loc.core.store import StageStore
 from tactile_loc.core.touches import read_touch
+from tactile_loc.core.training import STAGE_VERSION as TRAINING_VERSION
 from tactile_loc.core.training import train_encoder
 
 if TYPE_CHECKING:
@@ -99,13 +101,36 @@ class Localizer:
         """Train the encoder, or load it from the store; what identifies what it learned."""
         return train_encoder(self.encoder, self.model, self.coarse_scene, self.sampler, self.store, self.progress)
 
+    @cached_property
+    def confidence(self) -> Confidence:
+        """How scores become probabilities: by the temperature asked for, or as simulated touches have taught."""
+        asked = self.config.temperature
+        return learn_confidence(self) if asked is None else Confidence(asked)
+
+    def with_matcher(self, name: str) -> Localizer:
+        """Return a localizer that compares by another matcher, and is the same otherwise."""
+        if self.config.matcher.name == name:
+            return self
+        config = self.config.model_copy(update={"matcher": SlotConfig(name=name)})
+        return Localizer(config, self.object, self.store, self.progress)
+
+    def describe_scores(self) -> dict[str, Any]:
+        """Return what decides a touch's scores but for the touch, as JSON values; trains the encoder if need be.
+
+        The matcher is not among it: all find the same scores, if they look at all poses.
+        """
+        return {
+            "model": self.model.key.digest, "sensor": self.sensor.geometry.describe(), "trained": self._trained,
+            "encoder": self.encoder.describe(), "training": TRAINING_VERSION, "bank": STAGE_VERSIONS["bank"],
+        }  # fmt: skip
+
     def localize(self, touch: Touch, prior: Prior | None = None, top: int | None = None) -> Localization:
         """Return the distribution over poses given a touch, and its `top` distinct hypotheses, refined.
 
         `prior` maps poses (N, 4, 4) in metres to log-weights (N,). Raises TactileLocError when nothing fits.
         """
         seconds: dict[str, float] = {}
-        return self._explained(touch, self.posterior(touch, prior, seconds), seconds, top)
+        return self._explained(touch, self.posterior(touch, prior, seconds), seconds, top, prior)
 
     def localize_many(self, touches: Sequence[Touch], top: int | None = None) -> list[Localization]:
         """Localise touches of this sensor, each for itself, as `localize` does; those of one press are matched at once.
@@ -134,18 +159,21 @@ class Localizer:
         return rows, {stage: duration / len(touches) for stage, duration in seconds.items()}
 
     def _explained(
-        self, touch: Touch, posterior: PosePosterior, seconds: dict[str, float], top: int | None
-    ) -> Localization:
-        """A posterior's modes, refined."""
-        radius_m = MODE_RADIUS * self.sampler.options.spacing_mm * 1e-3
-        modes = _timed(seconds, "modes", lambda: posterior.modes(radius_m, top or self.config.top))
-        refined = _timed(seconds, "refine", lambda: [self.refine(touch, posterior, m.index) for m in modes])
+        self, touch: Touch, posterior: PosePosterior, seconds: dict[str, float], top: int | None,
+        prior: Prior | None = None,
+    ) -> Localization:  # fmt: skip
+        """A posterior's modes, refined, in the order of how well they explain the touch."""
+        modes = _timed(seconds, "modes", lambda: posterior.modes(self.mode_radius_m, top or self.config.top))
+        refined = _timed(seconds, "refine", lambda: self.refine_many(touch, posterior, [m.index for m in modes]))
+        poses = np.stack([r.T_sensor_object for r in refined])
+        explained = _timed(seconds, "choose", lambda: self.scene.explained(poses, touch))
         hypotheses = [
-            Hypothesis(m.probability, m.T_sensor_object, r, m.index, len(m.members))
-            for m, r in zip(modes, refined, strict=True)
+            Hypothesis(m.probability, m.T_sensor_object, r, m.index, len(m.members), float(e))
+            for m, r, e in zip(modes, refined, explained, strict=True)
         ]
-        merged = merge_hypotheses(hypotheses, self.model.grid.metric, SAME_POSE * radius_m)
-        return Localization(touch, posterior, merged, seconds)
+        merged = merge_hypotheses(hypotheses, self.model.grid.metric, self.same_pose_m)
+        known = None if prior is None else prior(np.stack([h.refined.T_sensor_object for h in merged]))
+        return Localization(touch, posterior, ranked(merged, known), seconds)
 
     def posterior(
         self, touch: Touch, prior: Prior | None = None, seconds: dict[str, float] | None = None
@@ -154,29 +182,54 @@ class Localizer:
 
         Raises TouchError when the touch was taken by another sensor.
         """
+        seconds = {} if seconds is None else seconds
+        return self._fused(touch, self.scores(touch, seconds), prior, seconds)
+
+    def single_posterior(self, touch: Touch) -> PosePosterior:
+        """Return what a touch alone says of the grid's poses, before anything is fused with it. Raises TouchError."""
+        return self.confidence.posterior(self.model.grid, self.scores(touch))
+
+    @property
+    def mode_radius_m(self) -> float:
+        """How near to one another poses count as one hypothesis, metres."""
+        spacing_mm: float = self.sampler.options.spacing_mm
+        return MODE_RADIUS * spacing_mm * 1e-3
+
+    @property
+    def same_pose_m(self) -> float:
+        """How near to one another refined poses count as one, metres."""
+        return SAME_POSE * self.mode_radius_m
+
+    def scores(self, touch: Touch, seconds: dict[str, float] | None = None) -> NDArray[np.float32]:
+        """Return how alike (N,) a touch and each pose of the grid are, unitless. `seconds` is filled with the times.
+
+        Raises TouchError when the touch was taken by another sensor.
+        """
         self._require_own(touch)
         seconds = {} if seconds is None else seconds
         matcher = self.matcher(touch.press_depth_m)
         press_m = self._bank_press(touch.press_depth_m)
         query = _timed(seconds, "encode", lambda: self._encode(touch, press_m))
-        scores = _timed(seconds, "match", lambda: matcher.scores(query)[0])
-        return self._fused(touch, scores, prior, seconds)
+        scores: NDArray[np.float32] = _timed(seconds, "match", lambda: matcher.scores(query)[0])
+        return scores
 
     def _fused(
         self, touch: Touch, scores: NDArray[np.float32], prior: Prior | None, seconds: dict[str, float]
     ) -> PosePosterior:
         """The posterior of a touch's scores (N,) and the prior."""
-        temperature = self.config.temperature or self.encoder.temperature
-        single = PosePosterior.from_scores(self.model.grid, scores, temperature)
+        single = self.confidence.posterior(self.model.grid, scores)
         return _timed(seconds, "fuse", lambda: self.fuser.fuse([single], [touch.T_base_sensor], prior))
 
     def refine(self, touch: Touch, posterior: PosePosterior, index: int) -> RefinedPose:
         """Refine one pose of the posterior's grid against the touch."""
-        pose = posterior.grid.T_sensor_object[index]
-        result: RefinedPose = self.refiner.refine(
-            touch, Candidate(pose, index, float(posterior.log_p[index])), self.scene
-        )
-        return result
+        return self.refine_many(touch, posterior, [index])[0]
+
+    def refine_many(self, touch: Touch, posterior: PosePosterior, indices: Sequence[int]) -> list[RefinedPose]:
+        """Refine several poses of the posterior's grid against the touch, in the order of their indices."""
+        poses = posterior.grid.T_sensor_object
+        candidates = [Candidate(poses[index], int(index), float(posterior.log_p[index])) for index in indices]
+        refined: list[RefinedPose] = self.refiner.refine_many(touch, candidates, self.scene)
+        return refined
 
     def best_pose(self, touch: Touch) -> RefinedPose:
         """Return the most probable pose, refined: the shortest way, for a control loop."""

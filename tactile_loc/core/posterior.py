@@ -28,11 +28,15 @@ class Mode:
 class PosePosterior:
     """Log-probabilities `log_p` (N,) over a grid's poses; -inf where a pose is excluded.
 
-    Normalised on creation. Raises GridError when no pose has any probability or a value is NaN.
+    `log_train` (N,) is the distribution of the poses that the probabilities were learned from, P_train, up to a
+    constant; None if they were all alike. Fusers divide by it.
+    Normalised on creation. Raises GridError when no pose has any probability, a value is NaN, or `log_train` is not
+    finite.
     """
 
     grid: PoseGrid
     log_p: NDArray[np.float64]
+    log_train: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         log_p = np.asarray(self.log_p, float)
@@ -40,11 +44,13 @@ class PosePosterior:
             raise GridError("no pose of the grid explains the touch: all probabilities are zero or undefined")
         peak = log_p.max()
         object.__setattr__(self, "log_p", log_p - peak - np.log(np.exp(log_p - peak).sum()))
-
-    @classmethod
-    def from_scores(cls, grid: PoseGrid, scores: NDArray[np.floating], temperature: float) -> PosePosterior:
-        """Return softmax(scores / temperature) over the grid; `scores` (N,) unitless, higher is more alike."""
-        return cls(grid, np.asarray(scores, float) / temperature)
+        if self.log_train is not None and (
+            np.shape(self.log_train) != log_p.shape or not np.isfinite(self.log_train).all()
+        ):
+            raise GridError(
+                f"the training distribution has the shape {np.shape(self.log_train)} or values that are not finite; "
+                f"give one log-probability for each of the grid's {len(self.grid)} poses"
+            )
 
     @property
     def probabilities(self) -> NDArray[np.float64]:

@@ -14,6 +14,9 @@ from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch, contact_depth
 
 OVERLAP_PX = 100
+# Of the press depth, what a pixel counts for being in contact at all: as much as the deepest imprint does. With less,
+# the depth, which noise falsifies first, decides between poses; with more, depth hardly matters.
+OUTLINE_SHARE = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,12 +46,41 @@ class Scene:
         return ContactShape(self.contact_depths(T, press_depth_m)[0], press_depth_m)
 
     def overlap(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> float:
-        """Return how well a pose (4, 4), metres, explains a touch: 0 (not at all) to 1, unitless.
+        """Return how well a pose (4, 4), metres, explains a touch: 0 (not at all) to 1, unitless."""
+        return self.overlaps(T_sensor_object[None], touch)[0]
+
+    def overlaps(self, T_sensor_object: Poses, touch: Touch) -> list[float]:
+        """Return how well each of the poses (N, 4, 4), metres, explains a touch: 0 (not at all) to 1, unitless.
 
         The intersection over union of the touch's contact and the one that the pose makes at the same press depth,
         where the sensor observes, on about OVERLAP_PX pixels a side.
         """
         step = max(1, round(max(touch.geometry.shape) / OVERLAP_PX))
         geometry = touch.geometry.every(step)
-        made = dataclasses.replace(self, geometry=geometry).contact_shape(T_sensor_object, touch.press_depth_m)
-        return made.overlap(touch.contact_shape.every(step), geometry.observed_mask)
+        coarse, wanted = dataclasses.replace(self, geometry=geometry), touch.contact_shape.every(step)
+        made = coarse.contact_depths(coarse.in_contact(T_sensor_object)[0], touch.press_depth_m)
+        shapes = (ContactShape(depth, touch.press_depth_m) for depth in made)
+        return [shape.overlap(wanted, geometry.observed_mask) for shape in shapes]
+
+    def explained(self, T_sensor_object: Poses, touch: Touch) -> NDArray[np.float64]:
+        """Return how well poses (N, 4, 4), metres, explain a touch in depth and outline: (N,), 0 to 1, unitless.
+
+        A generalised intersection over union: the sum of the smaller over the sum of the larger of what pose and touch
+        press in, raised by OUTLINE_SHARE of the press depth wherever there is contact. At the touch's press depth,
+        where the sensor observes, on about OVERLAP_PX pixels a side. A pose without contact explains nothing.
+        """
+        step = max(1, round(max(touch.geometry.shape) / OVERLAP_PX))
+        coarse = dataclasses.replace(self, geometry=touch.geometry.every(step))
+        made = coarse.contact_depths(coarse.in_contact(T_sensor_object)[0], touch.press_depth_m)
+        a, b = (
+            _imprint(depth_m, touch.press_depth_m, coarse.geometry.observed_mask)
+            for depth_m in (made, touch.contact_shape.every(step).depth_m)
+        )
+        common, either = (np.sum(both, axis=(-2, -1), dtype=float) for both in (np.minimum(a, b), np.maximum(a, b)))
+        return np.asarray(common / np.maximum(either, 1.0), float)
+
+
+def _imprint(depth_m: NDArray[np.float32], press_depth_m: float, observed: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Shares of the press depth (..., H, W) by which contact depths are pressed in, raised where there is contact."""
+    press = np.float32(press_depth_m)
+    return np.where((depth_m < press) & observed, np.float32(1 + OUTLINE_SHARE) - depth_m / press, np.float32(0))

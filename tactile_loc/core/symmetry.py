@@ -162,6 +162,11 @@ class SymmetryGroup:
             return nearest
         return nearest @ rotation_about(self.continuous_axis, angle_rad[np.arange(len(best)), best])
 
+    def least_angle(self, R_reference: NDArray[np.float64], R: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the least angle (N,), radians, from R_reference (3, 3) to the equivalents of rotations R (N, 3, 3)."""
+        nearness, _ = self._nearness(R, R_reference)  # a trace is 1 + 2 cos(angle)
+        return np.arccos(np.clip(0.5 * (nearness.max(axis=1) - 1.0), -1.0, 1.0))
+
     def _sampled_rotations(self, max_step_rad: float) -> NDArray[np.float64]:
         if not max_step_rad > 0:
             raise SymmetryError(f"The step along a continuous symmetry must be positive, not {max_step_rad} rad.")
@@ -171,9 +176,12 @@ class SymmetryGroup:
         turns = rotation_about(self.continuous_axis, np.arange(count) * (2.0 * math.pi / count))
         return (self.rotations[:, None] @ turns[None]).reshape(-1, 3, 3)
 
-    def _nearness(self, R: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _nearness(
+        self, R: NDArray[np.float64], R_ref: NDArray[np.float64] | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return max over the continuous turn of tr(R_ref^T R S_k R_axis(angle)), (N, K), and that angle (N, K)."""
-        R_ref = rotation_about(_REFERENCE_ROTVEC, np.linalg.norm(_REFERENCE_ROTVEC))
+        if R_ref is None:
+            R_ref = rotation_about(_REFERENCE_ROTVEC, np.linalg.norm(_REFERENCE_ROTVEC))
         A = R_ref.T @ np.asarray(R, dtype=np.float64)
         if self.continuous_axis is None:
             nearness = A.reshape(-1, 9) @ self.rotations.transpose(0, 2, 1).reshape(-1, 9).T

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from tactile_loc.core.localizer import Localizer
 from tactile_loc.evaluation.pictures import OUTLINE, draw_contact_shape, draw_outline, make_figure, millimetres
 from tactile_loc.evaluation.protocol import Evaluation
+from tactile_loc.evaluation.sources import SimulatedTouches
 from tactile_loc.evaluation.tables import Run
-from tactile_loc.evaluation.touches import SimulatedTouches
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-DRAWN = ("best-1", "best-10", "best-50", "reg-1", "reg-10", "oracle")
+DRAWN = ("best-1", "best-10", "best-50", "reg-1", "chosen-10", "reg-10", "oracle")
 COLOURS = ("#2b6cb0", "#dd6b20", "#2f855a", "#6b46c1", "#b83280", "#4a5568")
 RANDOM, CLOSEST = "#c53030", "#1a202c"
 FLOOR = 1e-4  # errors below this share of a random pose's are drawn here

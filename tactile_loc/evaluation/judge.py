@@ -13,15 +13,16 @@ from tactile_loc.core.localizer import Localizer
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.sensing import Touch
+from tactile_loc.evaluation.belief import belief
 from tactile_loc.evaluation.metrics import add_s, hull_corners, mssd, symmetric_adds
 from tactile_loc.evaluation.oracle import true_pose
 
-LINES = ("best-1", "best-10", "best-50", "reg-1", "reg-10", "closest", "oracle", "random", "random-10")
+LINES = ("best-1", "best-10", "best-50", "reg-1", "chosen-10", "reg-10", "closest", "oracle", "random", "random-10")
 METRICS = ("add", "mssd", "add-s")
 STAGES = ("encode", "match", "fuse", "refine")
 SURFACE_POINTS = 10_000
 ASKED_EVERY = 10  # of the surface points, for ADD-S
-MOST, FEW = 50, 10  # poses that best-50, and that best-10, reg-10 and random-10 choose from
+MOST, FEW = 50, 10  # poses that best-50, and that best-10, chosen-10, reg-10 and random-10 choose from
 NEAR = 32  # nearest grid poses by root mean square distance, among which the nearest by ADD is looked for
 NEAR_STEP_M = 1e-3  # of a continuous symmetry, in looking for them
 
@@ -34,8 +35,9 @@ class Judge:
 
     def judge(
         self, touch: Touch, oracle: int, rng: np.random.Generator
-    ) -> tuple[NDArray[np.float64], Poses, NDArray[np.float64]]:
-        """Localise a touch of known pose: errors (L, M) and poses (L, 4, 4) of LINES in metres, seconds (S,) of STAGES.
+    ) -> tuple[NDArray[np.float64], Poses, NDArray[np.float64], NDArray[np.float64]]:
+        """Localise a touch of known pose: errors (L, M) and poses (L, 4, 4) of LINES in metres, seconds (S,) of STAGES,
+        and numbers (B,) of BELIEF.
 
         `oracle` is the grid index of the oracle's pose; `rng` draws the random poses. The refinement's time is that of
         one pose. Raises TouchError without a true pose.
@@ -47,21 +49,23 @@ class Judge:
         top = top[np.isfinite(posterior.log_p[top])]
         guesses = rng.integers(len(posterior.grid), size=FEW)
         refined, seconds["refine"] = self._refine(touch, posterior, top[:FEW])
-        poses = self._lines(truth, top, guesses, oracle, refined)
+        chosen = int(self.localizer.scene.explained(refined, touch).argmax())
+        poses = self._lines(truth, top, guesses, oracle, refined, chosen)
         times = np.array([seconds[stage] for stage in STAGES])
-        return self._measure(poses, truth), poses, times
+        return self._measure(poses, truth), poses, times, belief(posterior, truth, rng)
 
     def _refine(self, touch: Touch, posterior: PosePosterior, top: NDArray[np.int64]) -> tuple[Poses, float]:
         """Refine the grid poses `top` (K,), and say how long the first took, seconds."""
         start = time.perf_counter()
         first = self.localizer.refine(touch, posterior, int(top[0]))
         seconds = time.perf_counter() - start
-        others = [self.localizer.refine(touch, posterior, int(index)) for index in top[1:]]
+        others = self.localizer.refine_many(touch, posterior, [int(index) for index in top[1:]])
         return np.stack([pose.T_sensor_object for pose in (first, *others)]), seconds
 
     def _lines(
-        self, T_true: Poses, top: NDArray[np.int64], guesses: NDArray[np.int64], oracle: int, refined: Poses
-    ) -> Poses:
+        self, T_true: Poses, top: NDArray[np.int64], guesses: NDArray[np.int64], oracle: int, refined: Poses,
+        chosen: int,
+    ) -> Poses:  # fmt: skip
         """The pose (L, 4, 4) of each line: of those it may choose from, the one nearest to the truth by ADD."""
         on_grid = np.concatenate([top, guesses, [oracle], self._near(T_true)])
         poses = np.concatenate([self.localizer.model.grid.T_sensor_object[on_grid], refined])
@@ -69,17 +73,15 @@ class Judge:
         k, n = len(top), len(on_grid)
         choices = {
             "best-1": (0, 1), "best-10": (0, min(FEW, k)), "best-50": (0, k), "reg-1": (n, n + 1),
-            "reg-10": (n, len(poses)), "closest": (0, n), "oracle": (k + FEW, k + FEW + 1), "random": (k, k + 1),
-            "random-10": (k, k + FEW),
+            "chosen-10": (n + chosen, n + chosen + 1), "reg-10": (n, len(poses)), "closest": (0, n),
+            "oracle": (k + FEW, k + FEW + 1), "random": (k, k + 1), "random-10": (k, k + FEW),
         }  # fmt: skip
         return np.stack([poses[a + errors[a:b].argmin()] for a, b in (choices[line] for line in LINES)])
 
     def _near(self, T_true: Poses) -> NDArray[np.int64]:
         """Indices of the grid poses with the least root mean square distance to the truth, symmetry regarded."""
-        grid = self.localizer.model.grid
-        same = grid.metric.embed(grid.metric.equivalents(T_true[None], NEAR_STEP_M)[:, 0])
-        squared = (grid.phi**2).sum(axis=1)[:, None] - 2 * grid.phi @ same.T + (same**2).sum(axis=1)
-        return np.argsort(squared.min(axis=1), kind="stable")[:NEAR]
+        distances = self.localizer.model.grid.distances(T_true, NEAR_STEP_M)
+        return np.argsort(distances, kind="stable")[:NEAR]
 
     def _measure(self, poses: Poses, T_true: Poses) -> NDArray[np.float64]:
         """Errors (L, M) in metres of poses (L, 4, 4); equal poses are measured once."""

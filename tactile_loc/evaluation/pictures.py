@@ -34,7 +34,7 @@ def draw_result(
 ) -> Figure:
     """Draw the touch, the contact shapes of the best hypotheses with the touch's outline, and the object on the sensor.
 
-    A touch that was estimated from an image begins with it, and on it the outline of the most probable pose. `scene`
+    A touch that was estimated from an image begins with it, and on it the outline of the best pose. `scene`
     renders at the touch's geometry; `errors_m` (K,) are the hypotheses' distances to the truth, metres.
     """
     columns = 1 if len(localization.hypotheses) < 3 else 2
@@ -130,7 +130,7 @@ def _draw_observed(panel: SubFigure, touch: Touch) -> None:
 
 
 def _draw_photo(panel: SubFigure, localization: Localization, scene: Scene) -> None:
-    """The image, and where the contact of the most probable pose would end in it."""
+    """The image, and where the contact of the best pose would end in it."""
     touch = localization.touch
     axes = panel.add_axes((0.125, 0.19, 0.85, 0.68))
     axes.imshow(np.asarray(touch.image), extent=extent_mm(touch.geometry), origin="upper")
@@ -140,7 +140,7 @@ def _draw_photo(panel: SubFigure, localization: Localization, scene: Scene) -> N
     axes.set_xlabel("x (mm)", size=9, labelpad=2)
     axes.set_ylabel("y (mm)", size=9, labelpad=-2)
     _heading(panel, "image")
-    panel.text(0.55, 0.085, "white: outline that the most probable pose makes", size=9, ha="center", color="#37474f")
+    panel.text(0.55, 0.085, "white: outline that the best pose makes", size=9, ha="center", color="#37474f")
 
 
 def _draw_candidates(
@@ -155,8 +155,8 @@ def _draw_candidates(
         draw_contact_shape(axes, shape, touch.geometry)
         draw_outline(axes, touch)
         axes.set(xticks=[], yticks=[])
-        axes.set_title(_caption(i, hypothesis.probability, hypothesis.refined.fitness, errors_m), size=8.5, pad=4)
-    _heading(panel, "most probable poses" if columns == 2 else "most probable")
+        axes.set_title(_caption(i, hypothesis.probability, hypothesis.explained, errors_m), size=8.5, pad=4)
+    _heading(panel, "best explanations" if columns == 2 else "best")
     panel.text(0.5, 0.012, "red: observed outline", size=9, ha="center", va="bottom", color=OUTLINE)
 
 
@@ -164,8 +164,8 @@ def _heading(panel: SubFigure, text: str) -> None:
     panel.text(0.5, 0.893, text, size=11, ha="center", va="bottom")
 
 
-def _caption(i: int, probability: float, fitness: float, errors_m: NDArray[np.float64] | None) -> str:
-    text = f"{i + 1}:  {percent(probability)},  fit {100 * fitness:.0f} %"
+def _caption(i: int, probability: float, explained: float, errors_m: NDArray[np.float64] | None) -> str:
+    text = f"{i + 1}:  {percent(probability)},  fit {100 * explained:.0f} %"
     return text if errors_m is None else f"{text},  {millimetres(errors_m[i])} off"
 
 
@@ -188,7 +188,7 @@ def _draw_scene(panel: SubFigure, localization: Localization, scene: Scene) -> N
     axes = panel.add_axes((0.02, 0.075, 0.97, 0.815))
     touch, best = localization.touch, localization.best.refined
     draw_pose(axes, scene.object.mesh, scene.geometry, best.T_sensor_object, touch.T_sensor_object)
-    handles: list[Any] = [Patch(fc=STEEL, ec=EDGE, lw=0.8, label="most probable pose")]
+    handles: list[Any] = [Patch(fc=STEEL, ec=EDGE, lw=0.8, label="best pose")]
     if touch.T_sensor_object is not None:
         handles.append(Line2D([], [], color=TRUTH, lw=1.5, label="true pose"))
     _heading(panel, "the object on the sensor")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -11,18 +11,16 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.hashing import StageKey
 from tactile_loc.core.localizer import Localizer
-from tactile_loc.core.model import STAGE_VERSIONS
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.registry import registry
 from tactile_loc.core.store import Artifact, Workspace
-from tactile_loc.core.training import STAGE_VERSION as TRAINING_VERSION
 from tactile_loc.evaluation.judge import LINES, METRICS, STAGES, Judge
 from tactile_loc.evaluation.oracle import oracle_poses
-from tactile_loc.evaluation.touches import SimulatedTouches
+from tactile_loc.evaluation.sources import SimulatedTouches
 
-PROTOCOL_VERSION = 1  # raised when the same localizer would get other numbers
+PROTOCOL_VERSION = 2  # raised when the same localizer would get other numbers
 SHARD = 25  # touches localised, saved and resumed at once
-ARRAYS = ("errors_m", "T_sensor_object", "seconds")
+ARRAYS = ("errors_m", "T_sensor_object", "seconds", "beliefs")
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +28,14 @@ class Evaluation:
     """How far off T simulated touches were localised.
 
     `errors_m` (T, L, M) in metres of every line of LINES by every metric of METRICS; `T_sensor_object` (T, L, 4, 4) the
-    pose that a line ended with, metres; `seconds` (T, S) of every stage of STAGES, refining one pose.
+    pose that a line ended with, metres; `seconds` (T, S) of every stage of STAGES, refining one pose; `beliefs` (T, B)
+    what BELIEF says of each posterior, metres and nats.
     """
 
     errors_m: NDArray[np.float64]
     T_sensor_object: Poses
     seconds: NDArray[np.float64]
+    beliefs: NDArray[np.float64]
 
     def errors(self, line: str, metric: str = "add") -> NDArray[np.float64]:
         """Return the errors (T,) of a line, metres."""
@@ -78,13 +78,10 @@ def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> Eva
 
 def evaluation_key(localizer: Localizer, count: int, touches: SimulatedTouches) -> StageKey:
     """Return the key under which an evaluation is stored: everything that decides its errors."""
-    config = localizer.config
-    matcher = registry().create("matcher", config.matcher.name, config.matcher.options)
+    matcher = registry().create("matcher", localizer.config.matcher.name, localizer.config.matcher.options)
     return StageKey("evaluation", PROTOCOL_VERSION, {
-        "model": localizer.model.key.digest, "sensor": localizer.sensor.geometry.describe(),
-        "encoder": localizer.encoder.describe(), "matcher": matcher.describe(),
-        "refiner": localizer.refiner.describe(), "fuser": localizer.fuser.describe(),
-        "temperature": config.temperature, "training": TRAINING_VERSION, "bank": STAGE_VERSIONS["bank"],
+        **localizer.describe_scores(), "confidence": asdict(localizer.confidence),
+        "matcher": matcher.describe(), "refiner": localizer.refiner.describe(), "fuser": localizer.fuser.describe(),
         **touches.describe(localizer), "count": count,
     })  # fmt: skip
 

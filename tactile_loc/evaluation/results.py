@@ -61,11 +61,15 @@ class TouchRecord(_Record):
 class HypothesisRecord(_Record):
     """One distinct explanation of the touch."""
 
-    rank: int = Field(description="1 is the most probable")
+    rank: int = Field(description="1 is the one that explains the touch best")
     probability: float = Field(description="of this hypothesis with all grid poses that it holds, 0 to 1")
     grid_poses: int = Field(description="how many poses of the grid it holds")
     T_sensor_object_grid: Matrix = Field(description="its most probable pose on the grid, (4, 4), m")
     T_sensor_object: Matrix = Field(description="that pose refined, (4, 4), m: the answer")
+    explained: float = Field(
+        description="how well the refined pose explains the touch in depth and outline, 0 to 1: hypotheses are in the "
+        "order of this, and of the prior if there is one"
+    )
     fitness: float = Field(
         description="overlap of the observed contact and the refined pose's (intersection over union), 0 to 1"
     )
@@ -95,11 +99,12 @@ class ResultRecord(_Record):
     )
     distributions: dict[str, str] = Field(description="the installed package that each slot's component came from")
     object: ObjectRecord = Field(description="the object")
-    touch: TouchRecord = Field(description="the touch")
+    touch: TouchRecord = Field(description="the touch; of several the first, in whose sensor's frame poses are")
+    other_touches: list[TouchRecord] = Field(description="the other touches that were fused with it")
     grid_poses: int = Field(description="poses that were searched")
     certainty: float = Field(description="1 - entropy / log(grid_poses): 1 one pose is certain, 0 nothing is known")
     entropy_nats: float = Field(description="Shannon entropy of the posterior, nats")
-    hypotheses: list[HypothesisRecord] = Field(description="distinct explanations, the most probable first")
+    hypotheses: list[HypothesisRecord] = Field(description="distinct explanations, the best first")
     errors: ErrorRecord | None = Field(description="where the true pose is known, else null")
     seconds: dict[str, float] = Field(description="duration of each stage, s")
 
@@ -117,6 +122,7 @@ def result_record(
         distributions={slot: registry().find(slot, getattr(config, slot).name).distribution for slot in SLOTS},
         object=_object(localizer.object),
         touch=_touch(localization.touch, config.touch),
+        other_touches=[_touch(touch, config.touch) for touch in localization.others],
         grid_poses=len(posterior.grid),
         certainty=float(localization.certainty),
         entropy_nats=posterior.entropy,
@@ -182,7 +188,7 @@ def _hypotheses(localization: Localization, errors_m: NDArray[np.float64] | None
     return [
         HypothesisRecord(
             rank=i + 1, probability=h.probability, grid_poses=h.poses, T_sensor_object_grid=h.T_sensor_object.tolist(),
-            T_sensor_object=h.refined.T_sensor_object.tolist(), fitness=h.refined.fitness,
+            T_sensor_object=h.refined.T_sensor_object.tolist(), explained=h.explained, fitness=h.refined.fitness,
             converged=h.refined.converged, iterations=h.refined.iterations,
             error_m=None if errors_m is None else float(errors_m[i]),
         )

@@ -14,13 +14,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.evaluation.belief import BELIEF, LEVELS, Trust
 from tactile_loc.evaluation.files import write_atomically
 from tactile_loc.evaluation.judge import LINES, METRICS, STAGES
 from tactile_loc.evaluation.protocol import PROTOCOL_VERSION, Evaluation
 from tactile_loc.evaluation.results import versions
 
 SCHEMA_VERSION = 1
-SHOWN = ("best-1", "best-10", "best-50", "reg-1", "reg-10", "closest", "oracle", "random")  # in the summary
+SHOWN = (
+    "best-1",
+    "best-10",
+    "best-50",
+    "reg-1",
+    "chosen-10",
+    "reg-10",
+    "closest",
+    "oracle",
+    "random",
+)  # in the summary
+TRUST_NOTE = (
+    "Whether the probabilities can be trusted: how many true poses lie in the smallest sets of poses that hold 50, 80 "
+    "and 95 % of the probability, the mean negative log-likelihood of the grid pose nearest to the truth beside that "
+    "of knowing nothing, the entropy, and how far poses drawn from the posterior are from the truth (expected error) "
+    "and from its most probable pose (spread):"
+)
 
 
 @dataclass(frozen=True)
@@ -57,6 +74,10 @@ class Run:
         values = self.evaluation.errors(line, metric)
         return Statistics.of(values / self.evaluation.scale_m(metric) if normalised else values)
 
+    def trust(self) -> Trust:
+        """Return what the posteriors come to: whether their probabilities can be trusted."""
+        return Trust.of(self.evaluation.beliefs, self.grid_poses)
+
     def median_seconds(self) -> dict[str, float]:
         """Return the median duration of each stage, seconds."""
         return {stage: float(np.median(self.evaluation.stage_seconds(stage))) for stage in STAGES}
@@ -89,11 +110,29 @@ def time_rows(runs: Sequence[Run]) -> list[list[str]]:
     return [[run.object, run.encoder, *(f"{1e3 * s:.1f}" for s in run.median_seconds().values())] for run in runs]
 
 
+def trust_rows(runs: Sequence[Run]) -> list[list[str]]:
+    """Return a row of cells for each run: the means of its beliefs, lengths in mm, and how often each LEVEL holds."""
+    rows = []
+    for run in runs:
+        trust = run.trust()
+        held = [f"{100 * share:.0f} %" for share in trust.coverage]
+        nats = [f"{value:.2f}" for value in (trust.nll, trust.uniform_nll, trust.entropy)]
+        rows.append([run.object, run.encoder, *held, *nats, mm(trust.expected_m), mm(trust.spread_m)])
+    return rows
+
+
+def trust_header() -> list[str]:
+    """Return the heads of the columns of `trust_rows`."""
+    sets = [f"in the {100 * level:.0f} % set" for level in LEVELS]
+    return ["object", "encoder", *sets, "NLL, nats", "uniform", "entropy", "expected error, mm", "spread, mm"]
+
+
 def markdown(runs: Sequence[Run], heading: str) -> str:
     """Return all tables as Markdown, the lengths in mm."""
     note = "Median ADD in mm and, in brackets, divided by the mean error of a random pose; symmetry regarded."
     parts = [f"# {heading}\n", f"{note}\n", _table(summary_header(), summary_rows(runs))]
     parts += ["Median time of each stage, ms:\n", _table(["object", "encoder", *STAGES], time_rows(runs))]
+    parts += [f"{TRUST_NOTE}\n", _table(trust_header(), trust_rows(runs))]
     for run in runs:
         parts.append(
             f"## {run.object}, {run.encoder}\n\n{run.grid_poses} grid poses, symmetry {run.symmetry}; ADD, mm:\n"
@@ -157,6 +196,8 @@ def _run_record(run: Run) -> dict[str, Any]:
             }
             for line in LINES
         },
+        "trust": {**asdict(run.trust()), "levels": list(LEVELS)},
+        "beliefs": {name: evaluation.beliefs[:, i].tolist() for i, name in enumerate(BELIEF)},
         "errors_m": {line: {m: evaluation.errors(line, m).tolist() for m in METRICS} for line in LINES},
         "configuration": dict(run.configuration),
     }

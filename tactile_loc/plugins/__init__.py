@@ -33,6 +33,12 @@ def tactile_loc_components() -> list[ComponentSpec]:
         ),
         ComponentSpec(
             "renderer",
+            "zbuffer",
+            f"{_HERE}.renderers.zbuffer:ZBufferRenderer",
+            "exact, triangle by triangle, a pose at a time",
+        ),
+        ComponentSpec(
+            "renderer",
             "pyrender",
             f"{_HERE}.renderers.pyrender:PyrenderRenderer",
             "OpenGL through EGL, headless, as in the paper",
@@ -57,9 +63,34 @@ def tactile_loc_components() -> list[ComponentSpec]:
         ComponentSpec("refiner", "none", f"{_HERE}.refiners.none:NoRefiner", "the grid pose as it is"),
         ComponentSpec("refiner", "icp", f"{_HERE}.refiners.icp:IcpRefiner", "point-to-plane ICP (open3d)"),
         ComponentSpec(
+            "refiner",
+            "filterreg",
+            f"{_HERE}.refiners.filterreg:FilterRegRefiner",
+            "point-to-plane EM with a Gaussian mixture, as in the paper; many candidates at once",
+        ),
+        ComponentSpec(
+            "refiner",
+            "kiss-icp",
+            f"{_HERE}.refiners.kiss:KissIcpRefiner",
+            "point-to-point ICP with a robust kernel (kiss-icp)",
+            requires="tactile-loc[kiss]",
+        ),
+        ComponentSpec(
+            "refiner",
+            "render",
+            f"{_HERE}.refiners.render:RenderRefiner",
+            "renders the pose and compares every pixel; most accurate, slower",
+        ),
+        ComponentSpec(
             "fuser",
             "product",
             f"{_HERE}.fusers.product:ProductFuser",
             "product of the touches' probabilities and the prior",
+        ),
+        ComponentSpec(
+            "fuser",
+            "kinematic",
+            f"{_HERE}.fusers.kinematic:KinematicFuser",
+            "contact or no contact only, whatever the touches show: the paper's baseline",
         ),
     ]

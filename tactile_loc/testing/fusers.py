@@ -1,4 +1,4 @@
-"""Checks for fusers: probabilities that multiply, over the grid of the first touch."""
+"""Checks for fusers: probabilities, or contact alone, that multiply over the grid of the first touch."""
 
 from __future__ import annotations
 
@@ -16,14 +16,25 @@ from tactile_loc.testing.contract import Check, Untouched, require, require_clos
 from tactile_loc.testing.problems import small_grid
 
 TOLERANCE = 1e-9  # of probabilities
+T_BASE_FIRST = make_transform(rotation_about([1, 2, 3], 0.4), [0.3, -0.1, 0.2])
+T_BASE_SECOND = make_transform(rotation_about([0, 0, 1], 1.1), [0.3, -0.09, 0.21])
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for a fuser of these capabilities; one for single touches refuses several by ConfigError."""
-    chosen: list[Check] = [check_one_touch, check_flat_prior, check_prior_multiplies, check_certain_prior,
-                           check_impossible_prior, check_order, check_sensor_poses,
+    chosen: list[Check] = [check_flat_prior, check_prior_multiplies, check_certain_prior, check_impossible_prior,
+                           check_order, check_no_contact_is_dropped, check_no_common_pose, check_base_frame,
                            check_posteriors_untouched]  # fmt: skip
+    chosen += [check_contact_alone] if capabilities.contact_only else [check_one_touch, check_sensor_poses]
     return [*chosen, check_deterministic] if capabilities.deterministic else chosen
+
+
+def check_contact_alone(fuser: Fuser) -> None:
+    """A fuser that asks for contact only makes all poses of one touch's grid alike, however probable they are."""
+    posterior = _posterior(small_grid())
+    fused = fuser.fuse([posterior], [None])
+    uniform = np.full(len(posterior.grid), 1 / len(posterior.grid))
+    _require_equal(fused, uniform, "with contact_only=True, the poses of one touch must be equally probable")
 
 
 def check_one_touch(fuser: Fuser) -> None:
@@ -41,7 +52,7 @@ def check_flat_prior(fuser: Fuser) -> None:
     """A prior that weighs all poses alike changes nothing, whatever the weight."""
     posterior = _posterior(small_grid())
     fused = fuser.fuse([posterior], [None], lambda poses: np.full(len(poses), -3.0))
-    _require_equal(fused, posterior.probabilities, "a flat prior must change nothing")
+    _require_equal(fused, fuser.fuse([posterior], [None]).probabilities, "a flat prior must change nothing")
 
 
 def check_prior_multiplies(fuser: Fuser) -> None:
@@ -51,7 +62,7 @@ def check_prior_multiplies(fuser: Fuser) -> None:
     def prior(poses: Poses) -> NDArray[np.float64]:
         return -((poses[:, 0, 3] / 0.002) ** 2)
 
-    expected = posterior.probabilities * np.exp(prior(posterior.grid.T_sensor_object))
+    expected = fuser.fuse([posterior], [None]).probabilities * np.exp(prior(posterior.grid.T_sensor_object))
     fused = fuser.fuse([posterior], [None], prior)
     _require_equal(
         fused, expected / expected.sum(), "a prior's log-weights must be added once to the log-probabilities"
@@ -85,16 +96,48 @@ def check_order(fuser: Fuser) -> None:
 
 def check_sensor_poses(fuser: Fuser) -> None:
     """Touches are compared in the base frame: what one leaves open, another from elsewhere decides."""
-    T_base_first = make_transform(rotation_about([1, 2, 3], 0.4), [0.3, -0.1, 0.2])
-    T_base_second = make_transform(rotation_about([0, 0, 1], 1.1), [0.3, -0.09, 0.21])
-    here = small_grid()
-    there = PoseGrid(invert(T_base_second) @ T_base_first @ here.T_sensor_object, here.metric)
+    here, there = small_grid(), _seen_from_second(small_grid())
     open_ = PosePosterior(here, np.where(np.isin(np.arange(len(here)), [3, 11]), 0.0, -30.0))
     decides = PosePosterior(there, np.where(np.arange(len(here)) == 11, 0.0, -8.0))
-    fused = _several(fuser, [open_, decides], [T_base_first, T_base_second])
+    fused = _several(fuser, [open_, decides], [T_BASE_FIRST, T_BASE_SECOND])
     if fused is not None:
         p = fused.probabilities
         require(p[11] > 10 * p[3], "touches must be compared by T_base_sensor @ T_sensor_object, pose by pose")
+
+
+def check_no_contact_is_dropped(fuser: Fuser) -> None:
+    """A pose that another sensor's grid does not have, not even nearly, touches nothing there and is excluded."""
+    here = small_grid()
+    side = here.T_sensor_object[:, 0, 3] > 0.002
+    far = here.metric.distance(here.T_sensor_object[:, None], here.T_sensor_object[side][None]).min(axis=1) > 0.0065
+    there = _seen_from_second(PoseGrid(here.T_sensor_object[side], here.metric))
+    fused = _several(fuser, [_posterior(here), _posterior(there)], [T_BASE_FIRST, T_BASE_SECOND])
+    if fused is not None:
+        p = fused.probabilities
+        require(bool((p[far] == 0).all()), "poses that do not touch a sensor must have no probability")
+        require(bool((p[side] > 0).all()), "poses that every sensor's grid has must keep some probability")
+
+
+def check_no_common_pose(fuser: Fuser) -> None:
+    """Sensors that no pose touches at once raise a TactileLocError, rather than give NaN."""
+    grid = small_grid()
+    T_base_far = make_transform(np.eye(3), [5.0, 0.0, 0.0])
+    try:
+        fuser.fuse([_posterior(grid, seed=1), _posterior(grid, seed=2)], [np.eye(4), T_base_far])
+    except TactileLocError:
+        return
+    require(False, "sensors metres apart touch no common pose, which must raise a TactileLocError")
+
+
+def check_base_frame(fuser: Fuser) -> None:
+    """Where the base frame is does not matter, only where the sensors are to one another."""
+    here = small_grid()
+    touches = [_posterior(here, seed=1), _posterior(_seen_from_second(here), seed=2)]
+    elsewhere = make_transform(rotation_about([3, -1, 2], 2.0), [-0.2, 0.5, 0.1])
+    one = _several(fuser, touches, [T_BASE_FIRST, T_BASE_SECOND])
+    other = _several(fuser, touches, [elsewhere @ T_BASE_FIRST, elsewhere @ T_BASE_SECOND])
+    if one is not None and other is not None:
+        _require_equal(one, other.probabilities, "moving the base frame must not matter")
 
 
 def check_posteriors_untouched(fuser: Fuser) -> None:
@@ -115,6 +158,11 @@ def check_deterministic(fuser: Fuser) -> None:
 
 def _posterior(grid: PoseGrid, seed: int = 0) -> PosePosterior:
     return PosePosterior(grid, np.random.default_rng(seed).normal(scale=2.0, size=len(grid)))
+
+
+def _seen_from_second(grid: PoseGrid) -> PoseGrid:
+    """The same poses of the object as those of `grid` in the first sensor's frame, in the second's."""
+    return PoseGrid(invert(T_BASE_SECOND) @ T_BASE_FIRST @ grid.T_sensor_object, grid.metric)
 
 
 def _several(

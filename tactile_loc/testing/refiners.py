@@ -7,9 +7,11 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import is_rigid, make_transform, rotation_about
+from tactile_loc.core.geometry import invert, is_rigid, make_transform, rotation_about, transform_points
 from tactile_loc.core.interfaces import Candidate, Capabilities, RefinedPose, Refiner
+from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.symmetry import SymmetryGroup
 from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_array
 from tactile_loc.testing.problems import CAMERAS, OFFSETS, PressedBlock, pressed_block, with_depth
 from tactile_loc.testing.shapes import copied
@@ -18,17 +20,22 @@ from tactile_loc.testing.shapes import copied
 TOLERANCE_PX = 0.25
 # Offsets of 0.7 to 1 mm must shrink to this share of themselves, on average.
 LEFT_OVER = 0.8
+# Answers to the very same question may differ by rounding, and by what that makes of a pixel on the verge of contact.
+ROUNDING_PX = 0.02
+# Another frame of the object, far from its own: rotation vector's axis, angle in radians, and origin in metres.
+OTHER_FRAME = ((1.0, 2.0, 0.5), 1.1, (0.3, -0.2, 0.1))
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for a refiner of these capabilities."""
     chosen: list[Check] = [check_output, check_truth_stays, check_touch_and_candidate_untouched,
-                           check_quarter_turn, check_scale, check_ignores_masked_pixels,
-                           check_nearly_empty_contact, check_candidate_without_contact]  # fmt: skip
+                           check_quarter_turn, check_scale, check_object_frame, check_ignores_masked_pixels,
+                           check_nearly_empty_contact, check_degenerate_contact, check_candidate_without_contact,
+                           check_many_are_one_by_one]  # fmt: skip
     if capabilities.deterministic:
         chosen.append(check_deterministic)
     if capabilities.refines:
-        chosen += [check_offsets_shrink, check_offsets_shrink_after_a_light_press]
+        chosen += [check_failure_is_said, check_offsets_shrink, check_offsets_shrink_after_a_light_press]
     return chosen
 
 
@@ -84,6 +91,23 @@ def check_scale(refiner: Refiner) -> None:
             _require_same(shrunk, _refine(refiner, small, (x, y, yaw)), small, "the answer must scale with the problem")
 
 
+def check_object_frame(refiner: Refiner) -> None:
+    """The object's own frame is arbitrary: mesh and candidate given in another have the same answer at the sensor."""
+    axis, angle, origin = OTHER_FRAME
+    X = make_transform(rotation_about(axis, angle), origin)
+    for problem in _problems():
+        mesh = problem.scene.object.mesh
+        moved = TriangleMesh(transform_points(X, mesh.vertices_m), mesh.faces)
+        other = ObjectModel("moved block", moved, SymmetryGroup.parse("none", moved.centroid_m))
+        scene = dataclasses.replace(problem.scene, object=other)
+        for offset in OFFSETS:
+            candidate = problem.candidate(offset)
+            there = dataclasses.replace(candidate, T_sensor_object=candidate.T_sensor_object @ invert(X))
+            answer = refiner.refine(problem.touch, there, scene).T_sensor_object @ X
+            sentence = "the answer must not depend on the object's own frame"
+            _require_same(answer, _refine(refiner, problem, offset), problem, sentence)
+
+
 def check_ignores_masked_pixels(refiner: Refiner) -> None:
     """What unobserved pixels hold changes nothing."""
     problem = pressed_block()
@@ -108,15 +132,63 @@ def check_nearly_empty_contact(refiner: Refiner) -> None:
         _require_sound(_survives(refiner, sparse, sparse.candidate(), f"a contact of {len(pixels)} pixels"))
 
 
+def check_degenerate_contact(refiner: Refiner) -> None:
+    """A contact that fixes hardly a direction is answered by a sound result: lines, bare planes, lone pixels."""
+    problem = pressed_block()
+    rows, columns = np.indices(problem.touch.geometry.shape)
+    contacts = {
+        "one row of pixels": rows == 30,
+        "one column of pixels": columns == 30,
+        "a diagonal of pixels": rows == columns,
+        "half a plane": columns < 32,
+        "a plane but for one pixel": (rows != 30) | (columns != 30),
+        "pixels without neighbours": (rows % 3 == 0) & (columns % 3 == 0),
+    }
+    for what, contact in contacts.items():
+        deep = np.float32(0.5 * problem.touch.press_depth_m)
+        depth = np.where(contact, deep, np.float32(problem.touch.press_depth_m))
+        flat = dataclasses.replace(problem, touch=with_depth(problem.touch, depth))
+        _require_sound(_survives(refiner, flat, flat.candidate(), f"a contact of {what}"))
+
+
 def check_candidate_without_contact(refiner: Refiner) -> None:
     """A candidate that is nowhere near the sensor is answered by a sound result that does not claim to explain it."""
     problem = pressed_block()
-    away = problem.truth.copy()
-    away[:2, 3] += 0.2
-    result = _survives(refiner, problem, Candidate(away, 0, 0.0), "a candidate without contact")
+    result = _survives(refiner, problem, _away(problem), "a candidate without contact")
     _require_sound(result)
     claims = result.fitness > 0 and problem.error_m(result) > 0.1
     require(not claims, f"a pose without contact explains nothing, but its fitness is {result.fitness:.2g}")
+
+
+def check_failure_is_said(refiner: Refiner) -> None:
+    """A candidate that is nowhere near the sensor, and left there, has not converged."""
+    problem = pressed_block()
+    result = _survives(refiner, problem, _away(problem), "a candidate without contact")
+    claims = result.converged and result.fitness == 0
+    require(not claims, "a refiner that found nothing must say so by converged=False; the contacts do not even overlap")
+
+
+def check_many_are_one_by_one(refiner: Refiner) -> None:
+    """`refine_many` returns what `refine` does, candidate by candidate in their order; nothing for no candidates."""
+    for problem in _problems():
+        candidates = [*(problem.candidate(offset) for offset in OFFSETS), _away(problem), problem.candidate()]
+        many = refiner.refine_many(problem.touch, candidates, problem.scene)
+        require(len(many) == len(candidates), f"{len(candidates)} candidates must give as many poses, not {len(many)}")
+        for candidate, result in zip(candidates, many, strict=True):
+            _require_sound(result)
+            alone = refiner.refine(problem.touch, candidate, problem.scene)
+            sentence = "refine_many must give what refine gives, in the candidates' order"
+            _require_same(alone.T_sensor_object, result, problem, sentence, ROUNDING_PX)
+            same = alone.converged == result.converged and abs(alone.fitness - result.fitness) < 1e-2
+            require(same, f"{sentence}; fitness and converged are {result.fitness:.3f}, {result.converged} instead of "
+                    f"{alone.fitness:.3f}, {alone.converged}")  # fmt: skip
+    try:
+        none = refiner.refine_many(problem.touch, [], problem.scene)
+    except Exception as error:
+        raise ContractError(
+            f"no candidates must give no poses, not an exception ({type(error).__name__}: {error})"
+        ) from error
+    require(isinstance(none, list) and not none, f"no candidates must give an empty list, not {none!r}")
 
 
 def check_deterministic(refiner: Refiner) -> None:
@@ -139,6 +211,13 @@ def check_offsets_shrink_after_a_light_press(refiner: Refiner) -> None:
 
 def _problems() -> list[PressedBlock]:
     return [pressed_block(camera) for camera in CAMERAS]
+
+
+def _away(problem: PressedBlock) -> Candidate:
+    """A candidate 0.2 m beside the sensor in both directions."""
+    away = problem.truth.copy()
+    away[:2, 3] += 0.2
+    return Candidate(away, 0, 0.0)
 
 
 def _refine(refiner: Refiner, problem: PressedBlock, offset: tuple[float, float, float] = (0, 0, 0)) -> RefinedPose:

@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter
 from tactile_loc.calibration.reading import (
     ABOVE_NOISE,
     LEAST_M,
+    MOST_SKIRT,
     SKIRT,
     TIP_M,
     contact_shape,
@@ -35,6 +36,42 @@ def flat_punch(half_m: float = 3e-3, press_m: float = PRESS_M, softness_m: float
     return (gaussian_filter(sharp, softness_m / PITCH_M) if softness_m else sharp).astype(np.float32)
 
 
+def within_a_lighter_press(found_m: float, press_m: float) -> bool:
+    """Whether a shape was cut at a press between what all contact and what the tip alone would leave."""
+    return (1 - MOST_SKIRT) * press_m * 0.999 < found_m < (1 - SKIRT) * press_m * 1.001
+
+
+@pytest.mark.parametrize("hanging_m", [1e-3, 1.5e-3])
+def test_gel_that_hangs_straight_from_an_edge_is_not_contact(hanging_m):
+    """However far it hangs, the imprint is three pixels too wide at most; at half of the press it is half of that."""
+    x, y = places(GEOMETRY)
+    beyond = np.maximum(np.maximum(np.abs(x), np.abs(y)) - 2e-3, 0)
+    indentation = gaussian_filter(PRESS_M * np.clip(1 - beyond / hanging_m, 0, 1), 1).astype(np.float32)
+    shape = contact_shape(indentation, GEOMETRY, 0.0)
+    assert shape.contact[beyond == 0].all()
+    hanging = (beyond > 3 * PITCH_M) & (
+        np.minimum(np.abs(x), np.abs(y)) < 1.5e-3
+    )  # not off the corners, which are bent
+    assert not shape.contact[hanging].any()
+    assert (indentation > PRESS_M / 2)[hanging].any()
+
+
+def test_a_gap_that_the_gel_bridges_is_not_contact():
+    x, y = places(GEOMETRY)
+    two = np.where((np.abs(np.abs(x) - 1.5e-3) < 1e-3) & (np.abs(y) < 2e-3), PRESS_M, 0.0)
+    indentation = np.maximum(gaussian_filter(two, 3e-4 / PITCH_M), 0.45 * PRESS_M * (np.hypot(x, y) < 1e-3))
+    shape = contact_shape(indentation.astype(np.float32), GEOMETRY, 0.0)
+    assert not shape.contact[np.abs(x) < 2e-4].any()
+    assert shape.overlap(contact_shape(two.astype(np.float32), GEOMETRY, 0.0), GEOMETRY.observed_mask) > 0.85
+
+
+def test_a_shallow_bump_elsewhere_is_not_contact():
+    x, y = places(GEOMETRY)
+    bump = 0.4 * PRESS_M * np.exp(-((x - 5e-3) ** 2 + (y - 5e-3) ** 2) / (2 * (5e-4) ** 2))
+    shape = contact_shape((flat_punch(half_m=2e-3) + bump).astype(np.float32), GEOMETRY, 0.0)
+    assert not shape.contact[(x > 4e-3) & (y > 4e-3)].any()
+
+
 @pytest.mark.parametrize("softness_m", [0.0, 3e-4])
 def test_a_flat_punch_is_where_it_is_though_the_gel_rounds_its_edge(softness_m):
     shape = contact_shape(flat_punch(softness_m=softness_m), GEOMETRY, 0.0)
@@ -44,7 +81,7 @@ def test_a_flat_punch_is_where_it_is_though_the_gel_rounds_its_edge(softness_m):
     np.testing.assert_array_equal(shape.contact[~corner], inside[~corner])
     flat = np.maximum(np.abs(x), np.abs(y)) < 3e-3 - 4 * softness_m
     np.testing.assert_allclose(shape.depth_m[flat], 0, atol=1e-7)
-    assert shape.press_depth_m == pytest.approx((1 - SKIRT) * PRESS_M, rel=1e-3)
+    assert within_a_lighter_press(shape.press_depth_m, PRESS_M)
     assert shape.depth_m.dtype == np.float32
 
 
@@ -52,7 +89,7 @@ def test_a_balls_contact_shape_is_that_of_the_lighter_press():
     shape = contact_shape(ball_indentation(GEOMETRY, press_m=PRESS_M), GEOMETRY, 0.0)
     tip_m = PRESS_M - press_depth_m(ball_indentation(GEOMETRY, press_m=PRESS_M), GEOMETRY)
     assert 0 <= tip_m < TIP_M**2 / (2 * np.pi * BALL_M) + 3e-6  # how far the ball falls off over the deepest area
-    assert shape.press_depth_m == pytest.approx((1 - SKIRT) * (PRESS_M - tip_m), rel=1e-5)
+    assert within_a_lighter_press(shape.press_depth_m, PRESS_M - tip_m)
     rho = np.hypot(*places(GEOMETRY))
     true_m = contact_radius(shape.press_depth_m + tip_m)
     np.testing.assert_array_equal(shape.contact, rho < true_m)
@@ -104,7 +141,7 @@ def test_an_indentation_of_the_contact_alone_is_all_of_it():
 
 def test_a_press_beyond_the_sensors_range_is_cut_at_it():
     shape = contact_shape(flat_punch(press_m=5 * MM), GEOMETRY, 0.0)
-    assert shape.press_depth_m == pytest.approx((1 - SKIRT) * GEOMETRY.max_depth_m)
+    assert within_a_lighter_press(shape.press_depth_m, GEOMETRY.max_depth_m)
     assert shape.contact.sum() == (flat_punch() > 0).sum()
 
 
@@ -115,7 +152,7 @@ def test_what_is_not_observed_is_neither_contact_nor_press():
     indentation = flat_punch(half_m=1.5e-3)
     indentation[30:40, 10:30] = 1.2e-3
     shape = contact_shape(indentation, half, 0.0)
-    assert shape.press_depth_m == pytest.approx((1 - SKIRT) * PRESS_M)
+    assert within_a_lighter_press(shape.press_depth_m, PRESS_M)
     np.testing.assert_array_equal(shape.contact, (indentation > 0) & observed)
 
 

@@ -10,7 +10,7 @@ from cli_helpers import TINY, assert_refused, write_box
 from PIL import Image
 
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.touches import SimulatedTouches
+from tactile_loc.evaluation.sources import SimulatedTouches
 
 FEW = ["--count", 3, "--refiner", "none", *TINY]
 
@@ -19,10 +19,10 @@ def test_several_objects_are_evaluated_and_written(cli, tmp_path):
     done = cli("evaluate", "--object", "pin", "--object", "head", "--seed", 2, *FEW)
     assert done.exit_code == 0, done.stderr
     out = tmp_path / "evaluation"
-    pictures = {"violins.png", "gallery-pin-pixel.png", "gallery-head-pixel.png"}
+    pictures = {"violins.png", "reliability.png", "gallery-pin-pixel.png", "gallery-head-pixel.png"}
     assert {path.name for path in out.iterdir()} == {"results.json", "results.csv", "results.md", *pictures}
     record = json.loads((out / "results.json").read_text())
-    assert record["protocol"] == {"version": 1, "touches": 3, "noise": "strong", "seed": 2, "images": False}
+    assert record["protocol"] == {"version": 2, "touches": 3, "noise": "strong", "seed": 2, "images": False}
     assert [run["object"] for run in record["runs"]] == ["pin", "head"]
     configuration = record["runs"][0]["configuration"]
     assert configuration["grid"]["options"]["spacing_mm"] == 8
@@ -34,10 +34,11 @@ def test_several_objects_are_evaluated_and_written(cli, tmp_path):
             assert min(picture.size) > 300
     lines = [line.split() for line in done.stdout.splitlines()]
     median_m = record["runs"][0]["lines"]["best-1"]["add"]["metres"]["median"]
-    in_mm, shares = [line for line in lines if line[:2] == ["pin", "pixel"]]
+    in_mm, shares, trust = [line for line in lines if line[:2] == ["pin", "pixel"]]
     assert float(in_mm[2]) == pytest.approx(1e3 * median_m, rel=0.01)
     assert float(shares[2]) == pytest.approx(median_m / record["runs"][0]["random_mean_m"]["add"], abs=1e-3)
-    assert max(map(len, done.stdout.splitlines()[:4])) <= 80
+    assert trust[2::2][:3] == [f"{100 * share:.0f}" for share in record["runs"][0]["trust"]["coverage"]]
+    assert max(map(len, done.stdout.splitlines()[:4])) <= 88
     for name in ("results.json", *pictures):
         assert name in done.stdout
 
@@ -52,7 +53,7 @@ def test_images_are_read_by_a_sensor_calibrated_on_simulated_ones(cli, tmp_path)
     done = cli("evaluate", "--object", "pin", "--touches", "images", "--sensor", "mine", *FEW)
     assert done.exit_code == 0, done.stderr
     record = json.loads((tmp_path / "evaluation" / "results.json").read_text())
-    assert record["protocol"] == {"version": 1, "touches": 3, "noise": "none", "seed": 0, "images": True}
+    assert record["protocol"] == {"version": 2, "touches": 3, "noise": "none", "seed": 0, "images": True}
     assert "3 simulated touches (as images)" in (tmp_path / "evaluation" / "results.md").read_text()
 
 

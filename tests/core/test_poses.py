@@ -142,6 +142,49 @@ def test_nearest_of_a_grid_pose_and_its_equivalents_is_itself(cylinder):
     assert distance.max() < 2e-4
 
 
+@pytest.mark.parametrize("symmetry", ["none", "x2*y2", "zinf*x2"])
+def test_nearest_within_a_bound_is_nearest_or_nothing(make_box, cylinder, symmetry):
+    obj = cylinder if "inf" in symmetry else make_box(0.03, 0.02, 0.01, symmetry=symmetry)
+    grid, queries = PoseGrid(random_poses(300, 24), PoseMetric(obj)), random_poses(60, 25)
+    distance, index = grid.nearest(queries)
+    bound_m = float(np.median(distance))
+    near, found = grid.nearest(queries, bound_m)
+    inside = distance < bound_m
+    assert np.array_equal(found, np.where(inside, index, -1))
+    np.testing.assert_array_equal(near, np.where(inside, distance, np.inf))
+
+
+def test_orbits_are_as_far_apart_as_their_nearest_poses(cylinder):
+    """Exactly, however a turned part is turned: finely sampled turns come as near as their step lets them."""
+    metric, T1, T2 = PoseMetric(cylinder), random_poses(50, 26), random_poses(50, 27)
+    gaps = metric.embed_orbits(T1) - metric.embed_orbits(T2)[0]
+    exact = np.linalg.norm(gaps, axis=-1).min(axis=0)
+    sampled = metric.symmetric_distance(T1, T2, step_m=2e-4)
+    assert (exact <= sampled + 1e-12).all()
+    assert (sampled**2 <= exact**2 + 1e-8).all(), "half a step along the orbit at most"
+    turned = T1 @ cylinder.symmetry.elements(0.123)[4]
+    np.testing.assert_allclose(metric.embed_orbits(turned)[0], metric.embed_orbits(T1)[0], atol=1e-12)
+
+
+def test_orbits_hold_where_the_centroid_is_not_the_centre_of_symmetry():
+    """A cone whose declared centre is its tip."""
+    cone = trimesh.creation.cone(0.01, 0.03, sections=48)
+    mesh = TriangleMesh(np.array(cone.vertices), np.array(cone.faces, np.int64))
+    metric = PoseMetric(ObjectModel("cone", mesh, SymmetryGroup.parse("zinf", [0, 0, 0.03])))
+    T1, T2 = random_poses(40, 28), random_poses(40, 29)
+    exact = np.linalg.norm(metric.embed_orbits(T1)[0] - metric.embed_orbits(T2)[0], axis=-1)
+    np.testing.assert_allclose(exact, metric.symmetric_distance(T1, T2, step_m=1e-4), rtol=1e-3)
+
+
+def test_the_mean_spacing_is_that_of_a_lattice(box, cylinder):
+    x = np.stack(np.meshgrid(np.arange(40), np.arange(40), [0]), -1).reshape(-1, 3) * 0.003
+    assert PoseGrid(translation(x), PoseMetric(box)).spacing_m == pytest.approx(0.003)
+    assert PoseGrid(translation(x) @ cylinder.symmetry.elements(0.5)[3], PoseMetric(cylinder)).spacing_m == (
+        pytest.approx(0.003)
+    )
+    assert PoseGrid(translation(x[:1]), PoseMetric(box)).spacing_m == np.inf
+
+
 def test_neighbour_spacing_is_that_of_a_lattice(box):
     x = np.stack(np.meshgrid(np.arange(5), np.arange(4), [0]), -1).reshape(-1, 3) * 0.003
     grid = PoseGrid(translation(x), PoseMetric(box))

@@ -31,13 +31,6 @@ def test_normalised_whatever_the_scale(grid):
         assert posterior.log_p[4] == -np.inf
 
 
-def test_scores_become_a_softmax(grid):
-    scores = np.array([0.1, 0.5, 0.2, 0.0, -3.0, 0.5], np.float32)
-    expected = np.exp(scores.astype(float) / 0.05)
-    posterior = PosePosterior.from_scores(grid, scores, temperature=0.05)
-    np.testing.assert_allclose(posterior.probabilities, expected / expected.sum(), rtol=1e-5)
-
-
 @pytest.mark.parametrize("log_p", [
     np.full(6, -np.inf), np.array([0, 0, np.nan, 0, 0, 0.0]), np.array([0, 0, np.inf, 0, 0, 0.0]), np.zeros(5),
     np.zeros((6, 1)),
@@ -145,3 +138,11 @@ def test_turned_parts_are_one_mode_however_they_are_turned(cylinder):
     posterior = PosePosterior(PoseGrid(T, PoseMetric(cylinder)), np.zeros(5))
     (mode,) = posterior.modes(radius_m=1e-3)
     assert len(mode.members) == 5
+
+
+@pytest.mark.parametrize("log_train", [np.zeros(4), np.array([0.0, -np.inf, 0.0]), np.array([0.0, np.nan, 0.0])])
+def test_a_training_distribution_is_finite_and_one_a_pose(box, log_train):
+    grid = PoseGrid(translation([[0.001 * k, 0, 0] for k in range(3)]), PoseMetric(box))
+    assert PosePosterior(grid, np.zeros(3)).log_train is None
+    with pytest.raises(GridError, match="the training distribution has the shape"):
+        PosePosterior(grid, np.zeros(3), log_train)

@@ -1,10 +1,15 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import trimesh
 
 from tactile_loc.core.geometry import make_transform, rotation_about, translation
+from tactile_loc.core.scene import OUTLINE_SHARE
+from tactile_loc.core.sensing import ContactShape, Touch
+from tactile_loc.testing.problems import CAMERAS, pressed_block, with_depth
 
 RADIUS_M = 0.008
 
@@ -60,3 +65,58 @@ def test_x_is_right_and_y_is_down(make_box, make_scene, flat_camera):
 
 def test_no_pose_is_no_work(ball_scene):
     assert ball_scene.contact_depths(np.zeros((0, 4, 4))).shape == (0, 44, 60)
+
+
+@pytest.fixture(params=list(CAMERAS))
+def problem(request):
+    return pressed_block(request.param)
+
+
+def test_the_truth_explains_all_and_less_with_every_offset(problem):
+    offsets = np.array([0.0, 0.3, 0.6, 1.2, 2.4, 4.8]) * 1e-3
+    poses = np.stack([problem.candidate((x, 0.0, 0.0)).T_sensor_object for x in offsets])
+    explained = problem.scene.explained(poses, problem.touch)
+    assert explained[0] == pytest.approx(1.0, abs=1e-6)
+    assert (np.diff(explained) < -0.01).all()
+    assert explained[-1] > 0
+
+
+def test_what_is_explained_does_not_depend_on_z_or_on_company(problem):
+    poses = np.stack([problem.candidate((x, 0.0, 0.02)).T_sensor_object for x in (0.0, 0.001, 0.002)])
+    together = problem.scene.explained(poses, problem.touch)
+    lifted = translation([0.0, 0.0, 0.004]) @ poses
+    np.testing.assert_allclose(problem.scene.explained(lifted, problem.touch), together, atol=1e-6)
+    alone = [problem.scene.explained(T[None], problem.touch)[0] for T in poses]
+    np.testing.assert_allclose(alone, together, atol=1e-6)
+
+
+def test_a_pose_beside_the_sensor_explains_nothing(problem):
+    away = translation([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]]) @ problem.truth
+    np.testing.assert_allclose(problem.scene.explained(away, problem.touch), [1.0, 0.0], atol=1e-6)
+    assert problem.scene.explained(away[:0], problem.touch).shape == (0,)
+
+
+def test_unobserved_pixels_explain_nothing_and_ask_for_nothing(problem):
+    observed = np.zeros(problem.touch.geometry.shape, bool)
+    observed[:, :32] = True
+    geometry = dataclasses.replace(problem.touch.geometry, observed=observed)
+    touch = dataclasses.replace(problem.touch, geometry=geometry)
+    depth = np.where(observed, touch.contact_shape.depth_m, np.float32(0))
+    scores = [problem.scene.explained(problem.truth[None], t)[0] for t in (touch, with_depth(touch, depth))]
+    np.testing.assert_allclose(scores, 1.0, atol=1e-6)
+
+
+def test_explained_in_numbers(make_box, make_scene, flat_camera):
+    """A flat box, ten by ten pixels, against its touch moved by half its width, and against one half as deep."""
+    scene = make_scene(make_box(0.004, 0.004, 0.004), flat_camera)
+    T, _ = scene.in_contact(translation([[0.0, 0.0, 0.0], [0.002, 0.0, 0.0]]))
+    press = 0.002
+    full = scene.contact_shape(T[0], press)
+    assert full.contact.sum() == 100
+    assert (full.depth_m[full.contact] == 0).all()
+    touch = Touch(full, flat_camera)
+    np.testing.assert_allclose(scene.explained(T, touch), [1.0, 50 / 150], atol=1e-6)
+    shallow = Touch(ContactShape(np.where(full.contact, press / 2, press).astype(np.float32), press), flat_camera)
+    expected = (0.5 + OUTLINE_SHARE) / (1.0 + OUTLINE_SHARE)
+    np.testing.assert_allclose(scene.explained(T[:1], shallow), expected, atol=1e-6)
+    assert scene.overlap(T[0], shallow) == 1.0  # the outline alone does not see it

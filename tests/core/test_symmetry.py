@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.errors import SymmetryError
-from tactile_loc.core.geometry import rotation_about
+from tactile_loc.core.geometry import rotation_about, rotation_angle
 from tactile_loc.core.symmetry import SymmetryGroup
 
 CENTRE_M = (0.01, -0.02, 0.03)
@@ -169,3 +169,12 @@ def test_canonical_tells_different_orbits_apart() -> None:
     group, R = SymmetryGroup.parse("z6", CENTRE_M), random_rotations(50)
     turned = group.canonical(R @ rotation_about((0, 0, 1), math.radians(30.0)))
     assert np.all(np.abs(turned - group.canonical(R)).max(axis=(1, 2)) > 0.05)
+
+
+@pytest.mark.parametrize("text", ["none", "z6", "x2*y2", "zinf", "axis(1,1,0)inf*z2"])
+def test_the_least_angle_is_that_to_the_nearest_equivalent(text):
+    group = SymmetryGroup.parse(text, [0.01, 0, 0])
+    R = random_rotations(30)
+    same = R[:, None] @ group.elements(0.002)[:, :3, :3]
+    expected = rotation_angle(R[0].T @ same).min(axis=1)
+    np.testing.assert_allclose(group.least_angle(R[0], R), expected, atol=2e-3 if "inf" in text else 1e-7)

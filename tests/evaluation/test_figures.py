@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from test_tables import make_run
@@ -9,8 +11,8 @@ from test_tables import make_run
 from tactile_loc.evaluation.figures import DRAWN, FLOOR, draw_gallery, draw_violins
 from tactile_loc.evaluation.pictures import save_figure
 from tactile_loc.evaluation.protocol import Evaluation, evaluate
+from tactile_loc.evaluation.sources import SimulatedTouches
 from tactile_loc.evaluation.tables import Run
-from tactile_loc.evaluation.touches import SimulatedTouches
 
 
 @pytest.fixture(scope="module")
@@ -56,9 +58,7 @@ def test_violins_of_a_single_exact_touch(tmp_path):
     run = make_run("pin", "pixel", 0)
     errors = run.evaluation.errors_m[:1].copy()
     errors[:, :2] = 0.0  # an error of zero has no logarithm
-    one = Run(
-        "pin", "none", "pixel", 10, Evaluation(errors, run.evaluation.T_sensor_object[:1], run.evaluation.seconds)
-    )
+    one = Run("pin", "none", "pixel", 10, dataclasses.replace(run.evaluation, errors_m=errors))
     figure = draw_violins([one], "t")
     dots = [line for line in figure.axes[0].lines if line.get_marker() == "o"]
     assert dots[0].get_ydata()[0] == np.log10(FLOOR)
@@ -68,7 +68,7 @@ def test_violins_of_a_single_exact_touch(tmp_path):
 @pytest.mark.parametrize(("count", "columns"), [(6, 6), (3, 3), (1, 1)])
 def test_a_gallery_shows_the_best_the_median_and_the_worst_touch(localizer, tmp_path, count, columns):
     six = evaluate(localizer, 6, SimulatedTouches("strong", 3))
-    evaluation = Evaluation(six.errors_m[:count], six.T_sensor_object[:count], six.seconds[:count])
+    evaluation = Evaluation(*(a[:count] for a in (six.errors_m, six.T_sensor_object, six.seconds, six.beliefs)))
     figure = draw_gallery(localizer, evaluation, SimulatedTouches("strong", 3), "pin")
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
     assert len(titles) == columns

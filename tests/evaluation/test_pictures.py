@@ -40,7 +40,7 @@ def figure(localizer, localization):
 
 def test_everything_is_labelled_with_units(figure):
     shown = texts(figure)
-    for label in ("pin on gelslim", "x (mm)", "y (mm)", "z (mm)", "true pose", "most probable pose"):
+    for label in ("pin on gelslim", "x (mm)", "y (mm)", "z (mm)", "true pose", "best pose"):
         assert label in shown
     assert any("(mm)" in text and "no contact" in text for text in shown)
 

@@ -12,7 +12,7 @@ from tactile_loc.evaluation import protocol
 from tactile_loc.evaluation.judge import LINES, METRICS, STAGES, Judge
 from tactile_loc.evaluation.oracle import oracle_poses
 from tactile_loc.evaluation.protocol import Evaluation, evaluate, evaluation_key
-from tactile_loc.evaluation.touches import SimulatedTouches
+from tactile_loc.evaluation.sources import SimulatedTouches
 
 COUNT = 6
 

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict
 
-from tactile_loc.core.geometry import translation
+from tactile_loc.core.geometry import make_transform, rotation_about, translation
 from tactile_loc.core.interfaces import Capabilities, ComponentOptions, RefinedPose
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.sensing import ContactShape
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
+from tactile_loc.plugins.fusers.kinematic import KinematicFuser
 from tactile_loc.plugins.fusers.product import ProductFuser
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.plugins.matchers.dense import DenseMatcher
@@ -230,6 +231,34 @@ def saying(**fields):
     return then(NoRefiner, "refine", lambda result, *_: dataclasses.replace(result, **fields))
 
 
+def turned_about_the_origin(result, *_):
+    """Turns the object about the origin of its own frame, wherever that is."""
+    turn = make_transform(rotation_about([0, 0, 1], 0.02), np.zeros(3))
+    return dataclasses.replace(result, T_sensor_object=result.T_sensor_object @ turn)
+
+
+def needs_a_slope(self, touch, candidate, scene):
+    depth = touch.contact_shape.depth_m[touch.contact_shape.contact]
+    result = NoRefiner.refine(self, touch, candidate, scene)
+    singular = depth.size > 20 and np.ptp(depth) == 0
+    return dataclasses.replace(result, T_sensor_object=np.full((4, 4), np.nan)) if singular else result
+
+
+def reversed_many(self, touch, candidates, scene):
+    return NoRefiner.refine_many(self, touch, candidates[::-1], scene)
+
+
+def needs_one(self, touch, candidates, scene):
+    np.stack([candidate.T_sensor_object for candidate in candidates])
+    return NoRefiner.refine_many(self, touch, candidates, scene)
+
+
+def together(self, touch, candidates, scene):
+    """All candidates stop as soon as the first has."""
+    many = IcpRefiner.refine_many(self, touch, candidates, scene)
+    return [dataclasses.replace(result, converged=many[0].converged) for result in many]
+
+
 REFINER = [
     (refiners.check_output, saying(fitness=2.0)),
     (refiners.check_output, saying(T_sensor_object=-np.eye(4))),
@@ -238,8 +267,14 @@ REFINER = [
     (refiners.check_touch_and_candidate_untouched, then(NoRefiner, "refine", scribbled_touch)),
     (refiners.check_quarter_turn, then(NoRefiner, "refine", lambda r, *_: moved(r, 3e-4))),
     (refiners.check_scale, then(NoRefiner, "refine", lambda r, *_: moved(r, 3e-4))),
+    (refiners.check_object_frame, then(NoRefiner, "refine", turned_about_the_origin)),
     (refiners.check_ignores_masked_pixels, made(NoRefiner, refine=by_all_pixels)),
     (refiners.check_nearly_empty_contact, made(NoRefiner, refine=needs_points)),
+    (refiners.check_degenerate_contact, made(NoRefiner, refine=needs_a_slope)),
+    (refiners.check_failure_is_said, made(NoRefiner, capabilities=DEFAULT)),
+    (refiners.check_many_are_one_by_one, made(NoRefiner, refine_many=reversed_many)),
+    (refiners.check_many_are_one_by_one, made(NoRefiner, refine_many=needs_one)),
+    (refiners.check_many_are_one_by_one, made(IcpRefiner, refine_many=together)),
     (refiners.check_candidate_without_contact, saying(fitness=1.0)),
     (refiners.check_deterministic, drifting(NoRefiner, "refine", lambda r, n: moved(r, 1e-9 * n))),
     (refiners.check_offsets_shrink, made(NoRefiner, capabilities=DEFAULT)),
@@ -256,6 +291,19 @@ def with_log_p(change):
     return fuse
 
 
+def without_bound(self, posteriors, T_base_sensor, prior=None):
+    """Takes the nearest pose of the second touch's grid, however far it is."""
+    first, second = posteriors
+    T = np.linalg.inv(T_base_sensor[1]) @ T_base_sensor[0] @ first.grid.T_sensor_object
+    return PosePosterior(first.grid, first.log_p + second.log_p[second.grid.nearest(T)[1]])
+
+
+def from_the_base(self, posteriors, T_base_sensor, prior=None):
+    """Prefers poses near the base."""
+    gone_m = (T_base_sensor[0] @ posteriors[0].grid.T_sensor_object)[:, 0, 3]
+    return PosePosterior(posteriors[0].grid, posteriors[0].log_p - gone_m)
+
+
 def in_sensor_frames(self, posteriors, T_base_sensor, prior=None):
     """Looks the second touch up at the first one's poses as they are."""
     first, second = posteriors
@@ -270,6 +318,11 @@ FUSER = [
     (fusers.check_impossible_prior, made(ProductFuser, fuse=with_log_p(lambda p, w: p + np.nan_to_num(w)))),
     (fusers.check_order, made(ProductFuser, fuse=lambda self, posteriors, T, prior=None: posteriors[0])),
     (fusers.check_sensor_poses, made(ProductFuser, fuse=in_sensor_frames)),
+    (fusers.check_sensor_poses, made(KinematicFuser, capabilities=DEFAULT)),
+    (fusers.check_contact_alone, made(ProductFuser, capabilities=Capabilities(contact_only=True))),
+    (fusers.check_no_contact_is_dropped, made(ProductFuser, fuse=without_bound)),
+    (fusers.check_no_common_pose, made(ProductFuser, fuse=without_bound)),
+    (fusers.check_base_frame, made(ProductFuser, fuse=from_the_base)),
     (fusers.check_posteriors_untouched, then(ProductFuser, "fuse", lambda r, p, *_: scribbled(r, p[0].log_p))),
     (fusers.check_deterministic, drifting(ProductFuser, "fuse", lambda r, n: PosePosterior(r.grid, r.log_p * (1 + n)))),
 ]  # fmt: skip

@@ -37,6 +37,7 @@ def build(
     localizer = flags.open_localizer(flags.run_config(asked), store)
     start = time.perf_counter()
     localizer.matcher(_press_depth_m(localizer))
+    _ = localizer.confidence  # learned now, not at the first touch
     _report(localizer, time.perf_counter() - start)
 
 
@@ -61,7 +62,8 @@ def _report(localizer: Localizer, seconds: float) -> None:
     say(f"grid: {len(grid)} poses{spacing}")
     built = [key.stage for key in localizer.store.built]
     learned = ("encoder",) if localizer.encoder.capabilities.needs_training else ()
-    for stage in ("grid", "shapes", *learned, "bank"):
+    sure = ("confidence",) if localizer.config.temperature is None else ()
+    for stage in ("grid", "shapes", *learned, "bank", *sure):
         say(f"{stage}: {'built' if stage in built else 'reused'}")
     say(f"stored in {localizer.store.root} ({seconds:.1f} s)")
 

@@ -12,17 +12,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tactile_loc_cli import flags
-from tactile_loc_cli.console import progress, say
+from tactile_loc_cli.commands import evaluate_contacts as several
+from tactile_loc_cli.console import progress, say, say_table
 
 if TYPE_CHECKING:
     from tactile_loc.core.config import RunConfig
     from tactile_loc.core.localizer import Localizer
     from tactile_loc.core.objects import ObjectModel
+    from tactile_loc.evaluation.sources import SimulatedTouches
     from tactile_loc.evaluation.tables import Run
-    from tactile_loc.evaluation.touches import SimulatedTouches
 
 DEFAULT_OUT = Path("evaluation")
 DEFAULT_NOISE = "strong"
+DEFAULT_COUNT = 150
 
 Objects = Annotated[
     list[str] | None,
@@ -35,7 +37,22 @@ Encoders = Annotated[
     typer.Option("--encoder", metavar="NAME", help="What makes vectors; may be repeated; by default pixel."),
 ]
 Count = Annotated[
-    int, typer.Option("--count", min=1, max=100_000, metavar="N", help="How many simulated touches an object.")
+    int | None,
+    typer.Option(
+        "--count",
+        min=1,
+        max=100_000,
+        metavar="N",
+        help="How many simulated touches an object, by default 150; with --contacts how many examples, by default 100.",
+    ),
+]
+Contacts = Annotated[
+    str | None,
+    typer.Option(
+        "--contacts",
+        metavar="RANGE",
+        help="Locate from several touches at once, of so many: 1..7, or 1,2,3 (1 to 20); beside contact alone.",
+    ),
 ]
 
 
@@ -67,7 +84,8 @@ def evaluate(
     object: Objects = None,
     units: flags.MeshUnits = None,
     symmetry: flags.Symmetry = None,
-    count: Count = 150,
+    count: Count = None,
+    contacts: Contacts = None,
     touches: Touches = TouchKind.SHAPES,
     noise: TouchNoise = None,
     sensor: flags.Sensor = None,
@@ -86,15 +104,21 @@ def evaluate(
     """Measure how well objects are located.
 
     Each object is located from simulated touches with each encoder, by the protocol in docs/evaluation.md; errors are
-    surface distances. With several encoders, an option of the encoder goes to those that have it. Interrupted, the same
-    command resumes.
+    surface distances. With several encoders, an option of the encoder goes to those that have it. With --contacts each
+    example is several touches, and what is written are contacts.json, .csv, .md and .png. Interrupted, the same command
+    resumes.
     """
-    asked = {key: value for key, value in locals().items() if key not in ("count", "seed", "out", "store")}
+    asked = {key: value for key, value in locals().items() if key not in ("count", "contacts", "seed", "out", "store")}
     from tactile_loc.evaluation.files import require_writable
 
+    numbers = None if contacts is None else several.parse_contacts(contacts)
     jobs, source = _jobs(asked, seed)
     require_writable(out)
-    plan = _Plan(count, source, out, store)
+    if numbers is not None:
+        located = [(settings, _localizer(settings, obj, store)) for settings, obj in jobs]
+        several.evaluate_contacts(located, numbers, count or several.DEFAULT_COUNT, source, out)
+        return
+    plan = _Plan(count or DEFAULT_COUNT, source, out, store)
     _report(plan, [plan.work(settings, obj) for settings, obj in jobs])
 
 
@@ -166,7 +190,7 @@ def _jobs(asked: dict[str, Any], seed: int) -> tuple[list[tuple[RunConfig, Objec
 
 
 def _touches(asked: dict[str, Any], in_file: dict[str, Any], seed: int) -> SimulatedTouches:
-    from tactile_loc.evaluation.touches import SimulatedTouches
+    from tactile_loc.evaluation.sources import SimulatedTouches
 
     images = asked["touches"] is TouchKind.IMAGES
     default = "none" if images else DEFAULT_NOISE
@@ -237,22 +261,25 @@ def _gallery(name: str, encoder: str) -> str:
 def _report(plan: _Plan, runs: Sequence[Run]) -> None:
     from tactile_loc.evaluation.figures import draw_violins
     from tactile_loc.evaluation.pictures import save_figure
-    from tactile_loc.evaluation.tables import medians_mm, medians_normalised, summary_header, write_tables
+    from tactile_loc.evaluation.reliability import draw_reliability
+    from tactile_loc.evaluation.tables import (
+        medians_mm,
+        medians_normalised,
+        summary_header,
+        trust_header,
+        trust_rows,
+        write_tables,
+    )
 
     protocol = {"touches": plan.count, **dataclasses.asdict(plan.touches)}
     written = write_tables(plan.out, runs, protocol, plan.heading())
     written.append(save_figure(plan.out / "violins.png", draw_violins(runs, plan.heading())))
+    written.append(save_figure(plan.out / "reliability.png", draw_reliability(runs, plan.heading())))
     written += [plan.out / _gallery(run.object, run.encoder) for run in runs]
     say("median ADD, mm")
-    _say_table([summary_header(), *medians_mm(runs)])
+    say_table([summary_header(), *medians_mm(runs)])
     say("\nmedian ADD as a share of a random pose's mean")
-    _say_table([summary_header(), *medians_normalised(runs)])
+    say_table([summary_header(), *medians_normalised(runs)])
+    say("\ncan the probabilities be trusted: true poses in the sets that hold so much of the probability, and means")
+    say_table([trust_header(), *trust_rows(runs)])
     say(f"\nwritten: {', '.join(map(str, written))}")
-
-
-def _say_table(rows: Sequence[Sequence[str]]) -> None:
-    """Write rows of cells, the first two columns to the left, the others to the right; never cut to the window."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        cells = [c.ljust(w) if i < 2 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))]
-        say(" ".join(cells).rstrip())

@@ -14,6 +14,8 @@ from tactile_loc_cli.console import say
 if TYPE_CHECKING:
     from tactile_loc.core import sensing
     from tactile_loc.core.config import RunConfig
+    from tactile_loc.core.contacts import Contact
+    from tactile_loc.core.interfaces import Prior
     from tactile_loc.core.localization import Localization
     from tactile_loc.core.localizer import Localizer
 
@@ -24,14 +26,17 @@ Touch = Annotated[
     str | None,
     typer.Option(
         "--touch",
-        metavar="FILE|FOLDER",
-        help="The touch: a contact shape (npz, npy, 16-bit png), an image; a folder or '*.png' for many; by default "
-        "simulated.",
+        metavar="FILE|FOLDER|LIST",
+        help="The touch: a contact shape (npz, npy, 16-bit png), an image; a folder or '*.png' for many, each for "
+        "itself; a list (.toml) for several of one object, fused; by default simulated.",
     ),
 ]
 TouchUnit = Annotated[
     flags.TouchUnit | None,
     typer.Option("--touch-unit", help="Unit of the touch's depths, if its file does not say."),
+]
+PriorFile = Annotated[
+    Path | None, typer.Option("--prior", metavar="FILE", help="What is known of the pose before: a TOML file.")
 ]
 Top = Annotated[int | None, typer.Option("--top", metavar="N", help="How many poses to list; by default 10.")]
 Out = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where result.json and result.png go.")]
@@ -59,13 +64,14 @@ def run(
     fuser: flags.Fuser = None,
     option: flags.SetOption = None,
     config: flags.Config = None,
+    prior: PriorFile = None,
     top: Top = None,
     seed: flags.Seed = None,
     out: Out = DEFAULT_OUT,
     pictures: Pictures = False,
     store: flags.Store = None,
 ) -> None:
-    """Locate an object from one touch, or from each of a folder's touches.
+    """Locate an object from one touch, from several at once, or from each of a folder's touches.
 
     Without any options: a demo object and a simulated touch (of eight, the one with the most contact). The object's
     model is built the first time and kept.
@@ -80,14 +86,20 @@ def run(
     from tactile_loc_cli.commands.run_folder import is_many, run_folder
 
     if settings.touch.path is not None and is_many(Path(settings.touch.path)):
+        _require_no_prior(prior)
         run_folder(localizer, Path(settings.touch.path), flags.press_depth_m(settings), out, pictures)
         return
-    seconds: dict[str, float] = {}
-    observed = _touch(localizer)
+    from tactile_loc.core.contacts import localize_together
+
+    contacts = _contacts(localizer)
+    known = _prior(localizer, contacts[0][1], prior)
     start = time.perf_counter()
-    localizer.matcher(observed.press_depth_m)
-    seconds["model"] = time.perf_counter() - start
-    localization = localizer.localize(observed)
+    for one, touch_of_it in contacts:
+        one.matcher(touch_of_it.press_depth_m)
+        _ = one.confidence
+    seconds = {"model": time.perf_counter() - start}
+    alone = len(contacts) == 1
+    localization = localizer.localize(contacts[0][1], known) if alone else localize_together(contacts, known)
     _report(localizer, localization, seconds, out)
 
 
@@ -99,6 +111,30 @@ def _require_one_source(settings: RunConfig, noise: flags.Noise | None) -> None:
         raise ConfigError(
             f"--noise is for simulated touches, but {settings.touch.path} is a touch to be read; leave one of them out"
         )
+
+
+def _require_no_prior(prior: Path | None) -> None:
+    from tactile_loc.core.errors import ConfigError
+
+    if prior is not None:
+        raise ConfigError("--prior is of one pose; leave it out with a folder of touches")
+
+
+def _prior(localizer: Localizer, touch: sensing.Touch, path: Path | None) -> Prior | None:
+    """The prior in the first touch's sensor frame."""
+    from tactile_loc.core.prior_files import read_prior
+
+    return None if path is None else read_prior(path, localizer.object).seen_from(touch.T_base_sensor)
+
+
+def _contacts(localizer: Localizer) -> list[Contact]:
+    """The touches that were asked for, each with its localizer."""
+    from tactile_loc_cli.commands.run_list import is_list, read_contacts
+
+    path = localizer.config.touch.path
+    if path is not None and is_list(Path(path)):
+        return read_contacts(localizer, Path(path))
+    return [(localizer, _touch(localizer))]
 
 
 def _touch(localizer: Localizer) -> sensing.Touch:

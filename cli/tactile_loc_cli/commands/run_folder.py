@@ -98,7 +98,7 @@ def _row(path: Path, localization: Localization) -> dict[str, Any]:
     places = zip(("x_mm", "y_mm", "z_mm"), 1e3 * T[:3, 3], strict=True)
     axes = zip(("axis_x", "axis_y", "axis_z"), axis, strict=True)
     return {
-        "touch": path.name, "probability": f"{best.probability:.4f}", "fit": f"{best.refined.fitness:.3f}",
+        "touch": path.name, "probability": f"{best.probability:.4f}", "fit": f"{best.explained:.3f}",
         **{name: f"{value:.3f}" for name, value in places}, "turn_deg": f"{angle_deg:.2f}",
         **{name: f"{value:.4f}" for name, value in axes}, "says": "",
     }  # fmt: skip

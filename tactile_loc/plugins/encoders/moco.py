@@ -44,7 +44,6 @@ class MocoEncoder(Encoder):
     """Learns in `fit`; unit vectors, whose score in a matcher is the cosine minus one."""
 
     capabilities = Capabilities(needs_training=True)
-    temperature = 0.07
 
     class Options(ComponentOptions):
         """A preset, and what differs from it (None: as the preset has it)."""

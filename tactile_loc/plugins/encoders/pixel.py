@@ -16,8 +16,6 @@ class PixelEncoder(Encoder):
     """Embeds a contact shape as the share of each coarse cell that is in contact: no training."""
 
     capabilities = Capabilities(follows_press_depth=True)
-    # near the likeliest value for every demo object and several machine parts, at 1 and 2 mm of press
-    temperature = 1e-3
 
     class Options(ComponentOptions):
         """`signal` is what is compared: the binary contact mask, or the penetration depth as a share of the press."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import ConfigError, GridError
-from tactile_loc.core.geometry import translation
+from tactile_loc.core.geometry import invert, make_transform, rotation_about, translation
 from tactile_loc.core.poses import PoseGrid, PoseMetric
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.plugins.fusers.product import ProductFuser
@@ -54,7 +54,163 @@ def test_it_leaves_its_input_alone(posterior):
     assert np.array_equal(posterior.log_p, before)
 
 
-@pytest.mark.parametrize("count", [0, 2])
-def test_it_is_for_one_touch(posterior, count):
-    with pytest.raises(ConfigError, match=f"not {count} touches"):
-        ProductFuser().fuse([posterior] * count, [None] * count)
+def test_one_touch_is_weighed_by_what_it_was_learned_from(posterior):
+    trained = PosePosterior(posterior.grid, posterior.log_p, np.log([4.0, 3.0, 2.0, 1.0]))
+    ratio = np.array([0.1, 0.2, 0.3, 0.4]) / [4.0, 3.0, 2.0, 1.0]
+    fused = ProductFuser().fuse([trained], [None])
+    np.testing.assert_allclose(fused.probabilities, ratio / ratio.sum(), atol=1e-12)
+
+
+STEP_M = 0.003
+T_BASE = [
+    make_transform(rotation_about([1, 2, 3], 0.8), [0.2, -0.1, 0.4]),
+    make_transform(rotation_about([-1, 0, 2], 2.1), [0.21, -0.12, 0.39]),
+    make_transform(rotation_about([0, 3, 1], -1.4), [0.19, -0.1, 0.41]),
+]
+
+
+def toy(box, places: list[int], weights: list[float], sensor: int = 0, trained: list[float] | None = None):
+    """Poses on a line, `places` steps of 3 mm along it in the first sensor's frame, as another sensor sees them."""
+    x = STEP_M * np.array(places, float)
+    in_first = translation(np.column_stack([x, 0 * x, 0 * x]))
+    grid = PoseGrid(invert(T_BASE[sensor]) @ T_BASE[0] @ in_first, PoseMetric(box))
+    return PosePosterior(grid, np.log(weights), None if trained is None else np.log(trained))
+
+
+def toys(box, count: int) -> list[PosePosterior]:
+    """Three grids that share the places 1 and 2 (all of them) and 3 (the first two), in other orders."""
+    first = toy(box, [0, 1, 2, 3], [0.1, 0.2, 0.3, 0.4], 0, [0.4, 0.1, 0.25, 0.25])
+    second = toy(box, [3, 2, 1], [0.5, 0.3, 0.2], 1, [0.5, 0.25, 0.25])
+    third = toy(box, [1, 5, 2], [0.25, 0.5, 0.25], 2)
+    return [first, second, third][:count]
+
+
+BY_HAND = {
+    1: [0.1 / 0.4, 0.2 / 0.1, 0.3 / 0.25, 0.4 / 0.25],
+    2: [0, 0.2 / 0.1 * 0.2 / 0.25, 0.3 / 0.25 * 0.3 / 0.25, 0.4 / 0.25 * 0.5 / 0.5],
+    3: [0, 0.2 / 0.1 * 0.2 / 0.25 * 0.25, 0.3 / 0.25 * 0.3 / 0.25 * 0.25, 0],
+}
+TASK = np.array([0.5, 0.3, 0.15, 0.05])
+
+
+def task(T: np.ndarray) -> np.ndarray:
+    return np.log(TASK[np.rint(T[:, 0, 3] / STEP_M).astype(int)])
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("prior", [None, task])
+def test_it_is_the_formula_summed_by_hand(box, count, prior):
+    fused = ProductFuser(ProductFuser.Options(reach=0.4)).fuse(toys(box, count), T_BASE[:count], prior)
+    product = np.array(BY_HAND[count]) * (1 if prior is None else TASK)
+    np.testing.assert_allclose(fused.probabilities, product / product.sum(), rtol=0, atol=1e-9)
+
+
+def test_a_pose_counts_where_it_is_nearest(box):
+    """Grids half a step apart: each pose takes the nearer one's word, and one beyond reach is dropped."""
+    touches = [toy(box, [0, 1, 2], [0.2, 0.3, 0.5]), toy(box, [0.1, 1.3, 6], [0.3, 0.6, 0.1], 1)]
+    fused = ProductFuser(ProductFuser.Options(reach=0.2)).fuse(touches, T_BASE[:2])
+    np.testing.assert_allclose(fused.probabilities, np.array([0.06, 0.18, 0]) / 0.24, atol=1e-9)
+
+
+def test_reach_is_in_spacings_of_the_coarser_grid(box):
+    every_quarter = list(np.arange(0, 4, 0.25))
+    reach = ProductFuser(ProductFuser.Options(reach=0.55))
+    seen = reach.fuse([toy(box, every_quarter, [1.0] * 16), toy(box, [0, 2], [0.5, 0.5], 1)], T_BASE[:2])
+    assert np.isfinite(seen.log_p).sum() == 13, "0.55 of two steps: up to 3"
+    seen = reach.fuse([toy(box, [0, 2.9, 5.8], [1.0] * 3), toy(box, every_quarter, [1.0] * 16, 1)], T_BASE[:2])
+    assert np.isfinite(seen.log_p).tolist() == [True, True, False], "0.55 of 2.9 steps: up to 5.3"
+
+
+def test_where_the_base_is_does_not_matter(box):
+    touches, elsewhere = toys(box, 3), make_transform(rotation_about([2, 1, 1], 1.9), [3.0, -2.0, 0.7])
+    one, other = (ProductFuser().fuse(touches, [X @ T for T in T_BASE]) for X in (np.eye(4), elsewhere))
+    np.testing.assert_allclose(one.probabilities, other.probabilities, atol=1e-9)
+
+
+def test_the_order_of_later_touches_does_not_matter(box):
+    touches = toys(box, 3)
+    one = ProductFuser().fuse(touches, T_BASE)
+    other = ProductFuser().fuse([touches[i] for i in (0, 2, 1)], [T_BASE[i] for i in (0, 2, 1)])
+    np.testing.assert_allclose(one.probabilities, other.probabilities, atol=1e-12)
+
+
+def test_with_another_touch_first_it_is_the_same_over_the_other_grid(box):
+    touches = toys(box, 2)
+    ahead = ProductFuser(ProductFuser.Options(reach=0.4)).fuse(touches, T_BASE[:2])
+    behind = ProductFuser(ProductFuser.Options(reach=0.4)).fuse(touches[::-1], T_BASE[1::-1])
+    np.testing.assert_allclose(behind.probabilities, ahead.probabilities[[3, 2, 1]], atol=1e-9)
+
+
+def test_one_sensor_that_touches_twice_needs_no_lookup(box, monkeypatch):
+    first = toy(box, [0, 1, 2], [0.2, 0.3, 0.5])
+    again = PosePosterior(first.grid, np.log([0.5, 0.3, 0.2]))
+    monkeypatch.setattr(PoseGrid, "nearest", lambda *_: pytest.fail("looked up"))
+    fused = ProductFuser().fuse([first, again], [T_BASE[0]] * 2)
+    np.testing.assert_allclose(fused.probabilities, np.array([0.1, 0.09, 0.1]) / 0.29, atol=1e-12)
+
+
+@pytest.mark.parametrize("symmetry", ["z2", "zinf*x2"])
+def test_equivalent_poses_are_one(make_box, cylinder, symmetry):
+    """The second grid holds other equivalents of the same poses."""
+    obj = cylinder if "inf" in symmetry else make_box(0.03, 0.02, 0.012, symmetry=symmetry)
+    plain = toy(obj, [0, 1, 2], [0.2, 0.3, 0.5])
+    seen = invert(T_BASE[1]) @ T_BASE[0] @ plain.grid.T_sensor_object @ obj.symmetry.elements(0.5)[[1, -1, 1]]
+    second = PosePosterior(PoseGrid(seen, plain.grid.metric), np.log([0.5, 0.3, 0.2]))
+    fused = ProductFuser(ProductFuser.Options(reach=0.1)).fuse([plain, second], T_BASE[:2])
+    np.testing.assert_allclose(fused.probabilities, np.array([0.1, 0.09, 0.1]) / 0.29, atol=1e-9)
+
+
+def test_a_prior_on_one_pose_returns_it(box):
+    fused = ProductFuser().fuse(toys(box, 3), T_BASE, lambda T: np.where(np.arange(len(T)) == 2, -1e4, -np.inf))
+    np.testing.assert_allclose(fused.probabilities, [0, 0, 1, 0], atol=1e-12)
+
+
+def test_very_small_probabilities_neither_vanish_nor_overflow(box):
+    touches = [toy(box, [0, 1], [0.5, 0.5]), *(toy(box, [0, 1], [1.0, 1.0], i) for i in (1, 2))]
+    sharp = [touches[0], *(PosePosterior(t.grid, np.array([0.0, -2000.0])) for t in touches[1:])]
+    fused = ProductFuser().fuse(sharp, T_BASE)
+    assert fused.log_p[1] == pytest.approx(-4000)
+
+
+def test_no_common_pose_names_the_contact(box):
+    touches = [toy(box, [0, 1, 2], [1.0] * 3), toy(box, [1, 2], [1.0] * 2, 1), toy(box, [0, 9, 11], [1.0] * 3, 2)]
+    with pytest.raises(GridError, match=r"no pose touches all 3 sensors: contact 3 drops the last 2 .* 3 poses; check"):
+        ProductFuser(ProductFuser.Options(reach=0.1)).fuse(touches, T_BASE)
+
+
+def test_touches_that_contradict_one_another_say_so_or_are_doubted(box):
+    one, other = toy(box, [0, 1], [1.0, 1.0]), toy(box, [0, 1], [1.0, 1.0], 1)
+    yes, no = PosePosterior(one.grid, [0.0, -np.inf]), PosePosterior(other.grid, [-np.inf, 0.0])
+    with pytest.raises(GridError, match=r"contradict one another: .* 1 poses .* fuser\.doubt"):
+        ProductFuser().fuse([yes, no], T_BASE[:2])
+    certain = PosePosterior(toy(box, [0, 1], [1.0, 1.0], 2).grid, np.log([0.9, 0.1]))
+    fused = ProductFuser(ProductFuser.Options(doubt=0.2)).fuse([yes, no, certain], T_BASE)
+    ratio = np.array([(0.8 * 2 + 0.2) * 0.2 * (0.8 * 1.8 + 0.2), 0.2 * (0.8 * 2 + 0.2) * (0.8 * 0.2 + 0.2)])
+    np.testing.assert_allclose(fused.probabilities, ratio / ratio.sum(), atol=1e-9)
+
+
+def test_a_pose_that_touches_nothing_is_dropped_for_all_doubt(box):
+    fused = ProductFuser(ProductFuser.Options(reach=0.4, doubt=0.9)).fuse(toys(box, 3), T_BASE)
+    assert (fused.probabilities > 0).tolist() == [False, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("T", "sentence"),
+    [
+        ([None, np.eye(4)], "touch 1 of 2 does not say where its sensor was"),
+        ([np.eye(4), None], "touch 2 of 2 does not say where its sensor was"),
+        ([np.eye(4), 2 * np.eye(4)], "T_base_sensor of touch 2 is no rigid transform"),
+        ([np.eye(4), np.eye(3)], "T_base_sensor of touch 2 is no rigid transform"),
+        ([np.eye(4)], "2 posteriors and 1 poses"),
+    ],
+)
+def test_several_touches_need_the_pose_of_each_sensor(posterior, T, sentence):
+    with pytest.raises(ConfigError, match=sentence):
+        ProductFuser().fuse([posterior] * 2, T)
+
+
+def test_there_must_be_a_touch_and_one_object(posterior, cylinder):
+    with pytest.raises(ConfigError, match="at least one posterior"):
+        ProductFuser().fuse([], [])
+    with pytest.raises(ConfigError, match="touch 2 is of cylinder, touch 1 of box"):
+        ProductFuser().fuse([posterior, toy(cylinder, [0, 1], [1.0, 1.0])], T_BASE[:2])

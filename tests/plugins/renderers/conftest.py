@@ -16,6 +16,7 @@ from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.plugins.renderers.pyrender import PyrenderRenderer
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
+from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 
 SPHERE_RADIUS_M = 0.008
 
@@ -78,10 +79,10 @@ def new_pyrender() -> Callable[[], PyrenderRenderer]:
     return PyrenderRenderer
 
 
-@pytest.fixture(params=["raycast", "pyrender"])
+@pytest.fixture(params=["raycast", "zbuffer", "pyrender"])
 def exact_renderer(request: pytest.FixtureRequest) -> Iterator[Renderer]:
-    if request.param == "raycast":
-        yield RaycastRenderer()
+    if request.param != "pyrender":
+        yield RaycastRenderer() if request.param == "raycast" else ZBufferRenderer()
         return
     renderer = request.getfixturevalue("new_pyrender")()
     yield renderer

@@ -1,0 +1,346 @@
+#!/usr/bin/env python3
+"""Refiners from the same most probable grid pose: how near they get and how long they take, in one run.
+
+For each mesh and noise: one face, a grid of about `--poses` poses matched by pixels, `--touches` simulated touches.
+Each touch's candidate is the same for all refiners, which take turns in another order from touch to touch, each warmed
+up before. Errors are ADD over 10 000 surface points, symmetry regarded, in mm. "Right mode" are the touches whose
+candidate lies within 6 mm of the truth. The last table chooses among the refined ten most probable poses the one that
+explains the touch best.
+
+Touches are drawn by `--renderer`: the exact one, lest edges be where the grid's renderer, `--model-renderer`, has put
+them. Meshes are given as FILE[:UNITS]; without any, the demo objects are used.
+
+Refiners from other libraries get the same clouds as ours and, as ours, are not believed where the contact they end in
+overlaps less. Those that are not installed are left out: pip install small_gicp probreg
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from single_touch import spacing_for
+
+from tactile_loc.core.config import RunConfig
+from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.interfaces import Candidate, Refiner
+from tactile_loc.core.localizer import MODE_RADIUS, Localizer
+from tactile_loc.core.meshes import load_object
+from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.poses import Poses
+from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.registry import registry
+from tactile_loc.core.sensing import Touch
+from tactile_loc.core.store import StageStore
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.evaluation.judge import SURFACE_POINTS
+from tactile_loc.evaluation.metrics import symmetric_adds
+from tactile_loc.evaluation.oracle import true_pose
+from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.plugins.refiners.registration import Cloud, CloudRefiner, Registration
+
+Transform = NDArray[np.float64]
+Record = dict[str, Any]
+
+OURS: dict[str, tuple[str, dict[str, Any]]] = {
+    "none": ("none", {}),
+    "icp": ("icp", {}),
+    "filterreg, 1 iteration": ("filterreg", {"iterations": 1}),
+    "filterreg, 10 iterations": ("filterreg", {"iterations": 10}),
+    "filterreg": ("filterreg", {}),
+    "kiss-icp": ("kiss-icp", {}),
+    "render": ("render", {}),
+}
+CHOOSING = ("icp", "filterreg", "render")  # refine the ten most probable poses, too
+REFERENCE = "icp"
+LINES = ("reg-1", "chosen of 10", "oracle reg-10")
+TEN = 10
+RIGHT_MODE_MM = 6.0
+DISTINCTIVE = 0.1  # of the first mode's probability: a touch with a less probable second mode is distinctive
+TEMPERATURE = 1e-3  # fixed: which modes there are must not hang on touches that confidence was learned from
+LEAST_MM = 1e-3  # smaller differences are none
+
+
+class Peer(CloudRefiner):
+    """Registers by a function of another library, which maps source and target clouds to T (4, 4), mm."""
+
+    def __init__(self, align: Callable[[Cloud, Cloud], Transform]) -> None:
+        super().__init__()
+        self.align = align
+
+    def register(self, source: Cloud, target: Cloud) -> Registration:
+        """Return what the library found, or nothing if that is not finite."""
+        T_mm = self.align(source, target)
+        return Registration(T_mm if np.isfinite(T_mm).all() else None)
+
+
+def open3d_icp() -> Peer:
+    """open3d's point-to-plane ICP, one pass, pairs up to 1 mm apart, else its defaults (30 iterations)."""
+    import open3d as o3d
+
+    registration = o3d.pipelines.registration
+    method = registration.TransformationEstimationPointToPlane()
+
+    def align(source: Cloud, target: Cloud) -> Transform:
+        moving, fixed = (o3d.geometry.PointCloud(o3d.utility.Vector3dVector(c.points_mm)) for c in (source, target))
+        fixed.normals = o3d.utility.Vector3dVector(target.normals)
+        return np.array(registration.registration_icp(moving, fixed, 1.0, np.eye(4), method).transformation)
+
+    return Peer(align)
+
+
+def small_gicp_gicp() -> Peer:
+    """small_gicp's GICP with its defaults: voxels of 0.25 mm, pairs up to 1 mm apart, 20 iterations, one thread."""
+    import small_gicp
+
+    def align(source: Cloud, target: Cloud) -> Transform:
+        return np.array(small_gicp.align(target.points_mm, source.points_mm).T_target_source)
+
+    return Peer(align)
+
+
+def probreg_filterreg() -> Peer:
+    """probreg's FilterReg, point to point, 20 iterations, the variance estimated as its examples do."""
+    from probreg import filterreg
+
+    def align(source: Cloud, target: Cloud) -> Transform:
+        found = filterreg.registration_filterreg(source.points_mm, target.points_mm, update_sigma2=True, maxiter=20)
+        T_mm = np.eye(4)
+        T_mm[:3, :3], T_mm[:3, 3] = found.transformation.rot, found.transformation.t
+        return T_mm
+
+    return Peer(align)
+
+
+PEERS = {"open3d ICP": open3d_icp, "small_gicp GICP": small_gicp_gicp, "probreg FilterReg": probreg_filterreg}
+
+
+def refiners() -> tuple[dict[str, Refiner], dict[str, str]]:
+    """Return the refiners that can be had, and of each other one why not."""
+    makers: dict[str, Callable[[], Refiner]] = {
+        label: partial(registry().create, "refiner", name, options) for label, (name, options) in OURS.items()
+    }
+    makers |= PEERS
+    found: dict[str, Refiner] = {}
+    missing: dict[str, str] = {}
+    for label, make in makers.items():
+        try:
+            found[label] = make()
+        except (ImportError, TactileLocError) as error:
+            missing[label] = f"not installed: {error}"
+    return found, missing
+
+
+def is_distinctive(posterior: PosePosterior, spacing_mm: float) -> bool:
+    """Tell whether a posterior's second mode has less than DISTINCTIVE of the probability of its first."""
+    modes = posterior.modes(MODE_RADIUS * spacing_mm * 1e-3, 2)
+    return len(modes) < 2 or modes[1].probability < DISTINCTIVE * modes[0].probability
+
+
+class Bench:
+    """One object: its localizer, and the refiners that are compared on it."""
+
+    def __init__(self, obj: ObjectModel, arguments: argparse.Namespace, compared: dict[str, Refiner]) -> None:
+        base = {"sensor": arguments.sensor, "renderer": arguments.model_renderer, "temperature": TEMPERATURE}
+        self.spacing_mm = spacing_for(obj, base, arguments.poses)
+        base["grid"] = {"name": "face", "spacing_mm": self.spacing_mm}
+        store = StageStore(arguments.store)
+        self.localizer = Localizer(RunConfig.from_dict(base), obj, store)
+        self.drawer = Localizer(RunConfig.from_dict({**base, "renderer": arguments.renderer}), obj, store)
+        self.compared = compared
+        self.points_m = obj.mesh.sample(SURFACE_POINTS, np.random.default_rng(0))
+
+    def records(self, noise: str, touches: int, seed: int) -> list[Record]:
+        """Return what was measured of each of the touches of a noise."""
+        drawn = [SimulatedTouches(noise, seed).touch(self.drawer, number) for number in range(touches)]
+        first = self.candidates(drawn[0])[1]
+        for refiner in self.compared.values():
+            refiner.refine_many(drawn[0], first[:2], self.localizer.scene)
+            refiner.refine(drawn[0], first[0], self.localizer.scene)
+        return [{"noise": noise, **self.measure(number, touch)} for number, touch in enumerate(drawn)]
+
+    def candidates(self, touch: Touch) -> tuple[PosePosterior, list[Candidate]]:
+        """Return a touch's posterior and its ten most probable grid poses."""
+        posterior = self.localizer.posterior(touch)
+        poses = posterior.grid.T_sensor_object
+        return posterior, [Candidate(poses[i], int(i), float(posterior.log_p[i])) for i in posterior.top(TEN)]
+
+    def measure(self, number: int, touch: Touch) -> Record:
+        """Refine a touch's most probable pose by all refiners, and ten by some: errors in mm, times in ms."""
+        posterior, ten = self.candidates(touch)
+        order = list(self.compared)
+        order = order[number % len(order) :] + order[: number % len(order)]
+        record: Record = {
+            "object": self.localizer.object.name, "touch": number, "errors_mm": {}, "ms": {}, "choices": {},
+            "candidate_mm": float(self.errors_mm(ten[0].T_sensor_object[None], touch)[0]),
+            "distinctive": is_distinctive(posterior, self.spacing_mm),
+        }  # fmt: skip
+        for name in order:
+            start = time.perf_counter()
+            refined = self.compared[name].refine(touch, ten[0], self.localizer.scene)
+            record["ms"][name] = (time.perf_counter() - start) * 1e3
+            record["errors_mm"][name] = float(self.errors_mm(refined.T_sensor_object[None], touch)[0])
+        record["choices"] = {name: self.choose(name, touch, ten) for name in order if name in CHOOSING}
+        return record
+
+    def choose(self, name: str, touch: Touch, ten: list[Candidate]) -> dict[str, float]:
+        """Refine ten poses and choose the one that explains the touch best: errors of LINES in mm, time in ms."""
+        start = time.perf_counter()
+        refined = self.compared[name].refine_many(touch, ten, self.localizer.scene)
+        poses = np.stack([pose.T_sensor_object for pose in refined])
+        chosen = int(self.localizer.scene.explained(poses, touch).argmax())
+        seconds = time.perf_counter() - start
+        errors = self.errors_mm(poses, touch)
+        lines = zip(LINES, (errors[0], errors[chosen], errors.min()), strict=True)
+        return {line: float(error) for line, error in lines} | {"ms": seconds * 1e3}
+
+    def errors_mm(self, poses: Poses, touch: Touch) -> NDArray[np.float64]:
+        """ADD (K,) in mm of poses (K, 4, 4), symmetry regarded."""
+        return 1e3 * symmetric_adds(self.localizer.object, self.points_m, poses, true_pose(touch))
+
+
+def of(records: list[Record], what: str, name: str) -> NDArray[np.float64]:
+    """The numbers (T,) of a refiner in records."""
+    return np.array([record[what][name] for record in records])
+
+
+def right_mode(records: list[Record]) -> list[Record]:
+    """The records whose candidate lies within RIGHT_MODE_MM of the truth."""
+    return [record for record in records if record["candidate_mm"] <= RIGHT_MODE_MM]
+
+
+def cells(records: list[Record], name: str) -> list[str]:
+    """Median, 90th percentile, share of touches that came nearer than their candidate, and median time."""
+    if not records:
+        return ["", "", "", ""]
+    errors, before = of(records, "errors_mm", name), np.array([record["candidate_mm"] for record in records])
+    better = np.mean(errors < before - LEAST_MM)
+    return [
+        f"{np.median(errors):.3f}", f"{np.percentile(errors, 90):.2f}", f"{100 * better:.0f} %",
+        f"{np.median(of(records, 'ms', name)):.1f}",
+    ]  # fmt: skip
+
+
+def table(head: list[str], rows: list[list[str]]) -> str:
+    """A Markdown table."""
+    lines = [f"| {' | '.join(row)} |" for row in [head, *rows]]
+    return "\n".join([lines[0], f"|{'---|' * len(head)}", *lines[1:]])
+
+
+def objects(records: list[Record]) -> dict[str, list[Record]]:
+    """The records of each object."""
+    names = dict.fromkeys(record["object"] for record in records)
+    return {name: [record for record in records if record["object"] == name] for name in names}
+
+
+def by_object(records: list[Record], compared: dict[str, Refiner], missing: dict[str, str]) -> str:
+    """The table of one object and noise."""
+    near = right_mode(records)
+    columns = ["median mm", "90th percentile", "improved", "median ms"]
+    head = ["refiner", *columns, *(f"{column}, right mode ({len(near)})" for column in columns)]
+    rows = [[name, *cells(records, name), *cells(near, name)] for name in compared]
+    return table(head, rows + [[name, why, *[""] * 7] for name, why in missing.items()])
+
+
+def medians(records: list[Record], compared: dict[str, Refiner]) -> str:
+    """Medians of all objects, one column a refiner."""
+    rows = [
+        [name, str(len(some)), *(f"{np.median(of(some, 'errors_mm', k)):.3f}" for k in compared)]
+        for name, some in objects(records).items()
+    ]
+    return table(["object", "touches", *compared], rows)
+
+
+def relative(records: list[Record], name: str) -> float:
+    """The geometric mean over objects of a refiner's median error, as a multiple of the reference's."""
+    logs = [
+        np.log(np.maximum([np.median(of(some, "errors_mm", k)) for k in (name, REFERENCE)], LEAST_MM))
+        for some in objects(records).values()
+    ]
+    return float(np.exp(np.mean([mine - reference for mine, reference in logs])))
+
+
+def summary(records: list[Record], compared: dict[str, Refiner]) -> str:
+    """One row a refiner, over all objects."""
+    near = right_mode(records)
+    head = ["refiner", f"median / {REFERENCE}'s", "improved", "median ms", f"median / {REFERENCE}'s, right mode"]
+    head += ["median mm", "90th percentile", "improved"]
+    rows = []
+    for name in compared:
+        whole, part = cells(records, name), cells(near, name)
+        rows.append([name, f"{relative(records, name):.2f}", *whole[2:], f"{relative(near, name):.2f}", *part[:3]])
+    return table(head, rows)
+
+
+def choosing(records: list[Record], compared: dict[str, Refiner]) -> str:
+    """Median and mean errors of choosing among ten refined poses, over all objects."""
+    rows = []
+    for name in CHOOSING:
+        for label, some in (("all", records), ("distinctive", [r for r in records if r["distinctive"]])):
+            if name not in compared or not some:
+                continue
+            lines = {k: np.array([r["choices"][name][k] for r in some]) for k in (*LINES, "ms")}
+            errors = [f"{np.median(lines[k]):.3f} ({lines[k].mean():.2f})" for k in LINES]
+            rows.append([name, f"{label} ({len(some)})", *errors, f"{np.median(lines['ms']):.0f}"])
+    return table(["refiner", "touches", *(f"{line}, median (mean) mm" for line in LINES), "ms for ten"], rows)
+
+
+def report(records: list[Record], noise: str, compared: dict[str, Refiner]) -> str:
+    """All that is said of a noise over all objects."""
+    some = [record for record in records if record["noise"] == noise]
+    parts = {
+        "medians, mm": medians(some, compared), "medians in the right mode, mm": medians(right_mode(some), compared),
+        "all objects": summary(some, compared), "choosing": choosing(some, compared),
+    }  # fmt: skip
+    return "\n\n".join(f"noise {noise}, {title}:\n\n{text}" for title, text in parts.items())
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Measure all meshes and print tables, an object's as soon as it is done."""
+    compared, missing = refiners()
+    records: list[Record] = []
+    for mesh in arguments.meshes or DEMO_OBJECTS:
+        path, _, units = mesh.partition(":")
+        bench = Bench(load_object(path, units or "auto"), arguments, compared)
+        for noise in arguments.noise.split(","):
+            measured = bench.records(noise, arguments.touches, arguments.seed)
+            records += measured
+            obj = bench.localizer.object
+            print(f"\n{obj.name}, symmetry {obj.symmetry}, {bench.localizer.model.size} poses, noise {noise}:\n")
+            print(by_object(measured, compared, missing), flush=True)
+        if arguments.json:
+            settings = {name: str(value) for name, value in vars(arguments).items()}
+            arguments.json.write_text(json.dumps({"settings": settings, "records": records}, indent=1) + "\n")
+    for noise in arguments.noise.split(","):
+        print(f"\n{report(records, noise, compared)}")
+
+
+def main() -> None:
+    """Run the benchmark and print its tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("meshes", nargs="*", help="FILE[:UNITS]; default: the demo objects")
+    parser.add_argument("--poses", type=int, default=10_000, help="about how many poses a grid has")
+    parser.add_argument("--touches", type=int, default=40, help="of each noise")
+    parser.add_argument("--noise", default="none,strong", help="of the touches, joined with commas")
+    parser.add_argument("--renderer", default="zbuffer", help="draws the touches: zbuffer, raycast or heightmap")
+    parser.add_argument("--model-renderer", default="heightmap", help="draws the grid and what refiners see")
+    parser.add_argument("--sensor", default="gelslim")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--store", type=Path, help="keep the grids here; default: a temporary folder")
+    parser.add_argument("--json", type=Path, help="also write the errors and times of every touch here")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        arguments.store = arguments.store or Path(folder)
+        run(arguments)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,92 @@
+"""`tactile-loc evaluate --contacts`: how well objects are located from several touches."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tactile_loc_cli.console import say, say_table
+
+if TYPE_CHECKING:
+    from tactile_loc.core.config import RunConfig
+    from tactile_loc.core.localizer import Localizer
+    from tactile_loc.evaluation.contact_tables import ContactRun
+    from tactile_loc.evaluation.sources import SimulatedTouches
+
+DEFAULT_COUNT = 100
+
+_PART = re.compile(r"(\d+)(?:\.\.(\d+))?")
+
+
+def parse_contacts(text: str) -> tuple[int, ...]:
+    """Return the numbers of contacts that a text such as "1..7" or "1,2,5..7" names, rising. Raises ConfigError."""
+    from tactile_loc.core.errors import ConfigError
+    from tactile_loc.evaluation.contact_protocol import MOST_CONTACTS
+
+    numbers: set[int] = set()
+    for part in text.replace(" ", "").split(","):
+        match = _PART.fullmatch(part)
+        first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
+        if not 1 <= first <= last <= MOST_CONTACTS:
+            raise ConfigError(
+                f"--contacts {text!r} names no numbers of contacts; write a range or a list from 1 to {MOST_CONTACTS}, "
+                "such as 1..7 or 1,2,3"
+            )
+        numbers.update(range(first, last + 1))
+    return tuple(sorted(numbers))
+
+
+def evaluate_contacts(
+    jobs: Sequence[tuple[RunConfig, Localizer]], contacts: Sequence[int], count: int, touches: SimulatedTouches,
+    out: Path,
+) -> None:  # fmt: skip
+    """Evaluate each localizer with each number of contacts, write tables and the picture to `out`, show the medians."""
+    runs = [_run(settings, localizer, contacts, count, touches) for settings, localizer in jobs]
+    noise = "as images" if touches.images else f"noise: {touches.noise}"
+    examples = f"{count} simulated {'example' if count == 1 else 'examples'} ({noise})"
+    heading = f"Localisation from several contacts: {examples} for each object, seed {touches.seed}"
+    _report(runs, {"examples": count, **dataclasses.asdict(touches)}, heading, out)
+
+
+def _run(
+    settings: RunConfig, localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches
+) -> ContactRun:
+    from tactile_loc.evaluation.contact_protocol import evaluate_contacts as run_protocol
+    from tactile_loc.evaluation.contact_tables import ContactRun
+    from tactile_loc.evaluation.results import resolved
+
+    evaluation = run_protocol(localizer, contacts, count, touches)
+    obj, poses = localizer.object, len(localizer.model.grid)
+    return ContactRun(obj.name, str(obj.symmetry), settings.encoder.name, poses, evaluation, resolved(settings))
+
+
+def _report(runs: Sequence[ContactRun], protocol: dict[str, object], heading: str, out: Path) -> None:
+    from tactile_loc.evaluation.contact_figure import draw_contacts
+    from tactile_loc.evaluation.contact_tables import median_header, median_rows, write_contact_tables
+    from tactile_loc.evaluation.pictures import save_figure
+
+    written = write_contact_tables(out, runs, protocol, heading)
+    written.append(save_figure(out / "contacts.png", draw_contacts(runs, heading)))
+    header = [head.split()[0] for head in median_header(runs)]
+    say("median ADD by number of contacts, mm")
+    say_table([header, *median_rows(runs, normalised=False)], left=3)
+    say("\nmedian ADD as a share of a random pose's mean")
+    say_table([header, *median_rows(runs, normalised=True)], left=3)
+    for run in runs:
+        _say_without_common(run)
+    say(f"\nwritten: {', '.join(map(str, written))}")
+
+
+def _say_without_common(run: ContactRun) -> None:
+    """Say how often no pose touched all sensors, if it happened."""
+    found = run.evaluation
+    counts = {n: found.without_common("best-1", n) for n in found.contacts}
+    if any(counts.values()):
+        listed = ", ".join(f"{count} with {n}" for n, count in counts.items() if count)
+        say(
+            f"\n{run.object}: examples without a pose that touches all sensors, located from the first contact alone: "
+            f"{listed} contacts"
+        )

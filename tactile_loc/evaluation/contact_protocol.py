@@ -1,0 +1,188 @@
+"""The paper's protocol for several touches of one object, on simulated ones: what each further contact is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import ConfigError, GridError
+from tactile_loc.core.geometry import invert
+from tactile_loc.core.hashing import StageKey
+from tactile_loc.core.interfaces import Fuser
+from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.poses import Poses
+from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.registry import registry
+from tactile_loc.core.store import Artifact, Workspace
+from tactile_loc.evaluation.judge import SURFACE_POINTS
+from tactile_loc.evaluation.metrics import symmetric_adds
+from tactile_loc.evaluation.oracle import true_pose
+from tactile_loc.evaluation.sources import SimulatedTouches
+
+CONTACT_VERSION = 1  # raised when the same localizer would get other numbers
+CONTACT_LINES = ("best-1", "kinematic", "random")
+FUSED_LINES = CONTACT_LINES[:2]
+MOST_CONTACTS = 20
+SHARD = 10  # examples located, saved and resumed at once
+ARRAYS = ("errors_m", "alone")
+
+
+@dataclass(frozen=True, eq=False)
+class ContactEvaluation:
+    """How far off E examples were located from each of C numbers of contacts.
+
+    `errors_m` (E, C, L) is the ADD in metres of every line of CONTACT_LINES, symmetry regarded; `alone` (E, C, 2) says
+    where a line of FUSED_LINES found no pose common to all contacts, and its pose is that of the first contact alone.
+    """
+
+    contacts: tuple[int, ...]
+    errors_m: NDArray[np.float64]
+    alone: NDArray[np.bool_]
+
+    def errors(self, line: str, contacts: int) -> NDArray[np.float64]:
+        """Return the errors (E,) of a line with so many contacts, metres."""
+        return self.errors_m[:, self.contacts.index(contacts), CONTACT_LINES.index(line)]
+
+    def scale_m(self) -> float:
+        """Return the mean error of a random pose of the grid, metres, by which the paper normalises."""
+        return float(self.errors_m[:, :, CONTACT_LINES.index("random")].mean())
+
+    def normalised(self, line: str, contacts: int) -> NDArray[np.float64]:
+        """Return the errors (E,) of a line as shares of the mean error of a random pose (unitless)."""
+        return self.errors(line, contacts) / self.scale_m()
+
+    def without_common(self, line: str, contacts: int) -> int:
+        """Return in how many examples a line of FUSED_LINES found no pose that touches all so many sensors."""
+        return int(self.alone[:, self.contacts.index(contacts), FUSED_LINES.index(line)].sum())
+
+
+def evaluate_contacts(
+    localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches
+) -> ContactEvaluation:
+    """Locate `count` examples from each number of `contacts` by the localizer's fuser and by the kinematic one.
+
+    Example e has the touches MOST_CONTACTS e, MOST_CONTACTS e + 1, ... of the source, so that more contacts only add
+    touches; the object lies still, each sensor where its touch's true pose has it. The result is kept in the
+    localizer's store, by shards of SHARD examples, and an interrupted evaluation resumes. Raises ConfigError for no
+    number of contacts or one that is not from 1 to MOST_CONTACTS, TactileLocError when a touch cannot be located.
+    """
+    numbers = tuple(sorted(set(contacts)))
+    if not numbers or not 1 <= numbers[0] <= numbers[-1] <= MOST_CONTACTS:
+        raise ConfigError(f"contacts {list(contacts)} cannot be evaluated; give numbers from 1 to {MOST_CONTACTS}")
+
+    def run(work: Workspace) -> None:
+        examples = _Examples(localizer, numbers, touches)
+        every = range(count)
+        shards = [_shard(work, examples, every[i : i + SHARD]) for i in range(0, count, SHARD)]
+        for name, columns in zip(ARRAYS, zip(*shards, strict=True), strict=True):
+            work.save_array(name, np.concatenate(columns))
+
+    return _read(numbers, localizer.store.build(contact_key(localizer, numbers, count, touches), run))
+
+
+def contact_key(
+    localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches
+) -> StageKey:  # fmt: skip
+    """Return the key under which an evaluation is stored: everything that decides its errors."""
+    matcher = registry().create("matcher", localizer.config.matcher.name, localizer.config.matcher.options)
+    return StageKey("contact-evaluation", CONTACT_VERSION, {
+        **localizer.describe_scores(), "confidence": asdict(localizer.confidence),
+        "matcher": matcher.describe(), "fuser": localizer.fuser.describe(), "kinematic": _kinematic().describe(),
+        **touches.describe(localizer), "contacts": list(contacts), "count": count,
+    })  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Examples:
+    """Locates examples from their touches and knows their truth."""
+
+    localizer: Localizer
+    contacts: tuple[int, ...]
+    source: SimulatedTouches
+
+    def locate(self, numbers: range) -> list[NDArray[Any]]:
+        """Errors (E, C, L) in metres, and where a fuser found no common pose (E, C, 2), of the examples `numbers`."""
+        name = self.localizer.object.name
+        task = f"locating {name} by contacts, examples {numbers[0] + 1} to {numbers[-1] + 1}"
+        with self.localizer.progress.task(task, len(numbers)) as advance:
+            posteriors, poses = self._touched(numbers)
+            rows = []
+            for number, own, truths in zip(numbers, posteriors, poses, strict=True):
+                rows.append(self._example(number, own, truths))
+                advance(1)
+        return [np.stack(column) for column in zip(*rows, strict=True)]
+
+    def _touched(self, numbers: range) -> tuple[list[list[PosePosterior]], list[Poses]]:
+        """What each touch of each example says alone, and their true poses (M, 4, 4), metres."""
+        most = self.contacts[-1]
+        touches = [self.source.touch(self.localizer, MOST_CONTACTS * e + k) for e in numbers for k in range(most)]
+        found: dict[int, PosePosterior] = {}
+        for i in sorted(range(len(touches)), key=lambda i: touches[i].press_depth_m):  # those of one bank together
+            found[i] = self.localizer.single_posterior(touches[i])
+        starts = range(0, len(touches), most)
+        poses = [np.stack([true_pose(touch) for touch in touches[i : i + most]]) for i in starts]
+        return [[found[i + k] for k in range(most)] for i in starts], poses
+
+    def _example(
+        self, number: int, posteriors: Sequence[PosePosterior], truths: Poses
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Errors (C, L) in metres and (C, 2) where a fuser found no common pose, of one example."""
+        grid = self.localizer.model.grid
+        rng = np.random.default_rng(self.source.random(MOST_CONTACTS * number, 1))
+        guesses = rng.integers(len(grid), size=MOST_CONTACTS)
+        lots = rng.random((MOST_CONTACTS, len(FUSED_LINES)))
+        chosen, alone = [], []
+        for n in self.contacts:
+            fused = [_fuse(fuser, posteriors[:n], invert(truths[:n])) for fuser in self._fusers]
+            chosen += [_draw(posterior, lot) for (posterior, _), lot in zip(fused, lots[n - 1], strict=True)]
+            chosen.append(int(guesses[n - 1]))
+            alone.append([without for _, without in fused])
+        errors = symmetric_adds(self.localizer.object, self._points_m, grid.T_sensor_object[chosen], truths[0])
+        return errors.reshape(len(self.contacts), len(CONTACT_LINES)), np.array(alone)
+
+    @cached_property
+    def _fusers(self) -> tuple[Fuser, Fuser]:
+        return self.localizer.fuser, _kinematic()
+
+    @cached_property
+    def _points_m(self) -> NDArray[np.float64]:
+        return self.localizer.object.mesh.sample(SURFACE_POINTS, np.random.default_rng(0))
+
+
+def _kinematic() -> Fuser:
+    fuser: Fuser = registry().create("fuser", "kinematic", {})
+    return fuser
+
+
+def _fuse(fuser: Fuser, posteriors: Sequence[PosePosterior], T_base_sensor: Poses) -> tuple[PosePosterior, bool]:
+    """What a fuser makes of the touches, by sensors at (M, 4, 4), metres; of the first alone, and True, if nothing."""
+    try:
+        return fuser.fuse(posteriors, list(T_base_sensor)), False
+    except GridError:
+        return fuser.fuse(posteriors[:1], [T_base_sensor[0]]), True
+
+
+def _draw(posterior: PosePosterior, lot: float) -> int:
+    """The index of the most probable pose; of several that are, the one that the lot (0 to below 1) falls on."""
+    most = np.flatnonzero(posterior.log_p == posterior.log_p.max())
+    return int(most[int(lot * len(most))])
+
+
+def _shard(work: Workspace, examples: _Examples, numbers: range) -> list[NDArray[Any]]:
+    """The ARRAYS of some examples: located now, or loaded if an interrupted evaluation got that far."""
+    names = [f"{name}-{numbers.start:06d}" for name in ARRAYS]
+    found = [array for array in (work.load(name, keep=False) for name in names) if array is not None]
+    if len(found) < len(names):
+        found = examples.locate(numbers)
+        for name, array in zip(names, found, strict=True):
+            work.save_array(name, array, keep=False)
+    return found
+
+
+def _read(contacts: tuple[int, ...], artifact: Artifact) -> ContactEvaluation:
+    return ContactEvaluation(contacts, *(artifact.array(name, mmap=False) for name in ARRAYS))

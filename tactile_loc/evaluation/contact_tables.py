@@ -1,0 +1,167 @@
+"""Evaluations of several contacts as tables: Markdown and CSV for people, in mm, and JSON in SI units."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from tactile_loc.evaluation.contact_protocol import CONTACT_LINES, CONTACT_VERSION, FUSED_LINES, ContactEvaluation
+from tactile_loc.evaluation.files import write_atomically
+from tactile_loc.evaluation.results import versions
+from tactile_loc.evaluation.tables import Statistics, mm
+
+SCHEMA_VERSION = 1
+NOTE = (
+    "ADD of the most probable pose in mm and, in brackets, divided by the mean error of a random pose; symmetry "
+    "regarded. `kinematic` knows of contact only, and takes one of the poses that touch all sensors. Without common "
+    "pose: examples in which no pose of the grid touches all sensors, located from the first contact alone."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ContactRun:
+    """One object evaluated with one encoder. `configuration` holds every setting as JSON values."""
+
+    object: str
+    symmetry: str
+    encoder: str
+    grid_poses: int
+    evaluation: ContactEvaluation
+    configuration: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    def statistics(self, line: str, contacts: int, normalised: bool = False) -> Statistics:
+        """Return the statistics of a line: in metres, or as shares of the mean random error if `normalised`."""
+        found = self.evaluation
+        return Statistics.of(found.normalised(line, contacts) if normalised else found.errors(line, contacts))
+
+
+def median_header(runs: Sequence[ContactRun]) -> list[str]:
+    """Return the heads of the columns of `median_rows`; all runs have the same numbers of contacts."""
+    return ["object", "encoder", "line", *(f"{n} {_contacts(n)}" for n in runs[0].evaluation.contacts)]
+
+
+def median_rows(runs: Sequence[ContactRun], normalised: bool) -> list[list[str]]:
+    """Return a row of cells for each run and line of FUSED_LINES: the median error by number of contacts.
+
+    In mm, or as a share of a random pose's mean error if `normalised`.
+    """
+    rows = []
+    for run in runs:
+        for line in FUSED_LINES:
+            medians = [run.statistics(line, n, normalised).median for n in run.evaluation.contacts]
+            cells = [f"{m:.3f}" if normalised else mm(m) for m in medians]
+            rows.append([run.object, run.encoder, line, *cells])
+    return rows
+
+
+def markdown(runs: Sequence[ContactRun], heading: str) -> str:
+    """Return all tables as Markdown, the lengths in mm."""
+    pairs = zip(median_rows(runs, False), median_rows(runs, True), strict=True)
+    medians = [a[:3] + [f"{x} ({y})" for x, y in zip(a[3:], b[3:], strict=True)] for a, b in pairs]
+    parts = [f"# {heading}\n", f"{NOTE}\n", "Medians:\n", _table(median_header(runs), medians)]
+    for run in runs:
+        random = mm(run.evaluation.scale_m())
+        parts.append(f"## {run.object}, {run.encoder}\n")
+        parts.append(f"{run.grid_poses} grid poses, symmetry {run.symmetry}; a random pose: {random} mm in the mean\n")
+        parts.append(_table(_DETAILS, list(_detail_rows(run))))
+    return "\n".join(parts)
+
+
+def csv_text(runs: Sequence[ContactRun]) -> str:
+    """Return one row for each object, encoder, line and number of contacts as CSV, lengths in mm."""
+    text = io.StringIO()
+    rows = list(_long_rows(runs))
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def record(runs: Sequence[ContactRun], protocol: Mapping[str, Any]) -> dict[str, Any]:
+    """Return everything as JSON values in SI units; `protocol` says how many examples, which noise and seed."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": versions(),
+        "protocol": {"version": CONTACT_VERSION, "contacts": list(runs[0].evaluation.contacts), **protocol},
+        "runs": [_run_record(run) for run in runs],
+    }
+
+
+def write_contact_tables(
+    folder: Path, runs: Sequence[ContactRun], protocol: Mapping[str, Any], heading: str
+) -> list[Path]:
+    """Write contacts.json, contacts.csv and contacts.md and return their paths. Raises OutputError."""
+    texts = {
+        "contacts.json": json.dumps(record(runs, protocol), indent=1) + "\n",
+        "contacts.csv": csv_text(runs),
+        "contacts.md": markdown(runs, heading),
+    }
+    return [write_atomically(folder / name, _writer(text)) for name, text in texts.items()]
+
+
+def _contacts(count: int) -> str:
+    return "contact" if count == 1 else "contacts"
+
+
+def _writer(text: str) -> Any:
+    return lambda path: path.write_text(text, encoding="utf-8")
+
+
+def _run_record(run: ContactRun) -> dict[str, Any]:
+    found = run.evaluation
+    lines = {
+        line: [
+            {
+                "contacts": n,
+                "metres": asdict(run.statistics(line, n)),
+                "normalised": asdict(run.statistics(line, n, normalised=True)),
+                "without_common": found.without_common(line, n) if line in FUSED_LINES else 0,
+                "errors_m": found.errors(line, n).tolist(),
+            }
+            for n in found.contacts
+        ]
+        for line in CONTACT_LINES
+    }
+    named = {"object": run.object, "symmetry": run.symmetry, "encoder": run.encoder, "grid_poses": run.grid_poses}
+    numbers = {"examples": len(found.errors_m), "random_mean_m": found.scale_m()}
+    return {**named, **numbers, "lines": lines, "configuration": dict(run.configuration)}
+
+
+def _long_rows(runs: Sequence[ContactRun]) -> Iterator[dict[str, Any]]:
+    for run in runs:
+        for line in FUSED_LINES:
+            for n in run.evaluation.contacts:
+                lengths = {f"{k}_mm": f"{1e3 * v:.6g}" for k, v in asdict(run.statistics(line, n)).items()}
+                shares = asdict(run.statistics(line, n, normalised=True))
+                yield {
+                    "object": run.object, "encoder": run.encoder, "line": line, "contacts": n, **lengths,
+                    **{f"{k}_normalised": f"{v:.6g}" for k, v in shares.items()},
+                    "without_common": run.evaluation.without_common(line, n),
+                }  # fmt: skip
+
+
+_DETAILS = [
+    "line", "contacts", "median", "mean", "std", "quartiles", "median / random", "mean / random", "std / random",
+    "without common pose",
+]  # fmt: skip
+
+
+def _detail_rows(run: ContactRun) -> Iterator[list[str]]:
+    for line in FUSED_LINES:
+        for n in run.evaluation.contacts:
+            s, share = run.statistics(line, n), run.statistics(line, n, normalised=True)
+            lengths = [mm(s.median), mm(s.mean), mm(s.std), f"{mm(s.q25)} to {mm(s.q75)}"]
+            shares = [f"{v:.3f}" for v in (share.median, share.mean, share.std)]
+            yield [line, str(n), *lengths, *shares, str(run.evaluation.without_common(line, n))]
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"

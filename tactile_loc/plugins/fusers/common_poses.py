@@ -1,0 +1,160 @@
+"""The poses that touch every sensor, and where each sensor's grid has them: what both fusers begin with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from tactile_loc.core.errors import ConfigError, GridError
+from tactile_loc.core.geometry import invert, is_rigid
+from tactile_loc.core.interfaces import ComponentOptions, Prior
+from tactile_loc.core.poses import PoseGrid, Poses
+from tactile_loc.core.posterior import PosePosterior
+
+Indices = NDArray[np.int64]
+
+SAMPLE = 200  # poses that tell which contact excludes most
+
+
+class ContactOptions(ComponentOptions):
+    """When a pose of the first grid counts as one of another sensor's."""
+
+    reach: float = Field(
+        default=1.5,
+        gt=0,
+        description="a pose touches a sensor if its grid has one within so many mean spacings of the coarser grid",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """One more sensor: its grid, the motion T_sensor_first (4, 4) in metres, and how near a pose must be, metres."""
+
+    grid: PoseGrid
+    T_sensor_first: NDArray[np.float64]
+    reach_m: float
+
+    def lookup(self, T_first_object: Poses) -> Indices:
+        """Return the index (M,) of this grid's pose nearest to the first sensor's poses (M, 4, 4), -1 beyond reach."""
+        return self.grid.nearest(self.T_sensor_first @ T_first_object, self.reach_m)[1]
+
+
+@dataclass(frozen=True, eq=False)
+class CommonPoses:
+    """Indices `first` (K,) of the first grid's poses that touch all sensors; `found` (N, K), theirs in each grid."""
+
+    first: Indices
+    found: NDArray[np.int64]
+
+
+def check_contacts(posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None]) -> None:
+    """Raise ConfigError unless there is a contact, a rigid pose (4, 4) of each of several sensors, and one object."""
+    if not posteriors or len(posteriors) != len(T_base_sensor):
+        raise ConfigError(
+            f"a fuser takes at least one posterior and a sensor pose for each, not {len(posteriors)} posteriors and "
+            f"{len(T_base_sensor)} poses"
+        )
+    if len(posteriors) == 1:
+        return
+    ours = posteriors[0].grid.metric.object
+    for number, (posterior, T) in enumerate(zip(posteriors, T_base_sensor, strict=True), start=1):
+        if T is None:
+            raise ConfigError(
+                f"touch {number} of {len(posteriors)} does not say where its sensor was; several touches can only be "
+                "fused with the T_base_sensor of each"
+            )
+        if np.shape(T) != (4, 4) or not is_rigid(np.asarray(T, float)):
+            raise ConfigError(f"T_base_sensor of touch {number} is no rigid transform; it must be (4, 4), in metres")
+        other = posterior.grid.metric.object
+        if other is not ours and other.mesh.digest != ours.mesh.digest:
+            raise ConfigError(f"touch {number} is of {other.name}, touch 1 of {ours.name}; fuse touches of one object")
+
+
+def prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.float64]:
+    """Return the prior's log-weights (N,) of the grid's poses, zeros without one.
+
+    Raises ConfigError unless it gives one a pose, none of them NaN or +inf.
+    """
+    if prior is None:
+        return np.zeros(len(grid))
+    weights = np.asarray(prior(grid.T_sensor_object), float)
+    if weights.shape != (len(grid),) or not (weights < np.inf).all():
+        raise ConfigError(
+            f"the prior returned an array of shape {weights.shape} for {len(grid)} poses; it must "
+            "return one log-weight a pose, (N,), each finite or -inf"
+        )
+    return weights
+
+
+def common_poses(
+    grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses | None], reach: float, possible: NDArray[np.bool_]
+) -> CommonPoses:
+    """Find those of the first grid's `possible` (N,) poses that touch all sensors; their order is the grid's.
+
+    Seen from sensor i, a pose x of the first is inv(T_base_sensor_i) @ T_base_sensor_1 @ x; it touches sensor i if the
+    pose of that grid nearest to it, symmetry regarded, is within reach. The contact that excludes most is asked first.
+    Raises GridError, which names the contact that dropped the last poses, when none is left.
+    """
+    contacts = _contacts(grids, T_base_sensor, reach)
+    poses, first = grids[0].T_sensor_object, np.flatnonzero(possible)
+    found = np.tile(first, (len(grids), 1))  # right already for the first, and for what is seen from the same place
+    for number in _order(contacts, poses[first]):
+        found[number] = contacts[number].lookup(poses[first])
+        touching = found[number] >= 0
+        first, found = first[touching], found[:, touching]
+    if len(first) == 0 and possible.any():
+        raise GridError(_explain(contacts, poses, np.flatnonzero(possible), len(grids)))
+    return CommonPoses(first, found)
+
+
+def _contacts(grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses | None], reach: float) -> dict[int, Contact]:
+    """What is to be looked up, by its place among the grids: not the first, nor that grid seen from the same place."""
+    contacts: dict[int, Contact] = {}
+    T_base_first = np.eye(4) if T_base_sensor[0] is None else np.asarray(T_base_sensor[0], float)
+    for number, (grid, T) in enumerate(zip(grids, T_base_sensor, strict=True)):
+        if number == 0 or T is None or (grid is grids[0] and np.array_equal(T, T_base_first)):
+            continue
+        T_sensor_first = invert(np.asarray(T, float)) @ T_base_first
+        contacts[number] = Contact(grid, T_sensor_first, reach * _spacing_m(grids[0], grid))
+    return contacts
+
+
+def _spacing_m(first: PoseGrid, other: PoseGrid) -> float:
+    """The coarser spacing, metres: a pose of the first grid is as far off the truth as its grid is coarse.
+
+    A grid of one pose has none; two of them know no bound.
+    """
+    known = [m for m in (first.spacing_m, other.spacing_m) if np.isfinite(m)]
+    return max(known, default=np.inf)
+
+
+def _order(contacts: dict[int, Contact], T_first_object: Poses) -> list[int]:
+    """The contacts, each time the one that excludes most of what is left of a few poses: less is left to look up."""
+    if len(contacts) < 2 or len(T_first_object) <= SAMPLE:
+        return list(contacts)
+    some = T_first_object[np.linspace(0, len(T_first_object) - 1, SAMPLE).astype(int)]
+    touching = {number: contact.lookup(some) >= 0 for number, contact in contacts.items()}
+    left, order = np.ones(SAMPLE, bool), []
+    while touching:
+        order.append(min(touching, key=lambda number: int((touching[number] & left).sum())))
+        left = left & touching.pop(order[-1])
+    return order
+
+
+def _explain(contacts: dict[int, Contact], poses: Poses, left: Indices, count: int) -> str:
+    """Say which contact, in the order given, dropped the last poses."""
+    number = 0
+    for number, contact in contacts.items():  # noqa: B007
+        touching = contact.lookup(poses[left]) >= 0
+        if not touching.any():
+            break
+        left = left[touching]
+    return (
+        f"no pose touches all {count} sensors: contact {number + 1} drops the last {len(left):,} of the first grid's "
+        f"{len(poses):,} poses; check each T_base_sensor (metres, from sensor to base), or search a grid that covers "
+        "all faces, hopf"
+    )

@@ -1,0 +1,158 @@
+"""FilterReg: registration as expectation-maximisation, with all candidates of a touch moved at once.
+
+After Gao and Tedrake, "FilterReg: Robust and Efficient Probabilistic Point-Set Registration using Gaussian Filter and
+Twist Parameterization", CVPR 2019. The observed cloud is a Gaussian mixture. The E step filters it: each moving point
+gets a weighted mean point and mean normal, and the chance of belonging to the cloud at all. Contact clouds are small,
+so that the sums are exact up to a cut-off, by a table of columns; normals take part as a feature, so that a wall is not
+drawn to the face beside it. The M step is a Gauss-Newton step on the twist of the rigid motion. The mixture's standard
+deviation shrinks from one iteration to the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from tactile_loc.core.geometry import make_transform, translation
+from tactile_loc.plugins.refiners import filterreg_kernels as kernels
+from tactile_loc.plugins.refiners.filterreg_mixture import Mixture, Mixtures
+from tactile_loc.plugins.refiners.registration import Cloud, CloudRefiner, Registration
+
+Floats = NDArray[np.float64]
+
+SETTLED_MM = 1e-3  # a step that moves a candidate's points by less, in root mean square, is its last
+SPACINGS = 0.5  # of neighbouring points: Gaussians narrower than that would not overlap
+RIDGE = 1e-3  # of the equations' mean diagonal: damps steps in directions that a contact hardly fixes
+
+
+class FilterRegRefiner(CloudRefiner):
+    """Registers by FilterReg, point to plane, at standard deviations from `sigma_mm` down to `sigma_end_mm`."""
+
+    class Options(CloudRefiner.Options):
+        """How far the Gaussians reach at first and at last, what they forgive, and how long to iterate."""
+
+        sigma_mm: float = Field(default=2.0, gt=0, description="standard deviation of the Gaussians at first, mm")
+        sigma_end_mm: float = Field(
+            default=0.15, gt=0, description="the same at last, mm, or more if points are sparse"
+        )
+        anneal: float = Field(default=0.5, gt=0, lt=1, description="factor on it from one iteration to the next")
+        outlier: float = Field(default=0.03, gt=0, lt=1, description="share of points taken to have no counterpart")
+        point_weight: float = Field(
+            default=0.0, ge=0, le=1, description="0 is point to plane, 1 is point to point, between them a mixture"
+        )
+        iterations: int = Field(default=30, ge=1, description="most iterations of expectation and maximisation")
+
+    def register(self, source: Cloud, target: Cloud) -> Registration:
+        """Return the transform, mm, after the last iteration (None: no point was in reach of the target)."""
+        return self.register_many([source], target)[0]
+
+    def register_many(self, sources: Sequence[Cloud], target: Cloud) -> list[Registration]:
+        """Move all candidates of a touch together; each stops when it has settled at the last standard deviation."""
+        if not sources:
+            return []
+        moving, going = _Moving(sources), np.arange(len(sources))
+        for observed, last in self._annealed(target):
+            moved_mm = moving.step(going, observed, self.options.point_weight)
+            moving.converged[going] = last & (moved_mm < SETTLED_MM)
+            going = going[(moved_mm >= SETTLED_MM) if last else np.isfinite(moved_mm)]
+            if len(going) == 0:
+                break
+        return moving.results()
+
+    def _annealed(self, target: Cloud) -> Iterator[tuple[Mixture, bool]]:
+        """The target's mixture for each iteration, and whether its standard deviation is the last one."""
+        options, mixtures = self.options, Mixtures(target, self.options.outlier)
+        sigma, last, done = options.sigma_mm, max(options.sigma_end_mm, SPACINGS * target.spacing_mm), 0
+        while sigma > last and done < options.iterations:
+            yield mixtures.at(sigma, merged=True), False
+            sigma, done = sigma * options.anneal, done + 1
+        if done < options.iterations:
+            final = mixtures.at(last, merged=False)
+            yield from ((final, True) for _ in range(options.iterations - done))
+
+
+class _Moving:
+    """The clouds of several candidates, one behind the other, and where their motion has got to."""
+
+    def __init__(self, sources: Sequence[Cloud]) -> None:
+        self.points = np.concatenate([source.points_mm for source in sources])
+        self.normals = np.concatenate([source.normals for source in sources])
+        self.starts = np.cumsum([0, *(len(source) for source in sources)])
+        self.middles = np.stack([source.points_mm.mean(axis=0) for source in sources])
+        self.T = np.tile(np.eye(4), (len(sources), 1, 1))
+        self.iterations = np.zeros(len(sources), int)
+        self.converged = np.zeros(len(sources), bool)
+        self.found = np.zeros(len(sources), bool)
+
+    def step(self, going: NDArray[np.int64], observed: Mixture, point_weight: float) -> Floats:
+        """Do one iteration of the candidates `going` (K,); return how far each one's points moved (K,), mm.
+
+        NaN marks those that have no point in reach of the observed cloud; they stay where they are.
+        """
+        centres = (self.T[:, :3, :3] @ self.middles[:, :, None])[:, :, 0] + self.T[:, :3, 3]
+        equations = self._equations(going, centres, observed, point_weight)
+        twists, moved_mm = solved(equations)
+        reached = np.isfinite(moved_mm)
+        self.iterations[going] += 1
+        self.found[going] |= reached
+        these = going[reached]
+        there, back = translation(centres[these]), translation(-centres[these])
+        self.T[these] = there @ exponential(twists[reached]) @ back @ self.T[these]
+        return moved_mm
+
+    def _equations(self, going: NDArray[np.int64], centres: Floats, observed: Mixture, point_weight: float) -> Floats:
+        if len(going) > 1:
+            return kernels.equations(
+                self.points, self.normals, self.starts, going, self.T, centres, observed, point_weight
+            )
+        c = going[0]  # one candidate: waking the other threads would cost more than it saves
+        some, result = slice(self.starts[c], self.starts[c + 1]), np.zeros((1, 6, 7))
+        kernels.equations_of_one(
+            self.points[some], self.normals[some], self.T[c], centres[c], observed, point_weight, result[0]
+        )
+        return result
+
+    def results(self) -> list[Registration]:
+        """What has been found of each candidate."""
+        rows = zip(self.T, self.found, self.converged, self.iterations, strict=True)
+        return [Registration(T if found else None, bool(done), int(count)) for T, found, done, count in rows]
+
+
+def solved(equations: Floats) -> tuple[Floats, Floats]:
+    """Return the twists (K, 6), rotation (rad) before translation (mm), that solve normal equations (K, 6, 7).
+
+    Also the root mean square distance (K,), mm, by which they move the points. Both are NaN where there are no points.
+    """
+    A, b = equations[:, :, :6], equations[:, :, 6]
+    turning, sliding = _trace(A[:, :3, :3]), _trace(A[:, 3:, 3:])
+    lever = np.where(turning > 0, np.sqrt(turning / np.where(sliding > 0, sliding, np.nan)), 1.0)  # mm a radian
+    unit = np.concatenate([np.repeat(1.0 / lever[:, None], 3, axis=1), np.ones((len(A), 3))], axis=1)
+    scaled = A * unit[:, :, None] * unit[:, None, :]
+    ridge = RIDGE * _trace(scaled) / 6.0
+    twists = np.full((len(A), 6), np.nan)
+    fine = np.isfinite(ridge) & (ridge > 0)
+    stiff = scaled[fine] + ridge[fine, None, None] * np.eye(6)
+    twists[fine] = np.linalg.solve(stiff, (b * unit)[fine, :, None])[:, :, 0]
+    return twists * unit, np.linalg.norm(twists, axis=1)
+
+
+def exponential(twists: Floats) -> Floats:
+    """Return the rigid motions (K, 4, 4) of twists (K, 6), rotation (rad) before translation (the unit stays)."""
+    w, v = twists[:, :3], twists[:, 3:]
+    zero = np.zeros(len(w))
+    W = np.stack([zero, -w[:, 2], w[:, 1], w[:, 2], zero, -w[:, 0], -w[:, 1], w[:, 0], zero], 1).reshape(-1, 3, 3)
+    angle = np.linalg.norm(w, axis=1)[:, None, None]
+    small, a = angle < 1e-3, np.where(angle < 1e-3, 1.0, angle)  # below, the series' next terms are lost in rounding
+    sine = np.where(small, 1.0 - angle**2 / 6.0, np.sin(a) / a)
+    versine = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(a)) / a**2)
+    rest = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (a - np.sin(a)) / a**3)
+    R = np.eye(3) + sine * W + versine * (W @ W)
+    V = np.eye(3) + versine * W + rest * (W @ W)
+    return make_transform(R, (V @ v[:, :, None])[:, :, 0])
+
+
+def _trace(A: Floats) -> Floats:
+    return np.einsum("kii->k", A)

@@ -1,0 +1,155 @@
+"""Pictures that a touch and the poses of an object make, blurred alike, so that they can be compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.compiled import njit, prange
+from tactile_loc.core.contact import bring_to_contact
+from tactile_loc.core.geometry import make_transform, translation
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.poses import Poses
+from tactile_loc.core.sensing import ContactShape, SensorGeometry
+from tactile_loc.core.zbuffer import nearest_depths
+
+Floats = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+BLOCK = 0.8  # blocks are averaged that are this wide, in standard deviations of the blur
+SHARP = 0.3  # pixels: a narrower blur is none
+LEAST_LEVER_PX = 4.0  # a smaller contact turns about its centre as one of this size does
+CUT = 2.5  # standard deviations: where the blur is cut off
+THINNED = 2  # pixels a side of a block suffice: the others are not drawn
+REACH = 2.0  # greatest depths above the sensing surface: what is higher comes into no picture on the way
+
+
+@dataclass(frozen=True, eq=False)
+class Pictures:
+    """Draws poses as a touch's sensor would see them, and moves them.
+
+    A picture is (P,) float32, unitless: how deep a pixel is pressed in, as a share of the press, averaged over blocks
+    of `block` x `block` pixels and blurred by a filter of weights `taps` (2 K + 1,). A move (6,) is a translation along
+    and a rotation about x, y, z through `centre_m`, the contact's centre, in units of `steps` (metres and radians).
+    Where poses are `in_contact`, z follows from contact.
+    """
+
+    mesh: TriangleMesh
+    geometry: SensorGeometry
+    wanted: ContactShape
+    block: int
+    taps: Float32
+    centre_m: Floats
+    steps: Floats
+    in_contact: bool
+
+    @classmethod
+    def blurred(
+        cls, mesh: TriangleMesh, geometry: SensorGeometry, wanted: ContactShape, width_m: float, in_contact: bool
+    ) -> Pictures:
+        """Return what draws `wanted`'s like, blurred by a Gaussian of standard deviation `width_m` in metres."""
+        pitch_m = geometry.pixel_pitch_m
+        block = min(max(1, int(BLOCK * width_m / pitch_m)), *geometry.shape)
+        thinning = max(1, block // THINNED)
+        block //= thinning
+        geometry, wanted = geometry.every(thinning), wanted.every(thinning)
+        taps = _gaussian(width_m / (block * geometry.pixel_pitch_m))
+        centre_m, radius_m = _contact_circle(geometry, wanted)
+        lever_m = max(radius_m, LEAST_LEVER_PX * pitch_m)
+        # A step moves the picture by half of what it is blurred by, or by half a pixel; depths are not blurred.
+        across, along = 0.5 * max(width_m, pitch_m), 0.5 * pitch_m
+        steps = np.array([across, across, along, along / lever_m, along / lever_m, across / lever_m])
+        return cls(mesh, geometry, wanted, block, taps, centre_m, steps, in_contact)
+
+    @property
+    def directions(self) -> Floats:
+        """The moves (D, 6) by one step, one for each degree of freedom."""
+        return np.delete(np.eye(6), 2, axis=0) if self.in_contact else np.eye(6)
+
+    @property
+    def pixel_m(self) -> float:
+        """The size of a picture's pixel, metres."""
+        return self.block * self.geometry.pixel_pitch_m
+
+    def of_touch(self) -> Float32:
+        """Return the touch's own picture (P,)."""
+        return self._of_depths(self.wanted.depth_m[None])[0]
+
+    def of_poses(self, T_sensor_object: Poses) -> tuple[Float32, Poses]:
+        """Return the pictures (N, P) of poses (N, 4, 4), metres, and the poses that were drawn."""
+        T = bring_to_contact(self.mesh, T_sensor_object, self.geometry)[0] if self.in_contact else T_sensor_object
+        depth = nearest_depths(self.mesh, T, self.geometry)
+        depth -= np.float32(self.geometry.standoff_m)
+        return self._of_depths(depth), T
+
+    def moved(self, T_sensor_object: Poses, moves: Floats) -> Poses:
+        """Return poses (N, 4, 4), metres, moved by (N, 6) steps."""
+        from scipy.spatial.transform import Rotation
+
+        by = moves * self.steps
+        turn = make_transform(Rotation.from_rotvec(by[:, 3:]).as_matrix(), np.zeros(3))
+        return translation(self.centre_m + by[:, :3]) @ turn @ translation(-self.centre_m) @ T_sensor_object
+
+    def _of_depths(self, depth_m: Float32) -> Float32:
+        """The pictures (N, P) of contact depths (N, H, W), metres, which need not be cut."""
+        small = np.empty((len(depth_m), *(side // self.block for side in self.geometry.shape)), np.float32)
+        _average(depth_m, self.geometry.observed_mask, np.float32(self.wanted.press_depth_m), self.block, small)
+        if len(self.taps) > 1:
+            _filter(small, self.taps)
+        return small.reshape(len(small), -1)
+
+
+def within_reach(mesh: TriangleMesh, geometry: SensorGeometry, T_sensor_object: Poses) -> TriangleMesh:
+    """Return only those faces of a mesh that poses near these (N, 4, 4), in contact, can press in. Metres."""
+    height = mesh.vertices_m @ T_sensor_object[:, 2, :3].T + T_sensor_object[:, 2, 3]
+    near = height.min(axis=1)[mesh.faces].min(axis=1) < geometry.standoff_m + REACH * geometry.max_depth_m
+    kept, faces = np.unique(mesh.faces[near], return_inverse=True)
+    return TriangleMesh(mesh.vertices_m[kept], faces.reshape(-1, 3))
+
+
+def _contact_circle(geometry: SensorGeometry, wanted: ContactShape) -> tuple[Floats, float]:
+    """The centre (3,) and the root mean square radius of a contact, metres."""
+    contact = wanted.contact & geometry.observed_mask
+    points = geometry.backproject(wanted.depth_m + np.float32(geometry.standoff_m))[contact]
+    centre = points.mean(axis=0)
+    return centre, float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
+
+
+def _gaussian(width_px: float) -> Float32:
+    """Weights (2 K + 1,), whose sum is one, of a Gaussian of this standard deviation."""
+    half = int(np.ceil(CUT * width_px)) if width_px > SHARP else 0
+    weights = np.exp(-0.5 * (np.arange(-half, half + 1) / max(width_px, SHARP)) ** 2)
+    return (weights / weights.sum()).astype(np.float32)
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _average(depth, observed, press, block, small):  # type: ignore[no-untyped-def]
+    """Fill `small` (N, h, w) with the mean indentation, a share of the press, over blocks of depths (N, H, W)."""
+    share = np.float32(1.0 / (block * block))
+    for i in prange(len(depth)):
+        small[i] = 0.0
+        for r in range(small.shape[1] * block):
+            for c in range(small.shape[2] * block):
+                if observed[r, c] and depth[i, r, c] < press:
+                    small[i, r // block, c // block] += share * min(np.float32(1.0), 1 - depth[i, r, c] / press)
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _filter(pictures, taps):  # type: ignore[no-untyped-def]
+    """Filter pictures (N, h, w) by the same weights along rows and columns, in place; what lies beyond is zero."""
+    half = len(taps) // 2
+    height, width = pictures.shape[1:]
+    for i in prange(len(pictures)):
+        rows = np.zeros((height, width), np.float32)
+        for r in range(height):
+            for k in range(max(-half, -r), min(half, height - 1 - r) + 1):
+                for c in range(width):
+                    rows[r, c] += taps[half + k] * pictures[i, r + k, c]
+        for r in range(height):
+            for c in range(width):
+                total = np.float32(0)
+                for k in range(max(-half, -c), min(half, width - 1 - c) + 1):
+                    total += taps[half + k] * rows[r, c + k]
+                pictures[i, r, c] = total

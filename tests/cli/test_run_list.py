@@ -1,0 +1,89 @@
+"""`tactile-loc run` with a list of touches, and with a prior."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_helpers import TINY, assert_refused
+
+OBJECT = ["--object", "pin", *TINY]
+
+
+@pytest.fixture
+def listed(cli):
+    """Two simulated touches of an object that lies still, and their list; returns the poses."""
+    assert cli("simulate", *OBJECT, "--count", 2, "--seed", 3, "--out", "touches").exit_code == 0
+    poses = json.loads(Path("touches/poses.json").read_text())["T_sensor_object"]
+    text = ""
+    for name, T in poses.items():
+        text += f'[[touch]]\npath = "touches/{name}.npz"\nT_base_sensor = {np.linalg.inv(T).tolist()}\n'
+    Path("touches.toml").write_text(text)
+    return {name: np.array(T) for name, T in poses.items()}
+
+
+def prior(kind: str = "gaussian", **keys: object) -> Path:
+    lines = [f"{key} = {json.dumps(value)}" for key, value in {"kind": kind, "frame": "sensor", **keys}.items()]
+    Path("prior.toml").write_text("\n".join(lines) + "\n")
+    return Path("prior.toml")
+
+
+def test_several_touches_are_fused(cli, listed):
+    done = cli("run", *OBJECT, "--touch", "touches.toml", "--out", "both")
+    assert done.exit_code == 0, done.stderr
+    first = next(iter(listed))
+    alone = cli("run", *OBJECT, "--touch", f"touches/{first}.npz", "--out", "one")
+    assert alone.exit_code == 0, alone.stderr
+    both, one = (json.loads(Path(out, "result.json").read_text()) for out in ("both", "one"))
+    assert [t["name"] for t in both["other_touches"]] == [f"{name}.npz" for name in list(listed)[1:]]
+    assert both["other_touches"][0]["T_base_sensor"] is not None
+    assert one["other_touches"] == []
+    assert both["entropy_nats"] < one["entropy_nats"]
+    assert both["errors"]["best_m"] < 6e-3
+    assert Path("both/result.png").is_file()
+
+
+def test_a_touch_of_another_sensor_may_be_among_them(cli, listed):
+    size = ["-o", "sensor.image_size_px=[120, 120]"]
+    assert cli("simulate", *OBJECT, *size, "--count", 1, "--seed", 9, "--out", "small").exit_code == 0
+    (T,) = json.loads(Path("small/poses.json").read_text())["T_sensor_object"].values()
+    Path("small.toml").write_text(
+        'camera = "pinhole"\nimage_size_px = [120, 120]\nfx = 74.4\nfy = 73.8\ncx = 60.0\ncy = 60.0\n'
+        "standoff_mm = 25.0\nmax_depth_mm = 2.0\n"
+    )
+    with Path("touches.toml").open("a") as file:
+        file.write('[[touch]]\npath = "small/touch-0000.npz"\nsensor = "small.toml"\n')
+        file.write(f"T_base_sensor = {np.linalg.inv(T).tolist()}\n")
+    done = cli("run", *OBJECT, "--touch", "touches.toml", "--out", "out")
+    assert done.exit_code == 0, done.stderr
+    sizes = [t["image_px"] for t in json.loads(Path("out/result.json").read_text())["other_touches"]]
+    assert sizes == [[200, 200], [120, 120]]
+
+
+def test_a_prior_decides_between_what_a_touch_leaves_open(cli, listed):
+    name, T = next(iter(listed.items()))
+    file = prior(T=T.tolist(), translation_std_mm=2, rotation_std_deg=5)
+    entropies = []
+    for more in ([], ["--prior", file]):
+        done = cli("run", *OBJECT, "--touch", f"touches/{name}.npz", *more, "--out", "out")
+        assert done.exit_code == 0, done.stderr
+        result = json.loads(Path("out/result.json").read_text())
+        entropies.append(result["entropy_nats"])
+    assert entropies[1] < entropies[0]
+    assert result["errors"]["best_m"] < 6e-3
+
+
+def test_bad_lists_and_priors_are_one_sentence(cli, listed):
+    name = next(iter(listed))
+    Path("none.toml").write_text("")
+    assert_refused(cli("run", *OBJECT, "--touch", "none.toml", "--out", "out"), "none.toml")
+    Path("lost.toml").write_text('[[touch]]\npath = "lost.npz"\n')
+    assert_refused(cli("run", *OBJECT, "--touch", "lost.toml", "--out", "out"), "lost.toml", "touch 1")
+    assert_refused(cli("run", *OBJECT, "--prior", prior("guess"), "--out", "out"), "prior.toml", "guess")
+    based = prior(frame="base", T=np.eye(4).tolist(), translation_std_mm=2)
+    touch = ["--touch", f"touches/{name}.npz"]
+    assert_refused(cli("run", *OBJECT, *touch, "--prior", based, "--out", "out"), "prior.toml", "T_base_sensor")
+    assert_refused(cli("run", *OBJECT, "--touch", "touches", "--prior", based, "--out", "out"), "--prior")
+    assert not Path("out").exists()

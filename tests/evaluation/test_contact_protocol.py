@@ -1,0 +1,191 @@
+"""Several contacts on a coarse grid: what each further one must do, and that interruptions leave no trace."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import ConfigError, GridError
+from tactile_loc.core.geometry import invert
+from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.store import StageStore
+from tactile_loc.evaluation import contact_protocol
+from tactile_loc.evaluation.contact_protocol import (
+    CONTACT_LINES,
+    FUSED_LINES,
+    MOST_CONTACTS,
+    ContactEvaluation,
+    contact_key,
+    evaluate_contacts,
+)
+from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.plugins.fusers.kinematic import KinematicFuser
+from tactile_loc.plugins.fusers.product import ProductFuser
+
+COUNT, CONTACTS = 4, (1, 2, 4)
+SOURCE = SimulatedTouches("strong", 3)
+
+
+def fresh(store: StageStore, **settings) -> Localizer:
+    return Localizer.create(
+        "elbow_pipe", grid={"name": "face", "spacing_mm": 8}, refiner="none", store=store, **settings
+    )
+
+
+@pytest.fixture(scope="module")
+def pipe(store: StageStore) -> Localizer:
+    return fresh(store)
+
+
+@pytest.fixture(scope="module")
+def evaluation(pipe: Localizer) -> ContactEvaluation:
+    return evaluate_contacts(pipe, CONTACTS, COUNT, SOURCE)
+
+
+def nearest(localizer: Localizer, touch) -> int:
+    return int(localizer.model.grid.nearest(touch.T_sensor_object[None])[1][0])
+
+
+def certain(localizer: Localizer, touch) -> PosePosterior:
+    """Sure of the grid pose nearest to the truth, and of nothing else."""
+    grid = localizer.model.grid
+    log_p = np.full(len(grid), -30.0)
+    log_p[nearest(localizer, touch)] = 0.0
+    return PosePosterior(grid, log_p)
+
+
+def test_every_example_has_every_number_of_contacts_and_line(evaluation):
+    assert evaluation.errors_m.shape == (COUNT, len(CONTACTS), len(CONTACT_LINES))
+    assert evaluation.alone.shape == (COUNT, len(CONTACTS), len(FUSED_LINES))
+    assert (evaluation.errors_m >= 0).all()
+    shares = [evaluation.normalised("random", n) for n in CONTACTS]
+    assert np.mean(shares) == pytest.approx(1)
+    assert evaluation.errors("best-1", 2) == pytest.approx(evaluation.normalised("best-1", 2) * evaluation.scale_m())
+
+
+def test_one_contact_is_the_single_touch(evaluation, pipe):
+    from tactile_loc.evaluation.metrics import symmetric_add
+
+    points_m = pipe.object.mesh.sample(20_000, np.random.default_rng(9))
+    for example in range(COUNT):
+        touch = SOURCE.touch(pipe, MOST_CONTACTS * example)
+        best = int(pipe.single_posterior(touch).log_p.argmax())
+        error_m = symmetric_add(
+            pipe.object, points_m, pipe.model.grid.T_sensor_object[best], touch.T_sensor_object
+        )  # fmt: skip
+        assert evaluation.errors("best-1", 1)[example] == pytest.approx(error_m, rel=0.03)
+    assert evaluation.without_common("best-1", 1) == 0
+
+
+def test_several_contacts_are_what_the_fuser_makes_of_them(evaluation, pipe):
+    from tactile_loc.evaluation.metrics import symmetric_add
+
+    points_m = pipe.object.mesh.sample(20_000, np.random.default_rng(9))
+    touches = [SOURCE.touch(pipe, MOST_CONTACTS * 2 + k) for k in range(4)]
+    fused = pipe.fuser.fuse([pipe.single_posterior(t) for t in touches], [invert(t.T_sensor_object) for t in touches])
+    T = pipe.model.grid.T_sensor_object[int(fused.log_p.argmax())]
+    error_m = symmetric_add(pipe.object, points_m, T, touches[0].T_sensor_object)
+    assert evaluation.errors("best-1", 4)[2] == pytest.approx(error_m, rel=0.03)
+
+
+def test_more_contacts_are_nearer_and_contact_alone_is_far(pipe):
+    found = evaluate_contacts(pipe, (1, 5), 9, SOURCE)
+    assert found.errors("best-1", 5).mean() < found.errors("best-1", 1).mean()
+    assert found.errors("kinematic", 5).mean() > 1.5 * found.errors("best-1", 5).mean()
+    assert found.normalised("kinematic", 1).mean() == pytest.approx(1, abs=0.4)  # one contact excludes nothing
+
+
+def test_touches_that_are_certain_find_the_truth(monkeypatch, store):
+    monkeypatch.setattr(Localizer, "single_posterior", certain)
+    localizer = fresh(store, temperature=0.1)  # nobody else's: what is found here is stored
+    found = evaluate_contacts(localizer, (1, 3), 4, SOURCE)
+    assert (found.normalised("best-1", 1) < 0.2).all()
+    assert found.errors("best-1", 3).max() <= 2 * localizer.model.grid.spacing_m
+
+
+def test_a_first_touch_that_tells_nothing_is_made_up_for(monkeypatch, store):
+    localizer = fresh(store, temperature=0.2)
+
+    def first_knows_nothing(self, touch):
+        if int(touch.name[-4:]) % MOST_CONTACTS == 0:
+            return PosePosterior(self.model.grid, np.zeros(len(self.model.grid)))
+        return certain(self, touch)
+
+    monkeypatch.setattr(Localizer, "single_posterior", first_knows_nothing)
+    found = evaluate_contacts(localizer, (1, 4), 6, SOURCE)
+    assert np.median(found.normalised("best-1", 4)) < 0.25 < np.median(found.normalised("best-1", 1))
+
+
+def test_contacts_without_a_common_pose_are_counted_and_located_from_the_first(
+    monkeypatch, pipe, evaluation
+):  # fmt: skip
+    def refuse(self, posteriors, poses, prior=None, *, fuse):
+        if len(posteriors) == 4:
+            raise GridError("no pose touches all sensors")
+        return fuse(self, posteriors, poses, prior)
+
+    for fuser in (ProductFuser, KinematicFuser):
+        monkeypatch.setattr(fuser, "fuse", lambda *a, f=fuser.fuse, **k: refuse(*a, **k, fuse=f))
+    found = evaluate_contacts(pipe, CONTACTS, 3, SOURCE)
+    assert [found.without_common("best-1", n) for n in CONTACTS] == [0, 0, 3]
+    assert found.without_common("kinematic", 4) == 3
+    assert (found.errors("best-1", 4) == evaluation.errors("best-1", 1)[:3]).all()
+    assert (found.errors("best-1", 2) == evaluation.errors("best-1", 2)[:3]).all()
+
+
+def test_a_seed_always_gives_the_same_and_another_others(evaluation, pipe):
+    again = evaluate_contacts(fresh(pipe.store), CONTACTS, 2, SOURCE)
+    assert (again.errors_m == evaluation.errors_m[:2]).all()
+    other = evaluate_contacts(pipe, CONTACTS, 2, SimulatedTouches("strong", 4))
+    assert not np.allclose(other.errors_m, evaluation.errors_m[:2])
+
+
+def test_which_numbers_are_asked_for_does_not_change_a_number(evaluation, pipe):
+    found = evaluate_contacts(pipe, (2,), 2, SOURCE)
+    for line in CONTACT_LINES:
+        assert (found.errors(line, 2) == evaluation.errors(line, 2)[:2]).all()
+
+
+def test_an_interrupted_evaluation_resumes_and_ends_the_same(evaluation, pipe, monkeypatch):
+    pipe.store.remove(contact_key(pipe, CONTACTS, COUNT, SOURCE).digest)
+    monkeypatch.setattr(contact_protocol, "SHARD", 2)
+    located: list[int] = []
+    example = contact_protocol._Examples._example
+
+    def interrupted(self, number, *others):
+        located.append(number)
+        if located == [0, 1, 2, 3]:
+            raise KeyboardInterrupt
+        return example(self, number, *others)
+
+    monkeypatch.setattr(contact_protocol._Examples, "_example", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_contacts(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
+    resumed = evaluate_contacts(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
+    assert located == [0, 1, 2, 3, 2, 3]  # the first shard stayed
+    assert (resumed.errors_m == evaluation.errors_m).all()
+
+
+def test_what_is_finished_is_not_done_again(evaluation, pipe, monkeypatch):
+    monkeypatch.setattr(contact_protocol._Examples, "locate", lambda *others: pytest.fail("located again"))
+    again = evaluate_contacts(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
+    assert (again.errors_m == evaluation.errors_m).all()
+    assert (again.alone == evaluation.alone).all()
+
+
+def test_the_key_holds_whatever_changes_the_errors(pipe):
+    def digest(local=pipe, contacts=CONTACTS, count=COUNT, source=SOURCE):
+        return contact_key(local, contacts, count, source).digest
+
+    others = [digest(contacts=(1, 2)), digest(count=7), digest(source=SimulatedTouches("mild", 3))]
+    for settings in ({"fuser": {"name": "product", "doubt": 0.1}}, {"encoder": {"name": "pixel", "cells": 10}}):
+        others.append(digest(fresh(pipe.store, **settings)))
+    assert digest() == digest(fresh(pipe.store))
+    assert len({digest(), *others}) == 6
+
+
+@pytest.mark.parametrize("contacts", [(), (0, 1), (1, MOST_CONTACTS + 1), (-2,)])
+def test_numbers_of_contacts_that_cannot_be_are_refused(pipe, contacts):
+    with pytest.raises(ConfigError, match="contacts"):
+        evaluate_contacts(pipe, contacts, 1, SOURCE)

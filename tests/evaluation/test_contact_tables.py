@@ -1,0 +1,78 @@
+"""Tables of several contacts: the numbers in them are those of the errors."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+
+import numpy as np
+import pytest
+
+from tactile_loc.evaluation.contact_protocol import CONTACT_LINES, ContactEvaluation
+from tactile_loc.evaluation.contact_tables import (
+    ContactRun,
+    csv_text,
+    markdown,
+    median_header,
+    median_rows,
+    write_contact_tables,
+)
+
+CONTACTS = (1, 2, 5)
+
+
+def make_contact_run(name: str, encoder: str, seed: int) -> ContactRun:
+    """A run of 40 examples whose errors fall with the number of contacts."""
+    rng = np.random.default_rng(seed)
+    scales = 1e-3 * np.array([[20, 40, 40], [5, 30, 40], [2, 15, 40]])
+    alone = np.zeros((40, 3, 2), bool)
+    alone[:4, 2] = True
+    found = ContactEvaluation(CONTACTS, scales * rng.uniform(0.5, 1.5, (40, 3, 3)), alone)
+    return ContactRun(name, "none", encoder, 1000, found, {"grid": {"name": "face"}})
+
+
+@pytest.fixture(scope="module")
+def run() -> ContactRun:
+    return make_contact_run("pin", "pixel", 0)
+
+
+def test_rows_have_the_medians_by_number_of_contacts(run):
+    assert median_header([run]) == ["object", "encoder", "line", "1 contact", "2 contacts", "5 contacts"]
+    best, kinematic = median_rows([run], normalised=False)
+    assert (best[:3], kinematic[:3]) == (["pin", "pixel", "best-1"], ["pin", "pixel", "kinematic"])
+    medians = [1e3 * np.median(run.evaluation.errors("best-1", n)) for n in CONTACTS]
+    assert [float(cell) for cell in best[3:]] == pytest.approx(medians, rel=6e-3)
+    shares = [float(cell) for cell in median_rows([run], normalised=True)[0][3:]]
+    assert shares == pytest.approx([m / (1e3 * run.evaluation.scale_m()) for m in medians], abs=6e-4)
+
+
+def test_csv_has_mean_median_and_spread_in_mm_and_normalised(run):
+    rows = list(csv.DictReader(io.StringIO(csv_text([run]))))
+    assert len(rows) == 2 * len(CONTACTS)
+    row = next(r for r in rows if (r["line"], r["contacts"]) == ("kinematic", "5"))
+    errors = run.evaluation.errors("kinematic", 5)
+    for name, value in (("mean", errors.mean()), ("median", np.median(errors)), ("std", errors.std())):
+        assert float(row[f"{name}_mm"]) == pytest.approx(1e3 * value, rel=1e-4)
+        assert float(row[f"{name}_normalised"]) == pytest.approx(value / run.evaluation.scale_m(), rel=1e-4)
+    assert row["without_common"] == "4"
+
+
+def test_files_are_written(run, tmp_path):
+    written = write_contact_tables(tmp_path, [run, make_contact_run("hook", "pixel", 1)], {"examples": 40}, "Title")
+    assert [path.name for path in written] == ["contacts.json", "contacts.csv", "contacts.md"]
+    record = json.loads(written[0].read_text())
+    assert record["protocol"]["contacts"] == [1, 2, 5]
+    first = record["runs"][0]
+    assert set(first["lines"]) == set(CONTACT_LINES)
+    best = first["lines"]["best-1"][2]
+    assert (best["contacts"], best["without_common"]) == (5, 4)
+    assert np.median(best["errors_m"]) == pytest.approx(best["metres"]["median"])
+    assert written[2].read_text() == markdown([run, make_contact_run("hook", "pixel", 1)], "Title")
+
+
+def test_markdown_says_what_fell_back(run):
+    text = markdown([run], "Title")
+    assert text.startswith("# Title\n")
+    assert "without common pose" in text
+    assert next(line for line in text.splitlines() if line.startswith("| best-1 | 5 |")).endswith("| 4 |")

@@ -1,0 +1,66 @@
+"""A scene, touches of it, and candidates beside the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.geometry import make_transform, rotation_about, transform_points, translation
+from tactile_loc.core.interfaces import Candidate
+from tactile_loc.core.meshes import load_object
+from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.scene import Scene
+from tactile_loc.core.sensing import ContactShape, Touch
+from tactile_loc.core.simulation import simulate_touches
+from tactile_loc.plugins.grids.face import FaceGrid
+from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
+from tactile_loc.plugins.sensors.presets import GelSlim
+
+OffBy = Callable[[Touch, float, float, float], Candidate]
+ErrorMm = Callable[[Touch, np.ndarray], float]
+
+
+@pytest.fixture(scope="session")
+def pin_scene() -> Scene:
+    return Scene(load_object("pin", symmetry="none"), GelSlim().geometry, HeightmapRenderer())
+
+
+@pytest.fixture(scope="session")
+def pin_touches(pin_scene) -> list[Touch]:
+    """Touches of the pin that show both its steps and its ends, so that nothing can slide."""
+    drawn = simulate_touches(FaceGrid(), pin_scene, 40, np.random.default_rng(3), 0.001)
+    return sorted(drawn, key=lambda t: -t.contact_shape.contact.sum())[:6]
+
+
+@pytest.fixture(scope="session")
+def off_by(pin_scene) -> OffBy:
+    """Make a candidate that lies `mm` and `degrees` about z beside a touch's true pose, brought to contact."""
+
+    def make(touch: Touch, mm: float, degrees: float, direction: float) -> Candidate:
+        centre = transform_points(touch.T_sensor_object, pin_scene.object.mesh.centroid_m[None])[0]
+        turn = make_transform(rotation_about([0, 0, 1], np.radians(degrees)), np.zeros(3))
+        step = translation([mm * 1e-3 * np.cos(direction), mm * 1e-3 * np.sin(direction), 0])
+        T = step @ translation(centre) @ turn @ translation(-centre) @ touch.T_sensor_object
+        return Candidate(pin_scene.in_contact(T[None])[0][0], 0, 0.0)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def error_mm(pin_scene) -> ErrorMm:
+    """Tell how far a pose (4, 4) is from a touch's truth, mm."""
+    return lambda touch, T: 1e3 * float(PoseMetric(pin_scene.object).distance(T, touch.T_sensor_object))
+
+
+@pytest.fixture
+def elsewhere(pin_scene, pin_touches) -> tuple[Touch, Candidate]:
+    """A touch in the sensor's corner, and a candidate in its middle: no point of one is near the other."""
+    touch, g = pin_touches[3], pin_scene.geometry
+    depth = np.full(g.shape, touch.press_depth_m, np.float32)
+    depth[:4, :4] = 0.0
+    centred = touch.T_sensor_object.copy()
+    centred[:2, 3] -= transform_points(centred, pin_scene.object.mesh.centroid_m[None])[0, :2]
+    candidate = Candidate(pin_scene.in_contact(centred[None])[0][0], 0, 0.0)
+    return Touch(ContactShape(depth, touch.press_depth_m), g), candidate

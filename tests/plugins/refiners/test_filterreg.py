@@ -1,0 +1,257 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.spatial import cKDTree
+
+from tactile_loc.core.geometry import is_rigid, make_transform, rotation_about, transform_points, translation
+from tactile_loc.core.interfaces import Candidate
+from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.sensing import ContactShape, Touch
+from tactile_loc.plugins.refiners import filterreg_kernels as kernels
+from tactile_loc.plugins.refiners.filterreg import FilterRegRefiner, exponential, solved
+from tactile_loc.plugins.refiners.filterreg_mixture import REACH, Mixtures
+from tactile_loc.plugins.refiners.registration import Cloud
+
+Options = FilterRegRefiner.Options
+
+
+def bowl(count: int = 900, seed: int = 0) -> Cloud:
+    """A curved patch of 10 x 7 mm that nothing slides on: z = x^2 / 10 + y^2 / 6 + x y / 20, normals downwards."""
+    x, y = np.random.default_rng(seed).uniform([-5, -3.5], [5, 3.5], (count, 2)).T
+    points = np.column_stack([x, y, x**2 / 10 + y**2 / 6 + x * y / 20])
+    normals = np.column_stack([x / 5 + y / 20, y / 3 + x / 20, -np.ones(count)])
+    return Cloud(points, normals / np.linalg.norm(normals, axis=1, keepdims=True), np.sqrt(70.0 / count))
+
+
+def moved(cloud: Cloud, T: np.ndarray) -> Cloud:
+    return Cloud(transform_points(T, cloud.points_mm), cloud.normals @ T[:3, :3].T, cloud.spacing_mm)
+
+
+def small_motion(scale: float = 1.0) -> np.ndarray:
+    return make_transform(rotation_about([1, -2, 3], 0.08 * scale), [0.4 * scale, -0.3 * scale, 0.2 * scale])
+
+
+def normal_equations(source: Cloud, observed, along: float = 0.0) -> np.ndarray:
+    result = np.zeros((6, 7))
+    kernels.equations_of_one(
+        source.points_mm, source.normals, np.eye(4), source.points_mm.mean(axis=0), observed, along, result
+    )
+    return result
+
+
+def test_the_sums_are_those_of_all_points_within_reach():
+    """The table, its columns and the cut-off against a plain sum over a KD-tree's neighbours."""
+    target, sigma = bowl(), 0.4
+    observed = Mixtures(target, 0.1).at(sigma, merged=False)
+    near = cKDTree(target.points_mm).query_ball_point(target.points_mm[:: len(target.points_mm) // 100], REACH * sigma)
+    expected = []
+    for i, js in zip(range(0, 900, 9), near, strict=True):
+        squared = ((target.points_mm[js] - target.points_mm[i]) ** 2).sum(axis=1)
+        facing = np.maximum(0.0, target.normals[js] @ target.normals[i])
+        expected.append((facing * np.exp(-0.5 * squared / sigma**2)).sum())
+    assert observed.outlier == pytest.approx(np.mean(expected) * 0.1 / 0.9, rel=1e-9)
+
+
+@pytest.mark.parametrize("along", [0.0, 0.3, 1.0])
+def test_the_normal_equations_are_the_costs_derivatives(along):
+    """By finite differences of the weighted cost, its correspondences held."""
+    target, source = bowl(), moved(bowl(60, seed=1), small_motion())
+    observed = Mixtures(target, 0.1).at(0.5, merged=False)
+    x, n, y = source.points_mm, source.normals, target.points_mm
+    squared = ((x[:, None] - y) ** 2).sum(axis=2)
+    w = np.maximum(0.0, n @ target.normals.T) * np.exp(-0.5 * squared / 0.5**2) * (squared < (REACH * 0.5) ** 2)
+    m = w.sum(axis=1)
+    mean, normal = w @ y / m[:, None], w @ target.normals / m[:, None]
+    trust, centre = m / (m + observed.outlier), x.mean(axis=0)
+
+    def cost(twist):
+        T = translation(centre) @ exponential(twist[None])[0] @ translation(-centre)
+        apart = transform_points(T, x) - mean
+        flat = (apart * normal).sum(axis=1)
+        return 0.5 * (trust * ((1 - along) * flat**2 + along * (apart**2).sum(axis=1))).sum()
+
+    found, h = normal_equations(source, observed, along), 1e-5
+    slope = [(cost(h * e) - cost(-h * e)) / (2 * h) for e in np.eye(6)]
+    np.testing.assert_allclose(-found[:, 6], slope, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(found[:, :6], found[:, :6].T, atol=1e-9)
+    assert (np.linalg.eigvalsh(found[:, :6]) > 0).all()
+
+
+def test_merging_boxes_changes_the_step_by_little():
+    source = moved(bowl(300, seed=1), small_motion(0.5))
+    mixtures = Mixtures(bowl(), 0.1)
+    fine, coarse = mixtures.at(1.0, merged=False), mixtures.at(1.0, merged=True)
+    assert len(coarse.rows) < 0.3 * len(fine.rows)
+    assert coarse.rows[:, 0].sum() == len(fine.rows)
+    twists, _ = solved(np.stack([normal_equations(source, m) for m in (fine, coarse)]))
+    np.testing.assert_allclose(twists[0], twists[1], atol=0.15 * np.abs(twists[0]).max())
+
+
+def test_the_exponential_is_the_matrix_exponential():
+    twists = np.random.default_rng(0).normal(size=(20, 6)) * np.logspace(-8, 0.3, 20)[:, None]
+    for twist, T in zip(twists, exponential(twists), strict=True):
+        w, v = twist[:3], twist[3:]
+        generator = np.zeros((4, 4))
+        generator[:3, :3] = [[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]]
+        generator[:3, 3] = v
+        np.testing.assert_allclose(T, expm(generator), atol=1e-12)
+        assert is_rigid(T[None])
+
+
+def test_a_known_motion_is_undone():
+    """Target and source are different samples of one surface, so that no two points are the same."""
+    T = small_motion()
+    found = FilterRegRefiner().register(moved(bowl(600, seed=1), T), bowl(3000))
+    assert found.converged
+    assert found.iterations < 20
+    np.testing.assert_allclose(transform_points(found.T_mm @ T, bowl().points_mm), bowl().points_mm, atol=0.03)
+
+
+def test_outliers_are_forgiven():
+    T, rng = small_motion(0.7), np.random.default_rng(5)
+    source = moved(bowl(600, seed=1), T)
+    stray = bowl(150, seed=2)
+    stray = Cloud(stray.points_mm + [0, 0, 1] * rng.uniform(0.8, 2.0, (150, 1)), stray.normals, stray.spacing_mm)
+    points, normals = (np.concatenate([getattr(c, name) for c in (source, stray)]) for name in ("points_mm", "normals"))
+    both = Cloud(points, normals, source.spacing_mm)
+    errors = []
+    for outlier in (0.3, 1e-6):
+        found = FilterRegRefiner(Options(outlier=outlier, sigma_mm=1.0)).register(both, bowl(3000)).T_mm
+        errors.append(np.abs(transform_points(found @ T, bowl().points_mm) - bowl().points_mm).max())
+    assert errors[0] < 0.05
+    assert errors[0] < 0.5 * errors[1]
+
+
+def test_point_to_plane_slides_where_point_to_point_sticks():
+    T = translation([0.8, 0.0, 0.0])
+    source, target = moved(bowl(600, seed=1), T), bowl(3000)
+
+    def left(**options):
+        found = FilterRegRefiner(Options(iterations=6, **options)).register(source, target)
+        return np.abs((found.T_mm @ T)[:3, 3]).max()
+
+    assert left() < 0.1
+    assert left() < 0.5 * left(point_weight=1.0)
+
+
+def test_units_scale():
+    """All lengths doubled, options too: the same motion, doubled, to rounding."""
+    T = small_motion()
+    source, target = moved(bowl(600, seed=1), T), bowl(2000)
+    twice = [Cloud(2 * c.points_mm, c.normals, 2 * c.spacing_mm) for c in (source, target)]
+    one = FilterRegRefiner(Options(iterations=6)).register(source, target).T_mm
+    two = FilterRegRefiner(Options(iterations=6, sigma_mm=4.0, sigma_end_mm=0.3)).register(*twice).T_mm
+    np.testing.assert_allclose(two[:3, :3], one[:3, :3], atol=1e-9)
+    np.testing.assert_allclose(two[:3, 3], 2 * one[:3, 3], atol=1e-8)
+
+
+def test_many_are_registered_as_one_by_one():
+    """Also when one settles early, one late and one has nothing in reach: none disturbs another."""
+    target, refiner = bowl(2000), FilterRegRefiner(Options(sigma_mm=0.4))
+    sources = [moved(bowl(300 + 50 * i, seed=i), small_motion(scale)) for i, scale in enumerate((0.0, 1.0, 0.3))]
+    sources.insert(1, moved(bowl(100), translation([100.0, 0, 0])))
+    many = refiner.register_many(sources, target)
+    assert len({one.iterations for one in many}) > 2
+    for source, result in zip(sources, many, strict=True):
+        alone = refiner.register(source, target)
+        assert (result.converged, result.iterations) == (alone.converged, alone.iterations)
+        assert (result.T_mm is None) == (alone.T_mm is None)
+        if alone.T_mm is not None:
+            np.testing.assert_allclose(result.T_mm, alone.T_mm, atol=1e-9)
+    assert refiner.register_many([], target) == []
+
+
+def test_nothing_in_reach_is_no_registration():
+    found = FilterRegRefiner().register(moved(bowl(), translation([0, 0, 50.0])), bowl())
+    assert (found.T_mm, found.converged, found.iterations) == (None, False, 1)
+
+
+def test_few_iterations_do_not_claim_to_have_converged():
+    source = moved(bowl(600, seed=1), small_motion())
+    for most in (1, 3):
+        found = FilterRegRefiner(Options(iterations=most)).register(source, bowl(3000))
+        assert found.T_mm is not None
+        assert (found.converged, found.iterations) == (False, most)
+
+
+@pytest.mark.parametrize("kind", ["line", "diagonal", "plane", "one place"])
+def test_clouds_that_fix_hardly_a_direction_stay_finite(kind):
+    rng = np.random.default_rng(0)
+    along = {"line": np.diag([1.0, 0, 0]), "diagonal": np.ones((3, 3)), "plane": np.diag([1.0, 1, 0])}
+    points = rng.normal(size=(50, 3)) @ along.get(kind, np.zeros((3, 3)))
+    cloud = Cloud(points, np.tile([0.0, 0.0, -1.0], (50, 1)), 0.2)
+    for source in (cloud, moved(cloud, small_motion(0.3))):
+        T = FilterRegRefiner().register(source, cloud).T_mm
+        assert is_rigid(T[None])
+        assert np.abs(T[:3, 3]).max() < 2.0
+
+
+def test_a_plane_stays_where_it_lies():
+    """Nothing tells where along a plane its cloud belongs, so that it is moved onto it and no farther."""
+    x, y = np.random.default_rng(0).uniform(-5, 5, (2, 2000))
+    plane = Cloud(np.column_stack([x, y, 0 * x]), np.tile([0.0, 0.0, -1.0], (2000, 1)), 0.2)
+    inner = Cloud(plane.points_mm[(abs(x) < 3) & (abs(y) < 3)][::3], plane.normals[:300], 0.4)
+    inner = Cloud(inner.points_mm[:200], inner.normals[:200], 0.4)
+    T = FilterRegRefiner().register(moved(inner, translation([0, 0, 0.3])), plane).T_mm
+    np.testing.assert_allclose(T[:3, 3], [0, 0, -0.3], atol=1e-3)
+
+
+def test_a_known_offset_is_undone(pin_scene, pin_touches, off_by, error_mm):
+    errors, before = [], []
+    for i, touch in enumerate(pin_touches):
+        candidate = off_by(touch, 1.0, 3.0, float(i))
+        refined = FilterRegRefiner().refine(touch, candidate, pin_scene)
+        assert refined.converged
+        errors.append(error_mm(touch, refined.T_sensor_object))
+        before.append(error_mm(touch, candidate.T_sensor_object))
+    assert min(before) > 0.9
+    assert np.median(errors) < 0.1
+    assert max(errors) < 0.5 * min(before)
+
+
+def test_the_same_input_gives_the_same_pose(pin_scene, pin_touches, off_by):
+    candidate = off_by(pin_touches[2], 1.0, 3.0, 2.0)
+    a, b = (FilterRegRefiner().refine(pin_touches[2], candidate, pin_scene) for _ in range(2))
+    assert np.array_equal(a.T_sensor_object, b.T_sensor_object)
+
+
+def test_a_touch_far_from_the_candidate_is_no_success(pin_scene, elsewhere):
+    touch, candidate = elsewhere
+    refined = FilterRegRefiner().refine(touch, candidate, pin_scene)
+    assert (refined.converged, refined.fitness) == (False, 0.0)
+    assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)
+
+
+def test_pixels_that_are_not_a_number_are_no_contact(pin_scene, pin_touches, off_by):
+    touch = pin_touches[0]
+    depth = touch.contact_shape.depth_m.copy()
+    depth[~touch.contact_shape.contact] = np.nan
+    holed = Touch(ContactShape(depth, touch.press_depth_m), touch.geometry)
+    candidate = off_by(touch, 0.5, 2.0, 1.0)
+    a, b = (FilterRegRefiner().refine(t, candidate, pin_scene) for t in (touch, holed))
+    np.testing.assert_allclose(a.T_sensor_object, b.T_sensor_object, atol=1e-9)
+
+
+def test_candidates_of_one_touch_are_refined_together(pin_scene, pin_touches, off_by, error_mm):
+    touch = pin_touches[1]
+    candidates = [off_by(touch, mm, 2.0, float(mm * 5)) for mm in (0.2, 1.5, 0.8)]
+    candidates.append(dataclasses.replace(candidates[0], T_sensor_object=translation([0.2, 0, 0])))
+    many = FilterRegRefiner().refine_many(touch, candidates, pin_scene)
+    for candidate, result in zip(candidates, many, strict=True):
+        alone = FilterRegRefiner().refine(touch, candidate, pin_scene)
+        # rendered together, a few pixels on steep walls differ
+        assert PoseMetric(pin_scene.object).distance(result.T_sensor_object, alone.T_sensor_object) < 3e-5
+    assert [error_mm(touch, result.T_sensor_object) < 0.1 for result in many[:3]] == [True] * 3
+    assert not many[3].converged
+    assert FilterRegRefiner().refine_many(touch, [], pin_scene) == []
+
+
+def test_the_candidate_is_not_written_to(pin_scene, pin_touches):
+    touch = pin_touches[0]
+    given = touch.T_sensor_object.copy()
+    FilterRegRefiner().refine_many(touch, [Candidate(given, 0, 0.0)] * 2, pin_scene)
+    np.testing.assert_array_equal(given, touch.T_sensor_object)

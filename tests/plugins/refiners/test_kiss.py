@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import MissingLibraryError
+from tactile_loc.core.geometry import is_rigid, make_transform, rotation_about, transform_points, translation
+from tactile_loc.core.registry import registry
+from tactile_loc.plugins.refiners.registration import Cloud
+
+pytest.importorskip("kiss_icp")
+
+from tactile_loc.plugins.refiners.kiss import KissIcpRefiner, has_pairs, spread
+
+Options = KissIcpRefiner.Options
+
+
+def steps(count: int = 40, spacing: float = 0.25) -> Cloud:
+    """Two square terraces side by side on a lattice, 1 mm apart in height, as a sensor sees them."""
+    x, y = (c.ravel() for c in np.meshgrid(np.arange(count) * spacing, np.arange(count) * spacing))
+    points = np.column_stack([x, y, np.where(x + 0.3 * y > 6.0, 1.0, 0.0) + 0.02 * y**2])
+    normals = np.column_stack([0 * y, 0.04 * y, -np.ones_like(y)])
+    return Cloud(points, normals / np.linalg.norm(normals, axis=1, keepdims=True), spacing)
+
+
+def moved(cloud: Cloud, T: np.ndarray) -> Cloud:
+    return Cloud(transform_points(T, cloud.points_mm), cloud.normals @ T[:3, :3].T, cloud.spacing_mm)
+
+
+def scaled(cloud: Cloud, k: float) -> Cloud:
+    return Cloud(k * cloud.points_mm, cloud.normals, k * cloud.spacing_mm)
+
+
+MOTION = make_transform(rotation_about([0.2, 0.1, 1.0], 0.05), [0.9, 0.7, 0.1])
+
+
+def test_a_known_motion_is_undone():
+    found = KissIcpRefiner().register(moved(steps(), MOTION), steps())
+    assert found.converged
+    before, left = (np.linalg.norm(transform_points(T, steps().points_mm) - steps().points_mm, axis=1)
+                    for T in (MOTION, found.T_mm @ MOTION))  # fmt: skip
+    assert before.mean() > 0.8
+    assert left.mean() < 0.35 * before.mean()
+
+
+@pytest.mark.parametrize("k", [1e-3, 2.0, 50.0])
+def test_the_unit_does_not_matter(k):
+    """Clouds and options in metres, in half millimetres, or as large as a car: the same answer, in that unit."""
+    burst = {"max_iterations": 10}
+    reach = {"wide_mm": 3.0, "narrow_mm": 0.7}
+    plain = KissIcpRefiner(Options(**reach, **burst))
+    other = KissIcpRefiner(Options(**{name: k * mm for name, mm in reach.items()}, **burst))
+    source, target = moved(steps(), MOTION), steps()
+    one, two = plain.register(source, target).T_mm, other.register(scaled(source, k), scaled(target, k)).T_mm
+    np.testing.assert_allclose(two[:3, :3], one[:3, :3], atol=2e-4)
+    np.testing.assert_allclose(two[:3, 3] / k, one[:3, 3], atol=2e-3)
+
+
+def test_the_lattices_of_two_images_do_not_hold_on_to_one_another():
+    """A shift by a whole pixel is undone, though every point then lies on another."""
+    shift = translation([0.5, 0.0, 0.0])
+    found = KissIcpRefiner().register(moved(steps(), shift), steps())
+    assert abs(found.T_mm[0, 3] + 0.5) < 0.15
+
+
+def test_spread_points_stay_on_their_surface():
+    cloud = steps()
+    along = spread(cloud) - cloud.points_mm
+    np.testing.assert_allclose((along * cloud.normals).sum(axis=1), 0.0, atol=1e-12)
+    assert np.abs(along).max() <= 0.5 * 1.4 * np.sqrt(3) * cloud.spacing_mm
+    assert np.abs(along.mean(axis=0)).max() < 0.01 * cloud.spacing_mm
+    np.testing.assert_array_equal(spread(cloud), spread(steps()))
+
+
+def test_nothing_in_reach_is_no_registration():
+    found = KissIcpRefiner().register(moved(steps(), translation([0, 0, 50.0])), steps())
+    assert (found.T_mm, found.converged, found.iterations) == (None, False, 0)
+    assert not has_pairs(steps().points_mm, steps(), translation([0, 0, 3.0]), 1.0)
+    assert has_pairs(steps().points_mm, steps(), translation([0, 0, 3.0]), 5.0)
+
+
+def test_few_iterations_do_not_claim_to_have_converged():
+    found = KissIcpRefiner(Options(max_iterations=1)).register(moved(steps(), MOTION), steps())
+    assert found.T_mm is not None
+    assert (found.converged, found.iterations) == (False, 2)
+
+
+DEGENERATE = """
+import numpy as np
+from tactile_loc.core.geometry import is_rigid
+from tactile_loc.plugins.refiners.kiss import KissIcpRefiner
+from tactile_loc.plugins.refiners.registration import Cloud
+rng = np.random.default_rng(0)
+for along in (np.diag([1.0, 0, 0]), np.ones((3, 3)), np.diag([1.0, 1, 0]), np.zeros((3, 3))):
+    for count in (3, 50):
+        points = rng.normal(size=(count, 3)) @ along
+        cloud = Cloud(points, np.tile([0.0, 0.0, -1.0], (count, 1)), 0.2)
+        for shift in (0.0, 0.3):
+            source = Cloud(points + shift, cloud.normals, 0.2)
+            assert is_rigid(KissIcpRefiner().register(source, cloud).T_mm[None])
+"""
+
+
+def test_clouds_that_fix_hardly_a_direction_stay_finite():
+    """In a process of its own: the library ends the process when it is given what is no rotation."""
+    subprocess.run([sys.executable, "-c", DEGENERATE], check=True)
+
+
+def test_a_known_offset_shrinks(pin_scene, pin_touches, off_by, error_mm):
+    errors, before = [], []
+    for i, touch in enumerate(pin_touches):
+        candidate = off_by(touch, 1.0, 3.0, float(i))
+        refined = KissIcpRefiner().refine(touch, candidate, pin_scene)
+        assert is_rigid(refined.T_sensor_object[None])
+        errors.append(error_mm(touch, refined.T_sensor_object))
+        before.append(error_mm(touch, candidate.T_sensor_object))
+    assert np.median(errors) < 0.4 * np.median(before)
+
+
+def test_a_touch_far_from_the_candidate_is_no_success(pin_scene, elsewhere):
+    touch, candidate = elsewhere
+    refined = KissIcpRefiner().refine(touch, candidate, pin_scene)
+    assert (refined.converged, refined.fitness) == (False, 0.0)
+    assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)
+
+
+def test_without_the_library_the_error_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "kiss_icp", None)
+    monkeypatch.setitem(sys.modules, "kiss_icp.mapping", None)
+    monkeypatch.delitem(sys.modules, "tactile_loc.plugins.refiners.kiss")
+    with pytest.raises(MissingLibraryError, match=r"pip install tactile-loc\[kiss\]"):
+        registry().create("refiner", "kiss-icp")

@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+from pydantic import ValidationError
+
+from tactile_loc.core.geometry import make_transform, rotation_about, translation
+from tactile_loc.core.interfaces import Candidate
+from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.scene import Scene
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugins.refiners.render import RenderRefiner
+from tactile_loc.testing.problems import CAMERAS, planar_pose, pressed_block, touch_at, with_depth
+from tactile_loc.testing.shapes import ReferenceRenderer
+
+TILT = make_transform(rotation_about([1.0, 0.4, 0.0], np.radians(2.0)), np.zeros(3))
+
+
+@pytest.fixture(scope="module", params=list(CAMERAS))
+def problem(request):
+    return pressed_block(request.param)
+
+
+@pytest.fixture(scope="module")
+def refiner() -> RenderRefiner:
+    return RenderRefiner()
+
+
+def tilted(problem) -> Candidate:
+    """The truth off in all directions: along the surface, in yaw, and tilted by two degrees."""
+    T = problem.candidate((0.0009, -0.0007, np.radians(4.0))).T_sensor_object @ TILT
+    return Candidate(problem.scene.in_contact(T[None])[0][0], 0, 0.0)
+
+
+def test_an_offset_in_all_directions_is_undone_to_a_small_part_of_a_pixel(refiner, problem):
+    candidate = tilted(problem)
+    refined = refiner.refine(problem.touch, candidate, problem.scene)
+    assert problem.error_m(candidate) > 1e-3
+    assert problem.error_m(refined) < 0.05 * problem.touch.geometry.pixel_pitch_m
+    assert refined.converged
+    assert refined.fitness > 0.99
+    assert refined.iterations > 3
+
+
+def test_the_sensors_border_holds_the_pose_too(refiner, problem):
+    """Pressed at the sensor's edge, which cuts the contact: it must not be pulled inwards."""
+    x0, x1, _, _ = problem.scene.geometry.rectangle
+    truth = problem.scene.in_contact(planar_pose(0.42 * (x1 - x0), 0.001, 0.4)[None])[0][0]
+    cut = dataclasses.replace(problem, truth=truth, touch=touch_at(problem.scene, truth, 0.002))
+    assert cut.touch.contact_shape.contact[:, -1].any()
+    candidate = cut.candidate((-0.0008, 0.0006, np.radians(3.0)))
+    refined = refiner.refine(cut.touch, candidate, cut.scene)
+    assert cut.error_m(refined) < 0.1 * cut.touch.geometry.pixel_pitch_m
+
+
+def test_what_a_touch_does_not_show_is_left_alone(refiner):
+    """A bar across the whole sensor: beside it the candidate moves, along it the touch says nothing."""
+    bar = trimesh.creation.box([0.3, 0.006, 0.01])
+    g = SensorGeometry("orthographic", 80, 80, 4000.0, 4000.0, 40.0, 40.0, 0.02, 0.001)
+    block = pressed_block("orthographic")
+    mesh = dataclasses.replace(block.scene.object.mesh, vertices_m=np.array(bar.vertices), faces=np.array(bar.faces))
+    scene = Scene(dataclasses.replace(block.scene.object, mesh=mesh), g, ReferenceRenderer())
+    truth = scene.in_contact(np.eye(4)[None])[0][0]
+    touch = touch_at(scene, truth, 0.001)
+    candidate = Candidate(translation([0.004, 0.001, 0.0]) @ truth, 0, 0.0)
+    moved = refiner.refine(touch, candidate, scene).T_sensor_object[:3, 3] - candidate.T_sensor_object[:3, 3]
+    assert abs(moved[0]) < 2e-5
+    assert moved[1] == pytest.approx(-0.001, abs=0.5 * g.pixel_pitch_m)  # edges along the rows say no more
+
+
+def test_spurious_and_missing_contact_hardly_pull(refiner, problem):
+    depth = problem.touch.contact_shape.depth_m.copy()
+    depth[4:10, 48:56] = 0.3 * problem.touch.press_depth_m
+    middle = np.argwhere(problem.touch.contact_shape.contact).mean(axis=0).astype(int)
+    depth[middle[0] : middle[0] + 4, middle[1] : middle[1] + 4] = problem.touch.press_depth_m
+    refined = refiner.refine(with_depth(problem.touch, depth), tilted(problem), problem.scene)
+    assert problem.error_m(refined) < 0.15 * problem.touch.geometry.pixel_pitch_m
+
+
+def test_no_answer_explains_the_touch_worse_than_the_candidate(refiner, problem):
+    rng = np.random.default_rng(0)
+    candidates = [problem.candidate((*rng.uniform(-0.006, 0.006, 2), rng.uniform(-np.pi, np.pi))) for _ in range(12)]
+    refined = refiner.refine_many(problem.touch, candidates, problem.scene)
+    before, after = (
+        problem.scene.explained(np.stack([p.T_sensor_object for p in poses]), problem.touch)
+        for poses in (candidates, refined)
+    )
+    assert (after >= before - 1e-9).all()
+    assert (after > before + 0.05).any()
+
+
+def test_many_are_refined_as_one_by_one(refiner, problem):
+    candidates = [problem.candidate((0.0006, -0.0005, 0.03)), tilted(problem), problem.candidate((0.2, 0.0, 0.0))]
+    together = refiner.refine_many(problem.touch, candidates, problem.scene)
+    for candidate, found in zip(candidates, together, strict=True):
+        alone = refiner.refine(problem.touch, candidate, problem.scene)
+        np.testing.assert_allclose(found.T_sensor_object, alone.T_sensor_object, atol=2e-6)
+        assert (found.converged, found.iterations) == (alone.converged, alone.iterations)
+    assert not together[2].converged
+    assert refiner.refine_many(problem.touch, [], problem.scene) == []
+
+
+def test_where_the_candidate_is_along_z_does_not_matter(refiner, problem):
+    candidate = tilted(problem)
+    lifted = Candidate(translation([0.0, 0.0, 0.003]) @ candidate.T_sensor_object, 0, 0.0)
+    a, b = (refiner.refine(problem.touch, c, problem.scene).T_sensor_object for c in (candidate, lifted))
+    np.testing.assert_allclose(a, b, atol=1e-9)
+
+
+def test_the_answer_is_in_contact(refiner, problem):
+    T = refiner.refine(problem.touch, tilted(problem), problem.scene).T_sensor_object
+    np.testing.assert_allclose(problem.scene.in_contact(T[None])[0][0], T, atol=1e-9)
+
+
+def test_noise_is_reckoned_with_and_its_absence_too(problem):
+    """A pose that is held hard: a rough touch moves it less, a clean one just as well."""
+    rng = np.random.default_rng(5)
+    depth, press = problem.touch.contact_shape.depth_m, problem.touch.press_depth_m
+    rough = depth + rng.normal(0, 4e-4, depth.shape)
+    noisy = with_depth(problem.touch, np.where(depth < press, np.clip(rough, 0, 0.999 * press), press).astype("f4"))
+    candidate = problem.candidate((0.0009, 0.0, 0.0))
+    loose, firm = (RenderRefiner(RenderRefiner.Options(patch_mm=mm)) for mm in (0.0, 40.0))
+    moved = [
+        PoseMetric(problem.scene.object).distance(
+            candidate.T_sensor_object, refiner.refine(noisy, candidate, problem.scene).T_sensor_object
+        )
+        for refiner in (loose, firm)
+    ]
+    assert moved[1] < 0.8 * moved[0]
+    assert problem.error_m(firm.refine(problem.touch, candidate, problem.scene)) < 5e-5
+
+
+def test_options_that_make_no_sense_are_refused():
+    for wrong in ({"widths_mm": ()}, {"widths_mm": (-1.0,)}, {"image_px": 3}, {"spread_mm": 0.0}, {"tolerance": 0.0}):
+        with pytest.raises(ValidationError):
+            RenderRefiner.Options(**wrong)
