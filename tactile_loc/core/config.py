@@ -113,7 +113,7 @@ def parse_overrides(assignments: Iterable[str]) -> dict[str, dict[str, Any]]:
         slot, dot, option = (part.strip() for part in target.partition("."))
         if not (equals and dot and option):
             raise ConfigError(
-                f"cannot read the option {word!r}; write it as slot.option=value, as refiner.max_iterations=30"
+                f"cannot read the option {word!r}; write it as slot.option=value, as grid.spacing_mm=3"
             )
         if slot not in SLOTS:
             raise ConfigError(

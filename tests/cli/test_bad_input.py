@@ -120,7 +120,7 @@ def test_unknown_option_lists_the_known_ones(refused):
 
 
 def test_ill_typed_option(refused):
-    refused("-o", "refiner.max_iterations=many", mentions=("max_iterations", "'many'", "integer"))
+    refused("-o", "refiner.iterations=many", mentions=("iterations", "'many'", "integer"))
     refused("-o", "grid.spacing_mm=-1", mentions=("spacing_mm", "-1"))
 
 
