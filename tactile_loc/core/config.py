@@ -112,9 +112,7 @@ def parse_overrides(assignments: Iterable[str]) -> dict[str, dict[str, Any]]:
         target, equals, text = word.partition("=")
         slot, dot, option = (part.strip() for part in target.partition("."))
         if not (equals and dot and option):
-            raise ConfigError(
-                f"cannot read the option {word!r}; write it as slot.option=value, as grid.spacing_mm=3"
-            )
+            raise ConfigError(f"cannot read the option {word!r}; write it as slot.option=value, as grid.spacing_mm=3")
         if slot not in SLOTS:
             raise ConfigError(
                 f"there is no slot {slot!r} in {word!r}.{did_you_mean(slot, SLOTS)} Slots: {', '.join(SLOTS)}"
