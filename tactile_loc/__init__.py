@@ -10,7 +10,9 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from tactile_loc.core.confidence import Confidence as Confidence
     from tactile_loc.core.config import RunConfig as RunConfig
+    from tactile_loc.core.contacts import localize_together as localize_together
     from tactile_loc.core.errors import TactileLocError as TactileLocError
     from tactile_loc.core.hookspecs import ComponentSpec as ComponentSpec
     from tactile_loc.core.hookspecs import hookimpl as hookimpl
@@ -24,6 +26,9 @@ if TYPE_CHECKING:
     from tactile_loc.core.poses import PoseMetric as PoseMetric
     from tactile_loc.core.posterior import Mode as Mode
     from tactile_loc.core.posterior import PosePosterior as PosePosterior
+    from tactile_loc.core.priors import GaussianPrior as GaussianPrior
+    from tactile_loc.core.priors import PosteriorPrior as PosteriorPrior
+    from tactile_loc.core.priors import RegionPrior as RegionPrior
     from tactile_loc.core.sensing import ContactShape as ContactShape
     from tactile_loc.core.sensing import SensorGeometry as SensorGeometry
     from tactile_loc.core.sensing import Touch as Touch
@@ -32,7 +37,9 @@ if TYPE_CHECKING:
     from tactile_loc.core.touches import write_touch as write_touch
 
 _HOMES = {
+    "confidence": ["Confidence"],
     "config": ["RunConfig"],
+    "contacts": ["localize_together"],
     "errors": ["TactileLocError"],
     "hookspecs": ["ComponentSpec", "hookimpl"],
     "localization": ["Hypothesis", "Localization"],
@@ -41,6 +48,7 @@ _HOMES = {
     "objects": ["ObjectModel", "TriangleMesh"],
     "poses": ["PoseGrid", "PoseMetric"],
     "posterior": ["Mode", "PosePosterior"],
+    "priors": ["GaussianPrior", "PosteriorPrior", "RegionPrior"],
     "sensing": ["ContactShape", "SensorGeometry", "Touch"],
     "store": ["StageStore"],
     "touches": ["read_touch", "write_touch"],
