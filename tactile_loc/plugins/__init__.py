@@ -79,7 +79,7 @@ def tactile_loc_components() -> list[ComponentSpec]:
             "refiner",
             "render",
             f"{_HERE}.refiners.render:RenderRefiner",
-            "renders the pose and compares every pixel; most accurate, slower",
+            "renders the pose and compares every pixel; the most accurate on clean touches, slower",
         ),
         ComponentSpec(
             "fuser",
