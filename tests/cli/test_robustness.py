@@ -17,9 +17,11 @@ SLOW = ["--renderer", "raycast", "-o", "grid.spacing_mm=4"]  # long enough to be
 
 
 def start(tmp_path: Path, store: Path, *words: str) -> subprocess.Popen[str]:
+    """Start a build as in a terminal: a shell's background jobs, these tests among them, would ignore Ctrl-C."""
     return subprocess.Popen(
         command("build", *words), cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         env={**os.environ, "TACTILE_LOC_STORE": str(store)},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
 
 
@@ -31,17 +33,6 @@ def wait_for(store: Path, pattern: str, seconds: float = 60) -> Path:
             return found[0]
         time.sleep(0.002)
     raise AssertionError(f"no {pattern} within {seconds} s")
-
-
-def interrupt(process: subprocess.Popen[str]) -> str:
-    """Press Ctrl-C, again if libraries swallow it while they are called back, and return what stderr says."""
-    for _ in range(4):
-        process.send_signal(signal.SIGINT)
-        try:
-            return process.communicate(timeout=5)[1]
-        except subprocess.TimeoutExpired:
-            continue
-    return process.communicate(timeout=60)[1]
 
 
 def contents(store: Path) -> dict[str, dict[str, str]]:
@@ -64,7 +55,8 @@ def test_an_interrupted_build_is_resumed_and_ends_alike(tmp_path, uninterrupted)
     store = tmp_path / "store"
     process = start(tmp_path, store, *SLOW)
     first_shard = wait_for(store, "shapes/*.partial/depth-00000-enough.npy")
-    stderr = interrupt(process)
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=60)
     assert process.returncode == 130, stderr
     assert "what was finished is kept" in stderr
     assert "Traceback" not in stderr
