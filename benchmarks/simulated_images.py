@@ -34,7 +34,7 @@ from tactile_loc.core.store import StageStore
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.sources import SimulatedTouches
-from tactile_loc.evaluation.tables import mm
+from tactile_loc.evaluation.tabular import mm
 from tactile_loc.imaging.gel import contact_indentation, gel_surface
 from tactile_loc.imaging.optics import Optics
 from tactile_loc.imaging.simulate import touch_images

@@ -15,7 +15,7 @@ import numpy as np
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry import invert
 from tactile_loc.core.interfaces import Candidate, Prior, RefinedPose
-from tactile_loc.core.localization import Hypothesis, Localization, merge_hypotheses, ranked
+from tactile_loc.core.localization import Hypothesis, Localization, distinct
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.posterior import Mode
 from tactile_loc.core.sensing import Touch
@@ -46,9 +46,8 @@ def localize_together(contacts: Sequence[Contact], prior: Prior | None = None, t
     modes = fused.modes(first.mode_radius_m, top or first.config.top)
     hypotheses = _refined(contacts, modes)
     seconds["refine"] = time.perf_counter() - start
-    merged = merge_hypotheses(hypotheses, first.model.grid.metric, first.same_pose_m)
-    known = None if prior is None else prior(np.stack([h.refined.T_sensor_object for h in merged]))
-    return Localization(touch, fused, ranked(merged, known), seconds, tuple(t for _, t in contacts[1:]))
+    found = distinct(hypotheses, first.model.grid.metric, first.same_pose_m, prior)
+    return Localization(touch, fused, found, seconds, tuple(t for _, t in contacts[1:]))
 
 
 def _require_one_object(contacts: Sequence[Contact]) -> None:

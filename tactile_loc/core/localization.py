@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.interfaces import RefinedPose
+from tactile_loc.core.interfaces import Prior, RefinedPose
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.sensing import Touch
@@ -74,6 +74,14 @@ def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radiu
         else:
             merged.append(h)
     return tuple(sorted(merged, key=lambda h: -h.probability))
+
+
+def distinct(
+    hypotheses: Sequence[Hypothesis], metric: PoseMetric, radius_m: float, prior: Prior | None = None
+) -> tuple[Hypothesis, ...]:
+    """Merge hypotheses within `radius_m` metres of one another and rank them; see `merge_hypotheses` and `ranked`."""
+    merged = merge_hypotheses(hypotheses, metric, radius_m)
+    return ranked(merged, None if prior is None else prior(np.stack([h.refined.T_sensor_object for h in merged])))
 
 
 def ranked(hypotheses: Sequence[Hypothesis], log_prior: NDArray[np.float64] | None = None) -> tuple[Hypothesis, ...]:

@@ -14,7 +14,7 @@ from tactile_loc.core.confidence import Confidence, learn_confidence
 from tactile_loc.core.config import RunConfig, SlotConfig
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.interfaces import Candidate, Matcher, Prior, RefinedPose
-from tactile_loc.core.localization import Hypothesis, Localization, merge_hypotheses, ranked
+from tactile_loc.core.localization import Hypothesis, Localization, distinct
 from tactile_loc.core.meshes import Units, load_object
 from tactile_loc.core.model import STAGE_VERSIONS, ObjectPoseModel, build_bank, build_model
 from tactile_loc.core.noise import noise as noise_called
@@ -171,9 +171,8 @@ class Localizer:
             Hypothesis(m.probability, m.T_sensor_object, r, m.index, len(m.members), float(e))
             for m, r, e in zip(modes, refined, explained, strict=True)
         ]
-        merged = merge_hypotheses(hypotheses, self.model.grid.metric, self.same_pose_m)
-        known = None if prior is None else prior(np.stack([h.refined.T_sensor_object for h in merged]))
-        return Localization(touch, posterior, ranked(merged, known), seconds)
+        found = distinct(hypotheses, self.model.grid.metric, self.same_pose_m, prior)
+        return Localization(touch, posterior, found, seconds)
 
     def posterior(
         self, touch: Touch, prior: Prior | None = None, seconds: dict[str, float] | None = None

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
-from tactile_loc.core.errors import did_you_mean
 from tactile_loc.core.geometry import is_rigid, make_transform, quaternion_to_rotation, rotation_about
+from tactile_loc.core.toml_keys import Finite
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Three = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Four = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 Matrix = Annotated[list[Four], Field(min_length=4, max_length=4)]
@@ -68,15 +66,3 @@ def _rotation(keys: PoseKeys) -> NDArray[np.float64]:
     if abs(length - 1.0) > UNIT_TOLERANCE:
         raise ValueError(f"quaternion_wxyz has the length {length:.4g}; it must be a unit quaternion, scalar first")
     return quaternion_to_rotation(q / length)
-
-
-def explain(error: ValidationError, model: type[BaseModel], values: dict[str, Any], what: str) -> str:
-    """Say in one sentence which key of `what`, a table of `model`'s keys, is wrong, and what is allowed."""
-    problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
-    key = str(problems[0]["loc"][0])
-    field = model.model_fields.get(key)
-    if field is None:
-        known = model.model_fields
-        return f"{what} has no key {key!r}.{did_you_mean(key, known)} Its keys: {', '.join(known)}"
-    must_be = f"it must be {field.description}"
-    return f"{key} = {values[key]!r} is wrong; {must_be}" if key in values else f"{key} is missing; {must_be}"

@@ -15,8 +15,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from tactile_loc.core.config import read_toml
 from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.pose_keys import MATRIX, Matrix, PoseKeys, Positive, Three, explain, pose_from_keys
+from tactile_loc.core.pose_keys import MATRIX, Matrix, PoseKeys, Three, pose_from_keys
 from tactile_loc.core.priors import GaussianPrior, PosePrior, RegionPrior
+from tactile_loc.core.toml_keys import Positive, explain
 
 Frame = Literal["sensor", "base"]
 Bounds = Annotated[list[Annotated[float, Field(allow_inf_nan=True)]], Field(min_length=3, max_length=3)]

@@ -55,12 +55,7 @@ class Scene:
         The intersection over union of the touch's contact and the one that the pose makes at the same press depth,
         where the sensor observes, on about OVERLAP_PX pixels a side.
         """
-        step = max(1, round(max(touch.geometry.shape) / OVERLAP_PX))
-        geometry = touch.geometry.every(step)
-        coarse, wanted = dataclasses.replace(self, geometry=geometry), touch.contact_shape.every(step)
-        made = coarse.contact_depths(coarse.in_contact(T_sensor_object)[0], touch.press_depth_m)
-        shapes = (ContactShape(depth, touch.press_depth_m) for depth in made)
-        return [shape.overlap(wanted, geometry.observed_mask) for shape in shapes]
+        return self.overlaps_and_explained(T_sensor_object, touch)[0]
 
     def explained(self, T_sensor_object: Poses, touch: Touch) -> NDArray[np.float64]:
         """Return how well poses (N, 4, 4), metres, explain a touch in depth and outline: (N,), 0 to 1, unitless.
@@ -69,15 +64,17 @@ class Scene:
         press in, raised by OUTLINE_SHARE of the press depth wherever there is contact. At the touch's press depth,
         where the sensor observes, on about OVERLAP_PX pixels a side. A pose without contact explains nothing.
         """
-        step = max(1, round(max(touch.geometry.shape) / OVERLAP_PX))
-        coarse = dataclasses.replace(self, geometry=touch.geometry.every(step))
-        made = coarse.contact_depths(coarse.in_contact(T_sensor_object)[0], touch.press_depth_m)
-        a, b = (
-            _imprint(depth_m, touch.press_depth_m, coarse.geometry.observed_mask)
-            for depth_m in (made, touch.contact_shape.every(step).depth_m)
-        )
+        return self.overlaps_and_explained(T_sensor_object, touch)[1]
+
+    def overlaps_and_explained(self, T_sensor_object: Poses, touch: Touch) -> tuple[list[float], NDArray[np.float64]]:
+        """Return both scores of poses (N, 4, 4), metres, which are drawn once."""
+        geometry, wanted = touch.thinned(OVERLAP_PX)
+        coarse, press_m = dataclasses.replace(self, geometry=geometry), touch.press_depth_m
+        made = coarse.contact_depths(coarse.in_contact(T_sensor_object)[0], press_m)
+        overlaps = [ContactShape(depth, press_m).overlap(wanted, geometry.observed_mask) for depth in made]
+        a, b = (_imprint(depth_m, press_m, geometry.observed_mask) for depth_m in (made, wanted.depth_m))
         common, either = (np.sum(both, axis=(-2, -1), dtype=float) for both in (np.minimum(a, b), np.maximum(a, b)))
-        return np.asarray(common / np.maximum(either, 1.0), float)
+        return overlaps, np.asarray(common / np.maximum(either, 1.0), float)
 
 
 def _imprint(depth_m: NDArray[np.float32], press_depth_m: float, observed: NDArray[np.bool_]) -> NDArray[np.float32]:

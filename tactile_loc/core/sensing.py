@@ -252,6 +252,11 @@ class Touch:
         """How deep the object was pressed, metres."""
         return self.contact_shape.press_depth_m
 
+    def thinned(self, pixels: int) -> tuple[SensorGeometry, ContactShape]:
+        """Return the sensor and the contact shape with so many pixels only that the longer side has about `pixels`."""
+        step = max(1, round(max(self.geometry.shape) / pixels))
+        return self.geometry.every(step), self.contact_shape.every(step)
+
 
 def contact_shape_from_array(
     values: ArrayLike, max_depth_m: float, press_depth_m: float | None = None, name: str = "touch"

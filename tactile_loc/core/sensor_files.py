@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from tactile_loc.core.config import read_toml
-from tactile_loc.core.errors import ConfigError, SensorError, did_you_mean
+from tactile_loc.core.errors import ConfigError, SensorError
 from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.toml_keys import Finite, Positive, explain
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 PositiveInt = Annotated[int, Field(gt=0)]
 
 
@@ -73,7 +72,9 @@ def read_sensor_file(path: Path) -> SensorGeometry:
     try:
         description = model(**values)
     except ValidationError as error:
-        raise SensorError(f"{path}: {_explain(error, model, values)}") from error
+        kind = f"an {values['camera']}" if model is _Orthographic else "a pinhole"
+        reason = explain(error, model, values, f"{kind} sensor", decisive="camera")
+        raise SensorError(f"{path}: {reason}") from error
     mask = None if description.mask is None else _read_mask(path.parent / description.mask, path)
     try:
         return _geometry(description, mask)
@@ -95,18 +96,6 @@ def _geometry(description: _Pinhole | _Orthographic, mask: NDArray[np.bool_] | N
         rectangle_m=None if rectangle is None else (x0, x1, y0, y1),
         observed=mask,
     )  # fmt: skip
-
-
-def _explain(error: ValidationError, model: type[_SensorFile], values: dict[str, Any]) -> str:
-    """Say in one sentence which key is wrong and what is allowed."""
-    fields = model.model_fields
-    problems = sorted(error.errors(), key=lambda p: (p["loc"][0] != "camera", p["type"] != "extra_forbidden"))
-    key = str(problems[0]["loc"][0])
-    if key in fields:
-        must_be = f"it must be {fields[key].description}"
-        return f"{key} = {values[key]!r} is wrong; {must_be}" if key in values else f"{key} is missing; {must_be}"
-    kind = f"an {values['camera']}" if model is _Orthographic else "a pinhole"
-    return f"{kind} sensor has no key {key!r}.{did_you_mean(key, fields)} Its keys: {', '.join(fields)}"
 
 
 def _read_mask(path: Path, sensor_file: Path) -> NDArray[np.bool_]:

@@ -12,7 +12,8 @@ from pydantic import Field, ValidationError
 
 from tactile_loc.core.config import read_toml
 from tactile_loc.core.errors import ConfigError, TouchError, did_you_mean
-from tactile_loc.core.pose_keys import MATRIX, Matrix, PoseKeys, Positive, explain, pose_from_keys
+from tactile_loc.core.pose_keys import MATRIX, Matrix, PoseKeys, pose_from_keys
+from tactile_loc.core.toml_keys import Positive, explain
 from tactile_loc.core.touch_files import read_contents
 
 Pose = NDArray[np.float64]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -19,9 +19,10 @@ from tactile_loc.core.poses import Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.registry import registry
 from tactile_loc.core.store import Artifact, Workspace
-from tactile_loc.evaluation.judge import SURFACE_POINTS
+from tactile_loc.evaluation.judge import surface_points
 from tactile_loc.evaluation.metrics import symmetric_adds
 from tactile_loc.evaluation.oracle import true_pose
+from tactile_loc.evaluation.shards import describe_located, save_in_shards
 from tactile_loc.evaluation.sources import SimulatedTouches
 
 CONTACT_VERSION = 1  # raised when the same localizer would get other numbers
@@ -77,24 +78,15 @@ def evaluate_contacts(
 
     def run(work: Workspace) -> None:
         examples = _Examples(localizer, numbers, touches)
-        every = range(count)
-        shards = [_shard(work, examples, every[i : i + SHARD]) for i in range(0, count, SHARD)]
-        for name, columns in zip(ARRAYS, zip(*shards, strict=True), strict=True):
-            work.save_array(name, np.concatenate(columns))
+        save_in_shards(work, ARRAYS, count, SHARD, examples.locate)
 
     return _read(numbers, localizer.store.build(contact_key(localizer, numbers, count, touches), run))
 
 
-def contact_key(
-    localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches
-) -> StageKey:  # fmt: skip
+def contact_key(localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches) -> StageKey:
     """Return the key under which an evaluation is stored: everything that decides its errors."""
-    matcher = registry().create("matcher", localizer.config.matcher.name, localizer.config.matcher.options)
-    return StageKey("contact-evaluation", CONTACT_VERSION, {
-        **localizer.describe_scores(), "confidence": asdict(localizer.confidence),
-        "matcher": matcher.describe(), "fuser": localizer.fuser.describe(), "kinematic": _kinematic().describe(),
-        **touches.describe(localizer), "contacts": list(contacts), "count": count,
-    })  # fmt: skip
+    own: dict[str, Any] = {"kinematic": _kinematic().describe(), "contacts": list(contacts)}
+    return StageKey("contact-evaluation", CONTACT_VERSION, {**describe_located(localizer, touches, count), **own})
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +143,7 @@ class _Examples:
 
     @cached_property
     def _points_m(self) -> NDArray[np.float64]:
-        return self.localizer.object.mesh.sample(SURFACE_POINTS, np.random.default_rng(0))
+        return surface_points(self.localizer.object)
 
 
 def _kinematic() -> Fuser:
@@ -171,17 +163,6 @@ def _draw(posterior: PosePosterior, lot: float) -> int:
     """The index of the most probable pose; of several that are, the one that the lot (0 to below 1) falls on."""
     most = np.flatnonzero(posterior.log_p == posterior.log_p.max())
     return int(most[int(lot * len(most))])
-
-
-def _shard(work: Workspace, examples: _Examples, numbers: range) -> list[NDArray[Any]]:
-    """The ARRAYS of some examples: located now, or loaded if an interrupted evaluation got that far."""
-    names = [f"{name}-{numbers.start:06d}" for name in ARRAYS]
-    found = [array for array in (work.load(name, keep=False) for name in names) if array is not None]
-    if len(found) < len(names):
-        found = examples.locate(numbers)
-        for name, array in zip(names, found, strict=True):
-            work.save_array(name, array, keep=False)
-    return found
 
 
 def _read(contacts: tuple[int, ...], artifact: Artifact) -> ContactEvaluation:

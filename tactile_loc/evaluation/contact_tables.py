@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from tactile_loc.evaluation.contact_protocol import CONTACT_LINES, CONTACT_VERSION, FUSED_LINES, ContactEvaluation
-from tactile_loc.evaluation.files import write_atomically
-from tactile_loc.evaluation.results import versions
-from tactile_loc.evaluation.tables import Statistics, mm
+from tactile_loc.evaluation.tabular import (
+    Statistics,
+    bracketed,
+    columns,
+    csv_table,
+    document,
+    markdown_table,
+    mm,
+    write_all,
+)
 
 SCHEMA_VERSION = 1
 NOTE = (
@@ -62,56 +65,36 @@ def median_rows(runs: Sequence[ContactRun], normalised: bool) -> list[list[str]]
 
 def markdown(runs: Sequence[ContactRun], heading: str) -> str:
     """Return all tables as Markdown, the lengths in mm."""
-    pairs = zip(median_rows(runs, False), median_rows(runs, True), strict=True)
-    medians = [a[:3] + [f"{x} ({y})" for x, y in zip(a[3:], b[3:], strict=True)] for a, b in pairs]
-    parts = [f"# {heading}\n", f"{NOTE}\n", "Medians:\n", _table(median_header(runs), medians)]
+    medians = bracketed(median_rows(runs, False), median_rows(runs, True), names=3)
+    parts = [f"# {heading}\n", f"{NOTE}\n", "Medians:\n", markdown_table(median_header(runs), medians)]
     for run in runs:
         random = mm(run.evaluation.scale_m())
         parts.append(f"## {run.object}, {run.encoder}\n")
         parts.append(f"{run.grid_poses} grid poses, symmetry {run.symmetry}; a random pose: {random} mm in the mean\n")
-        parts.append(_table(_DETAILS, list(_detail_rows(run))))
+        parts.append(markdown_table(_DETAILS, list(_detail_rows(run))))
     return "\n".join(parts)
 
 
 def csv_text(runs: Sequence[ContactRun]) -> str:
     """Return one row for each object, encoder, line and number of contacts as CSV, lengths in mm."""
-    text = io.StringIO()
-    rows = list(_long_rows(runs))
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    return csv_table(list(_long_rows(runs)))
 
 
 def record(runs: Sequence[ContactRun], protocol: Mapping[str, Any]) -> dict[str, Any]:
     """Return everything as JSON values in SI units; `protocol` says how many examples, which noise and seed."""
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": versions(),
-        "protocol": {"version": CONTACT_VERSION, "contacts": list(runs[0].evaluation.contacts), **protocol},
-        "runs": [_run_record(run) for run in runs],
-    }
+    asked = {"version": CONTACT_VERSION, "contacts": list(runs[0].evaluation.contacts), **protocol}
+    return document(SCHEMA_VERSION, asked, [_run_record(run) for run in runs])
 
 
 def write_contact_tables(
     folder: Path, runs: Sequence[ContactRun], protocol: Mapping[str, Any], heading: str
 ) -> list[Path]:
     """Write contacts.json, contacts.csv and contacts.md and return their paths. Raises OutputError."""
-    texts = {
-        "contacts.json": json.dumps(record(runs, protocol), indent=1) + "\n",
-        "contacts.csv": csv_text(runs),
-        "contacts.md": markdown(runs, heading),
-    }
-    return [write_atomically(folder / name, _writer(text)) for name, text in texts.items()]
+    return write_all(folder, "contacts", record(runs, protocol), csv_text(runs), markdown(runs, heading))
 
 
 def _contacts(count: int) -> str:
     return "contact" if count == 1 else "contacts"
-
-
-def _writer(text: str) -> Any:
-    return lambda path: path.write_text(text, encoding="utf-8")
 
 
 def _run_record(run: ContactRun) -> dict[str, Any]:
@@ -138,13 +121,10 @@ def _long_rows(runs: Sequence[ContactRun]) -> Iterator[dict[str, Any]]:
     for run in runs:
         for line in FUSED_LINES:
             for n in run.evaluation.contacts:
-                lengths = {f"{k}_mm": f"{1e3 * v:.6g}" for k, v in asdict(run.statistics(line, n)).items()}
-                shares = asdict(run.statistics(line, n, normalised=True))
-                yield {
-                    "object": run.object, "encoder": run.encoder, "line": line, "contacts": n, **lengths,
-                    **{f"{k}_normalised": f"{v:.6g}" for k, v in shares.items()},
-                    "without_common": run.evaluation.without_common(line, n),
-                }  # fmt: skip
+                names = {"object": run.object, "encoder": run.encoder, "line": line, "contacts": n}
+                metres, shares = run.statistics(line, n), run.statistics(line, n, normalised=True)
+                without = run.evaluation.without_common(line, n)
+                yield {**names, **columns(metres, shares), "without_common": without}
 
 
 _DETAILS = [
@@ -160,8 +140,3 @@ def _detail_rows(run: ContactRun) -> Iterator[list[str]]:
             lengths = [mm(s.median), mm(s.mean), mm(s.std), f"{mm(s.q25)} to {mm(s.q75)}"]
             shares = [f"{v:.3f}" for v in (share.median, share.mean, share.std)]
             yield [line, str(n), *lengths, *shares, str(run.evaluation.without_common(line, n))]
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"

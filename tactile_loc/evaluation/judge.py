@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.sensing import Touch
@@ -25,6 +26,11 @@ ASKED_EVERY = 10  # of the surface points, for ADD-S
 MOST, FEW = 50, 10  # poses that best-50, and that best-10, chosen-10, reg-10 and random-10 choose from
 NEAR = 32  # nearest grid poses by root mean square distance, among which the nearest by ADD is looked for
 NEAR_STEP_M = 1e-3  # of a continuous symmetry, in looking for them
+
+
+def surface_points(obj: ObjectModel) -> NDArray[np.float64]:
+    """Return the points (SURFACE_POINTS, 3) of an object, metres, over which ADD is taken: always the same."""
+    return obj.mesh.sample(SURFACE_POINTS, np.random.default_rng(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +103,7 @@ class Judge:
 
     @cached_property
     def _points_m(self) -> NDArray[np.float64]:
-        return self.localizer.object.mesh.sample(SURFACE_POINTS, np.random.default_rng(0))
+        return surface_points(self.localizer.object)
 
     @cached_property
     def _corners_m(self) -> NDArray[np.float64]:

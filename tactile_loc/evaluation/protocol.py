@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from tactile_loc.core.hashing import StageKey
 from tactile_loc.core.localizer import Localizer
 from tactile_loc.core.poses import Poses
-from tactile_loc.core.registry import registry
 from tactile_loc.core.store import Artifact, Workspace
 from tactile_loc.evaluation.judge import LINES, METRICS, STAGES, Judge
 from tactile_loc.evaluation.oracle import oracle_poses
+from tactile_loc.evaluation.shards import describe_located, save_in_shards
 from tactile_loc.evaluation.sources import SimulatedTouches
 
 PROTOCOL_VERSION = 2  # raised when the same localizer would get other numbers
@@ -68,36 +68,19 @@ def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> Eva
 
     def run(work: Workspace) -> None:
         judge = Judge(localizer)
-        numbers = range(count)
-        shards = [_shard(work, judge, numbers[i : i + SHARD], touches) for i in range(0, count, SHARD)]
-        for name, columns in zip(ARRAYS, zip(*shards, strict=True), strict=True):
-            work.save_array(name, np.concatenate(columns))
+        save_in_shards(work, ARRAYS, count, SHARD, lambda numbers: _localise(judge, numbers, touches))
 
     return _read(localizer.store.build(evaluation_key(localizer, count, touches), run))
 
 
 def evaluation_key(localizer: Localizer, count: int, touches: SimulatedTouches) -> StageKey:
     """Return the key under which an evaluation is stored: everything that decides its errors."""
-    matcher = registry().create("matcher", localizer.config.matcher.name, localizer.config.matcher.options)
-    return StageKey("evaluation", PROTOCOL_VERSION, {
-        **localizer.describe_scores(), "confidence": asdict(localizer.confidence),
-        "matcher": matcher.describe(), "refiner": localizer.refiner.describe(), "fuser": localizer.fuser.describe(),
-        **touches.describe(localizer), "count": count,
-    })  # fmt: skip
-
-
-def _shard(work: Workspace, judge: Judge, numbers: range, source: SimulatedTouches) -> list[NDArray[Any]]:
-    """The ARRAYS of some touches: localised now, or loaded if an interrupted evaluation got that far."""
-    names = [f"{name}-{numbers.start:06d}" for name in ARRAYS]
-    found = [array for array in (work.load(name, keep=False) for name in names) if array is not None]
-    if len(found) < len(names):
-        found = _localise(judge, numbers, source)
-        for name, array in zip(names, found, strict=True):
-            work.save_array(name, array, keep=False)
-    return found
+    refiner = {"refiner": localizer.refiner.describe()}
+    return StageKey("evaluation", PROTOCOL_VERSION, {**describe_located(localizer, touches, count), **refiner})
 
 
 def _localise(judge: Judge, numbers: Sequence[int], source: SimulatedTouches) -> list[NDArray[Any]]:
+    """The ARRAYS of some touches."""
     localizer = judge.localizer
     touches = [source.touch(localizer, number) for number in numbers]
     for touch in touches:

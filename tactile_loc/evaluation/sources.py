@@ -5,13 +5,11 @@ from __future__ import annotations
 import dataclasses
 import logging
 from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tactile_loc.calibration.folder import Calibration, read_calibration
+from tactile_loc.calibration.folder import Calibration
 from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.localizer import Localizer
 from tactile_loc.core.noise import noise as noise_named
@@ -48,13 +46,12 @@ class SimulatedTouches:
         One whose image shows no contact is drawn anew, with a warning. Raises CalibrationError, ConfigError or
         TouchError when no image can be made or read.
         """
-        camera = _Camera(localizer) if self.images else None
         for draw in range(MOST_DRAWS):
             drawn = self._drawn(localizer, number, draw)
-            if camera is None:
+            if not self.images:
                 return drawn
             try:
-                return camera.seen(drawn, np.random.default_rng(self.random(number, 2)))
+                return _seen(localizer, drawn, np.random.default_rng(self.random(number, 2)))
             except TouchError as error:
                 log.warning("%s of %s is drawn anew: %s", drawn.name, localizer.object.name, error)
         raise TouchError(f"hardly any image of {localizer.object.name} shows contact; calibrate the sensor better")
@@ -62,7 +59,11 @@ class SimulatedTouches:
     def require_readable(self, localizer: Localizer) -> None:
         """Refuse a localizer whose sensor cannot read these touches. Raises CalibrationError, ConfigError."""
         if self.images:
-            _Camera(localizer).require_ready()
+            calibration_of(localizer)
+
+    def in_words(self) -> str:
+        """Return what kind of touches these are, for titles."""
+        return "as images" if self.images else f"noise: {self.noise}"
 
     def random(self, number: int, purpose: int) -> np.random.SeedSequence:
         """Return the randomness of a touch (purpose 0), beside it (1) and of its image (2)."""
@@ -79,29 +80,26 @@ class SimulatedTouches:
         return dataclasses.replace(localizer.simulate(1, seed, noise=self.noise)[0], name=f"touch-{number:04d}")
 
 
-@dataclass(frozen=True, eq=False)
-class _Camera:
-    """Takes images of touches on a localizer's sensor, and has the sensor read them."""
+def calibration_of(localizer: Localizer) -> Calibration:
+    """Return the calibration by which a localizer's sensor reads images, one made on simulated images.
 
-    localizer: Localizer
+    Raises CalibrationError or ConfigError when no image can be made for the sensor.
+    """
+    chosen = localizer.config.sensor
+    if chosen.name != "calibrated":
+        raise ConfigError(
+            f"sensor {chosen.name!r} reads no images; make one that does with tactile-loc calibrate --simulated and "
+            "give its folder as --sensor"
+        )
+    calibration: Calibration = localizer.sensor.calibration
+    _ = calibration.optics
+    return calibration
 
-    def require_ready(self) -> None:
-        """Raises CalibrationError or ConfigError when no image can be made for the sensor."""
-        if self.localizer.config.sensor.name != "calibrated":
-            raise ConfigError(
-                f"sensor {self.localizer.config.sensor.name!r} reads no images; make one that does with tactile-loc "
-                "calibrate --simulated and give its folder as --sensor"
-            )
-        _ = self._calibration.optics
 
-    def seen(self, touch: Touch, rng: np.random.Generator) -> Touch:
-        """The touch as the sensor reads it from an image. Raises TouchError when it shows no contact."""
-        depth_m, geometry = touch.contact_shape.depth_m[None], touch.geometry
-        calibration, press_m = self._calibration, np.array([touch.press_depth_m])
-        image = touch_images(depth_m, press_m, geometry, calibration.optics, rng, background=calibration.background)[0]
-        shape = self.localizer.sensor.contact_shape(image)
-        return Touch(shape, geometry, touch.name, T_sensor_object=touch.T_sensor_object, image=image)
-
-    @cached_property
-    def _calibration(self) -> Calibration:
-        return read_calibration(Path(self.localizer.config.sensor.options["path"]).expanduser())
+def _seen(localizer: Localizer, touch: Touch, rng: np.random.Generator) -> Touch:
+    """The touch as the sensor reads it from an image. Raises TouchError when it shows no contact."""
+    depth_m, geometry, press_m = touch.contact_shape.depth_m[None], touch.geometry, np.array([touch.press_depth_m])
+    calibration = calibration_of(localizer)
+    image = touch_images(depth_m, press_m, geometry, calibration.optics, rng, background=calibration.background)[0]
+    shape = localizer.sensor.contact_shape(image)
+    return Touch(shape, geometry, touch.name, T_sensor_object=touch.T_sensor_object, image=image)

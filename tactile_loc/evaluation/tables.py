@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.evaluation.belief import BELIEF, LEVELS, Trust
-from tactile_loc.evaluation.files import write_atomically
 from tactile_loc.evaluation.judge import LINES, METRICS, STAGES
 from tactile_loc.evaluation.protocol import PROTOCOL_VERSION, Evaluation
-from tactile_loc.evaluation.results import versions
+from tactile_loc.evaluation.tabular import (
+    Statistics,
+    bracketed,
+    columns,
+    csv_table,
+    document,
+    markdown_table,
+    mm,
+    write_all,
+)
 
 SCHEMA_VERSION = 1
 SHOWN = (
@@ -38,24 +41,6 @@ TRUST_NOTE = (
     "of knowing nothing, the entropy, and how far poses drawn from the posterior are from the truth (expected error) "
     "and from its most probable pose (spread):"
 )
-
-
-@dataclass(frozen=True)
-class Statistics:
-    """Of the errors of a line's touches, all in one unit: `std` is of the population, `q25`, `q75`, `p90` quantiles."""
-
-    mean: float
-    median: float
-    std: float
-    q25: float
-    q75: float
-    p90: float
-
-    @classmethod
-    def of(cls, values: NDArray[np.float64]) -> Statistics:
-        """Return the statistics of values (T,), in their unit."""
-        q25, median, q75, p90 = np.quantile(values, (0.25, 0.5, 0.75, 0.9))
-        return cls(float(values.mean()), float(median), float(values.std()), float(q25), float(q75), float(p90))
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +75,7 @@ def summary_header() -> list[str]:
 
 def summary_rows(runs: Sequence[Run]) -> list[list[str]]:
     """Return a row of cells for each run: the median ADD of each line, "mm (normalised)"."""
-    pairs = zip(medians_mm(runs), medians_normalised(runs), strict=True)
-    return [a[:2] + [f"{length} ({share})" for length, share in zip(a[2:], b[2:], strict=True)] for a, b in pairs]
+    return bracketed(medians_mm(runs), medians_normalised(runs), names=2)
 
 
 def medians_mm(runs: Sequence[Run]) -> list[list[str]]:
@@ -130,50 +114,30 @@ def trust_header() -> list[str]:
 def markdown(runs: Sequence[Run], heading: str) -> str:
     """Return all tables as Markdown, the lengths in mm."""
     note = "Median ADD in mm and, in brackets, divided by the mean error of a random pose; symmetry regarded."
-    parts = [f"# {heading}\n", f"{note}\n", _table(summary_header(), summary_rows(runs))]
-    parts += ["Median time of each stage, ms:\n", _table(["object", "encoder", *STAGES], time_rows(runs))]
-    parts += [f"{TRUST_NOTE}\n", _table(trust_header(), trust_rows(runs))]
+    parts = [f"# {heading}\n", f"{note}\n", markdown_table(summary_header(), summary_rows(runs))]
+    parts += ["Median time of each stage, ms:\n", markdown_table(["object", "encoder", *STAGES], time_rows(runs))]
+    parts += [f"{TRUST_NOTE}\n", markdown_table(trust_header(), trust_rows(runs))]
     for run in runs:
         parts.append(
             f"## {run.object}, {run.encoder}\n\n{run.grid_poses} grid poses, symmetry {run.symmetry}; ADD, mm:\n"
         )
-        parts.append(_table(_DETAILS, _detail_rows(run)))
+        parts.append(markdown_table(_DETAILS, _detail_rows(run)))
     return "\n".join(parts)
 
 
 def csv_text(runs: Sequence[Run]) -> str:
     """Return one row for each object, encoder, line and metric as CSV, lengths in mm."""
-    text = io.StringIO()
-    rows = list(_long_rows(runs))
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    return csv_table(list(_long_rows(runs)))
 
 
 def record(runs: Sequence[Run], protocol: Mapping[str, Any]) -> dict[str, Any]:
     """Return everything as JSON values in SI units; `protocol` says how many touches, which noise and seed."""
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": versions(),
-        "protocol": {"version": PROTOCOL_VERSION, **protocol},
-        "runs": [_run_record(run) for run in runs],
-    }
+    return document(SCHEMA_VERSION, {"version": PROTOCOL_VERSION, **protocol}, [_run_record(run) for run in runs])
 
 
 def write_tables(folder: Path, runs: Sequence[Run], protocol: Mapping[str, Any], heading: str) -> list[Path]:
     """Write results.json, results.csv and results.md and return their paths. Raises OutputError."""
-    texts = {
-        "results.json": json.dumps(record(runs, protocol), indent=1) + "\n",
-        "results.csv": csv_text(runs),
-        "results.md": markdown(runs, heading),
-    }
-    return [write_atomically(folder / name, _writer(text)) for name, text in texts.items()]
-
-
-def _writer(text: str) -> Any:
-    return lambda path: path.write_text(text, encoding="utf-8")
+    return write_all(folder, "results", record(runs, protocol), csv_text(runs), markdown(runs, heading))
 
 
 def _run_record(run: Run) -> dict[str, Any]:
@@ -207,10 +171,9 @@ def _long_rows(runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
     for run in runs:
         for line in LINES:
             for metric in METRICS:
-                mm = {f"{k}_mm": f"{1e3 * v:.6g}" for k, v in asdict(run.statistics(line, metric)).items()}
-                share = asdict(run.statistics(line, metric, normalised=True))
                 names = {"object": run.object, "encoder": run.encoder, "line": line, "metric": metric}
-                yield {**names, **mm, **{f"{k}_normalised": f"{v:.6g}" for k, v in share.items()}}
+                metres, shares = run.statistics(line, metric), run.statistics(line, metric, normalised=True)
+                yield {**names, **columns(metres, shares)}
 
 
 _DETAILS = [
@@ -225,14 +188,3 @@ def _detail_rows(run: Run) -> Iterator[list[str]]:
         lengths = [mm(s.median), mm(s.mean), mm(s.std), f"{mm(s.q25)} to {mm(s.q75)}", mm(s.p90)]
         others = [mm(run.statistics(line, metric).median) for metric in ("mssd", "add-s")]
         yield [line, *lengths, f"{share.median:.3f}", f"{share.mean:.3f}", *others]
-
-
-def mm(length_m: float) -> str:
-    """Write a length in metres as millimetres, without the unit: 0.021, 1.94, 48.2."""
-    value = 1e3 * length_m
-    return f"{value:.3f}" if value < 1 else f"{value:.2f}" if value < 10 else f"{value:.1f}"
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]] | Iterator[Sequence[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"

@@ -15,10 +15,8 @@ from tactile_loc.evaluation.judge import LINES, METRICS, STAGES
 from tactile_loc.evaluation.protocol import Evaluation
 from tactile_loc.evaluation.tables import (
     Run,
-    Statistics,
     csv_text,
     markdown,
-    mm,
     record,
     summary_header,
     summary_rows,
@@ -26,6 +24,7 @@ from tactile_loc.evaluation.tables import (
     trust_rows,
     write_tables,
 )
+from tactile_loc.evaluation.tabular import mm
 
 PROTOCOL = {"touches": 12, "noise": "mild", "seed": 1}
 
@@ -54,12 +53,6 @@ def test_trust_is_said_in_table_json_and_mm(runs):
 @pytest.fixture(scope="module")
 def runs() -> list[Run]:
     return [make_run(name, encoder, i) for i, name in enumerate(("pin", "hook")) for encoder in ("pixel", "other")]
-
-
-def test_statistics_of_known_values():
-    s = Statistics.of(np.arange(1.0, 12.0))
-    assert (s.mean, s.median, s.q25, s.q75, s.p90) == (6, 6, 3.5, 8.5, 10)
-    assert s.std == pytest.approx(np.sqrt(10))
 
 
 def test_csv_json_and_markdown_agree(runs):
@@ -99,10 +92,6 @@ def test_the_summary_has_a_cell_for_each_column(runs):
     assert [row[:2] for row in rows] == [[run.object, run.encoder] for run in runs]
     assert {len(row) for row in rows} == {len(header)}
     assert rows[0][2].startswith(mm(runs[0].statistics("best-1").median))
-
-
-def test_lengths_for_people():
-    assert [mm(v) for v in (2.1e-5, 1.94e-3, 4.82e-2)] == ["0.021", "1.94", "48.2"]
 
 
 def test_files_are_written_whole_or_refused(runs, tmp_path):

@@ -160,7 +160,7 @@ class _Plan:
 
     def _asked_about(self) -> str:
         touches = f"{self.count} simulated {'touch' if self.count == 1 else 'touches'}"
-        return f"{touches} ({'as images' if self.touches.images else f'noise: {self.touches.noise}'})"
+        return f"{touches} ({self.touches.in_words()})"
 
 
 def _jobs(asked: dict[str, Any], seed: int) -> tuple[list[tuple[RunConfig, ObjectModel]], SimulatedTouches]:

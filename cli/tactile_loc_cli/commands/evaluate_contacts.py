@@ -45,8 +45,7 @@ def evaluate_contacts(
 ) -> None:  # fmt: skip
     """Evaluate each localizer with each number of contacts, write tables and the picture to `out`, show the medians."""
     runs = [_run(settings, localizer, contacts, count, touches) for settings, localizer in jobs]
-    noise = "as images" if touches.images else f"noise: {touches.noise}"
-    examples = f"{count} simulated {'example' if count == 1 else 'examples'} ({noise})"
+    examples = f"{count} simulated {'example' if count == 1 else 'examples'} ({touches.in_words()})"
     heading = f"Localisation from several contacts: {examples} for each object, seed {touches.seed}"
     _report(runs, {"examples": count, **dataclasses.asdict(touches)}, heading, out)
 

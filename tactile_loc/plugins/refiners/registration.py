@@ -77,14 +77,13 @@ class CloudRefiner(Refiner):
         """Refine several candidates of one touch, as `refine` does each; they are rendered together."""
         if not candidates:
             return []
-        step = max(1, round(max(touch.geometry.shape) / self.options.image_px))
-        thinned = dataclasses.replace(scene, geometry=touch.geometry.every(step))
-        wanted = touch.contact_shape.every(step)
+        geometry, wanted = touch.thinned(self.options.image_px)
+        thinned = dataclasses.replace(scene, geometry=geometry)
         given = np.stack([candidate.T_sensor_object for candidate in candidates])
         starts = thinned.in_contact(given)[0]  # the poses whose contact is registered
         seen = [ContactShape(d, touch.press_depth_m) for d in thinned.contact_depths(starts, touch.press_depth_m)]
-        before = [shape.overlap(wanted, thinned.geometry.observed_mask) for shape in seen]
-        found = self._register_shapes(seen, wanted, thinned.geometry)
+        before = [shape.overlap(wanted, geometry.observed_mask) for shape in seen]
+        found = self._register_shapes(seen, wanted, geometry)
         poses = np.stack([_moved(start, f.T_mm) for start, f in zip(starts, found, strict=True)])
         rows = zip(found, poses, scene.overlaps(poses, touch), given, before, strict=True)
         return [_believed(*row) for row in rows]

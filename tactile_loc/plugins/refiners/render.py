@@ -73,8 +73,8 @@ class RenderRefiner(Refiner):
         self, touch: Touch, scene: Scene, before: Poses, after: Poses, settled: Flags, iterations: Counts
     ) -> list[RefinedPose]:
         """Results of the refined poses, and of the candidates (K, 4, 4) that explain the touch better than theirs."""
-        overlaps = np.stack([scene.overlaps(T, touch) for T in (before, after)])
-        explained = np.stack([scene.explained(T, touch) for T in (before, after)])
+        scores = [scene.overlaps_and_explained(T, touch) for T in (before, after)]
+        overlaps, explained = (np.stack([both[k] for both in scores]) for k in (0, 1))
         good = (explained[1] >= explained[0]) & (overlaps[1] >= overlaps[0] - ROUGHLY)
         T = np.where(good[:, None, None], after, before)
         fitness = np.where(good, overlaps[1], overlaps[0])
@@ -84,8 +84,7 @@ class RenderRefiner(Refiner):
     def _descend(self, touch: Touch, T: Poses, scene: Scene) -> tuple[Poses, Flags, Counts]:
         """Poses (K, 4, 4) after all descents, which of them settled in the last (K,), and all iterations (K,)."""
         options, metric = self.options, PoseMetric(scene.object)
-        thinning = max(1, round(max(touch.geometry.shape) / options.image_px))
-        geometry, wanted = touch.geometry.every(thinning), touch.contact_shape.every(thinning)
+        geometry, wanted = touch.thinned(options.image_px)
         still, iterations = np.zeros(len(T), bool), np.zeros(len(T), np.int64)
         if not (wanted.contact & geometry.observed_mask).any():
             return T, still, iterations
