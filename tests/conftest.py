@@ -16,6 +16,7 @@ from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.core.store import StageStore
 from tactile_loc.core.symmetry import SymmetryGroup
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
+from tactile_loc.testing.problems import LOPSIDED_CAMERAS
 
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 
@@ -71,6 +72,12 @@ def box(make_box: MakeObject) -> ObjectModel:
 def cylinder(make_object: MakeObject) -> ObjectModel:
     """A cylinder about z, 8 mm in radius and 30 mm long, declared as turned and flipped about x."""
     return make_object(trimesh.creation.cylinder(0.008, 0.030, sections=64), "zinf*x2", "cylinder")
+
+
+@pytest.fixture(params=list(LOPSIDED_CAMERAS))
+def camera(request: pytest.FixtureRequest) -> SensorGeometry:
+    """Non-square pixels, an off-centre principal point, more columns than rows."""
+    return LOPSIDED_CAMERAS[request.param]
 
 
 @pytest.fixture(scope="session")

@@ -18,12 +18,12 @@ from tactile_loc.evaluation.belief import belief
 from tactile_loc.evaluation.metrics import add_s, hull_corners, mssd, symmetric_adds
 from tactile_loc.evaluation.oracle import true_pose
 
-LINES = ("best-1", "best-10", "best-50", "reg-1", "chosen-10", "reg-10", "closest", "oracle", "random", "random-10")
+LINES = ("best-1", "best-10", "best-50", "reg-1", "chosen", "reg-10", "closest", "oracle", "random", "random-10")
 METRICS = ("add", "mssd", "add-s")
 STAGES = ("encode", "match", "fuse", "refine")
 SURFACE_POINTS = 10_000
 ASKED_EVERY = 10  # of the surface points, for ADD-S
-MOST, FEW = 50, 10  # poses that best-50, and that best-10, chosen-10, reg-10 and random-10 choose from
+MOST, FEW = 50, 10  # poses that best-50, and that best-10, chosen, reg-10 and random-10 choose from
 NEAR = 32  # nearest grid poses by root mean square distance, among which the nearest by ADD is looked for
 NEAR_STEP_M = 1e-3  # of a continuous symmetry, in looking for them
 
@@ -79,7 +79,7 @@ class Judge:
         k, n = len(top), len(on_grid)
         choices = {
             "best-1": (0, 1), "best-10": (0, min(FEW, k)), "best-50": (0, k), "reg-1": (n, n + 1),
-            "chosen-10": (n + chosen, n + chosen + 1), "reg-10": (n, len(poses)), "closest": (0, n),
+            "chosen": (n + chosen, n + chosen + 1), "reg-10": (n, len(poses)), "closest": (0, n),
             "oracle": (k + FEW, k + FEW + 1), "random": (k, k + 1), "random-10": (k, k + FEW),
         }  # fmt: skip
         return np.stack([poses[a + errors[a:b].argmin()] for a, b in (choices[line] for line in LINES)])

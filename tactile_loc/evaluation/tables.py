@@ -29,7 +29,7 @@ SHOWN = (
     "best-10",
     "best-50",
     "reg-1",
-    "chosen-10",
+    "chosen",
     "reg-10",
     "closest",
     "oracle",

@@ -38,7 +38,7 @@ def test_several_objects_are_evaluated_and_written(cli, tmp_path):
     assert float(in_mm[2]) == pytest.approx(1e3 * median_m, rel=0.01)
     assert float(shares[2]) == pytest.approx(median_m / record["runs"][0]["random_mean_m"]["add"], abs=1e-3)
     assert trust[2::2][:3] == [f"{100 * share:.0f}" for share in record["runs"][0]["trust"]["coverage"]]
-    assert max(map(len, done.stdout.splitlines()[:4])) <= 88
+    assert max(map(len, done.stdout.splitlines()[:4])) <= 80
     for name in ("results.json", *pictures):
         assert name in done.stdout
 

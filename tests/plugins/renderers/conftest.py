@@ -17,19 +17,9 @@ from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.plugins.renderers.pyrender import PyrenderRenderer
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
+from tactile_loc.testing.problems import LOPSIDED_CAMERAS
 
 SPHERE_RADIUS_M = 0.008
-
-CAMERAS = {
-    "pinhole": SensorGeometry("pinhole", 90, 64, 62.0, 50.0, 39.3, 36.1, 0.021, 0.002),
-    "orthographic": SensorGeometry("orthographic", 90, 64, 3100.0, 2400.0, 39.3, 36.1, 0.021, 0.002),
-}
-
-
-@pytest.fixture(params=list(CAMERAS))
-def camera(request: pytest.FixtureRequest) -> SensorGeometry:
-    """Non-square pixels, an off-centre principal point, more columns than rows."""
-    return CAMERAS[request.param]
 
 
 @pytest.fixture(scope="session")
@@ -72,7 +62,7 @@ def new_pyrender() -> Callable[[], PyrenderRenderer]:
     """Make pyrender renderers; skips where this machine has no OpenGL."""
     probe = PyrenderRenderer()
     try:
-        probe.render(TriangleMesh(np.eye(3), np.array([[0, 1, 2]])), np.eye(4)[None], CAMERAS["pinhole"])
+        probe.render(TriangleMesh(np.eye(3), np.array([[0, 1, 2]])), np.eye(4)[None], LOPSIDED_CAMERAS["pinhole"])
     except RenderError as error:
         pytest.skip(str(error))
     probe.close()
