@@ -24,7 +24,7 @@ from tactile_loc.imaging.optics import Optics
 from tactile_loc.imaging.shading import background
 from tactile_loc.imaging.simulate import board_presses
 
-STAGE_VERSION = 2
+STAGE_VERSION = 3
 SHARD = 64  # presses rendered, saved and resumed at once, under lamps of their own
 DEEPEST = 65535  # indentations are 16-bit shares of the sensor's deepest press
 VARIATION = 0.25  # of the lamps, of what one make's specimens differ by

@@ -24,7 +24,7 @@ from tactile_loc.core.workspace import Workspace
 if TYPE_CHECKING:
     from tactile_loc.core.localizer import Localizer
 
-STAGE_VERSION = 1
+STAGE_VERSION = 2
 FIT = "confidence"
 TOUCHES, BATCH = 150, 25
 NOISE = "strong"  # real touches are as far from renders as that, at least

@@ -116,6 +116,13 @@ class Renderer(Component):
         Exact between standoff and standoff + max_depth; anything beyond may be inf. Poses are in contact already.
         """
 
+    def render_apart(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
+        """Return what `render` returns, of poses that share no rotation: random ones, or a refiner's.
+
+        Override it where these can be drawn faster or more exactly than the poses of a grid.
+        """
+        return self.render(mesh, T_sensor_object, geometry)
+
 
 class GridSampler(Component):
     """Proposes the contact poses to search."""

@@ -127,7 +127,7 @@ def _render_all(work: Workspace, grid: PoseGrid, scene: Scene, percent: float, p
             codes = work.load(name)
             enough = work.load(f"{name}-enough", keep=False)
             if codes is None or enough is None:
-                depths = scene.contact_depths(poses)
+                depths = scene.grid_depths(poses)
                 enough = enough_contact(depths, scene, percent)
                 codes = _encoded(depths[enough], scene.geometry.max_depth_m)
                 work.save_array(name, codes)

@@ -35,10 +35,15 @@ class Scene:
 
     def contact_depths(self, T_sensor_object: Poses, press_depth_m: float | None = None) -> NDArray[np.float32]:
         """Render contact depths (N, H, W) in metres of poses (N, 4, 4) that are in contact already."""
-        depth = self.renderer.render(self.object.mesh, T_sensor_object, self.geometry)
+        depth = self.renderer.render_apart(self.object.mesh, T_sensor_object, self.geometry)
         return contact_depth(
             depth, self.geometry, self.geometry.max_depth_m if press_depth_m is None else press_depth_m
         )
+
+    def grid_depths(self, T_sensor_object: Poses) -> NDArray[np.float32]:
+        """Render contact depths (N, H, W) in metres, at full press, of a grid's poses: many share a rotation."""
+        depth = self.renderer.render(self.object.mesh, T_sensor_object, self.geometry)
+        return contact_depth(depth, self.geometry, self.geometry.max_depth_m)
 
     def contact_shape(self, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> ContactShape:
         """Render the contact shape of one pose (4, 4), brought to contact, at a press depth in metres."""

@@ -13,7 +13,7 @@ from tactile_loc.core.scene import Scene
 from tactile_loc.core.store import StageStore
 from tactile_loc.core.workspace import Workspace
 
-STAGE_VERSION = 1
+STAGE_VERSION = 2
 CHECKPOINT, WEIGHTS = "checkpoint.safetensors", "encoder.safetensors"
 
 

@@ -120,6 +120,6 @@ def training_problem(seed: int = 0) -> TrainingProblem:
     """Return a tiny problem for an encoder to be trained on before it is checked: the checks' object and camera."""
     scene = Scene(block(), LOPSIDED_CAMERAS["orthographic"], ReferenceRenderer())
     grid = small_grid(seed=seed, scene=scene)
-    shapes = scene.contact_depths(grid.T_sensor_object)
+    shapes = scene.grid_depths(grid.T_sensor_object)
     sampler = registry().create("grid", "face", {"spacing_mm": 4.0, "face": "-z"})
     return TrainingProblem(grid, scene, sampler, lambda: iter([shapes]))

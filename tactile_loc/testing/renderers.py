@@ -25,7 +25,7 @@ STRAY = 0.02  # share of pixels that may differ: their centres lie at an edge
 def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for a renderer of these capabilities."""
     chosen: list[Check] = [check_output, check_sphere, check_plane, check_hidden_surfaces, check_batch_is_singles,
-                           check_mesh_and_poses_untouched, check_shift_moves_the_picture,
+                           check_apart_is_together, check_mesh_and_poses_untouched, check_shift_moves_the_picture,
                            check_quarter_turn_turns_the_picture, check_scale]  # fmt: skip
     if capabilities.deterministic:
         chosen.append(check_deterministic)
@@ -80,6 +80,14 @@ def check_batch_is_singles(renderer: Renderer) -> None:
     together = renderer.render(stepped_block(), T, camera)
     singly = np.concatenate([renderer.render(stepped_block(), t[None], camera) for t in T])
     _same(together, singly, camera, "a batch must be the same as its poses one by one")
+
+
+def check_apart_is_together(renderer: Renderer) -> None:
+    """Poses drawn as ones that share no rotation look as those of a grid do."""
+    for camera in LOPSIDED_CAMERAS.values():
+        T = _contact(stepped_block(), _poses(), camera)
+        apart, together = (draw(stepped_block(), T, camera) for draw in (renderer.render_apart, renderer.render))
+        _same(apart, together, camera, "`render_apart` must draw what `render` draws")
 
 
 def check_mesh_and_poses_untouched(renderer: Renderer) -> None:

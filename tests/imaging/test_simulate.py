@@ -87,9 +87,9 @@ def test_the_boards_take_turns():
     seen = []
 
     class Watching(HeightmapRenderer):
-        def render(self, mesh, T_sensor_object, geometry):
+        def render_apart(self, mesh, T_sensor_object, geometry):
             seen.append(mesh.digest)
-            return super().render(mesh, T_sensor_object, geometry)
+            return super().render_apart(mesh, T_sensor_object, geometry)
 
     assert len(list(board_presses(sensor(16), 3 * BATCH, GELSLIM, rng(), Watching()))) == 3
     turns = [digest for i, digest in enumerate(seen) if i == 0 or digest != seen[i - 1]]
@@ -105,7 +105,7 @@ def test_a_negative_number_of_presses_is_refused():
 class Nothing(HeightmapRenderer):
     """Sees no surface anywhere."""
 
-    def render(self, mesh, T_sensor_object, geometry):
+    def render_apart(self, mesh, T_sensor_object, geometry):
         return np.full((len(T_sensor_object), *geometry.shape), np.inf, np.float32)
 
 

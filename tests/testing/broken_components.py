@@ -121,6 +121,7 @@ RENDERER = [
     (renderers.check_plane, drawing(along_the_ray)),
     (renderers.check_hidden_surfaces, made(ReferenceRenderer, render=without_the_boss)),
     (renderers.check_batch_is_singles, drawing(lambda d, *_: d[::-1].copy())),
+    (renderers.check_apart_is_together, then(ReferenceRenderer, "render_apart", lambda d, *_: d + np.float32(1e-4))),
     (renderers.check_mesh_and_poses_untouched, drawing(lambda d, m, T, g: scribbled(d, T))),
     (renderers.check_mesh_and_poses_untouched, drawing(lambda d, m, T, g: scribbled(d, m.vertices_m))),
     (renderers.check_shift_moves_the_picture, drawing(lambda d, *_: d[:, :, ::-1])),

@@ -16,16 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.geometry import make_transform, translation
 from tactile_loc.plugins.refiners import filterreg_kernels as kernels
 from tactile_loc.plugins.refiners.filterreg_mixture import Mixture, Mixtures
+from tactile_loc.plugins.refiners.filterreg_twists import solved, turned_about
 from tactile_loc.plugins.refiners.registration import Cloud, CloudRefiner, Registration
 
 Floats = NDArray[np.float64]
 
 SETTLED_MM = 1e-3  # a step that moves a candidate's points by less, in root mean square, is its last
 SPACINGS = 0.5  # of neighbouring points: Gaussians narrower than that would not overlap
-RIDGE = 1e-3  # of the equations' mean diagonal: damps steps in directions that a contact hardly fixes
 
 
 class FilterRegRefiner(CloudRefiner):
@@ -34,6 +33,7 @@ class FilterRegRefiner(CloudRefiner):
     class Options(CloudRefiner.Options):
         """How far the Gaussians reach at first and at last, what they forgive, and how long to iterate."""
 
+        moving_points: int = Field(default=400, ge=50, description="points of the candidate's cloud, thinned evenly")
         sigma_mm: float = Field(default=2.0, gt=0, description="standard deviation of the Gaussians at first, mm")
         sigma_end_mm: float = Field(
             default=0.15, gt=0, description="the same at last, mm, or more if points are sparse"
@@ -92,15 +92,15 @@ class _Moving:
 
         NaN marks those that have no point in reach of the observed cloud; they stay where they are.
         """
-        centres = (self.T[:, :3, :3] @ self.middles[:, :, None])[:, :, 0] + self.T[:, :3, 3]
+        T, middles = self.T[going], self.middles[going]
+        centres = (T[:, :3, :3] @ middles[:, :, None])[:, :, 0] + T[:, :3, 3]
         equations = self._equations(going, centres, observed, point_weight)
         twists, moved_mm = solved(equations)
         reached = np.isfinite(moved_mm)
         self.iterations[going] += 1
         self.found[going] |= reached
         these = going[reached]
-        there, back = translation(centres[these]), translation(-centres[these])
-        self.T[these] = there @ exponential(twists[reached]) @ back @ self.T[these]
+        self.T[these] = turned_about(self.T[these], centres[reached], twists[reached])
         return moved_mm
 
     def _equations(self, going: NDArray[np.int64], centres: Floats, observed: Mixture, point_weight: float) -> Floats:
@@ -111,7 +111,7 @@ class _Moving:
         c = going[0]  # one candidate: waking the other threads would cost more than it saves
         some, result = slice(self.starts[c], self.starts[c + 1]), np.zeros((1, 6, 7))
         kernels.equations_of_one(
-            self.points[some], self.normals[some], self.T[c], centres[c], observed, point_weight, result[0]
+            self.points[some], self.normals[some], self.T[c], centres[0], observed, point_weight, result[0]
         )
         return result
 
@@ -119,40 +119,3 @@ class _Moving:
         """What has been found of each candidate."""
         rows = zip(self.T, self.found, self.converged, self.iterations, strict=True)
         return [Registration(T if found else None, bool(done), int(count)) for T, found, done, count in rows]
-
-
-def solved(equations: Floats) -> tuple[Floats, Floats]:
-    """Return the twists (K, 6), rotation (rad) before translation (mm), that solve normal equations (K, 6, 7).
-
-    Also the root mean square distance (K,), mm, by which they move the points. Both are NaN where there are no points.
-    """
-    A, b = equations[:, :, :6], equations[:, :, 6]
-    turning, sliding = _trace(A[:, :3, :3]), _trace(A[:, 3:, 3:])
-    lever = np.where(turning > 0, np.sqrt(turning / np.where(sliding > 0, sliding, np.nan)), 1.0)  # mm a radian
-    unit = np.concatenate([np.repeat(1.0 / lever[:, None], 3, axis=1), np.ones((len(A), 3))], axis=1)
-    scaled = A * unit[:, :, None] * unit[:, None, :]
-    ridge = RIDGE * _trace(scaled) / 6.0
-    twists = np.full((len(A), 6), np.nan)
-    fine = np.isfinite(ridge) & (ridge > 0)
-    stiff = scaled[fine] + ridge[fine, None, None] * np.eye(6)
-    twists[fine] = np.linalg.solve(stiff, (b * unit)[fine, :, None])[:, :, 0]
-    return twists * unit, np.linalg.norm(twists, axis=1)
-
-
-def exponential(twists: Floats) -> Floats:
-    """Return the rigid motions (K, 4, 4) of twists (K, 6), rotation (rad) before translation (the unit stays)."""
-    w, v = twists[:, :3], twists[:, 3:]
-    zero = np.zeros(len(w))
-    W = np.stack([zero, -w[:, 2], w[:, 1], w[:, 2], zero, -w[:, 0], -w[:, 1], w[:, 0], zero], 1).reshape(-1, 3, 3)
-    angle = np.linalg.norm(w, axis=1)[:, None, None]
-    small, a = angle < 1e-3, np.where(angle < 1e-3, 1.0, angle)  # below, the series' next terms are lost in rounding
-    sine = np.where(small, 1.0 - angle**2 / 6.0, np.sin(a) / a)
-    versine = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(a)) / a**2)
-    rest = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (a - np.sin(a)) / a**3)
-    R = np.eye(3) + sine * W + versine * (W @ W)
-    V = np.eye(3) + versine * W + rest * (W @ W)
-    return make_transform(R, (V @ v[:, :, None])[:, :, 0])
-
-
-def _trace(A: Floats) -> Floats:
-    return np.einsum("kii->k", A)

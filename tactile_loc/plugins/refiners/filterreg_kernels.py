@@ -95,13 +95,13 @@ def _expect(x, n, mixture):
 def equations(points, normals, starts, which, T, centres, mixture, along):
     """Return the normal equations (K, 6, 7) of the candidates `which` (K,), shared out among threads.
 
-    Candidate c has the points from starts[c] to starts[c + 1], moved by T (C, 4, 4), and turns about centres (C, 3).
+    Candidate c has the points from starts[c] to starts[c + 1], moved by T (C, 4, 4); they turn about centres (K, 3).
     """
     result = np.zeros((len(which), 6, 7))
     for k in prange(len(which)):
         c = which[k]
         some = slice(starts[c], starts[c + 1])
-        equations_of_one(points[some], normals[some], T[c], centres[c], mixture, along, result[k])
+        equations_of_one(points[some], normals[some], T[c], centres[k], mixture, along, result[k])
     return result
 
 

@@ -5,7 +5,8 @@ directly by an orthographic camera, and along rays marched through the contact b
 pixels whose part of the map lies above the band are skipped by a coarse map of extrema, which also brackets the march.
 
 Limits: a height map has one surface a cell, so what an overhang hides from below is not seen (a pinhole camera sees a
-little of it), and steep walls are placed to within half a cell.
+little of it), and steep walls are placed to within half a cell. Poses that share no rotation gain nothing by a map:
+they are drawn triangle by triangle, which is exact.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Float32,
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.zbuffer import nearest_depths
 from tactile_loc.plugins.renderers import heightmap_kernels as kernels
 
 Floats = NDArray[np.float64]
@@ -58,24 +60,20 @@ class HeightmapRenderer(Renderer):
             last = min(first + step, len(rotations))
             maps = np.empty((last - first, *cells), np.float32)
             poses = slice(starts[first], starts[last])
-            if len(T) == 1:  # waking the other threads would cost more than it saves
-                kernels.rasterise_one(triangles, rotations[0], low[0], ceilings[0], cell, maps[0])
-                tiles = _minima(maps, kernels.FINE)[0], _minima(maps, kernels.COARSE)[0]
-                kernels.sample_one(maps[0], *tiles, low[0], cell, t[0], *view, depth[0])
-                continue
             kernels.rasterise(triangles, rotations[some], low[some], ceilings[some], cell, maps)
             tiles = _minima(maps, kernels.FINE), _minima(maps, kernels.COARSE)
             kernels.sample(maps, *tiles, low[some], cell, slot[poses] - first, members[poses], t, *view, depth)
         return depth
 
+    def render_apart(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
+        """Return the same of poses that share no rotation, exactly: from two to three times as fast as by maps."""
+        return nearest_depths(mesh, T_sensor_object, geometry)
+
 
 def _minima(maps: Float32, tile: int) -> Float32:
     """Return the least height (K, rows / tile, columns / tile) of every tile of the maps."""
     lowest = np.empty((len(maps), maps.shape[1] // tile, maps.shape[2] // tile), np.float32)
-    if len(maps) > 1:
-        kernels.minima(maps, tile, lowest)
-    else:
-        kernels.minima_one(maps[0], tile, lowest[0])
+    kernels.minima(maps, tile, lowest)
     return lowest
 
 

@@ -22,11 +22,11 @@ WALL = 3.0  # a rise of more than this many cells from one cell to the next is a
 def rasterise(triangles, rotations, corners, ceilings, cell, maps):
     """Draw the lower envelopes (K, rows, columns) of triangles (F, 3, 3) turned by each rotation, by all threads."""
     for k in prange(len(rotations)):
-        rasterise_one(triangles, rotations[k], corners[k], ceilings[k], cell, maps[k])
+        _rasterise_one(triangles, rotations[k], corners[k], ceilings[k], cell, maps[k])
 
 
 @njit(**FAST)
-def rasterise_one(triangles, R, corner, ceiling, cell, envelope):
+def _rasterise_one(triangles, R, corner, ceiling, cell, envelope):
     """Draw the lower envelope (rows, columns) of triangles (F, 3, 3) turned by R; inf where there is none."""
     envelope.fill(np.inf)
     p = np.empty((3, 3))
@@ -81,11 +81,11 @@ def _span(p, r):
 def minima(maps, tile, lowest):
     """Fill the least height (K, rows / tile, columns / tile) of every tile of the maps, by all threads."""
     for k in prange(len(maps)):
-        minima_one(maps[k], tile, lowest[k])
+        _minima_one(maps[k], tile, lowest[k])
 
 
 @njit(**FAST)
-def minima_one(envelope, tile, lowest):
+def _minima_one(envelope, tile, lowest):
     """Fill the least height (rows / tile, columns / tile) of every tile of a map."""
     for i in range(len(lowest)):
         for j in range(lowest.shape[1]):
@@ -101,11 +101,11 @@ def sample(maps, fine, coarse, corners, cell, slot, members, t, camera, slopes_x
     """Fill depth (N, H, W) at `members`, each from map `slot`, seen by `camera`, by all threads."""
     for m in prange(len(members)):
         i, k = members[m], slot[m]
-        sample_one(maps[k], fine[k], coarse[k], corners[k], cell, t[i], camera, slopes_x, slopes_y, depth[i])
+        _sample_one(maps[k], fine[k], coarse[k], corners[k], cell, t[i], camera, slopes_x, slopes_y, depth[i])
 
 
 @njit(**FAST)
-def sample_one(envelope, fine, coarse, corner, cell, t, camera, slopes_x, slopes_y, picture):
+def _sample_one(envelope, fine, coarse, corner, cell, t, camera, slopes_x, slopes_y, picture):
     """Fill a picture (H, W) from one map, seen by `camera` (pinhole?, band begin, band end).
 
     Blocks of pixels are cut smaller until their part of the map lies above the band or they are traced.
