@@ -60,7 +60,7 @@ def check_covers_random_poses(sampler: GridSampler) -> None:
     grid = _touching(_sample(sampler))
     drawn = _touching(_random(sampler, 200)).T_sensor_object
     spacings = np.quantile(grid.nearest(drawn)[0], [0.5, 0.95]) / SPACING_M
-    covered = spacings[0] <= 1.5 and spacings[1] <= 2.5
+    covered = spacings[0] <= 1.0 and spacings[1] <= 2.0
     require(covered, "sample must cover what random draws from; the nearest grid pose is "
             f"{spacings[0]:.2g} spacings away in the median and {spacings[1]:.2g} for one in twenty")  # fmt: skip
 

@@ -69,12 +69,12 @@ def build(scene: Scene, sampler: FaceGrid, store: StageStore) -> ObjectPoseModel
 def test_shapes_decode_to_what_was_rendered(make_pin_scene, sampler, own_store):
     scene = make_pin_scene()
     model = build(scene, sampler, own_store)
-    rendered = scene.contact_depths(model.grid.T_sensor_object)
+    rendered = scene.grid_depths(model.grid.T_sensor_object)
     decoded = np.concatenate(list(model.shapes.shards()))
     assert decoded.dtype == np.float32
     assert decoded.shape == (model.size, *scene.geometry.shape)
     max_depth_m = scene.geometry.max_depth_m
-    assert np.abs(decoded - rendered).max() <= 0.51 * max_depth_m / 65535 + 1e-9
+    assert np.abs(decoded - rendered).max() <= 0.51 * max_depth_m / 65535 + 3e-9  # of which float32 depths are
     touching = rendered < np.float32(max_depth_m)
     assert np.array_equal(decoded < np.float32(max_depth_m), touching)
     for index in (0, 1, SHARD - 1, SHARD, model.size - 1):
@@ -123,7 +123,7 @@ def test_poses_and_shapes_stay_together(make_pin_scene, own_store):
     model = build(scene, FaceGrid(FaceGrid.Options(spacing_mm=8.0, min_contact_percent=9.0)), own_store)
     assert 0 in model.shapes.artifact.json("sizes")
     assert all(len(depths) for depths in model.shapes.shards()), "an encoder is not asked about nothing"
-    rendered = scene.contact_depths(model.grid.T_sensor_object)
+    rendered = scene.grid_depths(model.grid.T_sensor_object)
     np.testing.assert_allclose(np.concatenate(list(model.shapes.shards())), rendered, atol=1e-7)
     for index in range(0, model.size, 7):
         np.testing.assert_allclose(model.shapes.shape(index, 0.002), rendered[index], atol=1e-7)

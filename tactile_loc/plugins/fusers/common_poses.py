@@ -105,9 +105,9 @@ def common_poses(
     for number in _order(contacts, poses[first]):
         found[number] = contacts[number].lookup(poses[first])
         touching = found[number] >= 0
+        if len(first) and not touching.any():
+            raise GridError(_explain(number, len(first), len(poses), len(grids)))
         first, found = first[touching], found[:, touching]
-    if len(first) == 0 and possible.any():
-        raise GridError(_explain(contacts, poses, np.flatnonzero(possible), len(grids)))
     return CommonPoses(first, found)
 
 
@@ -145,16 +145,10 @@ def _order(contacts: dict[int, Contact], T_first_object: Poses) -> list[int]:
     return order
 
 
-def _explain(contacts: dict[int, Contact], poses: Poses, left: Indices, count: int) -> str:
-    """Say which contact, in the order given, dropped the last poses."""
-    number = 0
-    for number, contact in contacts.items():  # noqa: B007
-        touching = contact.lookup(poses[left]) >= 0
-        if not touching.any():
-            break
-        left = left[touching]
+def _explain(number: int, dropped: int, poses: int, count: int) -> str:
+    """Say which contact dropped the last poses."""
     return (
-        f"no pose touches all {count} sensors: contact {number + 1} drops the last {len(left):,} of the first grid's "
-        f"{len(poses):,} poses; check each T_base_sensor (metres, from sensor to base), or search a grid that covers "
+        f"no pose touches all {count} sensors: contact {number + 1} drops the last {dropped:,} of the first grid's "
+        f"{poses:,} poses; check each T_base_sensor (metres, from sensor to base), or search a grid that covers "
         "all faces, hopf"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -15,13 +16,19 @@ from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.core.symmetry import SymmetryGroup
-from tactile_loc.plugins.grids.lattice import plane_lattice, reachable_translations
+from tactile_loc.plugins.grids.lattice import reachable_translations, shifted_lattice
 
 SIDES = {f"{sign}{axis}": s * np.eye(3)[i] for i, axis in enumerate("xyz") for sign, s in (("+", 1.0), ("-", -1.0))}
 
 
 class FaceGrid(GridSampler):
-    """One face of the object lies on the sensor: a lattice over x, y and yaw, times tilts up to `tilt_deg`."""
+    """One face of the object lies on the sensor: a lattice over x, y and yaw, times tilts up to `tilt_deg`.
+
+    Each yaw's lattice is shifted against the others': places where only a narrow range of x or y makes contact, a ledge
+    beside the face, would otherwise fall between the same rows at every yaw.
+    """
+
+    version = 2
 
     class Options(GridSampler.Options):
         """`face` is the object's side that touches the sensor, or "auto": the side on which it rests lowest."""
@@ -44,11 +51,16 @@ class FaceGrid(GridSampler):
         """Return the lattice (N, 4, 4) whose steps in x, y and yaw each move the surface by `spacing_m` metres RMS."""
         R_face = self._face_rotation(obj)
         lever_m = float(np.sqrt(np.diag(R_face @ obj.mesh.covariance_m2 @ R_face.T)[:2].sum()))
-        # A whole number of steps to each turn that looks the same: then equivalent poses coincide and can be removed.
         fold = turns_alike(obj.symmetry, -R_face[2])
-        turns = fold * max(1, round(2 * np.pi * lever_m / (spacing_m * fold)))
-        yaw_rad = np.arange(turns) * (2 * np.pi / turns)
-        return np.concatenate([_over_plane(obj, geometry, R, spacing_m) for R in self._rotations(R_face, yaw_rad)])
+        # Of each turn that looks the same a whole number of steps: then equivalent poses coincide and can be removed.
+        period = 1 if fold == math.inf else max(1, round(2 * np.pi * lever_m / (spacing_m * fold)))
+        turns = period if fold == math.inf else period * int(fold)
+        poses = [
+            _over_plane(obj, geometry, R, spacing_m, number % period)
+            for number in range(turns)
+            for R in self._rotations(R_face, np.array([number * 2 * np.pi / turns]))
+        ]
+        return np.concatenate(poses)
 
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
         """Draw poses (count, 4, 4) uniformly in x, y, yaw and tilt; metres."""
@@ -95,13 +107,15 @@ def resting_normal(vertices_m: NDArray[np.float64], centroid_m: NDArray[np.float
     return np.asarray(near[np.lexsort(np.round(near.T[::-1], 6))[-1]])
 
 
-def turns_alike(symmetry: SymmetryGroup, normal: NDArray[np.float64]) -> int:
-    """Return how many turns about this unit normal (3,) of the object frame map it onto itself; 1 if any turn does."""
+def turns_alike(symmetry: SymmetryGroup, normal: NDArray[np.float64]) -> float:
+    """Return how many turns about this unit normal (3,) of the object frame map it onto itself: whole, or inf."""
     axis = symmetry.continuous_axis
     if axis is None:
         return int(np.isclose(symmetry.rotations @ normal, normal, atol=1e-3).all(axis=1).sum())
-    flips_over = len(symmetry.rotations) > 1 and abs(axis @ normal) < 1e-3
-    return 2 if flips_over else 1
+    along = abs(float(axis @ normal))
+    if along > 1 - 1e-6:
+        return math.inf
+    return 2 if len(symmetry.rotations) > 1 and along < 1e-3 else 1
 
 
 def _tilted(
@@ -113,8 +127,13 @@ def _tilted(
     return tilt @ rotation_about([0, 0, 1], yaw_rad) @ R_face
 
 
-def _over_plane(obj: ObjectModel, geometry: SensorGeometry, R: NDArray[np.float64], pitch_m: float) -> Poses:
-    """All lattice translations (K, 4, 4) at which the object turned by R (3, 3) can be over the sensing rectangle."""
+def _over_plane(
+    obj: ObjectModel, geometry: SensorGeometry, R: NDArray[np.float64], pitch_m: float, number: int
+) -> Poses:
+    """Translations (K, 4, 4) of the `number`-th lattice at which the object turned by R (3, 3) can be over the sensor.
+
+    That is, over the sensing rectangle.
+    """
     low, high = reachable_translations(obj.mesh.vertices_m @ R.T, geometry.rectangle)
-    t_xy = plane_lattice(low, high, pitch_m)
+    t_xy = shifted_lattice(low, high, pitch_m, number)
     return make_transform(R, np.column_stack([t_xy, np.zeros(len(t_xy))]))

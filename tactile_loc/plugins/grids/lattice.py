@@ -9,6 +9,9 @@ from tactile_loc.core.errors import GridError
 
 Float = NDArray[np.float64]
 
+PLASTIC = 1.32471795724474602596  # the real root of x^3 = x + 1
+SHIFTS = np.array([1 / PLASTIC, 1 / PLASTIC**2])  # its multiples, modulo 1, fill a square: Roberts' R2 sequence
+
 
 def lattice_shape(low_m: Float, high_m: Float, pitch_m: float) -> NDArray[np.int64]:
     """Return how many lattice points (..., 2) `plane_lattice` has along x and y between low and high (..., 2), metres.
@@ -37,6 +40,24 @@ def plane_lattice(low_m: Float, high_m: Float, pitch_m: float) -> Float:
         for middle, n in zip((low + high) / 2, lattice_shape(low, high, pitch_m), strict=True)
     )
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def shifted_lattice(low_m: Float, high_m: Float, pitch_m: float, number: int) -> Float:
+    """Return the points (K, 2) of the square lattice that is shifted by the `number`-th of SHIFTS, as far as in range.
+
+    Metres; lattices of successive numbers fill one another's gaps evenly. Number 0 has a point in the middle of the
+    range, low (2,) to high (2,); a range that no point is in gets its middle. Raises GridError as `plane_lattice` does.
+    """
+    lattice_shape(low_m, high_m, pitch_m)  # checks the pitch
+    low, high = np.asarray(low_m, float), np.asarray(high_m, float)
+    middle, shift = (low + high) / 2, pitch_m * (number * SHIFTS % 1.0)
+    axes = []
+    for a in range(2):
+        first = np.ceil((low[a] - middle[a] - shift[a]) / pitch_m - 1e-9)
+        last = np.floor((high[a] - middle[a] - shift[a]) / pitch_m + 1e-9)
+        points = middle[a] + shift[a] + pitch_m * np.arange(first, last + 1)
+        axes.append(points if len(points) else middle[a : a + 1])
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def reachable_translations(points_m: Float, rectangle_m: tuple[float, float, float, float]) -> tuple[Float, Float]:

@@ -85,8 +85,8 @@ def test_the_lattice_covers_all_places_where_the_object_can_be_over_the_sensor(f
     straight = T[np.isclose(T[:, 0, 0], 1.0)]
     x0, x1, y0, y1 = flat_camera.rectangle
     low, high = straight[:, :2, 3].min(axis=0), straight[:, :2, 3].max(axis=0)
-    np.testing.assert_allclose([low[0], high[0]], [x0 - 0.015, x1 + 0.015], atol=0.002 + 1e-9)
-    np.testing.assert_allclose([low[1], high[1]], [y0 - 0.010, y1 + 0.010], atol=0.002 + 1e-9)
+    np.testing.assert_allclose([low[0], high[0]], [x0 - 0.015, x1 + 0.015], atol=0.004)
+    np.testing.assert_allclose([low[1], high[1]], [y0 - 0.010, y1 + 0.010], atol=0.004)
 
 
 def test_tilts_are_about_the_sensors_axes_and_no_larger_than_asked(pinhole, box):
@@ -99,6 +99,14 @@ def test_tilts_are_about_the_sensors_axes_and_no_larger_than_asked(pinhole, box)
     about_x = np.degrees(np.arctan2(normal[:, 1], -normal[:, 2]))
     assert set(about_x.round(6) + 0.0) == set(about_y.round(6) + 0.0) == {-8.0, 0.0, 8.0}
     assert 8 * len(flat) < len(T) < 11 * len(flat)
+
+
+def test_yaws_have_lattices_that_fill_one_another_s_gaps(flat_camera, box):
+    """Otherwise a narrow ledge beside a face falls between the same rows at every yaw."""
+    T = face("+z").sample(box, flat_camera, 0.005)
+    for axis in range(2):
+        rows = np.unique((T[:, axis, 3] % 0.005).round(6))
+        assert np.diff([*rows, rows[0] + 0.005]).max() < 0.0015
 
 
 def test_random_tilts_are_within_the_limit_and_uniform(pinhole, box):
@@ -132,7 +140,7 @@ def test_symmetric_yaws_coincide(pinhole, make_box, make_object):
 
 @pytest.mark.parametrize(("symmetry", "normal", "turns"), [
     ("none", [0, 0, 1], 1), ("z6", [0, 0, 1], 6), ("z6", [0, 0, -1], 6), ("z6", [1, 0, 0], 1), ("z6*x2", [0, 0, 1], 6),
-    ("z6*x2", [1, 0, 0], 2), ("zinf", [0, 0, 1], 1), ("zinf", [1, 0, 0], 1), ("zinf*x2", [0.6, 0.8, 0], 2),
+    ("z6*x2", [1, 0, 0], 2), ("zinf", [0, 0, 1], np.inf), ("zinf", [1, 0, 0], 1), ("zinf*x2", [0.6, 0.8, 0], 2),
 ])  # fmt: skip
 def test_turns_that_look_alike(symmetry, normal, turns):
     assert turns_alike(SymmetryGroup.parse(symmetry, np.zeros(3)), np.array(normal, float)) == turns

@@ -1,0 +1,70 @@
+#!/usr/bin/env python3
+"""How long it takes to fuse several contacts over a grid of about `--poses` poses, by number of contacts.
+
+For each mesh (FILE[:UNITS]; without any, the demo objects): one face, `pixel`, `--examples` examples of simulated
+touches with strong noise, by sensors that stand where the true poses have them. Each touch's posterior is at hand; what
+is timed is the fuser alone, once warmed up.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+from single_touch import spacing_for
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.geometry import invert
+from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.meshes import load_object
+from tactile_loc.core.store import StageStore
+from tactile_loc.data import DEMO_OBJECTS
+
+NUMBERS = (1, 2, 3, 5, 7)
+
+
+def measure(path: str, arguments: argparse.Namespace, store: Path) -> str:
+    """One row of the table: poses, then median and most milliseconds for each of NUMBERS."""
+    name, _, units = path.partition(":")
+    obj = load_object(name, units or "auto", "auto")
+    grid = {"name": "face", "spacing_mm": spacing_for(obj, {}, arguments.poses)}
+    localizer = Localizer.create(name, units=units or "auto", grid=grid, store=StageStore(store))
+    most = max(NUMBERS)
+    touches = localizer.simulate(arguments.examples * most, arguments.seed, noise="strong")
+    posteriors = [localizer.single_posterior(touch) for touch in touches]
+    T_base_sensor = [invert(touch.T_sensor_object[None])[0] for touch in touches]
+    cells = []
+    for n in NUMBERS:
+        ms = []
+        for first in [0, *range(0, len(touches), most)]:  # the first twice, to warm up
+            some = slice(first, first + n)
+            start = time.perf_counter()
+            with suppress(GridError):  # no common pose is found out as slowly
+                localizer.fuser.fuse(posteriors[some], T_base_sensor[some], None)
+            ms.append((time.perf_counter() - start) * 1e3)
+        cells.append(f"{np.median(ms[1:]):.0f}, {max(ms[1:]):.0f}")
+    return f"| {obj.name} | {len(localizer.model.grid)} | {' | '.join(cells)} |"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("meshes", nargs="*", help="FILE[:UNITS]; default: the demo objects")
+    parser.add_argument("--poses", type=int, default=20_000, help="about how many poses a grid has")
+    parser.add_argument("--examples", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    print("milliseconds to fuse so many contacts: median, most")
+    print(f"| object | poses | {' | '.join(map(str, NUMBERS))} |")
+    print("|---" * (2 + len(NUMBERS)) + "|")
+    with tempfile.TemporaryDirectory() as store:
+        for path in arguments.meshes or DEMO_OBJECTS:
+            print(measure(path, arguments, Path(store)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
