@@ -19,6 +19,7 @@ _BOX_FACES = np.array([
     [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
 ])  # fmt: skip
 _ROUNDING = 1e-9
+RAYS = 512  # met with all triangles at once
 
 
 class ReferenceRenderer(Renderer):
@@ -38,10 +39,20 @@ class ReferenceRenderer(Renderer):
 
 
 def _first_hits(triangles_m: Array, geometry: SensorGeometry) -> Array:
-    """Depths (H * W,) by Cramer's rule (Moeller and Trumbore): u, v and z are quotients of triple products."""
+    """Depths (H * W,) of the nearest triangles; rays are taken in parts whose products stay in the cache."""
+    rays = np.stack([s.ravel() for s in np.meshgrid(*geometry.pixel_slopes)], axis=-1)
+    parts = np.split(rays, range(RAYS, len(rays), RAYS))
+    return np.concatenate([_first_hits_of(part, triangles_m, geometry.is_pinhole) for part in parts])
+
+
+def _first_hits_of(rays: Array, triangles_m: Array, is_pinhole: bool) -> Array:
+    """Depths (K,) of rays (K, 2) by Cramer's rule (Moeller and Trumbore): u, v and z are quotients of triple products.
+
+    A ray is x/z, y/z of a pinhole's, or x, y of a parallel one.
+    """
     a, e1, e2 = triangles_m[:, 0], triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0]
-    x, y = (s.ravel() for s in np.meshgrid(*geometry.pixel_slopes))
-    if geometry.is_pinhole:
+    x, y = rays.T
+    if is_pinhole:
         d = np.stack([x, y, np.ones_like(x)], -1)
         u, v, det = d @ np.cross(e2, -a).T, d @ np.cross(-a, e1).T, d @ np.cross(e2, e1).T
         z = np.einsum("fk,fk->f", e2, np.cross(-a, e1))[None]

@@ -1,89 +1,121 @@
-"""`tactile-loc plugins`: what can fill each slot, and with which options."""
+"""`tactile-loc plugins`: what can fill each slot, with which options, and whether it keeps its contracts."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tactile_loc_cli.console import output, say
+from tactile_loc_cli.failures import Finding
 
 if TYPE_CHECKING:
+    from tactile_loc.core.interfaces import Component
     from tactile_loc.core.registry import Registered, Registry
+    from tactile_loc.testing.running import CheckResult
+
+BROKEN_CONTRACT = 1
+
+Slot = Annotated[str | None, typer.Argument(metavar="SLOT", help="Only this slot.")]
+Name = Annotated[str | None, typer.Argument(metavar="NAME", help="The options of this component.")]
+Check = Annotated[
+    bool,
+    typer.Option("--check", help="Run the contract checks of SLOT NAME instead; exit code 1 if it breaks a contract."),
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "-o",
+        "--option",
+        metavar="SLOT.OPTION=VALUE",
+        help="With --check: an option of the component; may be repeated.",
+    ),
+]
 
 
-def plugins(
-    slot: Annotated[str | None, typer.Argument(metavar="SLOT", help="Only this slot.")] = None,
-    name: Annotated[str | None, typer.Argument(metavar="NAME", help="The options of this component.")] = None,
-) -> None:
-    """List the components of every slot, or the options of one."""
+def plugins(slot: Slot = None, name: Name = None, check: Check = False, option: SetOption = None) -> dict[str, Any]:
+    """List the components of every slot, or the options of one.
+
+    With --check, do to one component what the rest of tactile-loc relies on, and say what is wrong.
+    """
+    from tactile_loc.core.errors import ConfigError
     from tactile_loc.core.registry import registry
 
     found = registry()
+    if check:
+        if slot is None or name is None:
+            raise ConfigError("--check is of one component; say which, as tactile-loc plugins refiner icp --check")
+        return _check(found, slot, name, option or [])
+    if option:
+        raise ConfigError("-o is for --check: give both, or none to list the options and their defaults")
     if slot is not None and name is not None:
-        _show_options(found, slot, name)
-        return
-    _show_components(found, slot)
-    for failure in found.failures:
-        say(f"not loaded: {failure.plugin} of {failure.distribution}: {failure.error}")
+        return _show_options(found, slot, name)
+    return _show_components(found, slot)
 
 
-def _show_components(found: Registry, slot: str | None) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
+def _show_components(found: Registry, slot: str | None) -> dict[str, Any]:
     from tactile_loc.core.errors import UnknownPluginError, did_you_mean
     from tactile_loc.core.hookspecs import SLOTS
 
     if slot is not None and slot not in SLOTS:
         raise UnknownPluginError(
-            f"there is no slot {slot!r};{did_you_mean(slot, SLOTS)} the slots are {', '.join(SLOTS)}"
+            f"there is no slot {slot!r}.{did_you_mean(slot, SLOTS)} The slots are {', '.join(SLOTS)}"
         )
-    table = Table(box=None)
-    for column in ("slot", "name", "distribution"):
-        table.add_column(column, no_wrap=True)
-    table.add_column("summary", overflow="fold")
     shown = [c for s in SLOTS for c in found.components if c.spec.slot == s and slot in (None, s)]
-    for component in shown:
-        spec = component.spec
-        table.add_row(*map(escape, (spec.slot, spec.name, component.distribution, spec.summary)))
-    output().print(table)
-    for line in _conflicts(shown):
-        say(line)
+    components = [_component(c) for c in shown]
+    _say_columns(("slot", "name", "distribution", "summary"), components)
+    conflicts = _conflicts(shown)
+    failures = [asdict(failure) for failure in found.failures]
+    for c in conflicts:
+        say(f"conflict: the {c['slot']} {c['name']!r} is offered by {' and '.join(c['distributions'])}")
+    for f in failures:
+        say(f"not loaded: {f['plugin']} of {f['distribution']}: {f['error']}")
+    return {"components": components, "conflicts": conflicts, "not_loaded": failures}
 
 
-def _conflicts(components: Iterable[Registered]) -> list[str]:
-    components = list(components)
+def _component(registered: Registered) -> dict[str, Any]:
+    spec = registered.spec
+    return {
+        "slot": spec.slot, "name": spec.name, "distribution": registered.distribution, "summary": spec.summary,
+    }  # fmt: skip
+
+
+def _conflicts(components: Sequence[Registered]) -> list[dict[str, Any]]:
     counts = Counter((c.spec.slot, c.spec.name) for c in components)
     return [
-        f"conflict: the {slot} {name!r} is offered by "
-        + " and ".join(c.distribution for c in components if (c.spec.slot, c.spec.name) == (slot, name))
+        {
+            "slot": slot,
+            "name": name,
+            "distributions": [c.distribution for c in components if (c.spec.slot, c.spec.name) == (slot, name)],
+        }
         for (slot, name), count in counts.items()
         if count > 1
     ]
 
 
-def _show_options(found: Registry, slot: str, name: str) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
-    registered = found.find(slot, name)
-    options = found.load(slot, name).Options
-    say(f"{slot} {name} of {registered.distribution}: {registered.spec.summary}")
-    if not options.model_fields:
+def _show_options(found: Registry, slot: str, name: str) -> dict[str, Any]:
+    component = _component(found.find(slot, name))
+    fields = found.load(slot, name).Options.model_fields
+    options = [_option(f"{slot}.{key}", field) for key, field in fields.items()]
+    say(_heading(component))
+    if options:
+        _say_columns(("option", "type", "default", "meaning"), options)
+    else:
         say("no options")
-        return
-    table = Table(box=None)
-    for column in ("option", "type", "default"):
-        table.add_column(column, no_wrap=True)
-    table.add_column("meaning", overflow="fold")
-    for key, field in options.model_fields.items():
-        default = "required" if field.is_required() else _shown(field.get_default(call_default_factory=True))
-        about = "; ".join(filter(None, [field.description, _limits(field.metadata)]))
-        table.add_row(*map(escape, (f"{slot}.{key}", _type(field.annotation), default, about)))
-    output().print(table)
+    return {**component, "options": options}
+
+
+def _heading(component: dict[str, Any]) -> str:
+    return "{slot} {name} of {distribution}: {summary}".format(**component)
+
+
+def _option(name: str, field: Any) -> dict[str, str]:
+    default = "required" if field.is_required() else _shown(field.get_default(call_default_factory=True))
+    about = "; ".join(filter(None, [field.description, _limits(field.metadata)]))
+    return {"option": name, "type": _type(field.annotation), "default": default, "meaning": about}
 
 
 def _shown(value: Any) -> str:
@@ -99,3 +131,61 @@ def _type(annotation: Any) -> str:
 def _limits(metadata: Iterable[Any]) -> str:
     signs = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
     return ", ".join(f"{sign} {getattr(m, key):g}" for m in metadata for key, sign in signs.items() if hasattr(m, key))
+
+
+def _say_columns(names: Sequence[str], rows: Sequence[dict[str, Any]]) -> None:
+    """Write a table; the last column is folded where the window is too narrow."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=None)
+    for name in names[:-1]:
+        table.add_column(name, no_wrap=True)
+    table.add_column(names[-1], overflow="fold")
+    for row in rows:
+        table.add_row(*(escape(row[name]) for name in names))
+    output().print(table)
+
+
+def _check(found: Registry, slot: str, name: str, words: list[str]) -> dict[str, Any]:
+    """Run the contract checks of a component; raises Finding when it breaks any."""
+    from tactile_loc.testing.running import iter_checks
+
+    about = _component(found.find(slot, name))
+    component = _make(found, slot, name, words)
+    say(_heading(about))
+    checks = []
+    for result in iter_checks(component):
+        say(_line(result))
+        checks.append({**asdict(result), "passed": result.passed})
+    failed = sum(not c["passed"] for c in checks)
+    say(f"{len(checks) - failed} of {len(checks)} checks passed" + (f", {failed} failed" if failed else ""))
+    options = component.options.model_dump(mode="json")
+    outcome = {**about, "options": options, "passed": len(checks) - failed, "failed": failed, "checks": checks}
+    if failed:
+        raise Finding(BROKEN_CONTRACT, outcome)
+    return outcome
+
+
+def _make(found: Registry, slot: str, name: str, words: list[str]) -> Component:
+    """The component with the options given. Raises ConfigError for others' options, PluginLoadError where it fails."""
+    from tactile_loc.core.config import parse_overrides
+    from tactile_loc.core.errors import ConfigError, PluginLoadError, TactileLocError
+
+    overrides = parse_overrides(words)
+    others = sorted(overrides.keys() - {slot})
+    if others:
+        raise ConfigError(f"the {slot} {name!r} is checked alone; leave out the options of {', '.join(others)}")
+    try:
+        component: Component = found.create(slot, name, overrides.get(slot))
+    except TactileLocError:
+        raise
+    except Exception as error:
+        raise PluginLoadError(
+            f"the {slot} {name!r} cannot be made from its options ({type(error).__name__}: {error})"
+        ) from error
+    return component
+
+
+def _line(result: CheckResult) -> str:
+    return f"ok      {result.name}" if result.passed else f"FAILED  {result.name}: {result.problem}"

@@ -1,0 +1,89 @@
+"""Runs the contract checks of a component without a test runner, and says what came of each."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from tactile_loc.core.interfaces import Capabilities, Component, Encoder
+from tactile_loc.testing import checks_for, common
+from tactile_loc.testing.contract import Check, ContractError
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """What came of one check: its name, what it demands, what is wrong ("" if nothing is), and how long it took."""
+
+    name: str
+    demands: str
+    problem: str
+    seconds: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the component keeps this contract."""
+        return not self.problem
+
+
+def run_checks(component: Component) -> list[CheckResult]:
+    """Run all checks that apply to the component, in their order, and return what came of each.
+
+    An encoder that needs training is trained first, on `problems.training_problem()`; that is a result of its own where
+    it fails, and no other follows. A check that raises anything but ContractError has failed, and the exception is
+    named. Raises TypeError for anything that is no component, such as a class instead of an instance.
+    """
+    return list(iter_checks(component))
+
+
+def iter_checks(component: Component) -> Iterator[CheckResult]:
+    """Yield what `run_checks` returns, each as soon as it is known."""
+    chosen = _checks(component)
+    if isinstance(component, Encoder) and component.capabilities.needs_training:
+        trained = _result(train, partial(train, component))
+        if not trained.passed:
+            yield trained
+            return
+    for check in chosen:
+        yield _result(check, partial(check, component))
+
+
+def train(encoder: Encoder) -> None:
+    """An encoder that needs training learns from a tiny problem, made in simulation."""
+    from tactile_loc.testing.problems import training_problem
+
+    encoder.fit(training_problem())
+
+
+def _checks(component: Component) -> list[Check]:
+    """The checks that apply; those of every slot alone where the capabilities cannot tell more."""
+    if isinstance(component, Component) and not isinstance(component.capabilities, Capabilities):
+        return common.checks(Capabilities())
+    return checks_for(component)
+
+
+def _result(check: Callable[..., None], run: Callable[[], None]) -> CheckResult:
+    demands = (check.__doc__ or "").strip().partition("\n")[0]
+    start = time.perf_counter()
+    problem = _problem(run)
+    return CheckResult(check.__name__, demands, problem, time.perf_counter() - start)
+
+
+def _problem(run: Callable[[], None]) -> str:
+    """What is wrong, as one line; nothing if nothing is."""
+    try:
+        run()
+    except ContractError as error:
+        return " ".join(str(error).split()) or "the contract is broken"
+    except Exception as error:  # noqa: BLE001 - a stranger's component may raise anything
+        return " ".join(f"{type(error).__name__}: {error} ({_place(error)})".split())
+    return ""
+
+
+def _place(error: Exception) -> str:
+    """Where an exception was raised: "refiner.py, line 33"."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{Path(last.filename).name}, line {last.lineno}"

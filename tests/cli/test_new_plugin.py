@@ -1,0 +1,177 @@
+"""`tactile-loc new-plugin`: what it writes works, is tested, and is found; what cannot be written is refused."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from cli_helpers import TINY, Cli, assert_refused, command
+from tactile_loc_cli.commands.new_plugin import new_plugin
+from tactile_loc_cli.scaffold import package
+from tactile_loc_cli.scaffold.naming import LONGEST, Naming
+
+from tactile_loc.core.errors import OutputError
+from tactile_loc.core.hookspecs import SLOTS
+
+OUR_RULES = Path(__file__).parents[2] / "pyproject.toml"
+
+
+def name_of(slot: str) -> str:
+    return f"my-{slot}"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a new package for each slot, beside the metadata that an editable installation would leave."""
+    folder = tmp_path_factory.mktemp("site")
+    for slot in SLOTS:
+        naming = Naming(slot, name_of(slot))
+        package.write(naming, folder / naming.distribution)
+        install(folder, folder / naming.distribution)
+    return folder
+
+
+def install(site: Path, source: Path) -> None:
+    project = tomllib.loads((source / "pyproject.toml").read_text())["project"]
+    info = site / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n")
+    points = project["entry-points"]["tactile_loc"]
+    (info / "entry_points.txt").write_text("[tactile_loc]\n" + "".join(f"{k} = {v}\n" for k, v in points.items()))
+    (module,) = source.glob("tactile_loc_*")
+    (site / module.name).symlink_to(module)
+
+
+def run(site: Path, line: list[str], **environment: str) -> subprocess.CompletedProcess[str]:
+    variables = {k: v for k, v in os.environ.items() if k != "TACTILE_LOC_PLUGINS"}
+    variables["PYTHONPATH"] = os.pathsep.join(filter(None, [str(site), variables.get("PYTHONPATH")]))
+    return subprocess.run(
+        line, cwd=site, env=variables | environment, capture_output=True, text=True, check=False, timeout=300
+    )
+
+
+def test_every_new_package_passes_all_contract_checks_and_its_own_tests(site):
+    folders = [Naming(slot, name_of(slot)).distribution for slot in SLOTS]
+    quiet = ["-q", "-p", "no:cacheprovider", "-p", "no:dash", "--rootdir", str(site), "--durations=0", "-vv"]
+    done = run(site, [sys.executable, "-m", "pytest", *quiet, *folders])
+    assert done.returncode == 0, done.stdout
+    for slot in SLOTS:
+        naming = Naming(slot, name_of(slot))
+        passed = [line for line in done.stdout.splitlines() if f"test_my_{slot}.py::" in line and "PASSED" in line]
+        assert len([line for line in passed if f"[{naming.class_name}-check_" in line]) > 8
+        assert [line for line in passed if "test_contract" not in line], f"{slot} has a test of its own"
+
+
+def test_every_new_component_is_found(site):
+    listed = json.loads(run(site, command("plugins", "--json")).stdout)["components"]
+    ours = {c["slot"]: c for c in listed if c["distribution"] == Naming(c["slot"], name_of(c["slot"])).distribution}
+    assert ours.keys() == set(SLOTS)
+    assert all(c["name"] == name_of(slot) and c["summary"] for slot, c in ours.items())
+
+
+def test_all_new_components_locate_an_object_together(site, tmp_path):
+    chosen = [word for slot in SLOTS for word in (f"--{slot}", name_of(slot))]
+    line = command("run", *TINY, *chosen, "--out", tmp_path / "out", "--store", tmp_path / "store")
+    done = run(site, line)
+    assert done.returncode == 0, done.stderr
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert {slot: result["configuration"][slot]["name"] for slot in SLOTS} == {s: name_of(s) for s in SLOTS}
+    assert result["errors"]["best_listed_m"] < 0.02
+
+
+@pytest.mark.parametrize("name", ["a", "x" * LONGEST, "-".join("abcdefghij1234")])
+def test_ruff_has_no_complaint_whatever_the_names_length(tmp_path, name):
+    for slot in SLOTS:
+        folder = tmp_path / slot
+        package.write(Naming(slot, name), folder)
+        for rules in ([], ["--config", str(OUR_RULES)]):
+            for task in (["check", "--no-cache"], ["format", "--check", "--no-cache"]):
+                line = [sys.executable, "-m", "ruff", *task, *rules, "."]
+                done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False)
+                assert done.returncode == 0, done.stdout
+
+
+def test_it_says_what_was_written_and_what_to_type_next(cli: Cli, tmp_path):
+    done = cli("new-plugin", "refiner", "my-spline")
+    assert done.exit_code == 0, done.output
+    written, _, following = done.stdout.partition("\nnext:\n")
+    assert written.splitlines()[0] == "written: tactile-loc-my-spline"
+    files = sorted(str(p.relative_to(tmp_path / "tactile-loc-my-spline")) for p in tmp_path.rglob("*") if p.is_file())
+    assert [line.strip() for line in written.splitlines()[1:]] == files
+    assert following.split("\n") == [
+        "  pip install -e ./tactile-loc-my-spline",
+        "  tactile-loc plugins refiner my-spline --check",
+        "  pytest ./tactile-loc-my-spline",
+        "",
+    ]
+
+
+def test_the_folder_is_the_one_asked_for(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    written = new_plugin("matcher", "soft", Path("deep down/here"))
+    assert {k: v for k, v in written.items() if k != "files"} == {
+        "slot": "matcher", "name": "soft", "folder": "deep down/here",
+    }  # fmt: skip
+    assert all((tmp_path / "deep down" / "here" / file).is_file() for file in written["files"])
+    assert [p.name for p in (tmp_path / "deep down").iterdir()] == ["here"]
+
+
+@pytest.mark.parametrize(
+    "name", ["My-refiner", "my_refiner", "-my", "my-", "my--own", "3d", "größer", "a b", "", "../x"]
+)
+def test_names_that_cannot_be(cli, tmp_path, name):
+    assert_refused(cli("new-plugin", "refiner", "--", name), repr(name), "hyphens")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_too_long_a_name(cli):
+    assert_refused(cli("new-plugin", "refiner", "x" * (LONGEST + 1)), str(LONGEST))
+
+
+def test_names_that_are_taken(cli, tmp_path):
+    assert_refused(cli("new-plugin", "refiner", "icp"), "'icp'", "tactile-loc;", "another name")
+    assert_refused(cli("new-plugin", "refiner", "cli"), "tactile_loc_cli", "another name")
+    assert list(tmp_path.iterdir()) == []
+    assert cli("new-plugin", "encoder", "icp").exit_code == 0, "a name is taken in its slot alone"
+
+
+def test_an_unknown_slot(cli, tmp_path):
+    assert_refused(cli("new-plugin", "refinr", "mine"), "'refinr'", "Did you mean 'refiner'")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_exists_is_left_as_it_is(cli, tmp_path):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "link").symlink_to("nowhere")
+    for name in ("folder", "file", "link", "."):
+        assert_refused(cli("new-plugin", "grid", "mine", "--out", name), "exists already", "--out")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder", "link"]
+    assert list((tmp_path / "folder").iterdir()) == []
+    assert (tmp_path / "file").read_text() == "mine"
+    assert_refused(cli("new-plugin", "grid", "mine", "--out", "file/below"), "cannot be written")
+
+
+def test_nothing_half_written_is_left(tmp_path, monkeypatch):
+    monkeypatch.setattr(package, "render", lambda naming: {"a": "written", "a/b": "cannot be, since a is a file"})
+    with pytest.raises(OutputError, match="cannot be written"):
+        package.write(Naming("grid", "mine"), tmp_path / "mine")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("slot", "name", "class_name"),
+    [
+        ("refiner", "my-refiner", "MyRefiner"),
+        ("refiner", "spline", "SplineRefiner"),
+        ("refiner", "refiner", "RefinerRefiner"),
+        ("grid", "two-face-3d", "TwoFace3dGrid"),
+    ],
+)
+def test_the_class_is_called_after_it(slot, name, class_name):
+    assert Naming(slot, name).class_name == class_name

@@ -1,0 +1,134 @@
+"""`tactile-loc plugins SLOT NAME --check`: contracts checked from the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import typer
+from cli_helpers import Cli, assert_refused
+from tactile_loc_cli.commands.plugins import plugins
+
+from tactile_loc.core import registry
+from tactile_loc.core.hookspecs import ComponentSpec, hookimpl
+from tactile_loc.testing import checks_for
+
+PARTS = """
+from pydantic import Field
+from tactile_loc.core.interfaces import ComponentOptions
+from tactile_loc.plugins.matchers.dense import DenseMatcher
+
+class Doubled(DenseMatcher):
+    class Options(ComponentOptions):
+        factor: float = Field(default=2.0, description="what scores are multiplied by")
+    def scores(self, queries):
+        return (self.options.factor * super().scores(queries)).astype("float32")
+
+class Raising(DenseMatcher):
+    def scores(self, queries):
+        return {}["key"]
+
+class Unmade(DenseMatcher):
+    def __init__(self, options=None):
+        raise OSError("no licence")
+"""
+
+
+class Stranger:
+    """The entry point of a plugin that offers the matchers above."""
+
+    name = value = "strange"
+    dist = SimpleNamespace(name="strange-matchers")
+
+    def load(self) -> Any:
+        specs = [
+            ComponentSpec("matcher", name.lower(), f"strange_parts:{name}", "made up")
+            for name in ("Doubled", "Raising", "Unmade")
+        ]
+        return SimpleNamespace(tactile_loc_components=hookimpl(lambda: specs))
+
+
+@pytest.fixture
+def strange(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The matchers above are installed, and nothing else."""
+    (tmp_path / "strange_parts.py").write_text(PARTS)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(registry, "registry", lambda: registry.Registry([Stranger()]))
+
+
+def test_a_built_in_passes(cli: Cli):
+    done = cli("plugins", "matcher", "dense", "--check")
+    assert done.exit_code == 0, done.output
+    heading, *lines, summary = done.stdout.splitlines()
+    assert heading.startswith("matcher dense of tactile-loc: ")
+    checks = checks_for(registry.registry().create("matcher", "dense"))
+    assert lines == [f"ok      {check.__name__}" for check in checks]
+    assert summary == f"{len(checks)} of {len(checks)} checks passed"
+
+
+def test_a_broken_plugin_fails_with_exit_code_1(cli, strange):
+    done = cli("plugins", "matcher", "doubled", "--check")
+    assert done.exit_code == 1
+    lines = {line.split()[1].rstrip(":"): line for line in done.stdout.splitlines()[1:-1]}
+    assert lines["check_definition"].startswith("FAILED  check_definition: a score must be -1/2 ||query - row||^2")
+    assert lines["check_output"] == "ok      check_output"
+    failed = sum(line.startswith("FAILED") for line in lines.values())
+    assert done.stdout.splitlines()[-1] == f"{len(lines) - failed} of {len(lines)} checks passed, {failed} failed"
+    assert "Traceback" not in done.output
+
+
+def test_another_exception_is_named(cli, strange):
+    done = cli("plugins", "matcher", "raising", "--check")
+    assert done.exit_code == 1
+    assert "FAILED  check_definition: KeyError: 'key' (strange_parts.py, line 14)" in done.stdout
+
+
+def test_options_are_the_components(cli, strange):
+    assert cli("plugins", "matcher", "doubled", "--check", "-o", "matcher.factor=1").exit_code == 0
+    assert_refused(cli("plugins", "matcher", "doubled", "--check", "-o", "matcher.factr=1"), "'factor'")
+
+
+def test_a_component_that_cannot_be_made_is_one_sentence(cli, strange):
+    assert_refused(cli("plugins", "matcher", "unmade", "--check"), "'unmade'", "OSError: no licence")
+
+
+def test_an_encoder_that_learns_is_trained(cli, monkeypatch):
+    from tactile_loc.plugins.encoders.moco import MocoEncoder
+
+    monkeypatch.setattr(MocoEncoder, "fit", lambda self, problem: 1 / 0)
+    done = cli("plugins", "encoder", "moco", "--check", "-o", "encoder.epochs=1")
+    assert done.exit_code == 1
+    assert "FAILED  train: ZeroDivisionError" in done.stdout
+
+
+@pytest.mark.parametrize("words", [[], ["matcher"]])
+def test_check_is_of_one_component(cli, words):
+    assert_refused(cli("plugins", *words, "--check"), "--check", "one component")
+
+
+def test_options_are_for_the_check_of_their_component(cli):
+    assert_refused(cli("plugins", "grid", "face", "-o", "grid.spacing_mm=3"), "--check")
+    assert_refused(cli("plugins", "matcher", "dense", "--check", "-o", "grid.spacing_mm=3"), "'dense'", "grid")
+    assert_refused(cli("plugins", "matcher", "dens", "--check"), "'dense'")
+
+
+def test_what_it_returns(strange):
+    listed = plugins("matcher")
+    assert listed["components"][0] == {
+        "slot": "matcher", "name": "doubled", "distribution": "strange-matchers", "summary": "made up",
+    }  # fmt: skip
+    assert listed["conflicts"] == listed["not_loaded"] == []
+    (option,) = plugins("matcher", "doubled")["options"]
+    assert option == {
+        "option": "matcher.factor", "type": "float", "default": "2.0", "meaning": "what scores are multiplied by",
+    }  # fmt: skip
+    sound = plugins("matcher", "doubled", True, ["matcher.factor=1"])
+    assert (sound["options"], sound["failed"]) == ({"factor": 1.0}, 0)
+    with pytest.raises(typer.Exit) as ended:
+        plugins("matcher", "doubled", True)
+    outcome = ended.value.result
+    assert outcome["failed"] > 0
+    assert outcome["passed"] + outcome["failed"] == len(outcome["checks"])
+    assert {c["name"] for c in outcome["checks"] if not c["passed"]} >= {"check_definition"}

@@ -1,0 +1,120 @@
+"""docs/tutorial-plugin.md can be followed to the letter: its blocks run in order, and what it shows comes out."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+import venv
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+PAGE = (Path(__file__).parents[1] / "docs" / "tutorial-plugin.md").read_text()
+BLOCK = re.compile(r"(?:^`(?P<path>[\w/.-]+)`\n\n)?^```(?P<language>\w*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
+OFFLINE = {"PIP_NO_INDEX": "1", "PIP_NO_BUILD_ISOLATION": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
+COMMANDS = {
+    "tactile-loc": "from tactile_loc_cli.main import main; main()",
+    "pip": "import sys; from pip._internal.cli.main import main; sys.exit(main())",
+    "pytest": "import sys; import pytest; sys.exit(pytest.console_main())",
+}
+LARGEST_MODULE = 40  # lines of code
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of the page: its language, its text, and the file that it is the text of, if any."""
+
+    language: str
+    text: str
+    path: str | None
+
+
+def blocks() -> list[Block]:
+    return [Block(m["language"], m["text"], m["path"]) for m in BLOCK.finditer(PAGE)]
+
+
+def test_every_block_is_a_command_its_output_or_a_file():
+    assert PAGE.count("\n```") == 2 * len(blocks())
+    before = None
+    for block in blocks():
+        assert block.language in ("bash", "text", "python")
+        assert (block.path is not None) == (block.language == "python")
+        assert block.language != "text" or before == "bash"
+        before = block.language
+
+
+def test_the_refiner_is_short():
+    (module,) = [block.text for block in blocks() if block.path]
+    code = re.sub(r'""".*?"""', "", module, flags=re.DOTALL).splitlines()
+    own = [line for line in code if line.strip() and not line.lstrip().startswith(("from ", "import ", "#"))]
+    assert len(own) <= LARGEST_MODULE
+
+
+@pytest.fixture
+def environment(tmp_path: Path) -> dict[str, str]:
+    """A virtual environment of its own, which sees what is installed here; nothing is downloaded."""
+    folder = tmp_path / "venv"
+    venv.create(folder, symlinks=True)
+    python = folder / "bin" / "python"
+    site = folder / "lib" / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
+    ours = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
+    (site / "ours.pth").write_text("".join(f"import site; site.addsitedir({folder!r})\n" for folder in sorted(ours)))
+    for name, code in COMMANDS.items():
+        script = folder / "bin" / name
+        script.write_text(f"#!{python}\n{code}\n")
+        script.chmod(0o755)
+    path = os.pathsep.join([str(folder / "bin"), os.environ["PATH"]])
+    inherited = {k: v for k, v in os.environ.items() if not k.startswith(("TACTILE_LOC", "PYTEST"))}
+    return {**inherited, **OFFLINE, "PATH": path, "TACTILE_LOC_STORE": str(tmp_path / "store")}
+
+
+@pytest.fixture
+def empty(tmp_path: Path) -> Path:
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    return folder
+
+
+@pytest.mark.slow
+def test_the_tutorial_can_be_followed_to_the_letter(environment, empty):
+    shown = ""
+    for block in blocks():
+        if block.path:
+            assert (empty / block.path).is_file(), "the tutorial replaces a file that new-plugin wrote"
+            (empty / block.path).write_text(block.text)
+        elif block.language == "bash":
+            done = subprocess.run(
+                ["sh", "-e", "-c", block.text], cwd=empty, env=environment, capture_output=True, text=True, check=False
+            )
+            assert done.returncode == 0, block.text + done.stdout + done.stderr
+            shown = done.stdout
+        else:
+            assert re.fullmatch(pattern(block.text), shown), f"the page shows\n{block.text}\nbut this came out\n{shown}"
+    without, refined = (median_chosen_mm(empty / name) for name in ("none", "my-refiner"))
+    assert without > 4
+    assert refined < 1.5
+
+
+def pattern(text: str) -> str:
+    """What an output may be: "..." stands for anything in a line, or alone for any lines; blanks do not count."""
+    return "".join(lines(text))
+
+
+def lines(text: str) -> Iterator[str]:
+    for line in text.splitlines():
+        if line.strip() == "...":
+            yield r"(?:.*\n)*?"
+        else:
+            yield r"[ ]*" + r"[ ]+".join(".*".join(map(re.escape, w.split("..."))) for w in line.split()) + r"[ ]*\n"
+
+
+def median_chosen_mm(folder: Path) -> float:
+    with (folder / "results.csv").open() as file:
+        (row,) = [r for r in csv.DictReader(file) if (r["line"], r["metric"]) == ("chosen", "add")]
+    return float(row["median_mm"])

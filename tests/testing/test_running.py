@@ -1,0 +1,105 @@
+"""Checks without a test runner: what came of each, whatever a component raises."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from broken_components import made
+
+from tactile_loc.core.interfaces import Capabilities
+from tactile_loc.plugins.encoders.pixel import PixelEncoder
+from tactile_loc.plugins.matchers.dense import DenseMatcher
+from tactile_loc.testing import checks_for
+from tactile_loc.testing.running import CheckResult, iter_checks, run_checks
+
+
+def problems(results: list[CheckResult]) -> dict[str, str]:
+    return {result.name: result.problem for result in results if not result.passed}
+
+
+def test_a_sound_component_passes_every_check_in_order():
+    results = run_checks(DenseMatcher())
+    assert [r.name for r in results] == [check.__name__ for check in checks_for(DenseMatcher())]
+    assert problems(results) == {}
+    assert all(r.seconds >= 0 and r.demands.endswith(".") and "\n" not in r.demands for r in results)
+
+
+def test_a_broken_contract_is_a_result_that_says_what_is_wrong():
+    doubled = made(DenseMatcher, scores=lambda self, queries: 2 * DenseMatcher.scores(self, queries))
+    failed = problems(run_checks(doubled))
+    assert "check_definition" in failed
+    assert failed["check_definition"].startswith("a score must be -1/2 ||query - row||^2")
+    assert "check_output" not in failed
+
+
+def test_another_exception_is_named_with_its_place():
+    def scores(self, queries):
+        raise ZeroDivisionError("of\n  nothing")
+
+    failed = problems(run_checks(made(DenseMatcher, scores=scores)))
+    line = scores.__code__.co_firstlineno + 1
+    assert failed["check_output"] == f"ZeroDivisionError: of nothing ({Path(__file__).name}, line {line})"
+    assert "check_declaration" not in failed
+
+
+def test_a_bare_assertion_is_not_taken_for_a_contract():
+    def scores(self, queries):
+        raise AssertionError
+
+    problem = problems(run_checks(made(DenseMatcher, scores=scores)))["check_output"]
+    assert problem.startswith("AssertionError")
+
+
+def test_an_interruption_is_not_a_failed_check():
+    def scores(self, queries):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_checks(made(DenseMatcher, scores=scores))
+
+
+def test_results_come_one_by_one():
+    def scores(self, queries):
+        raise KeyboardInterrupt
+
+    first = next(iter_checks(made(DenseMatcher, scores=scores)))
+    assert first.name == "check_declaration"
+
+
+def test_undeclared_capabilities_fail_the_declaration():
+    failed = problems(run_checks(made(DenseMatcher, capabilities=None)))
+    assert "capabilities" in failed["check_declaration"]
+
+
+def test_a_class_is_refused():
+    with pytest.raises(TypeError, match="instance"):
+        run_checks(DenseMatcher)  # type: ignore[arg-type]
+
+
+LEARNS = Capabilities(follows_press_depth=True, needs_training=True)
+
+
+def test_an_encoder_that_needs_training_is_trained_once():
+    seen = []
+
+    def encode(self, depth_m, press_depth_m, geometry):
+        assert seen, "trained first"
+        return PixelEncoder.encode(self, depth_m, press_depth_m, geometry)
+
+    encoder = made(PixelEncoder, capabilities=LEARNS, fit=lambda self, p: seen.append(p), encode=encode)
+    results = run_checks(encoder)
+    assert problems(results) == {}
+    assert len(results) == len(checks_for(encoder))
+    assert len(seen) == 1
+    assert np.concatenate(list(seen[0].shapes())).shape[0] == len(seen[0].grid)
+
+
+def test_a_training_that_fails_is_the_only_result():
+    def fit(self, problem):
+        raise ValueError("diverged")
+
+    (result,) = run_checks(made(PixelEncoder, capabilities=LEARNS, fit=fit))
+    assert result.name == "train"
+    assert result.problem.startswith("ValueError: diverged (")
