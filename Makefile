@@ -11,7 +11,7 @@ PYTEST_FLAGS ?= -q -n 2 --dist loadfile
 # ROS and others put their own packages, pytest plugins among them, in front of ours.
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help setup demo test lint bench clean
+.PHONY: help setup demo test lint smoke docs bench clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -26,6 +26,7 @@ demo: $(STAMP) ## locate a shipped object from one shipped touch, and draw it in
 	@for picture in out/demo/*.png; do if [ -e "$$picture" ]; then echo "demo: the picture is $$picture"; fi; done
 
 test: lint ## lint, check the types and run the tests
+	@PYTHON="$(PYTHON)" scripts/system-packages.sh --tests
 	@echo "test: pytest"
 	@$(RUN) pytest $(PYTEST_FLAGS)
 
@@ -36,6 +37,13 @@ lint: $(STAMP) ## check style, format and types
 	@$(RUN) ruff format --check --quiet
 	@echo "lint: mypy"
 	@$(RUN) mypy --no-error-summary
+
+smoke: $(STAMP) ## build the wheel, install it into a fresh environment and try it there
+	@scripts/smoke-wheel.sh $(VENV)/bin/python
+
+docs: $(STAMP) ## build the documentation site in out/site; any broken link is an error
+	@echo "docs: out/site/index.html"
+	@NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict --quiet
 
 bench: $(STAMP) ## run the benchmarks
 	@for script in benchmarks/*.py; do \

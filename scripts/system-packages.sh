@@ -1,9 +1,10 @@
 #!/bin/sh
 # Checks what pip cannot install: the shared libraries that open3d and pyrender load, and Python's venv module. On
 # Debian and Ubuntu the missing packages, and no others, are installed if we may; elsewhere they are named.
+#
+# With --tests, instead: the browser that some tests drive. Without one these tests are skipped, so nothing that goes
+# wrong here is an error.
 set -eu
-
-python=$("$(dirname "$0")/find-python.sh")
 
 # shared library, Debian package
 libraries="
@@ -51,10 +52,44 @@ give_up() {
     exit 1
 }
 
+# Sets `sudo`, which makes us root; fails if nothing does without a password.
+may_install() {
+    sudo=
+    [ "$(id -u)" = 0 ] && return
+    sudo="sudo -n"
+    $sudo true 2>/dev/null
+}
+
+# shellcheck disable=SC2086  # one word a package
+install() {
+    $sudo apt-get -qq update || echo "system packages: the package lists could not be renewed, trying those at hand" >&2
+    $sudo env DEBIAN_FRONTEND=noninteractive apt-get -qq install -y --no-install-recommends $1 >/dev/null
+}
+
+has_browser() { command -v chromium && command -v chromedriver; } >/dev/null
+
+prepare_tests() {
+    if has_browser; then
+        echo "system packages: a browser for the tests is there"
+    elif command -v apt-get >/dev/null && may_install && echo "system packages: installing $browser for the tests" &&
+        install "$browser" && has_browser; then
+        echo "system packages: a browser for the tests is there now"
+    else
+        echo "system packages: the tests that need a browser will be skipped; on Debian they want: $browser"
+    fi
+}
+
+browser="chromium chromium-driver"
+if [ "${1:-}" = --tests ]; then
+    prepare_tests
+    exit
+fi
+
 if [ "$(uname -s)" != Linux ]; then
     echo "system packages: not checked, only Linux is"
     exit
 fi
+python=$("$(dirname "$0")/find-python.sh")
 look
 if [ -z "$things" ]; then
     echo "system packages: all there"
@@ -63,18 +98,8 @@ fi
 command -v apt-get >/dev/null ||
     give_up "Missing on this system: $things. Install them with its package manager, then run this again."
 
-if [ "$(id -u)" = 0 ]; then
-    sudo=
-elif sudo -n true 2>/dev/null; then
-    sudo="sudo -n"
-else
-    give_up "Missing on this system: $things. Type: sudo apt-get update && sudo apt-get install -y $packages"
-fi
-
+may_install || give_up "Missing on this system: $things. Type: sudo apt-get update && sudo apt-get install -y $packages"
 echo "system packages: installing $packages"
-$sudo apt-get -qq update || echo "system packages: the package lists could not be renewed, trying those at hand" >&2
-# shellcheck disable=SC2086  # one word a package
-$sudo env DEBIAN_FRONTEND=noninteractive apt-get -qq install -y --no-install-recommends $packages >/dev/null ||
-    give_up "apt-get could not install $packages: see its message above."
+install "$packages" || give_up "apt-get could not install $packages: see its message above."
 look
 [ -z "$things" ] || give_up "Still missing after installing them: $things. Reinstall by hand: $packages."

@@ -17,6 +17,7 @@ from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 ROOT = Path(__file__).parents[1]
+SCRIPTS = ROOT / "scripts"
 PROJECT = "tactile-loc"
 MACHINE_SPECIFIC = re.compile(r"/(home|work|opt|root|Users|mnt|tmp)/|file:|https?://\S*/simple|index-url|find-links")
 
@@ -89,13 +90,16 @@ def test_the_command_and_the_plugin_group_are_installed():
     assert "tactile_loc.plugins" in [point.value for point in installed.select(group="tactile_loc")]
 
 
-@pytest.mark.parametrize("name", ["constraints.txt", "Makefile", "pyproject.toml", "scripts/find-python.sh", ".ci/run"])
+@pytest.mark.parametrize(
+    "name",
+    ["constraints.txt", "Makefile", "pyproject.toml", ".ci/run", *(f"scripts/{p.name}" for p in SCRIPTS.glob("*.sh"))],
+)
 def test_no_file_of_the_installation_is_tied_to_one_machine(name):
     text = (ROOT / name).read_text()
     assert [line for line in text.splitlines() if MACHINE_SPECIFIC.search(line.replace("/path/to/", ""))] == []
 
 
-@pytest.mark.parametrize("name", [".ci/run", "scripts/find-python.sh", "scripts/system-packages.sh"])
+@pytest.mark.parametrize("name", [".ci/run", *(f"scripts/{p.name}" for p in SCRIPTS.glob("*.sh"))])
 def test_scripts_are_executable(name):
     assert (ROOT / name).stat().st_mode & 0o111
 

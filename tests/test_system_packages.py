@@ -48,9 +48,9 @@ class PretendedSystem:
         script = self.folder / "scripts" / "system-packages.sh"
         script.write_text(script.read_text().replace("libusb-1.0.so.0 ", "libabsent.so.7 "))
 
-    def run(self, script: str = "system-packages.sh", **env: str) -> subprocess.CompletedProcess[str]:
+    def run(self, script: str = "system-packages.sh", *words: str, **env: str) -> subprocess.CompletedProcess[str]:
         path = {"PATH": str(self.folder / "bin"), "LD_LIBRARY_PATH": str(self.folder / "lib")}
-        command = [str(self.folder / "scripts" / script)]
+        command = [str(self.folder / "scripts" / script), *words]
         return subprocess.run(command, env=path | env, capture_output=True, text=True, check=False)
 
     @property
@@ -120,6 +120,52 @@ def test_an_installation_that_fails_or_does_not_help_is_an_error(system, install
     assert result.returncode == 1
     assert message in result.stderr
     assert "libusb-1.0-0" in result.stderr
+
+
+BROWSER = ("chromium", "chromedriver")
+
+
+def for_tests(system: PretendedSystem) -> str:
+    """What is said when the tests' browser is looked for, which never fails."""
+    result = system.run("system-packages.sh", "--tests")
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def test_a_browser_that_is_there_is_left_as_it_is(system):
+    system.apt()
+    system.user(0)
+    for name in BROWSER:
+        system.command(name, ":")
+    assert for_tests(system) == "system packages: a browser for the tests is there\n"
+    assert system.apt_calls == []
+
+
+@pytest.mark.parametrize("there", [(), BROWSER[:1], BROWSER[1:]])
+def test_the_tests_browser_is_installed_where_we_may(system, there):
+    for name in there:
+        system.command(name, ":")
+    system.user(0)
+    makes = [f'ln -sf "{system.folder}/bin/id" "{system.folder}/bin/{name}"' for name in BROWSER]
+    system.apt(installs="; ".join(makes))
+    assert for_tests(system).endswith("a browser for the tests is there now\n")
+    update, install = system.apt_calls
+    assert "update" in update
+    assert install == "noninteractive apt-get -qq install -y --no-install-recommends chromium chromium-driver"
+
+
+@pytest.mark.parametrize(("uid", "installs"), [(1000, ":"), (0, "exit 100"), (0, ":")])
+def test_without_a_browser_its_tests_are_skipped_and_nothing_fails(system, uid, installs):
+    system.user(uid)
+    system.apt(installs)
+    system.command("sudo", "exit 1")
+    system.command("python3.11", "exit 1")  # nor is Python asked for
+    assert "will be skipped; on Debian they want: chromium chromium-driver\n" in for_tests(system)
+
+
+def test_elsewhere_than_on_debian_a_browser_is_not_looked_for(system):
+    system.user(0)
+    assert "will be skipped" in for_tests(system)
 
 
 def without_venv(system: PretendedSystem, marker: Path) -> str:

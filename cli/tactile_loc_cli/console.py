@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import logging
+import math
+import os
 import sys
+import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from tactile_loc.core.progress import Progress, rank
 
@@ -15,6 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 PACKAGES = ("tactile_loc", "tactile_loc_cli")
+LEVELS = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO, 2: logging.DEBUG}  # by verbosity
 
 
 def output() -> Console:
@@ -33,11 +39,15 @@ def say(text: str = "") -> None:
         sys.stdout.write(text + "\n")
 
 
-def say_table(rows: Sequence[Sequence[str]], left: int = 2) -> None:
-    """Write rows of cells, the first `left` columns to the left, the others to the right; never cut to the window."""
+def say_table(rows: Sequence[Sequence[str]], left: int | Container[int] = 2) -> None:
+    """Write rows of cells; never cut to the window.
+
+    The first `left` columns, or those of these numbers, are set to the left, the others to the right.
+    """
+    to_left = range(left) if isinstance(left, int) else left
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
-        cells = [c.ljust(w) if i < left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))]
+        cells = [c.ljust(w) if i in to_left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))]
         say(" ".join(cells).rstrip())
 
 
@@ -48,28 +58,75 @@ def complain(kind: str, text: str) -> None:
 
 
 class OneLineHandler(logging.Handler):
-    """Shows a warning of the library as one line."""
+    """Shows the library's log, one line a record; warnings as they are, the rest with the seconds since it began."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._start_s = time.perf_counter()
+        self._warned: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write the record to the stderr of the moment."""
-        complain(record.levelname.lower(), record.getMessage())
+        """Write the record to the stderr of the moment; a warning that was given already is not repeated."""
+        text = record.getMessage()
+        if record.levelno < logging.WARNING:
+            text = f"[{time.perf_counter() - self._start_s:.1f} s] {text}"
+        elif text in self._warned:
+            return
+        self._warned.add(text)
+        complain(record.levelname.lower(), text)
 
 
 @contextmanager
-def warnings_shown() -> Iterator[None]:
-    """Show the library's log from WARNING on, and hush what other libraries say to their developers."""
-    handler = OneLineHandler(logging.WARNING)
+def log_shown(verbosity: int = 0) -> Iterator[None]:
+    """Show the library's log, and hush what other libraries say to their developers.
+
+    `verbosity` -1 shows errors, 0 warnings, 1 what is being done, 2 all details.
+    """
+    handler = OneLineHandler()
     loggers = [logging.getLogger(name) for name in PACKAGES]
+    before = [logger.level for logger in loggers]
     for logger in loggers:
         logger.addHandler(handler)
+        logger.setLevel(LEVELS[min(max(verbosity, -1), 2)])
     try:
         with warnings.catch_warnings():
             if not sys.warnoptions:
                 warnings.simplefilter("ignore")
             yield
     finally:
-        for logger in loggers:
+        for logger, level in zip(loggers, before, strict=True):
             logger.removeHandler(handler)
+            logger.setLevel(level)
+
+
+def is_shown(level: int) -> bool:
+    """Whether the log of this level, such as logging.DEBUG, is shown."""
+    return logging.getLogger(PACKAGES[1]).isEnabledFor(level)
+
+
+@contextmanager
+def results_hidden() -> Iterator[None]:
+    """Let nothing that the block writes reach stdout, whoever writes it."""
+    with Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere):
+        yield
+
+
+def say_json(value: Mapping[str, Any]) -> None:
+    """Write a value as the one JSON document of a command; numbers that are not finite are null."""
+    say(json.dumps(_plain(value), indent=1, allow_nan=False))
+
+
+def _plain(value: Any) -> Any:
+    """A deep copy made of JSON's own types; what it does not know, such as a path, as text."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if hasattr(value, "tolist"):  # numpy's numbers and arrays
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, str | int) else str(value)
 
 
 def _unseen(text: str) -> None:
@@ -104,5 +161,5 @@ class Bars(Progress):
 
 
 def progress() -> Progress:
-    """Return progress bars where somebody watches, and the null watcher otherwise."""
-    return Bars() if sys.stderr.isatty() and rank() == 0 else Progress()
+    """Return progress bars where somebody watches and did not ask for quiet, and the null watcher otherwise."""
+    return Bars() if sys.stderr.isatty() and rank() == 0 and is_shown(logging.WARNING) else Progress()

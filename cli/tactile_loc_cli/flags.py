@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +15,11 @@ if TYPE_CHECKING:
     from tactile_loc.core.config import RunConfig
     from tactile_loc.core.localizer import Localizer
     from tactile_loc.core.objects import ObjectModel
+
+
+CALIBRATION = "calibration.json"  # what a calibration's folder holds
+
+logger = logging.getLogger(__name__)
 
 
 class Units(StrEnum):
@@ -62,7 +68,8 @@ Sensor = Annotated[
     _option(
         "--sensor",
         "NAME|FILE.toml|FOLDER",
-        "A sensor, its description, or its calibration; by default gelslim.",
+        "A sensor, its description, or its calibration's folder (./NAME if it is called as a sensor is); by default "
+        "gelslim.",
     ),
 ]
 Grid = Annotated[str | None, _option("--grid", "NAME", "Which poses are searched; by default face.")]
@@ -141,11 +148,21 @@ def component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, An
     given: dict[str, Any] = {"name": in_file} if isinstance(in_file, str) else dict(_table(in_file or {}, slot))
     given |= given.pop("options", {}) if isinstance(given.get("options"), dict) else {}
     given.setdefault("name", RunConfig.model_fields[slot].default.name)
+    if slot == "sensor" and flag is not None:
+        _warn_of_namesake(flag)
     if flag is not None and flag != given["name"]:
         given = {"name": flag}
     if slot == "sensor" and (kind := _kind_of_sensor(str(given["name"]))):
         given = {**given, "name": kind, "path": given["name"]}
     return {**given, **overrides}
+
+
+def _warn_of_namesake(name: str) -> None:
+    """Say so when a sensor is chosen whose name a calibration's folder bears, too."""
+    from tactile_loc.core.registry import registry
+
+    if name in registry().names("sensor") and (Path(name) / CALIBRATION).is_file():
+        logger.warning("the sensor %s is used, not what is in the folder of this name: for that write ./%s", name, name)
 
 
 def _kind_of_sensor(name: str) -> str | None:

@@ -8,56 +8,54 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from tactile_loc.core.errors import TactileLocError
+from tactile_loc_cli.command import Quiet, Verbose, as_command
+from tactile_loc_cli.commands import store as store_commands
 from tactile_loc_cli.commands.build import build
 from tactile_loc_cli.commands.calibrate import calibrate
+from tactile_loc_cli.commands.doctor import doctor
 from tactile_loc_cli.commands.evaluate import evaluate
+from tactile_loc_cli.commands.new_plugin import new_plugin
 from tactile_loc_cli.commands.objects import objects
 from tactile_loc_cli.commands.plugins import plugins
+from tactile_loc_cli.commands.report import report
 from tactile_loc_cli.commands.run import run
 from tactile_loc_cli.commands.simulate import simulate
-from tactile_loc_cli.console import complain, warnings_shown
-
-USAGE_ERROR, INTERRUPTED = 2, 130
-UsageError: Any = typer.BadParameter.__mro__[1]  # typer brings its own click or uses the installed one
+from tactile_loc_cli.commands.sweep import sweep
+from tactile_loc_cli.failures import INTERRUPTED, TO_BE_RESUMED, USAGE_ERROR, UsageError, tell
 
 
 class PlainErrors(TyperGroup):
-    """Turns every expected failure into one line on stderr and an exit code."""
+    """Turns a wrong command line into one line on stderr and an exit code; as_command does so for all else."""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
-        """Run; a wrong command line is one line too."""
+        """Run the command line and end the process."""
         kwargs["standalone_mode"] = False
+        words = kwargs.get("args")
+        as_json = "--json" in (sys.argv[1:] if words is None else words)
         try:
             code = super().main(*args, **kwargs)
         except UsageError as error:
             context = getattr(error, "ctx", None)
             path = context.command_path if context else "tactile-loc"
-            complain("error", f"{error.format_message().rstrip('.')}; see {path} -h")
+            tell("UsageError", f"{error.format_message().rstrip('.')}; see {path} -h", as_json)
             code = USAGE_ERROR
+        except typer.Abort:
+            tell("Interrupted", TO_BE_RESUMED, as_json, "interrupted")
+            code = INTERRUPTED
         sys.exit(code if isinstance(code, int) else 0)
 
-    def invoke(self, ctx: Any) -> Any:
-        """Run a command; what it raises on purpose ends it without a traceback."""
-        try:
-            with warnings_shown():
-                return super().invoke(ctx)
-        except TactileLocError as error:
-            complain("error", str(error))
-            raise typer.Exit(USAGE_ERROR) from error
-        except KeyboardInterrupt as error:
-            complain("interrupted", "what was finished is kept, run the same command again to resume")
-            raise typer.Exit(INTERRUPTED) from error
+
+def _app(**settings: Any) -> typer.Typer:
+    return typer.Typer(
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+        **settings,
+    )
 
 
-app = typer.Typer(
-    cls=PlainErrors,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    invoke_without_command=True,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
-)
+app = _app(cls=PlainErrors, invoke_without_command=True)
+store = _app(help="List, measure or prune what was built and kept.")
 
 
 def _version(asked: bool) -> None:
@@ -74,17 +72,24 @@ def tactile_loc(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
+    verbose: Verbose = 0,
+    quiet: Quiet = False,
 ) -> None:
     """Touch an object once; know where it is.
 
     A CAD model and a tactile image in, a distribution over 6-DoF poses out. Lengths in mm, angles in degrees.
     """
+    context.obj = verbose - quiet
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
 
-for command in (run, build, simulate, evaluate, calibrate, objects, plugins):
-    app.command()(command)
+for command in (run, build, simulate, evaluate, sweep, report, calibrate, objects, plugins, new_plugin):
+    app.command()(as_command(command))
+for name, command in store_commands.COMMANDS.items():
+    store.command(name)(as_command(command))
+app.add_typer(store, name="store")
+app.command()(as_command(doctor))
 
 
 def main() -> None:

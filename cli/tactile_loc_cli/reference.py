@@ -8,7 +8,10 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-COMMANDS = ("run", "build", "simulate", "evaluate", "calibrate", "objects", "plugins")
+COMMANDS = (
+    "run", "build", "simulate", "evaluate", "sweep", "report", "calibrate", "objects", "plugins", "new-plugin",
+    "store", "store list", "store size", "store prune", "doctor",
+)  # fmt: skip
 WIDTH = "100"
 
 INTRODUCTION = """\
@@ -22,8 +25,23 @@ degrees; files are in SI units. Errors are one line on stderr.
 | exit code | meaning |
 |---|---|
 | 0 | done |
+| 1 | `doctor` found something broken that everybody needs; or something unexpected went wrong, please report it |
 | 2 | the input, an option, a component or a place to write cannot be used; the line says which, and what to do |
 | 130 | interrupted with Ctrl-C; what was finished is kept, and the same command resumes |
+
+Every command takes three more options, and the program itself the last two, before the command:
+
+- `--json` writes the result to stdout as one JSON document, in SI units, and nothing else. When the command fails, the
+  document is `{"error": {"kind": "TouchError", "message": "..."}}`, beside the line on stderr and the same exit code.
+- `-v` says on stderr what is being done, a line each, with the seconds since the start. `-vv` gives all details, and
+  the traceback of an error.
+- `-q` hides warnings and progress bars.
+
+## Completion
+
+`tactile-loc --install-completion` teaches the shell that runs it (bash, zsh or fish) to complete commands, options, the
+names of components, demo objects and slots; `--show-completion` prints the script instead. Start a new shell after it.
+Paths are completed once a letter is typed that begins no name.
 
 ## Configuration files
 
@@ -70,7 +88,7 @@ def _helps() -> Iterator[str]:
     yield _block([])
     for command in COMMANDS:
         yield f"### {command}\n"
-        yield _block([command])
+        yield _block(command.split())
 
 
 def _block(arguments: list[str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -32,6 +33,8 @@ from tactile_loc.core.training import train_encoder
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+logger = logging.getLogger(__name__)
 
 PRESS_STEP_M = 1e-4  # banks are made for press depths in these steps
 MOST_MATCHERS = 8  # as many are kept in memory, the last used
@@ -278,4 +281,5 @@ def _timed(seconds: dict[str, float], stage: str, work: Callable[[], Any]) -> An
     start = time.perf_counter()
     result = work()
     seconds[stage] = time.perf_counter() - start
+    logger.debug("Of locating, the stage %s took %.1f ms.", stage, 1e3 * seconds[stage])
     return result

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -24,6 +25,8 @@ from tactile_loc.core.errors import (
     did_you_mean,
 )
 from tactile_loc.core.hookspecs import PROJECT, SLOTS, ComponentSpec
+
+logger = logging.getLogger(__name__)
 
 BUILT_IN = "tactile-loc"
 
@@ -103,6 +106,7 @@ class Registry:
         try:
             kind = getattr(importlib.import_module(module), attribute)
             _require_component(kind, slot)
+            logger.debug("The %s %r is %s of %s.", slot, name, found.spec.target, found.distribution)
             return kind
         except Exception as error:
             if isinstance(error, ModuleNotFoundError) and not _is_part_of(error.name, module):

@@ -99,6 +99,8 @@ class StageStore:
         if artifact is None:
             with self._lock(key):
                 artifact = self._open_or_remove(key) or self._make(key, make)
+        else:
+            logger.debug("Stage %s is there already.", key)
         return artifact
 
     def entries(self) -> list[Entry]:
@@ -119,6 +121,18 @@ class StageStore:
             with lock:
                 _remove(entry.path)
         return sum(entry.nbytes for entry in found)
+
+    def is_being_built(self, entry: Entry) -> bool:
+        """Tell whether some process is building this entry now, or removing it.
+
+        Raises:
+            StoreError: if the disk refuses to say.
+        """
+        lock = self._try_lock(entry.path.with_suffix(""))
+        if lock is None:
+            return True
+        with lock:
+            return False
 
     def _folder(self, key: StageKey) -> Path:
         return self.root / key.stage / key.short

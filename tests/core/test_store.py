@@ -145,9 +145,13 @@ def test_what_is_being_built_is_neither_waited_for_by_get_nor_removed(store: Sta
         assert other.get(KEY) is None
         with pytest.raises(StoreError, match="being built by another process"):
             other.remove(KEY.digest)
+        (entry,) = other.entries()
+        assert other.is_being_built(entry)
         workspace.save_json("x", 1)
 
     assert store.build(KEY, make).json("x") == 1
+    (entry,) = store.entries()
+    assert not store.is_being_built(entry)
 
 
 def test_one_stage_may_build_another(store: StageStore) -> None:

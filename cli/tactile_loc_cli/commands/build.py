@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tactile_loc_cli import flags
 from tactile_loc_cli.console import say
@@ -28,7 +28,7 @@ def build(
     config: flags.Config = None,
     seed: flags.Seed = None,
     store: flags.Store = None,
-) -> None:
+) -> dict[str, Any]:
     """Build an object's model ahead of time.
 
     That is what `run` does by itself at first; stages that are in the store already are reused.
@@ -38,7 +38,7 @@ def build(
     start = time.perf_counter()
     localizer.matcher(_press_depth_m(localizer))
     _ = localizer.confidence  # learned now, not at the first touch
-    _report(localizer, time.perf_counter() - start)
+    return _report(localizer, time.perf_counter() - start)
 
 
 def _press_depth_m(localizer: Localizer) -> float:
@@ -54,23 +54,37 @@ def _press_depth_m(localizer: Localizer) -> float:
     return deepest_m if asked_m is None else asked_m
 
 
-def _report(localizer: Localizer, seconds: float) -> None:
-    obj, grid = localizer.object, localizer.model.grid
-    size = " x ".join(f"{1e3 * extent:.3g}" for extent in obj.mesh.extents_m)
+def _report(localizer: Localizer, seconds: float) -> dict[str, Any]:
+    obj, grid, store = localizer.object, localizer.model.grid, localizer.store
+    extents_m, spacing_m, stages = obj.mesh.extents_m.tolist(), _spacing_m(grid), _stages(localizer)
+    size = " x ".join(f"{1e3 * extent_m:.3g}" for extent_m in extents_m)
     say(f"object: {obj.name}, {size} mm, {len(obj.mesh.faces)} triangles, symmetry {obj.symmetry}")
-    spacing = f", {1e3 * _spacing_m(grid):.2f} mm apart on average" if len(grid) > 1 else ""
-    say(f"grid: {len(grid)} poses{spacing}")
+    apart = "" if spacing_m is None else f", {1e3 * spacing_m:.2f} mm apart on average"
+    say(f"grid: {len(grid)} poses{apart}")
+    for stage, became in stages.items():
+        say(f"{stage}: {became}")
+    say(f"stored in {store.root} ({seconds:.1f} s)")
+    about = {"size_m": extents_m, "triangles": len(obj.mesh.faces), "symmetry": str(obj.symmetry)}
+    return {
+        "object": {"name": obj.name, "source": obj.source, **about},
+        "grid": {"poses": len(grid), "mean_spacing_m": spacing_m},
+        "stages": stages, "store": str(store.root), "seconds": seconds,
+    }  # fmt: skip
+
+
+def _stages(localizer: Localizer) -> dict[str, str]:
+    """Whether each stage was built or reused."""
     built = [key.stage for key in localizer.store.built]
     learned = ("encoder",) if localizer.encoder.capabilities.needs_training else ()
     sure = ("confidence",) if localizer.config.temperature is None else ()
-    for stage in ("grid", "shapes", *learned, "bank", *sure):
-        say(f"{stage}: {'built' if stage in built else 'reused'}")
-    say(f"stored in {localizer.store.root} ({seconds:.1f} s)")
+    return {stage: "built" if stage in built else "reused" for stage in ("grid", "shapes", *learned, "bank", *sure)}
 
 
-def _spacing_m(grid: PoseGrid) -> float:
-    """The mean distance between neighbouring poses, metres; of a large grid, that of some."""
+def _spacing_m(grid: PoseGrid) -> float | None:
+    """The mean distance between neighbouring poses, metres; of a large grid, that of some, of a single pose none."""
     import numpy as np
 
+    if len(grid) < 2:
+        return None
     some = np.arange(0, len(grid), max(1, len(grid) // MOST_MEASURED))
     return float(grid.neighbour_spacing(some).mean())

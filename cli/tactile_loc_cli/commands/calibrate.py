@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from enum import StrEnum
 from pathlib import Path
@@ -110,7 +111,7 @@ def calibrate(
         Path, typer.Option("--out", metavar="FOLDER", help="Where the calibrated sensor goes.")
     ] = DEFAULT_OUT,
     store: flags.Store = None,
-) -> None:
+) -> dict[str, Any]:
     """Calibrate a sensor for images.
 
     Presses of a ball, or of any mesh at a known pose, teach it what the gel looks like; or simulated ones, for
@@ -125,13 +126,12 @@ def calibrate(
     options = _options(option or [])
     _require_one_source(folder, format, background, image_size, simulated, optics, presses)
     if folder is None:
-        _calibrate_simulated(sensor, optics, presses, estimator, options, seed, out, store)
-        return
+        return _calibrate_simulated(sensor, optics, presses, estimator, options, seed, out, store)
     with tempfile.TemporaryDirectory() as temporary:
         if format is not None:
             folder = _convert(folder, Path(temporary), format, ball_radius, mm_per_px)
         file = folder / "sensor.toml" if sensor is None else Path(sensor)
-        _calibrate(folder, file, estimator, background, image_size, options, seed, out, store)
+        return _calibrate(folder, file, estimator, background, image_size, options, seed, out, store)
 
 
 def _require_one_source(
@@ -176,7 +176,7 @@ def _options(words: list[str]) -> dict[str, Any]:
 def _calibrate(
     folder: Path, sensor: Path, estimator: Estimator, background: Background, image_size: tuple[int, int] | None,
     options: dict[str, Any], seed: int, out: Path, store: Path | None,
-) -> None:  # fmt: skip
+) -> dict[str, Any]:  # fmt: skip
     from tactile_loc.calibration.presses import read_presses
     from tactile_loc.calibration.stage import calibrate_stage
     from tactile_loc.core.errors import CalibrationError
@@ -186,13 +186,13 @@ def _calibrate(
         raise CalibrationError(f"there is no folder {folder}; give one with images of presses and presses.csv")
     presses = read_presses(folder, _geometry(sensor), background is Background.MEDIAN, image_size)
     made, record = calibrate_stage(presses, folder, estimator, options, seed, StageStore(store), progress())
-    _finish(presses, made, {**record, "camera_px": list(presses.camera.shape)}, out)
+    return _finish(presses, made, {**record, "camera_px": list(presses.camera.shape)}, out)
 
 
 def _calibrate_simulated(
     sensor: str | None, optics: str | None, count: int | None, estimator: Estimator, options: dict[str, Any],
     seed: int, out: Path, store: Path | None,
-) -> None:  # fmt: skip
+) -> dict[str, Any]:  # fmt: skip
     from tactile_loc.calibration.simulated import calibrate_simulated, camera_px, simulated_sensor
     from tactile_loc.core.store import StageStore
 
@@ -202,10 +202,10 @@ def _calibrate_simulated(
     presses, made, record = calibrate_simulated(geometry, lamps, count, estimator, options, seed, where, progress())
     if (native := camera_px(sensor)) is not None:
         record["camera_px"] = native
-    _finish(presses, made, record, out)
+    return _finish(presses, made, record, out)
 
 
-def _finish(presses: LabelledPresses, made: GelEstimator, record: dict[str, Any], out: Path) -> None:
+def _finish(presses: LabelledPresses, made: GelEstimator, record: dict[str, Any], out: Path) -> dict[str, Any]:
     from tactile_loc.calibration.folder import PICTURE, write_calibration
     from tactile_loc.calibration.pictures import draw_held_out
     from tactile_loc.evaluation.pictures import save_figure
@@ -219,6 +219,8 @@ def _finish(presses: LabelledPresses, made: GelEstimator, record: dict[str, Any]
         say(line)
     say(f"written: {out} (look at {picture})")
     say(f"use it with: tactile-loc run --sensor {out} --touch IMAGE")
+    held_out = {"presses": len(held_out["presses"]), "mean_errors": _in_si(held_out["mean"])}
+    return {"folder": str(out), "picture": str(picture), "presses": len(presses), "held_out": held_out}
 
 
 def _geometry(path: Path) -> SensorGeometry:
@@ -228,6 +230,12 @@ def _geometry(path: Path) -> SensorGeometry:
     if not path.is_file():
         raise SensorError(f"there is no {path}; describe the sensor in it (docs/conventions.md), or give --sensor")
     return read_sensor_file(path)
+
+
+def _in_si(mean: dict[str, float]) -> dict[str, float]:
+    """The same errors, angles in radians."""
+    slope = {"slope_rad": math.radians(mean["slope_deg"])} if "slope_deg" in mean else {}
+    return {**slope, **{name: value for name, value in mean.items() if name != "slope_deg"}}
 
 
 def _lines(mean: dict[str, float]) -> list[str]:

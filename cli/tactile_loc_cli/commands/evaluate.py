@@ -100,7 +100,7 @@ def evaluate(
     seed: Seed = 0,
     out: Out = DEFAULT_OUT,
     store: flags.Store = None,
-) -> None:
+) -> dict[str, Any]:
     """Measure how well objects are located.
 
     Each object is located from simulated touches with each encoder, by the protocol in docs/evaluation.md; errors are
@@ -116,10 +116,9 @@ def evaluate(
     require_writable(out)
     if numbers is not None:
         located = [(settings, _localizer(settings, obj, store)) for settings, obj in jobs]
-        several.evaluate_contacts(located, numbers, count or several.DEFAULT_COUNT, source, out)
-        return
+        return several.evaluate_contacts(located, numbers, count or several.DEFAULT_COUNT, source, out)
     plan = _Plan(count or DEFAULT_COUNT, source, out, store)
-    _report(plan, [plan.work(settings, obj) for settings, obj in jobs])
+    return _report(plan, [plan.work(settings, obj) for settings, obj in jobs])
 
 
 @dataclass(frozen=True)
@@ -258,13 +257,14 @@ def _gallery(name: str, encoder: str) -> str:
     return f"gallery-{name}-{encoder}.png"
 
 
-def _report(plan: _Plan, runs: Sequence[Run]) -> None:
+def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
     from tactile_loc.evaluation.figures import draw_violins
     from tactile_loc.evaluation.pictures import save_figure
     from tactile_loc.evaluation.reliability import draw_reliability
     from tactile_loc.evaluation.tables import (
         medians_mm,
         medians_normalised,
+        record,
         summary_header,
         trust_header,
         trust_rows,
@@ -283,3 +283,4 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> None:
     say("\ncan the probabilities be trusted: true poses in the sets that hold so much of the probability, and means")
     say_table([trust_header(), *trust_rows(runs)])
     say(f"\nwritten: {', '.join(map(str, written))}")
+    return several.summarised(record(runs, protocol), written)

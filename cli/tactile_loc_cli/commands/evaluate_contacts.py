@@ -6,7 +6,7 @@ import dataclasses
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tactile_loc_cli.console import say, say_table
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from tactile_loc.evaluation.sources import SimulatedTouches
 
 DEFAULT_COUNT = 100
+OF_EACH_TOUCH = ("errors_m", "beliefs")  # keys of the files whose lists are as long as there are touches
 
 _PART = re.compile(r"(\d+)(?:\.\.(\d+))?")
 
@@ -42,12 +43,15 @@ def parse_contacts(text: str) -> tuple[int, ...]:
 def evaluate_contacts(
     jobs: Sequence[tuple[RunConfig, Localizer]], contacts: Sequence[int], count: int, touches: SimulatedTouches,
     out: Path,
-) -> None:  # fmt: skip
-    """Evaluate each localizer with each number of contacts, write tables and the picture to `out`, show the medians."""
+) -> dict[str, Any]:  # fmt: skip
+    """Evaluate each localizer with each number of contacts, write tables and the picture to `out`, show the medians.
+
+    Return the document that was written, without each example's errors, and the paths.
+    """
     runs = [_run(settings, localizer, contacts, count, touches) for settings, localizer in jobs]
     examples = f"{count} simulated {'example' if count == 1 else 'examples'} ({touches.in_words()})"
     heading = f"Localisation from several contacts: {examples} for each object, seed {touches.seed}"
-    _report(runs, {"examples": count, **dataclasses.asdict(touches)}, heading, out)
+    return _report(runs, {"examples": count, **dataclasses.asdict(touches)}, heading, out)
 
 
 def _run(
@@ -62,9 +66,9 @@ def _run(
     return ContactRun(obj.name, str(obj.symmetry), settings.encoder.name, poses, evaluation, resolved(settings))
 
 
-def _report(runs: Sequence[ContactRun], protocol: dict[str, object], heading: str, out: Path) -> None:
+def _report(runs: Sequence[ContactRun], protocol: dict[str, object], heading: str, out: Path) -> dict[str, Any]:
     from tactile_loc.evaluation.contact_figure import draw_contacts
-    from tactile_loc.evaluation.contact_tables import median_header, median_rows, write_contact_tables
+    from tactile_loc.evaluation.contact_tables import median_header, median_rows, record, write_contact_tables
     from tactile_loc.evaluation.pictures import save_figure
 
     written = write_contact_tables(out, runs, protocol, heading)
@@ -77,6 +81,18 @@ def _report(runs: Sequence[ContactRun], protocol: dict[str, object], heading: st
     for run in runs:
         _say_without_common(run)
     say(f"\nwritten: {', '.join(map(str, written))}")
+    return summarised(record(runs, protocol), written)
+
+
+def summarised(document: dict[str, Any], written: Sequence[Path]) -> dict[str, Any]:
+    """Return an evaluation's document without the numbers of each touch, and with the paths that were written."""
+    return {**_without_touches(document), "written": [str(path) for path in written]}
+
+
+def _without_touches(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_touches(item) for key, item in value.items() if key not in OF_EACH_TOUCH}
+    return [_without_touches(item) for item in value] if isinstance(value, list) else value
 
 
 def _say_without_common(run: ContactRun) -> None:

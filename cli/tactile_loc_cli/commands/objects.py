@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from tactile_loc_cli.console import output
 
 
-def objects() -> None:
+def objects() -> dict[str, Any]:
     """List the demo objects."""
     from rich.table import Table
 
@@ -17,3 +19,9 @@ def objects() -> None:
     for demo in DEMO_OBJECTS.values():
         table.add_row(demo.name, demo.symmetry, demo.description)
     output().print(table)
+    return {
+        "objects": [
+            {"name": demo.name, "symmetry": demo.symmetry, "description": demo.description, "path": str(demo.path)}
+            for demo in DEMO_OBJECTS.values()
+        ]
+    }

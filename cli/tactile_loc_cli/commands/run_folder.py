@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc_cli.console import complain, progress, say
+from tactile_loc_cli.console import progress, say
 from tactile_loc_cli.tables import axis_angle
 
 if TYPE_CHECKING:
@@ -19,18 +20,23 @@ if TYPE_CHECKING:
 COLUMNS = ("touch", "probability", "fit", "x_mm", "y_mm", "z_mm", "turn_deg", "axis_x", "axis_y", "axis_z", "says")
 TOGETHER = 32  # touches read and located at once
 
+logger = logging.getLogger(__name__)
 
-def run_folder(localizer: Localizer, folder: Path, press_depth_m: float | None, out: Path, pictures: bool) -> None:
+
+def run_folder(
+    localizer: Localizer, folder: Path, press_depth_m: float | None, out: Path, pictures: bool
+) -> dict[str, Any]:
     """Locate every touch of a folder or pattern, in the order of names; what cannot be is a line with its reason.
 
-    Writes results.csv and, a folder a touch, result.json and, if asked for, result.png. Raises TouchError when the
-    folder holds no touch or none can be located.
+    Writes results.csv and, a folder a touch, result.json and, if asked for, result.png; returns what each came to, and
+    the paths. Raises TouchError when the folder holds no touch or none can be located.
     """
     from tactile_loc.core.errors import TouchError
     from tactile_loc.evaluation.files import write_atomically
 
     files = _touch_files(folder)
     rows: list[dict[str, Any]] = []
+    results: list[dict[str, Any]] = []
     with progress().task(f"locating the touches of {folder}", len(files)) as advance:
         for first in range(0, len(files), TOGETHER):
             some = files[first : first + TOGETHER]
@@ -38,15 +44,17 @@ def run_folder(localizer: Localizer, folder: Path, press_depth_m: float | None, 
                 rows.append(row)
                 if localization is not None:
                     _write(localizer, localization, out / Path(row["touch"]).stem, pictures)
+                results.append(_result(row, localization, out))
             advance(len(some))
     write_atomically(out / "results.csv", lambda path: path.write_text(_csv(rows), encoding="utf-8"))
     failed = [row for row in rows if row["says"]]
     _say(rows)
     say(f"located: {len(rows) - len(failed)} of {len(rows)}; written: {out / 'results.csv'}, and a folder a touch")
     for row in failed:
-        complain("warning", row["says"])
+        logger.warning("%s", row["says"])
     if len(failed) == len(rows):
         raise TouchError(f"no touch of {folder} can be located; the first: {failed[0]['says']}")
+    return {"located": len(rows) - len(failed), "touches": results, "written": [str(out / "results.csv")]}
 
 
 def is_many(path: Path) -> bool:
@@ -101,6 +109,18 @@ def _row(path: Path, localization: Localization) -> dict[str, Any]:
         "touch": path.name, "probability": f"{best.probability:.4f}", "fit": f"{best.explained:.3f}",
         **{name: f"{value:.3f}" for name, value in places}, "turn_deg": f"{angle_deg:.2f}",
         **{name: f"{value:.4f}" for name, value in axes}, "says": "",
+    }  # fmt: skip
+
+
+def _result(row: dict[str, Any], localization: Localization | None, out: Path) -> dict[str, Any]:
+    """What became of one touch, as JSON values in SI units."""
+    if localization is None:
+        return {"touch": row["touch"], "error": row["says"]}
+    best = localization.best
+    return {
+        "touch": row["touch"], "result": str(out / Path(row["touch"]).stem / "result.json"),
+        "probability": best.probability, "explained": best.explained,
+        "T_sensor_object": best.refined.T_sensor_object.tolist(),
     }  # fmt: skip
 
 

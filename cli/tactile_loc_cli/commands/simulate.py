@@ -50,7 +50,7 @@ def simulate(
     out: Annotated[
         Path, typer.Option("--out", metavar="FOLDER", help="Where touches, poses.json and touches.png go.")
     ] = DEFAULT_OUT,
-) -> None:
+) -> dict[str, Any]:
     """Simulate touches with known poses.
 
     Random contact poses of those that the grid covers, as contact shapes (npz) that `run --touch` reads.
@@ -63,16 +63,20 @@ def simulate(
     require_writable(out)
     localizer = flags.open_localizer(settings, None)
     touches = localizer.simulate(count, settings.seed, flags.press_depth_m(settings), settings.touch.noise)
-    _write(localizer, touches, out)
+    record = _write(localizer, touches, out)
     if seen_by is not None:
         _write_images(touches, seen_by, settings.seed, out)
     written = (
         "poses.json and touches.png" if seen_by is None else "their images, background.png, poses.json, touches.png"
     )
     say(f"written: {len(touches)} touches, {written} in {out}")
+    names = [touch.name for touch in touches]
+    pictures = [] if seen_by is None else [str(out / f"{name}.png") for name in names]
+    return {"folder": str(out), "touches": [str(out / f"{name}.npz") for name in names], "images": pictures, **record}
 
 
-def _write(localizer: Localizer, touches: list[Touch], out: Path) -> None:
+def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, Any]:
+    """Write the touches, their poses and their picture; return what poses.json says."""
     from tactile_loc.core.errors import OutputError
     from tactile_loc.core.touches import write_touch
     from tactile_loc.evaluation.files import write_atomically
@@ -98,6 +102,7 @@ def _write(localizer: Localizer, touches: list[Touch], out: Path) -> None:
     name, sensor, noise = localizer.object.name, localizer.config.sensor.name, localizer.config.touch.noise
     title = f"{name} on {sensor}, simulated" + (f" with {noise} noise" if noise != "none" else "")
     save_figure(out / "touches.png", draw_touches(touches, title))
+    return record
 
 
 def _optics(name: str, asked: bool) -> Optics:

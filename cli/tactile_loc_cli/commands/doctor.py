@@ -1,0 +1,38 @@
+"""`tactile-loc doctor`: what is installed and what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from tactile_loc_cli import flags
+from tactile_loc_cli.console import say, say_table
+from tactile_loc_cli.failures import UNEXPECTED, Finding
+
+if TYPE_CHECKING:
+    from tactile_loc_cli.doctor.check import Check
+
+
+def doctor(store: flags.Store = None) -> dict[str, Any]:
+    """Say what is installed, and whether it works.
+
+    Each library is tried, in a process of its own; for what is missing or broken the line says what to do. The exit
+    code is 1 when something that everybody needs is broken.
+    """
+    from tactile_loc_cli.doctor.probes import examine
+
+    checks = examine(store)
+    _report(checks)
+    fatal = [check.name for check in checks if check.is_fatal]
+    result = {"ready": not fatal, "broken": fatal, "checks": [check.record() for check in checks]}
+    if fatal:
+        say(f"\ntactile-loc cannot work here: {', '.join(fatal)}")
+        raise Finding(UNEXPECTED, result)
+    say("\ntactile-loc is ready")
+    return result
+
+
+def _report(checks: Sequence[Check]) -> None:
+    rows = [[str(check.state), check.name, f"{check.says}; {check.remedy}" if check.remedy else check.says]
+            for check in checks]  # fmt: skip
+    say_table(rows, left=3)

@@ -1,0 +1,122 @@
+"""What may crash or hang: each is tried in a process of its own, `python -m tactile_loc_cli.doctor.trials NAME ...`.
+
+A trial prints one line of JSON, its facts, with what to say of it under "says"; or it fails, and the last line of its
+stderr says why.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import shutil
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from tactile_loc.core.errors import TactileLocError
+
+Facts = dict[str, Any]
+
+
+def import_library(module: str) -> Facts:
+    """Import a library."""
+    importlib.import_module(module)
+    return {}
+
+
+def egl() -> Facts:
+    """Draw one small picture of a square, 1 mm before the sensor's undeformed surface, without a display."""
+    import numpy as np
+
+    from tactile_loc.core.objects import TriangleMesh
+    from tactile_loc.core.sensing import SensorGeometry
+    from tactile_loc.plugins.renderers.pyrender import PyrenderRenderer
+
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float) * 0.01
+    mesh = TriangleMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    geometry = SensorGeometry("orthographic", 16, 12, 1000.0, 1000.0, 8.0, 6.0, 0.010, 0.002)
+    T_sensor_object = np.eye(4)
+    T_sensor_object[2, 3] = 0.011
+    depth_m = PyrenderRenderer().render(mesh, T_sensor_object[None], geometry)[0, 6, 8]
+    if abs(depth_m - 0.011) > 1e-5:
+        raise ValueError(f"it draws a surface at {1e3 * depth_m:.2f} mm that lies at 11 mm")
+    return {"says": "renders without a display"}
+
+
+def open3d() -> Facts:
+    """Cast one ray at a triangle one metre away."""
+    import numpy as np
+    import open3d as o3d
+
+    scene, tensor = o3d.t.geometry.RaycastingScene(), o3d.core.Tensor.from_numpy
+    corners = np.array([[-1, -1, 1], [1, -1, 1], [0, 1, 1]], np.float32)
+    scene.add_triangles(tensor(corners), tensor(np.array([[0, 1, 2]], np.uint32)))
+    ray = tensor(np.array([[0, 0, 0, 0, 0, 1]], np.float32))
+    distance_m = float(scene.cast_rays(ray)["t_hit"].numpy()[0])
+    if abs(distance_m - 1) > 1e-5:
+        raise ValueError(f"its ray hits at {distance_m:g} m what is 1 m away")
+    return {"says": "casts rays"}
+
+
+def numba() -> Facts:
+    """Compile a function and run it."""
+    from numba import njit
+
+    @njit
+    def triangular(n: int) -> int:
+        total = 0
+        for i in range(n + 1):
+            total += i
+        return total
+
+    if triangular(10) != 55:
+        raise ValueError("what it compiles computes something else")
+    return {"says": "compiles"}
+
+
+def torch() -> Facts:
+    """Import torch and name the GPUs that it can compute on."""
+    import torch
+
+    devices = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]
+    if devices:
+        float(torch.ones(8, device="cuda").sum())
+        says = f"computes on {', '.join(devices)}"
+    elif shutil.which("nvidia-smi"):
+        says = "computes on the CPU: there is an NVIDIA driver, but no CUDA GPU that this torch can use"
+    else:
+        says = "computes on the CPU: there is no CUDA GPU"
+    return {"says": says, "cuda_devices": devices}
+
+
+def shared_libraries(*names: str) -> Facts:
+    """Load shared libraries by name, and say which cannot be."""
+    import ctypes
+
+    missing = []
+    for name in names:
+        try:
+            ctypes.CDLL(name)
+        except OSError:
+            missing.append(name)
+    return {"missing": missing}
+
+
+TRIALS: Mapping[str, Callable[..., Facts]] = {
+    "import": import_library, "egl": egl, "open3d": open3d, "numba": numba, "torch": torch,
+    "shared-libraries": shared_libraries,
+}  # fmt: skip
+
+
+def main() -> None:
+    """Run the trial that the command line names. What a library prints meanwhile goes to stderr."""
+    stdout, sys.stdout = sys.stdout, sys.stderr
+    try:
+        facts = TRIALS[sys.argv[1]](*sys.argv[2:])
+    except TactileLocError as error:
+        sys.exit(str(error).partition(";")[0])  # what is wrong, without the advice: doctor gives its own
+    stdout.write(json.dumps(facts) + "\n")
+
+
+if __name__ == "__main__":
+    main()

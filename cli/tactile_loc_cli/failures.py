@@ -1,0 +1,101 @@
+"""What goes wrong: one line on stderr, an exit code and, with --json, a document on stdout; no traceback unasked."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Any, NoReturn
+
+import typer
+
+from tactile_loc.core.errors import TactileLocError
+from tactile_loc_cli.console import complain, is_shown, say_json
+
+UNEXPECTED, USAGE_ERROR, INTERRUPTED = 1, 2, 130
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+UsageError: Any = typer.BadParameter.__mro__[1]  # typer brings its own click or uses the installed one
+TO_BE_RESUMED = "what was finished is kept, run the same command again to resume"
+
+
+class Finding(typer.Exit):
+    """Ends a command that found what a script should notice: its exit code, beside its result."""
+
+    def __init__(self, code: int, result: dict[str, Any]) -> None:
+        super().__init__(code)
+        self.result = result
+
+
+@contextmanager
+def failures_told(command: str, as_json: bool) -> Iterator[None]:
+    """End the program with one line when the block fails. Raises typer.Exit."""
+    try:
+        yield
+    except (typer.Exit, typer.Abort, UsageError, BrokenPipeError):
+        raise
+    except TactileLocError as error:
+        _show_traceback()
+        end(USAGE_ERROR, type(error).__name__, str(error), as_json)
+    except KeyboardInterrupt:
+        end(INTERRUPTED, "Interrupted", TO_BE_RESUMED, as_json, "interrupted")
+    except Exception as error:  # noqa: BLE001 - a component may raise anything
+        _show_traceback()
+        if isinstance(error, OSError) and error.errno in DISK_FULL:
+            end(USAGE_ERROR, type(error).__name__, _disk_full(error), as_json)
+        end(UNEXPECTED, type(error).__name__, _unexpected(error, command), as_json)
+
+
+def end(code: int, kind: str, text: str, as_json: bool, prefix: str = "error") -> NoReturn:
+    """Say what went wrong and end the program. Raises typer.Exit."""
+    tell(kind, text, as_json, prefix)
+    raise typer.Exit(code)
+
+
+def tell(kind: str, text: str, as_json: bool, prefix: str = "error") -> None:
+    """Say what went wrong: a line on stderr and, with --json, a document on stdout."""
+    complain(prefix, text)
+    if as_json:
+        say_json({"error": {"kind": kind, "message": " ".join(text.split())}})
+
+
+def _show_traceback() -> None:
+    """Show where the exception that is being handled came from, to those who asked for all details."""
+    if is_shown(logging.DEBUG):
+        sys.stderr.write(traceback.format_exc())
+
+
+def _disk_full(error: OSError) -> str:
+    """What becomes of caches and temporary files; for results and the store more is said, and in their own place."""
+    where = f" for {error.filename}" if error.filename else ""
+    return f"no space is left on the disk{where}; free some, `tactile-loc store prune` may help, then run this again"
+
+
+def _unexpected(error: Exception, command: str) -> str:
+    where = _component(error.__traceback__) or command
+    text = f"unexpected {type(error).__name__} in {where}" + (f": {error}" if str(error) else "")
+    return text if is_shown(logging.DEBUG) else f"{text}; run with -vv for the traceback"
+
+
+def _component(trace: TracebackType | None) -> str | None:
+    """The component whose method raised, the innermost; None if it was none's."""
+    from tactile_loc.core.interfaces import Component
+
+    for frame, _ in reversed(list(traceback.walk_tb(trace))):
+        owner = frame.f_locals.get("self")
+        if isinstance(owner, Component):
+            return f"the {owner.slot} {_name(owner)!r}"
+    return None
+
+
+def _name(component: Any) -> str:
+    """The name a component is chosen by; that of its class if it is registered by none."""
+    from tactile_loc.core.registry import registry
+
+    kind = type(component)
+    target = f"{kind.__module__}:{kind.__qualname__}"
+    names = (c.spec.name for c in registry().components if c.spec.target == target)
+    return next(names, kind.__name__)

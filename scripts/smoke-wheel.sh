@@ -1,0 +1,54 @@
+#!/bin/sh
+# Tries what a stranger gets: builds the source distribution and from it the wheel, installs the wheel into a fresh
+# virtual environment outside the source tree, and locates a demo object there. Usage:
+#
+#     scripts/smoke-wheel.sh PYTHON
+#
+# PYTHON has build, setuptools and wheel (the development environment's has); nothing is downloaded to build with.
+# The wheel's dependencies are those of constraints.txt.
+set -eu
+
+say() { echo "smoke: $*"; }
+give_up() {
+    echo "smoke: $*" >&2
+    exit 1
+}
+
+tree=$(cd "$(dirname "$0")/.." && pwd)
+python=$(command -v "${1:-$tree/.venv/bin/python}") || give_up "there is no ${1:-.venv}: run make setup first"
+case $python in /*) ;; *) python=$PWD/$python ;; esac
+unset PYTHONPATH PYTHONHOME
+
+place=$(mktemp -d)
+trap 'rm -rf "$place"' EXIT
+trap 'exit 130' INT TERM
+cd "$place"
+
+# From a copy: what an earlier build or an editable installation left in the tree must not slip in.
+say "building the wheel"
+mkdir source dist run
+(cd "$tree" && cp -R pyproject.toml README.md LICENSE tactile_loc cli "$place/source")
+find source -name __pycache__ -prune -exec rm -rf {} + -o -name '*.egg-info' -prune -exec rm -rf {} +
+"$python" -m build --no-isolation --outdir dist source >build.log 2>&1 || give_up "it cannot be built: $(cat build.log)"
+wheel=$(echo dist/*.whl)
+say "built $(basename "$wheel") and $(basename dist/*.tar.gz)"
+
+say "installing it into a fresh virtual environment, a minute or two"
+"$python" -m venv venv
+venv/bin/python -m pip install -qq --disable-pip-version-check -c "$tree/constraints.txt" "$wheel"
+
+cd run
+export TACTILE_LOC_STORE="$place/store"
+run() {
+    say "tactile-loc $*"
+    ../venv/bin/tactile-loc "$@"
+}
+../venv/bin/python -c 'import sys, tactile_loc; sys.exit(not tactile_loc.__file__.startswith(sys.prefix))' ||
+    give_up "another tactile_loc than the installed one is imported"
+run --version
+run doctor
+run run --out result
+[ -s result/result.json ] || give_up "tactile-loc run wrote no result.json"
+../venv/bin/python -m json.tool result/result.json /dev/null || give_up "result.json is not JSON"
+[ -s result/result.png ] || give_up "tactile-loc run drew no result.png"
+say "the wheel works"

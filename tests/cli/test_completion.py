@@ -1,0 +1,110 @@
+"""Completion, asked for as the shells ask."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from cli_helpers import command
+from test_startup import HEAVY, PROBE
+
+from tactile_loc.core.hookspecs import SLOTS
+from tactile_loc.core.registry import registry
+from tactile_loc.data import DEMO_OBJECTS
+
+WITH_CHOSEN_SHELL = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
+
+
+def ask(line: list[str], **environment: str) -> str:
+    done = subprocess.run(line, env={**os.environ, **environment}, capture_output=True, text=True, timeout=60)
+    assert done.stderr == ""
+    return done.stdout
+
+
+def bash(words: str) -> set[str]:
+    """What bash is offered for the last word of a line, which may be empty."""
+    typed = {"COMP_WORDS": words, "COMP_CWORD": str(len(words.split(" ")) - 1)}
+    return set(ask(command(), **typed, _TACTILE_LOC_COMPLETE="complete_bash").split())
+
+
+@pytest.mark.parametrize("slot", ["sensor", "renderer", "refiner"])
+def test_names_of_components(slot):
+    assert bash(f"tactile-loc run --{slot} ") == set(registry().names(slot))
+
+
+def test_a_beginning_narrows_them():
+    assert bash("tactile-loc run --renderer r") == {"raycast"}
+    assert bash("tactile-loc evaluate --encoder pixel --encoder mo") == {"moco"}
+    assert bash("tactile-loc run --sensor ./") == set()  # the shell offers files
+
+
+def test_demo_objects():
+    assert bash("tactile-loc evaluate --object ") == set(DEMO_OBJECTS)
+
+
+def test_slots_and_the_components_of_one():
+    assert bash("tactile-loc plugins ") == set(SLOTS)
+    assert bash("tactile-loc plugins grid ") == set(registry().names("grid"))
+    assert bash("tactile-loc plugins nonsense ") == set()
+
+
+def test_commands_options_and_choices():
+    assert bash("tactile-loc ev") == {"evaluate"}
+    assert bash("tactile-loc store ") == {"list", "size", "prune"}
+    assert "--json" in bash("tactile-loc objects --")
+    assert bash("tactile-loc run --noise ") == {"none", "mild", "strong"}
+
+
+def test_zsh_and_fish_are_told_what_the_names_mean():
+    typed = {"_TYPER_COMPLETE_ARGS": "tactile-loc run --object "}
+    zsh = ask(command(), **typed, _TACTILE_LOC_COMPLETE="complete_zsh")
+    assert '"pin":"stepped locating pin' in zsh
+    fish = ask(
+        command(), **typed, _TACTILE_LOC_COMPLETE="complete_fish", _TYPER_COMPLETE_FISH_ACTION="get-args"
+    ).splitlines()
+    assert [line.split("\t")[0] for line in fish] == list(DEMO_OBJECTS)  # one line a name
+    assert all(line.split("\t")[1] for line in fish)
+
+
+@pytest.mark.parametrize("words", ["run --refiner ", "run --object ", "plugins grid ", "pl"])
+def test_nothing_heavy_is_imported(words):
+    typed = {"COMP_WORDS": f"tactile-loc {words}", "COMP_CWORD": str(len(words.split(" ")))}
+    done = subprocess.run(
+        [sys.executable, "-c", PROBE], capture_output=True, text=True, timeout=60,
+        env={**os.environ, **typed, "_TACTILE_LOC_COMPLETE": "complete_bash"},
+    )  # fmt: skip
+    code, modules = json.loads(done.stderr)
+    assert (code, bool(done.stdout)) == (0, True)
+    assert HEAVY & set(modules) == set()
+
+
+@pytest.mark.parametrize(
+    ("shell", "path"),
+    [
+        ("bash", ".bash_completions/tactile-loc.sh"),
+        ("zsh", ".zfunc/_tactile-loc"),
+        ("fish", ".config/fish/completions/tactile-loc.fish"),
+    ],
+)
+def test_installation(tmp_path, shell, path):
+    environment = {"HOME": str(tmp_path), **WITH_CHOSEN_SHELL}
+    assert path in ask(command("--install-completion", shell), **environment).replace("\n", "")
+    shown = ask(command("--show-completion", shell), **environment)
+    assert (tmp_path / path).read_text().strip() == shown.strip()
+    assert f"_TACTILE_LOC_COMPLETE=complete_{shell}" in shown
+
+
+@pytest.mark.skipif(not shutil.which("bash"), reason="there is no bash")
+def test_bash_completes_a_line_with_the_script(tmp_path: Path):
+    program = tmp_path / "tactile-loc"
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m tactile_loc_cli.main "$@"\n')
+    program.chmod(0o755)
+    script = ask(command("--show-completion", "bash"), **WITH_CHOSEN_SHELL)
+    line = "COMP_WORDS=(tactile-loc run --grid h); COMP_CWORD=3; _tactile_loc_completion tactile-loc"
+    path = f"{tmp_path}{os.pathsep}{os.environ['PATH']}"
+    assert ask(["bash", "-c", f'{script}\n{line}\necho "${{COMPREPLY[@]}}"'], PATH=path) == "hopf\n"

@@ -1,0 +1,202 @@
+"""doctor: what works is found to work, and whatever is broken is said, never raised."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from tactile_loc_cli.doctor import probes, system
+from tactile_loc_cli.doctor.check import Check, Probe, State
+from tactile_loc_cli.doctor.outside import attempt
+from tactile_loc_cli.doctor.probes import LIBRARIES, Library, examine
+
+from tactile_loc import __version__
+from tactile_loc.core import registry as registry_module
+from tactile_loc.core.registry import LoadFailure, Registry
+
+SCRIPT = Path(__file__).parents[2] / "scripts" / "system-packages.sh"
+FEW = tuple(library for library in LIBRARIES if library.module in ("numpy", "numba", "open3d", "pyrender"))
+
+
+@pytest.fixture
+def libraries(monkeypatch):
+    """Choose what is looked at."""
+    return lambda *chosen: monkeypatch.setattr(probes, "LIBRARIES", chosen)
+
+
+def test_what_works_is_found_to_work(cli, libraries, tmp_path):
+    libraries(*FEW)
+    done = cli("doctor", "--json", "--store", tmp_path / "store")
+    found = json.loads(done.stdout)
+    checks = {check["name"]: check for check in found["checks"]}
+    assert checks["tactile-loc"]["version"] == __version__
+    assert checks["machine"]["cores"] >= 1
+    assert checks["machine"]["memory_bytes"] > 1e8
+    for name in ("numpy", "numba", "open3d", "plugins", "store"):
+        assert checks[name]["state"] == "ok", checks[name]
+    assert checks["plugins"]["components"] >= 7
+    assert checks["store"]["bytes"] == 0
+    assert checks["store"]["free_bytes"] > 0
+    assert (done.exit_code, found["ready"], found["broken"]) == (0, True, [])
+    assert not (tmp_path / "store").exists()
+
+
+def test_every_declared_dependency_that_people_notice_is_looked_at():
+    assert {"numpy", "numba", "open3d", "pyrender", "torch", "safetensors", "kiss_icp", "small_gicp", "distributed",
+            "pyarrow"} <= {library.module for library in LIBRARIES}  # fmt: skip
+    required = {library.module for library in LIBRARIES if library.required}
+    assert "numba" in required
+    assert not {"torch", "pyrender", "pyarrow"} & required
+
+
+ABSENT = Library("no_such_module_here", ("no-such-thing",), "the renderer nobody", "pip install no-such-thing")
+
+
+def test_a_missing_library_is_named_with_its_installation(cli, libraries, tmp_path):
+    libraries(ABSENT)
+    done = cli("doctor")
+    (line,) = [line for line in done.stdout.splitlines() if "no_such_module_here" in line]
+    assert line.split()[0] == "missing"
+    assert "optional, for the renderer nobody" in line
+    assert line.endswith("pip install no-such-thing")
+    assert done.exit_code == 0
+
+
+def test_only_what_is_required_makes_it_fail(cli, libraries):
+    libraries(dataclasses.replace(ABSENT, required=True))
+    plain, done = cli("doctor"), cli("doctor", "--json")
+    assert (plain.exit_code, done.exit_code) == (1, 1)
+    assert plain.stdout.endswith("tactile-loc cannot work here: no_such_module_here\n")
+    assert (plain.stderr, done.stderr) == ("", "")
+    found = json.loads(done.stdout)
+    assert (found["ready"], found["broken"]) == (False, ["no_such_module_here"])
+
+
+@pytest.fixture
+def module(tmp_path, monkeypatch):
+    """Put a module where the trials find it."""
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "site"))
+    (tmp_path / "site").mkdir()
+
+    def write(body: str) -> str:
+        (tmp_path / "site" / "brittle_thing.py").write_text(body)
+        return "brittle_thing"
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("body", "failure"),
+    [
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "it crashes (SIGSEGV)"),
+        ("import os; os.abort()", "it crashes (SIGABRT)"),
+        ("raise RuntimeError('out of order')", "RuntimeError: out of order"),
+        ("raise SystemExit(3)", "it ends with code 3"),
+        ("import os; os._exit(0)", "it says nothing"),
+        ("import time; time.sleep(60)", "no answer within 2 s"),
+        ("print('chatter')", ""),
+    ],
+)
+def test_whatever_a_library_does_is_said(module, body, failure):
+    assert attempt("import", module(body), timeout_s=2 if "sleep" in body else 60).failure == failure
+
+
+def test_a_library_that_is_installed_but_cannot_be_loaded_names_the_package(cli, libraries, module, monkeypatch):
+    name = module("raise ImportError('libusb-1.0.so.0: cannot open shared object file: No such file or directory')")
+    monkeypatch.setattr(system.shutil, "which", lambda _: "/usr/bin/apt-get")
+    libraries(Library(name, ("numpy",), "tests", "pip install numpy", True))
+    done = cli("doctor", "--json")
+    (check,) = [check for check in json.loads(done.stdout)["checks"] if check["name"] == name]
+    assert (check["state"], check["remedy"]) == ("broken", "sudo apt-get install libusb-1.0-0")
+    assert "libusb-1.0.so.0" in check["says"]
+    assert done.exit_code == 1
+
+
+def test_without_egl_the_packages_are_named_and_nothing_is_fatal(cli, libraries, monkeypatch):
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "no-such-platform")
+    libraries(*(library for library in FEW if library.module == "pyrender"))
+    done = cli("doctor")
+    (line,) = [line for line in done.stdout.splitlines() if " pyrender " in line and line.startswith("broken")]
+    assert "no OpenGL context here (Unsupported PyOpenGL platform: no-such-platform)" in line
+    assert "libegl1 libgl1-mesa-dri" in line
+    assert done.exit_code == 0
+
+
+def test_files_of_the_folder_we_are_in_are_not_taken_for_libraries(cli):
+    Path("numpy.py").write_text("raise RuntimeError('not numpy')")
+    assert attempt("import", "numpy").failure == ""
+
+
+@pytest.mark.parametrize("error", [RuntimeError("no"), ImportError("no"), OSError(5, "no"), MemoryError("no")])
+def test_a_probe_that_fails_is_a_finding(error):
+    def look():
+        raise error
+
+    (check,) = Probe("a thing", look, required=True).checks()
+    assert (check.name, check.state, check.is_fatal) == ("a thing", State.BROKEN, True)
+    assert "no" in check.says
+
+
+def test_nothing_that_is_broken_brings_it_down(monkeypatch):
+    def fail(*_, **__):
+        raise RuntimeError("broken")
+
+    for name in ("_versions", "_machine", "_plugins", "_store", "attempt", "shared_libraries"):
+        monkeypatch.setattr(probes, name, fail)
+    checks = examine(None)
+    assert {check.state for check in checks} == {State.BROKEN}
+    assert {"store", "plugins", "numpy"} <= {check.name for check in checks if check.is_fatal}
+
+
+def test_plugins_that_failed_to_load_are_named_and_hurt_nobody(cli, libraries, monkeypatch):
+    libraries()
+    found = Registry([])
+    found.components += registry_module.registry().components
+    found.failures.append(LoadFailure("broken-one", "broken-package", "ValueError: out of order"))
+    monkeypatch.setattr(registry_module, "registry", lambda: found)
+    done = cli("doctor")
+    (line,) = [line for line in done.stdout.splitlines() if "broken-one" in line]
+    assert line.startswith("broken ")
+    assert "broken-package: ValueError: out of order; update or uninstall broken-package" in line
+    assert done.exit_code == 0
+
+
+def test_without_the_built_in_components_nothing_works(cli, libraries, monkeypatch):
+    libraries()
+    monkeypatch.setattr(registry_module, "registry", lambda: Registry([]))
+    assert cli("doctor").exit_code == 1
+
+
+def test_a_store_that_cannot_be_written(cli, libraries):
+    libraries()
+    Path("file").write_text("mine")
+    done = cli("doctor", "--store", "file/store")
+    assert done.exit_code == 1
+    assert "choose another folder with TACTILE_LOC_STORE or --store" in done.stdout
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="it is looked at on Linux only")
+def test_missing_shared_libraries_are_named_with_their_debian_packages(monkeypatch):
+    monkeypatch.setattr(system, "PACKAGES", {"libabsent.so.7": "libabsent7", "libc.so.6": "libc6"})
+    monkeypatch.setattr(system.shutil, "which", lambda _: None)
+    (check,) = [check for check in system.shared_libraries() if check.name.startswith("lib")]
+    assert (check.name, check.state) == ("libabsent.so.7", State.MISSING)
+    assert "libabsent7" in check.remedy
+    assert not check.is_fatal
+
+
+def test_the_pairs_are_those_of_the_script():
+    text = SCRIPT.read_text()
+    table = re.search(r'libraries="\n(.*?)\n"', text, re.DOTALL)
+    assert dict(line.split() for line in table[1].splitlines()) == dict(system.PACKAGES)
+    assert f'miss "an EGL driver (Mesa)" {system.DRIVER}' in text
+
+
+def test_a_check_is_written_as_json():
+    check = Check("a", State.OK, "b", facts={"cores": 2})
+    expected = {"name": "a", "state": "ok", "says": "b", "remedy": "", "required": False, "cores": 2}
+    assert json.loads(json.dumps(check.record())) == expected

@@ -1,0 +1,207 @@
+"""--json: one document on stdout and nothing else, whatever becomes of the command."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from cli_helpers import TINY
+from tactile_loc_cli import console
+from tactile_loc_cli.command import as_command
+from tactile_loc_cli.main import app
+from typer.testing import CliRunner
+
+from tactile_loc.core.store import StageStore
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.plugins.refiners.none import NoRefiner
+
+PIN = ["--object", "pin", *TINY]
+
+
+@pytest.fixture
+def document(cli):
+    """Run a command that succeeds with --json and return what it wrote."""
+
+    def run(*words: object) -> dict:
+        done = cli(*words, "--json")
+        assert done.exit_code == 0, done.stderr
+        return parsed(done.stdout)
+
+    return run
+
+
+def parsed(stdout: str) -> dict:
+    """The one object that stdout holds; JSON's own values only."""
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is no JSON")
+
+    value = json.loads(stdout, parse_constant=refuse)
+    assert isinstance(value, dict)
+    return value
+
+
+def commands() -> dict[str, typer.core.TyperCommand]:
+    """Every command by its words, those of groups too."""
+    found = {}
+    for name, command in typer.main.get_command(app).commands.items():
+        parts = getattr(command, "commands", None)
+        found |= {f"{name} {part}": c for part, c in parts.items()} if parts else {name: command}
+    return found
+
+
+@pytest.mark.parametrize("words", commands())
+def test_every_command_has_the_shared_options(cli, words):
+    text = cli(*words.split(), "-h").stdout
+    assert all(option in text for option in ("--json", "-v, --verbose", "-q, --quiet"))
+
+
+def test_objects(document):
+    assert [o["name"] for o in document("objects")["objects"]] == list(DEMO_OBJECTS)
+
+
+def test_build(document, tmp_path):
+    found = document("build", *PIN, "--store", tmp_path / "store")
+    assert (found["object"]["name"], found["object"]["symmetry"]) == ("pin", "z2")
+    assert max(found["object"]["size_m"]) == pytest.approx(0.031, abs=1e-3)
+    assert found["grid"]["mean_spacing_m"] == pytest.approx(0.008, rel=0.15)
+    assert set(found["stages"].values()) == {"built"}
+    assert set(document("build", *PIN, "--store", tmp_path / "store")["stages"].values()) == {"reused"}
+    assert found["store"] == str(tmp_path / "store")
+
+
+def test_simulate(document):
+    found = document("simulate", *PIN, "--count", 2, "--images", "--out", "out")
+    assert found["press_depth_m"] == pytest.approx(2e-3)
+    for touch, image in zip(found["touches"], found["images"], strict=True):
+        assert Path(image).is_file()
+        with np.load(touch) as stored:
+            assert stored["T_sensor_object"].tolist() == found["T_sensor_object"][Path(touch).stem]
+
+
+def test_run(document):
+    found = document("run", *PIN, "--out", "out")
+    stored = json.loads(Path("out/result.json").read_text())
+    assert {key: found[key] for key in stored} == stored
+    assert all(Path(path).is_file() for path in found["written"])
+
+
+def test_run_of_a_folder(cli, document):
+    cli("simulate", *PIN, "--count", 2, "--out", "touches")
+    np.savez("touches/zero.npz", depth=np.full((200, 200), 0.002, np.float32), unit="m")
+    found = document("run", *PIN, "--touch", "touches", "--out", "out")
+    assert (found["located"], found["written"]) == (2, [str(Path("out/results.csv"))])
+    first, _, zero = found["touches"]
+    assert "no contact" in zero["error"]
+    (best, *_) = json.loads(Path(first["result"]).read_text())["hypotheses"]
+    assert (first["T_sensor_object"], first["probability"]) == (best["T_sensor_object"], best["probability"])
+
+
+def test_evaluate_is_what_is_in_its_file_but_for_the_single_touches(document):
+    found = document("evaluate", *PIN, "--count", 2, "--refiner", "none", "--out", "out")
+    (written, *_) = [path for path in found["written"] if path.endswith("results.json")]
+    stored = json.loads(Path(written).read_text())
+    (run,), (stored_run,) = found["runs"], stored["runs"]
+    assert run["lines"] == stored_run["lines"]
+    assert run["lines"]["best-1"]["add"]["metres"]["median"] < 0.1
+    assert "errors_m" in stored_run
+    assert not {"errors_m", "beliefs"} & run.keys()
+
+
+def test_calibrate_is_in_radians(document):
+    Path("sensor.toml").write_text(
+        'camera = "orthographic"\nimage_size_px = [48, 40]\nmax_depth_mm = 2.0\nmm_per_px = 0.4\n'
+    )
+    words = ["--sensor", "sensor.toml", "--presses", 8, "-o", "steps=5", "--out", "mine"]
+    found = document("calibrate", "--simulated", *words)
+    errors = json.loads(Path("mine/calibration.json").read_text())["held_out"]["mean"]
+    assert found["held_out"]["mean_errors"]["slope_rad"] == pytest.approx(np.radians(errors["slope_deg"]))
+    assert "slope_deg" not in found["held_out"]["mean_errors"]
+    assert Path(found["picture"]).is_file()
+
+
+def test_store(document, tmp_path):
+    store = tmp_path / "store"
+    document("build", *PIN, "--store", store)
+    entries = document("store", "list", "--store", store)["entries"]
+    assert {entry["digest"] for entry in entries} == {entry.digest for entry in StageStore(store).entries()}
+    assert document("store", "size", "--store", store)["bytes"] == sum(entry["bytes"] for entry in entries)
+    pruned = document("store", "prune", "--all", "--yes", "--store", store)
+    assert pruned["bytes"] == sum(entry["bytes"] for entry in entries)
+
+
+@pytest.mark.parametrize(
+    ("words", "kind", "code"),
+    [
+        (["run", *TINY, "--touch", "none.npz"], "TouchError", 2),
+        (["build", "--object", "pinn"], "ObjectError", 2),
+        (["run", "--refiner", "ipc"], "UnknownPluginError", 2),
+        (["run", "--objct", "pin"], "UsageError", 2),
+        (["rnu"], "UsageError", 2),
+        (["store"], "UsageError", 2),
+        (["objects", "store"], "UsageError", 2),
+    ],
+)
+def test_an_error_is_a_document_too_and_the_rest_is_as_ever(cli, words, kind, code):
+    plain, done = cli(*words), cli(*words, "--json")
+    assert (done.exit_code, plain.exit_code) == (code, code)
+    error = parsed(done.stdout)["error"]
+    assert error["kind"] == kind
+    if words[0] not in ("rnu", "store"):  # there is no command then that --json could be an option of
+        assert done.stderr == plain.stderr
+    assert f"error: {error['message']}\n" in done.stderr
+    assert plain.stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("raised", "kind", "code"),
+    [(ZeroDivisionError("so"), "ZeroDivisionError", 1), (KeyboardInterrupt(), "Interrupted", 130)],
+)
+def test_what_nobody_expected_and_an_interruption_are_documents(cli, monkeypatch, raised, kind, code):
+    for raised, kind, code in (
+        (ZeroDivisionError("so"), "ZeroDivisionError", 1),
+        (KeyboardInterrupt, "Interrupted", 130),
+    ):
+
+        def fail(*_, raised=raised):
+            raise raised
+
+        monkeypatch.setattr(NoRefiner, "refine", fail)
+        done = cli("run", *PIN, "--refiner", "none", "--json")
+        assert done.exit_code == code, done.stderr
+        assert parsed(done.stdout)["error"]["kind"] == kind
+
+
+@pytest.fixture
+def made_up():
+    """A program of two commands, both of the same function, one of them with what as_command adds."""
+    made = typer.Typer()
+
+    def talk() -> dict:
+        console.say("a line")
+        console.say_table([["a", "b"]])
+        console.output().print("rich")
+        sys.stdout.write("a stranger\n")
+        sys.stderr.write("on stderr\n")
+        return {"path": Path("a"), "nan": float("nan"), "array": np.arange(2), "one": np.float32(1), "nested": ((), {})}
+
+    made.command("talk")(as_command(talk))
+    made.command("quiet")(as_command(lambda: None))
+    return made
+
+
+def test_nothing_else_is_on_stdout_whoever_writes(made_up):
+    done = CliRunner().invoke(made_up, ["talk", "--json"])
+    expected = {"path": "a", "nan": None, "array": [0, 1], "one": 1.0, "nested": [[], {}]}
+    assert parsed(done.stdout) == expected
+    assert done.stderr == "on stderr\n"
+    plain = CliRunner().invoke(made_up, ["talk"])
+    assert plain.stdout == "a line\na b\nrich\na stranger\n"
+
+
+def test_a_command_that_returns_nothing_found_nothing(made_up):
+    assert parsed(CliRunner().invoke(made_up, ["quiet", "--json"]).stdout) == {}

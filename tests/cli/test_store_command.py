@@ -1,0 +1,247 @@
+"""store list, size and prune."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_helpers import assert_refused
+from filelock import FileLock
+from tactile_loc_cli.main import app
+from tactile_loc_cli.stored import age_in_words, parse_age, size_in_words
+from typer.testing import CliRunner
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.hashing import StageKey
+from tactile_loc.core.store import StageStore
+
+DAY_S = 86400
+OBJECT = {"mesh": "ab12cd34" + "0" * 56, "symmetry": "z2", "centre_m": [0, 0, 0]}
+GRID = StageKey("grid", 1, {"object": OBJECT, "sampler": {"class": "tactile_loc.plugins.grids.face:FaceGrid"}})
+SHAPES = StageKey("shapes", 1, {
+    "grid": GRID.digest, "renderer": {"class": "tactile_loc.plugins.renderers.raycast:RaycastRenderer"},
+})  # fmt: skip
+BANKS = [
+    StageKey("bank", 1, {
+        "shapes": SHAPES.digest, "press_depth_m": press_m, "trained": "",
+        "encoder": {"class": "tactile_loc.plugins.encoders.pixel:PixelEncoder"},
+    }) for press_m in (0.001, 0.002)
+]  # fmt: skip
+
+
+@pytest.fixture
+def place(tmp_path) -> Path:
+    """A store of five entries: a grid 40 days old, shapes of 20, banks of 10 and 0, and an interrupted build of 30."""
+    root = tmp_path / "place"
+    store = StageStore(root)
+    for key, days in zip([GRID, SHAPES, *BANKS], [40, 20, 10, 0], strict=True):
+        artifact = store.build(key, lambda work: work.save_array("numbers", np.arange(100)))
+        age(artifact.path / "manifest.json", days)
+    left = root / "encoder" / "0123456789abcdef.partial"
+    left.mkdir(parents=True)
+    (left / "checkpoint.safetensors").write_bytes(b"x" * 500)
+    age(left, 30)
+    return root
+
+
+def age(path: Path, days: float) -> None:
+    os.utime(path, (time.time() - days * DAY_S,) * 2)
+
+
+def held(root: Path) -> set[str]:
+    return {f"{entry.stage} {entry.digest}" for entry in StageStore(root).entries()}
+
+
+def called(key: StageKey) -> str:
+    return f"{key.stage} {key.short}"
+
+
+LEFT = "encoder 0123456789abcdef"
+ALL = {LEFT, *(called(key) for key in (GRID, SHAPES, *BANKS))}
+
+
+@pytest.fixture
+def ask(cli, place) -> Callable:
+    """Run a command of the store."""
+    return lambda *words: cli("store", *words, "--store", place)
+
+
+def test_a_store_that_is_not_there_is_empty(cli, tmp_path):
+    for words in (["list"], ["size"], ["prune", "--all", "--yes"]):
+        done = cli("store", *words, "--store", tmp_path / "nowhere")
+        assert done.exit_code == 0, done.stderr
+        assert "0 entries, 0 B" in done.stdout
+    assert not (tmp_path / "nowhere").exists()
+
+
+def test_the_list_says_what_each_stage_was_made_from(ask):
+    entries = json.loads(ask("list", "--json").stdout)["entries"]
+    made_from = {f"{e['stage']} {e['digest']}": e["made_from"] for e in entries}
+    grid = {"object": "mesh ab12cd34 (z2)", "grid": "face"}
+    assert made_from[called(GRID)] == grid
+    assert made_from[called(SHAPES)] == {**grid, "renderer": "raycast"}
+    assert made_from[called(BANKS[0])] == {**grid, "renderer": "raycast", "encoder": "pixel"}
+    assert made_from[LEFT] == {}
+    assert [e["stage"] for e in entries] == ["grid", "encoder", "shapes", "bank", "bank"]  # the newest last
+    assert entries[0]["age_s"] == pytest.approx(40 * DAY_S, abs=600)
+
+
+def test_the_list_as_people_read_it(ask):
+    lines = ask("list").stdout.splitlines()
+    (row,) = [line for line in lines if line.startswith("shapes")]
+    assert row.split() == ["shapes", SHAPES.short, *row.split()[2:4], "20", "d", "complete", "mesh", "ab12cd34",
+                           "(z2),", "raycast,", "face"]  # fmt: skip
+    (left,) = [line for line in lines if line.startswith("encoder")]
+    assert left.endswith("500 B 30 d interrupted")
+    assert lines[-1].startswith("5 entries, ")
+
+
+def test_a_damaged_manifest_is_listed_as_such(ask, place):
+    manifest = place / "grid" / GRID.short / "manifest.json"
+    manifest.write_text(manifest.read_text().replace("z2", "z3"))
+    entries = {e["stage"]: e for e in json.loads(ask("list", "--json").stdout)["entries"]}
+    assert (entries["grid"]["state"], entries["grid"]["made_from"]) == ("damaged", {})
+    assert entries["shapes"]["made_from"] == {"renderer": "raycast"}
+
+
+def test_what_refers_to_itself_ends(ask, place, monkeypatch):
+    from tactile_loc_cli import stored
+
+    monkeypatch.setattr(stored, "_inputs", lambda entry: {"itself": GRID.digest, "other": SHAPES.digest})
+    assert ask("list").exit_code == 0
+
+
+def test_size_by_stage(ask, place):
+    found = json.loads(ask("size", "--json").stdout)
+    files = [path for path in place.glob("*/*/**/*") if path.is_file()]
+    assert found["bytes"] == sum(path.stat().st_size for path in files)
+    assert found["stages"]["bank"]["entries"] == 2
+    assert found["stages"]["encoder"] == {"entries": 1, "incomplete": 1, "bytes": 500}
+    assert found["bytes"] == sum(stage["bytes"] for stage in found["stages"].values())
+
+
+@pytest.mark.parametrize(
+    ("words", "removed"),
+    [
+        (["--all"], ALL),
+        (["--older-than", "25d"], {called(GRID), LEFT}),
+        (["--older-than", "0s"], ALL),
+        (["--older-than", "6w"], set()),
+        (["--stage", "bank"], {called(key) for key in BANKS}),
+        (["--stage", "bank", "--stage", "grid"], {called(key) for key in (GRID, *BANKS)}),
+        (["--stage", "bank", "--older-than", "240h"], {called(BANKS[0])}),
+        (["--incomplete"], {LEFT}),
+        (["--incomplete", "--older-than", "35d"], set()),
+        (["--keep-newest", 1], {called(BANKS[0]), LEFT}),
+        (["--keep-newest", 1, "--stage", "bank"], {called(BANKS[0])}),
+        (["--keep-newest", 2, "--stage", "bank"], set()),
+    ],
+)
+def test_pruning_removes_what_meets_all_conditions(ask, place, words, removed):
+    dry = ask("prune", *words, "--dry-run")
+    assert held(place) == ALL
+    done = ask("prune", *words, "--yes", "--json")
+    assert done.exit_code == dry.exit_code == 0, done.stderr
+    assert held(place) == ALL - removed
+    found = json.loads(done.stdout)
+    assert {f"{e['stage']} {e['digest']}" for e in found["removed"]} == removed
+    assert found["left_alone"] == []
+    for name in removed:
+        assert f"would remove {name}" in dry.stdout
+    assert f"{len(removed)} entr" in dry.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "mentioned"),
+    [
+        ([], ["--older-than", "--all"]),
+        (["--yes"], ["--stage"]),
+        (["--dry-run"], ["--incomplete"]),
+        (["--all", "--incomplete"], ["--all removes everything"]),
+        (["--stage", "banks"], ["'banks'", "bank, encoder, grid, shapes"]),
+        (["--older-than", "soon"], ["'soon'", "30d"]),
+        (["--older-than", "-3d"], ["-3d"]),
+        (["--older-than", "9" * 30 + "d"], ["is no age"]),
+        (["--keep-newest", 0], ["--keep-newest"]),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(ask, place, words, mentioned):
+    assert_refused(ask("prune", *words), *mentioned)
+    assert held(place) == ALL
+
+
+def test_nothing_is_removed_without_consent(ask, place):
+    assert_refused(ask("prune", "--all"), "--yes", "--dry-run")
+    assert held(place) == ALL
+
+
+@pytest.mark.parametrize(("answer", "left"), [("y\n", set()), ("n\n", ALL), ("\n", ALL)])
+@pytest.mark.parametrize("as_json", [True, False])
+def test_on_a_terminal_the_person_is_asked(place, monkeypatch, answer, left, as_json):
+    monkeypatch.setattr("tactile_loc_cli.commands.store._is_terminal", lambda: True)
+    line = ["store", "prune", "--all", "--store", str(place), *(["--json"] if as_json else [])]
+    done = CliRunner().invoke(app, line, input=answer, prog_name="tactile-loc")
+    assert done.exit_code == 0, done.stderr
+    assert "Remove 5 entries" in done.stderr
+    assert held(place) == left
+    if as_json:
+        assert len(json.loads(done.stdout)["removed"]) == 5 - len(left)
+
+
+def test_what_is_being_built_is_left_alone_and_said(ask, place):
+    with FileLock(place / "encoder" / "0123456789abcdef.lock"):
+        entries = {e["stage"]: e for e in json.loads(ask("list", "--json").stdout)["entries"]}
+        assert entries["encoder"]["state"] == "being built"
+        done = ask("prune", "--all", "--yes")
+        assert done.exit_code == 0, done.stderr
+        assert f"left alone, it is being built now: {LEFT}" in done.stdout
+        assert held(place) == {LEFT}
+        found = json.loads(ask("prune", "--all", "--yes", "--json").stdout)
+        assert (found["removed"], [e["stage"] for e in found["left_alone"]]) == ([], ["encoder"])
+    assert ask("prune", "--all", "--yes").exit_code == 0
+    assert held(place) == set()
+
+
+def test_what_another_process_takes_meanwhile_is_left_alone(ask, place, monkeypatch):
+    with FileLock(place / "grid" / f"{GRID.short}.lock"):
+        monkeypatch.setattr(StageStore, "is_being_built", _free_at_first())
+        done = ask("prune", "--stage", "grid", "--yes")
+    assert done.exit_code == 0, done.stderr
+    assert called(GRID) in held(place)
+    assert "0 entries, 0 B, removed" in done.stdout
+
+
+def _free_at_first() -> Callable:
+    """is_being_built as it was before another process began."""
+    asked = StageStore.is_being_built
+    calls: list[int] = []
+
+    def answer(self, entry):
+        calls.append(1)
+        return len(calls) > 1 and asked(self, entry)
+
+    return answer
+
+
+def test_ages_and_sizes_in_words():
+    assert [parse_age(t).total_seconds() for t in ("90s", "1.5h", "2d", "1w", " 3M ")] == [
+        90,
+        5400,
+        172800,
+        604800,
+        180,
+    ]
+    for text in ("", "d", "3", "3y", "-1d", "nan d"):
+        with pytest.raises(ConfigError, match="is no age"):
+            parse_age(text)
+    assert [age_in_words(s) for s in (-1, 0, 119, 120, 3 * 3600, 47 * 3600, 49 * 3600)] == [
+        "0 s", "0 s", "119 s", "2 min", "3 h", "47 h", "2 d",
+    ]  # fmt: skip
+    assert [size_in_words(n) for n in (0, 999, 1000, 12_345_678, 4_560_000_000)] == [
+        "0 B", "999 B", "1 kB", "12.3 MB", "4.56 GB",
+    ]  # fmt: skip

@@ -1,0 +1,166 @@
+"""-v, -vv and -q, before the command and after it; and what is said of failures that nobody expected."""
+
+from __future__ import annotations
+
+import logging
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from cli_helpers import TINY
+from tactile_loc_cli.console import Bars, log_shown, progress
+
+from tactile_loc.plugins.refiners.none import NoRefiner
+
+PIN = ["--object", "pin", *TINY]
+INFO = re.compile(r"info: \[\d+\.\d s\] \S.*")
+
+
+@pytest.fixture
+def build(cli, tmp_path):
+    """Build into a store of its own, with words before the command and after it; return the lines on stderr."""
+
+    def run(before: list[str], after: list[str], store: str = "new") -> list[str]:
+        done = cli(*before, "build", *PIN, "--store", tmp_path / store, *after)
+        assert done.exit_code == 0, done.stderr
+        return done.stderr.splitlines()
+
+    return run
+
+
+@pytest.mark.parametrize(("before", "after"), [(["-v"], []), ([], ["-v"]), (["-v", "-q"], ["--verbose"])])
+def test_info_says_what_is_being_done_with_the_time(build, before, after):
+    lines = build(before, after)
+    assert all(map(INFO.fullmatch, lines)), lines
+    for stage in ("grid", "shapes", "bank", "confidence"):
+        assert any(re.search(rf"Stage {stage} \w+ is being built", line) for line in lines)
+        assert any(re.search(rf"Stage {stage} \w+ is built: .* MB in .* s", line) for line in lines)
+    assert re.fullmatch(r"info: \[.*\] build took \d+\.\d s\.", lines[-1])
+
+
+def test_details_are_shown_only_to_those_who_ask_twice(build):
+    assert build([], []) == []
+    for before, after in ((["-vv"], []), (["-v"], ["-v"]), ([], ["-vv"])):
+        lines = build(before, after)
+        assert [line for line in lines if line.startswith("debug: ")]
+        assert any("is there already" in line for line in lines)
+    assert not [line for line in build(["-v"], []) if line.startswith("debug: ")]
+
+
+@pytest.fixture
+def namesake(tmp_path):
+    """A calibration's folder that is called as a sensor is."""
+    (tmp_path / "digit").mkdir()
+    (tmp_path / "digit" / "calibration.json").write_text("{}")
+
+
+@pytest.mark.usefixtures("namesake")
+def test_quiet_hides_warnings_but_not_errors(cli):
+    words = ["build", *PIN, "--sensor", "digit"]
+    (warning,) = cli(*words).stderr.splitlines()
+    assert warning.startswith("warning: ")
+    assert "./digit" in warning
+    for hushed in (["-q", *words], [*words, "-q"], [*words, "--quiet", "--json"]):
+        assert cli(*hushed).stderr == ""
+    done = cli("build", "--object", "pinn", "-q")
+    assert (done.exit_code, done.stderr.startswith("error: ")) == (2, True)
+
+
+@pytest.mark.usefixtures("namesake")
+def test_a_folder_called_like_a_sensor_is_reached_by_its_path(cli):
+    done = cli("build", *PIN, "--sensor", "./digit")
+    assert done.exit_code == 2
+    assert "digit" in done.stderr  # read as a calibration, which it is not
+    assert "CalibrationError" in cli("build", *PIN, "--sensor", "./digit", "--json").stdout
+
+
+def test_a_sensor_without_such_a_folder_is_no_reason_to_warn(cli):
+    Path("digit").mkdir()
+    assert cli("build", *PIN, "--sensor", "digit").stderr == ""
+
+
+def test_a_warning_is_given_once(capsys):
+    with log_shown():
+        for text in ("a", "b", "a"):
+            logging.getLogger("tactile_loc.core").warning(text)
+    assert capsys.readouterr().err == "warning: a\nwarning: b\n"
+
+
+def test_the_levels_of_the_loggers_are_put_back(capsys):
+    logger = logging.getLogger("tactile_loc")
+    before = (logger.level, list(logger.handlers))
+    with log_shown(5):
+        assert logger.level == logging.DEBUG
+        with log_shown(-5):
+            assert logger.level == logging.ERROR
+        assert logger.level == logging.DEBUG
+    assert (logger.level, logger.handlers) == before
+
+
+def test_quiet_shows_no_bars(monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with log_shown():
+        assert isinstance(progress(), Bars)
+    with log_shown(-1):
+        assert not isinstance(progress(), Bars)
+
+
+@pytest.fixture
+def broken(monkeypatch):
+    """Let the refiner 'none' raise what no one expects."""
+
+    def let(error: Exception) -> list[str]:
+        def fail(*_):
+            raise error
+
+        monkeypatch.setattr(NoRefiner, "refine", fail)
+        return ["run", *PIN, "--refiner", "none"]
+
+    return let
+
+
+def test_the_unexpected_is_one_line_that_names_the_component(cli, broken):
+    done = cli(*broken(ZeroDivisionError("by\n  nothing")))
+    assert done.exit_code == 1
+    expected = "error: unexpected ZeroDivisionError in the refiner 'none': by nothing; run with -vv for the traceback\n"
+    assert done.stderr == expected
+
+
+def test_all_details_hold_the_traceback_of_errors_expected_or_not(cli, broken):
+    done = cli("-vv", *broken(KeyError()))
+    assert done.exit_code == 1
+    assert "Traceback" in done.stderr
+    assert done.stderr.endswith("error: unexpected KeyError in the refiner 'none'\n")
+    expected = cli("run", "--touch", "none.npz", "-vv")
+    assert "Traceback" in expected.stderr
+    assert expected.stderr.splitlines()[-1].startswith("error: ")
+    assert expected.exit_code == 2
+
+
+def test_outside_of_components_the_command_is_named(cli, monkeypatch):
+    def fail(*_):
+        raise RuntimeError
+
+    monkeypatch.setattr("tactile_loc_cli.flags.load_object", fail)
+    done = cli("build")
+    assert (done.exit_code, done.stderr) == (
+        1, "error: unexpected RuntimeError in build; run with -vv for the traceback\n",
+    )  # fmt: skip
+
+
+def test_a_full_disk_is_no_surprise(cli, broken):
+    done = cli(*broken(OSError(28, "No space left on device", "cache.nbi")))
+    assert done.exit_code == 2
+    assert "cache.nbi" in done.stderr
+    assert "no space is left" in done.stderr
+    assert "unexpected" not in done.stderr
+
+
+@pytest.mark.parametrize(("option", "name"), [("--seed", "seed"), ("--top", "top")])
+def test_numbers_below_zero_are_refused_in_one_line(cli, option, name):
+    done = cli("run", *PIN, option, -1)
+    assert done.exit_code == 2
+    (line,) = done.stderr.splitlines()
+    assert name in line
+    assert "-1" in line

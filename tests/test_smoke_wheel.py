@@ -1,0 +1,89 @@
+"""The trial of the wheel, without building or installing one: a pretended Python stands for both."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SCRIPT = ROOT / "scripts" / "smoke-wheel.sh"
+
+PYTHON = """\
+#!/bin/sh
+echo "$PWD: python $*" >> "{log}"
+case "$1 $2" in
+"-m build") {build} ;;
+"-m venv") mkdir -p "$3/bin" && cp "$0" "$3/bin/python" && cp "{command}" "$3/bin/tactile-loc" ;;
+"-m json.tool") exec "{python}" "$@" ;;
+esac
+"""
+BUILDS = "[ -d source/tactile_loc ] && [ -d source/cli ] && touch dist/tactile_loc-1-py3-none-any.whl dist/x.tar.gz"
+COMMAND = """\
+#!/bin/sh
+echo "$PWD: tactile-loc $*" >> "{log}"
+case "$1" in
+doctor) exit {doctor} ;;
+run) mkdir -p result && echo '{result}' > result/result.json && echo picture > result/result.png ;;
+esac
+"""
+
+
+@pytest.fixture
+def smoke(tmp_path: Path):
+    """Run the script with a pretended Python and command; return what it said, and what it ran, line by line."""
+    log = tmp_path / "log"
+    (tmp_path / "temporary").mkdir()
+
+    def run(build: str = BUILDS, doctor: int = 0, result: str = "{}") -> tuple[subprocess.CompletedProcess, list[str]]:
+        (tmp_path / "command").write_text(COMMAND.format(log=log, doctor=doctor, result=result))
+        (tmp_path / "command").chmod(0o755)
+        python = tmp_path / "python"
+        python.write_text(PYTHON.format(log=log, build=build, command=tmp_path / "command", python=sys.executable))
+        python.chmod(0o755)
+        environment = {**os.environ, "TMPDIR": str(tmp_path / "temporary"), "PYTHONPATH": "somewhere"}
+        done = subprocess.run([SCRIPT, "./python"], cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert list((tmp_path / "temporary").iterdir()) == []  # it cleans up after itself
+        return done, log.read_text().splitlines()
+
+    return run
+
+
+def test_it_builds_installs_and_runs_elsewhere(smoke):
+    done, ran = smoke()
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.endswith("smoke: the wheel works\n")
+    folders, lines = zip(*(line.split(": ", 1) for line in ran), strict=True)
+    assert not [folder for folder in folders if Path(folder).is_relative_to(ROOT)]
+    assert lines[0] == "python -m build --no-isolation --outdir dist source"
+    assert lines[1] == "python -m venv venv"
+    assert lines[2].endswith(f"-c {ROOT}/constraints.txt dist/tactile_loc-1-py3-none-any.whl")
+    commands = [line for line in lines if line.startswith("tactile-loc ")]
+    assert commands == ["tactile-loc --version", "tactile-loc doctor", "tactile-loc run --out result"]
+
+
+def test_each_failure_ends_it(smoke):
+    done, ran = smoke(build="echo no compiler; exit 1")
+    assert (done.returncode, len(ran)) == (1, 1)
+    assert "it cannot be built: no compiler" in done.stderr
+    for failing in ({"doctor": 1}, {"result": ""}, {"result": "not json"}):
+        done, _ = smoke(**failing)
+        assert done.returncode != 0, failing
+        assert "the wheel works" not in done.stdout
+
+
+def test_without_an_environment_it_says_what_to_do(tmp_path):
+    done = subprocess.run([SCRIPT, tmp_path / "nowhere"], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "run make setup first" in done.stderr
+
+
+def test_continuous_integration_tests_and_then_tries_the_wheel():
+    lines = (ROOT / ".ci" / "run").read_text().splitlines()
+    assert lines[-2:] == ["make test", "make smoke"]
+    makefile = (ROOT / "Makefile").read_text()
+    assert "scripts/smoke-wheel.sh $(VENV)/bin/python" in makefile
+    assert "scripts/system-packages.sh --tests" in makefile
