@@ -1,0 +1,163 @@
+"""Every code block of the documentation is run, page by page, or read by what it is written for.
+
+Shell commands run as they stand, in a folder where the files that they name exist, but for a coarser grid, fewer
+touches and a shorter training. Other pages' blocks have tests of their own, named below.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+import shlex
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from press_sets import COLUMNS, ball_set, write_image
+from tactile_loc_cli.main import app
+from typer.testing import CliRunner
+
+from tactile_loc import Localizer, load_object, write_touch
+from tactile_loc.core.prior_files import read_prior
+from tactile_loc.core.sensor_files import read_sensor_file
+from tactile_loc.core.touch_list import read_touch_list
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+ELSEWHERE = {
+    "cli.md": "test_reference.py",  # generated
+    "conventions.md": "test_docs_conventions.py",
+    "plugins.md": "test_docs_plugins.py",
+    "tutorial-plugin.md": "test_docs_tutorial.py",
+    "sweeps.md": "test_docs_sweeps.py",
+    "reports.md": "test_docs_reports.py",
+}
+PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)
+READERS = {  # by how the file begins
+    "camera": read_sensor_file,
+    "kind": lambda path: read_prior(path, load_object("pin")),
+    "[[touch]]": read_touch_list,
+}
+COARSE = ["-o", "grid.spacing_mm=8"]
+TINY_TRAINING = [word for o in ("epochs=1", "queries=64", "batch=16", "backbone=small", "channels=8")
+                 for word in ("-o", f"encoder.{o}")]  # fmt: skip
+CHEAPER = {
+    "run": COARSE,
+    "build": COARSE,
+    "simulate": [*COARSE, "--count", "2"],
+    "evaluate": [*COARSE, "--count", "2"],
+    "calibrate": ["-o", "steps=20", "-o", "hidden=4"],
+}
+Block = tuple[str, str]
+
+
+def blocks(page: str) -> list[Block]:
+    """Language and text of the page's fenced blocks."""
+    return re.findall(r"^```(\w*)\n(.*?)^```", (DOCS / page).read_text(), re.DOTALL | re.MULTILINE)
+
+
+def commands(page: str) -> list[list[str]]:
+    lines = [line for language, text in blocks(page) if language == "sh" for line in text.splitlines()]
+    return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_block_is_of_a_language_that_is_tried(page):
+    """A block without a language is a formula or a drawing: no code."""
+    assert {language for language, _ in blocks(page)} <= {"sh", "python", "toml", "csv", ""}
+
+
+@pytest.mark.parametrize("page", sorted(ELSEWHERE))
+def test_pages_that_are_tried_elsewhere_are(page):
+    assert (DOCS / page).exists()
+    assert any(page in test.read_text() for test in (ROOT / "tests").rglob(ELSEWHERE[page]))
+
+
+def test_the_table_of_presses_is_read():
+    ((_, text),) = [block for block in blocks("sensors.md") if block[0] == "csv"]
+    rows = list(csv.DictReader(text.splitlines()))
+    assert set(rows[0]) <= set(COLUMNS)
+    assert [row["kind"] for row in rows] == ["background", "ball", "ball"]
+
+
+@pytest.fixture(scope="module")
+def furnished(tmp_path_factory, store) -> Path:
+    """A folder with what the pages' commands name."""
+    folder = tmp_path_factory.mktemp("furnished")
+    mesh = load_object("pin").mesh
+    trimesh.Trimesh(mesh.vertices_m * 1e3, mesh.faces, process=False).export(folder / "part.stl")
+    localizer = Localizer.create(folder / "part.stl", units="mm", store=store, grid={"name": "face", "spacing_mm": 8})
+    touches = [replace(t, T_base_sensor=np.linalg.inv(t.T_sensor_object)) for t in localizer.simulate(2, seed=3)]
+    for name, touch in zip(("first", "second"), touches, strict=True):
+        write_touch(folder / f"{name}.npz", touch)
+    write_touch(folder / "touch.npz", localizer.simulate(1, seed=3)[0])
+    (folder / "touches.toml").write_text('[[touch]]\npath = "first.npz"\n\n[[touch]]\npath = "second.npz"\n')
+    (folder / "prior.toml").write_text(
+        'kind = "half-space"\nframe = "sensor"\nnormal = [0, 0, -1]\nplane_point_mm = [0, 0, 100]\n'
+    )
+    balls = ball_set(8)
+    balls.write(folder / "FOLDER")
+    (folder / "SET").mkdir()
+    write_image(folder / "SET" / "background.png", balls.background)
+    for number, (image, circle) in enumerate(zip(balls.images, balls.circles, strict=True)):
+        (press := folder / "SET" / str(number)).mkdir()
+        write_image(press / "gelsight.png", image)
+        np.savez(press / "label.npz", center=circle[:2], radius=circle[2])
+    write_image(folder / "photo.png", balls.images[0])
+    (folder / "folder").mkdir()
+    write_image(folder / "folder" / "photo.png", balls.images[1])
+    return folder
+
+
+@pytest.fixture
+def workplace(furnished, tmp_path, monkeypatch, store) -> Path:
+    shutil.copytree(furnished, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("TACTILE_LOC_STORE", str(store.root))
+    return tmp_path
+
+
+def test_toml_files_are_read_by_what_they_are_for(workplace):
+    for page in PAGES:
+        for text in (text for language, text in blocks(page) if language == "toml"):
+            readers = [read for begins, read in READERS.items() if text.startswith(begins)]
+            assert readers, f"{page} shows a TOML file that no test reads: {text[:40]}"
+            (workplace / "block.toml").write_text(text)
+            readers[0](workplace / "block.toml")
+
+
+def run(words: list[str]) -> None:
+    """Run a command as the page has it, cheaper; what needs the internet must say so, and nothing else may fail."""
+    if words[0] == "torchrun":
+        assert words[1:5] == ["--nproc-per-node", "4", "--no-python", "tactile-loc"]
+        words = words[4:]
+    assert words[0] == "tactile-loc", f"no test knows how to run {words[0]}"
+    cheaper = CHEAPER.get(words[1], [])
+    if "moco" in words:
+        cheaper = [*cheaper, *TINY_TRAINING]
+    if "--simulated" in words:
+        cheaper = ["-o", "epochs=1", "-o", "channels=4", "--presses", "10"]
+    done = CliRunner().invoke(app, [*words[1:], *cheaper], prog_name="tactile-loc")
+    if "encoder.pretrained=hub" in words and done.exit_code:
+        assert "hub" in done.stderr
+        return
+    assert done.exit_code == 0, (words, done.stderr)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if commands(page)])
+def test_commands_run(page, workplace):
+    for words in commands(page):
+        run(words)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if any(language == "python" for language, _ in blocks(page))])
+def test_python_runs(page, workplace, monkeypatch, store):
+    original = Localizer.create.__func__
+    coarse = {"store": store, "grid": {"name": "face", "spacing_mm": 8.0}}
+    monkeypatch.setattr(Localizer, "create", classmethod(lambda cls, *a, **k: original(cls, *a, **{**k, **coarse})))
+    for number, (language, text) in enumerate(blocks(page)):
+        if language == "python":
+            exec(compile(text, f"{page}, block {number}", "exec"), {})
