@@ -26,7 +26,7 @@ from tactile_loc.evaluation.judge import STAGES
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.sources import SimulatedTouches
 
-LINES = ("closest", "random", "best-1", "best-10", "reg-1")
+LINES = ("closest", "random", "best-1", "best-10", "reg-1", "chosen")
 
 
 def spacing_for(obj: ObjectModel, base: dict, poses: int) -> float:  # type: ignore[type-arg]
@@ -82,7 +82,7 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=10_000, help="about how many poses a grid has")
     parser.add_argument("--touches", type=int, default=200)
     parser.add_argument("--sensor", default="gelslim")
-    parser.add_argument("--refiner", default="icp")
+    parser.add_argument("--refiner", default="filterreg")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--json", type=Path, help="also write the rows here")
     arguments = parser.parse_args()

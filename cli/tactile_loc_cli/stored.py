@@ -16,6 +16,7 @@ from tactile_loc.core.store import Entry
 
 UNITS_S = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)([smhdw])")
+LABEL = "label"  # of a stage, beside its inputs
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
@@ -122,16 +123,17 @@ class Origins:
         return entry.digest in self._inputs
 
     def of(self, entry: Entry) -> dict[str, str]:
-        """Return what an entry was made from: "object" (its mesh's digest, its symmetry), and components by slot."""
+        """Return what an entry was made from: "object" (its name, or its mesh's digest), and components by slot."""
         parts = dict(_parts(self._inputs.get(entry.digest, {}), self._inputs, _names(), frozenset({entry.digest})))
         return {key: parts[key] for key in ("object", *SLOTS) if key in parts}
 
 
 def _inputs(entry: Entry) -> Mapping[str, Any] | None:
     try:
-        return read_artifact(entry.path).key.inputs
+        key = read_artifact(entry.path).key
     except StoreError:
         return None
+    return {**key.inputs, LABEL: key.label}
 
 
 def _parts(
@@ -148,6 +150,8 @@ def _parts(
             yield names[value["class"]]
         for item in value.values():
             yield from _parts(item, known, names, seen)
+        if value.get(LABEL):
+            yield "object", value[LABEL]
 
 
 def _names() -> dict[str, tuple[str, str]]:

@@ -124,6 +124,7 @@ def write_manifest(path: Path, key: StageKey, files: Mapping[str, FileRecord]) -
         "stage": key.stage,
         "version": key.version,
         "inputs": key.inputs,
+        "label": key.label,
         "files": {name: {"size": record.size, "sha256": record.sha256} for name, record in files.items()},
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
@@ -141,7 +142,7 @@ def read_artifact(folder: Path) -> Artifact:
         if manifest.pop("sha256") != _seal(manifest) or manifest["format"] != _FORMAT:
             raise DamagedError("its manifest is altered or of another format")
         files = {name: FileRecord(**record) for name, record in manifest["files"].items()}
-        key = StageKey(manifest["stage"], manifest["version"], manifest["inputs"])
+        key = StageKey(manifest["stage"], manifest["version"], manifest["inputs"], manifest.get("label", ""))
         return Artifact(folder, key, files, datetime.fromisoformat(manifest["created"]))
     except OSError as error:
         raise DamagedError(f"its manifest cannot be read ({error.strerror})") from error

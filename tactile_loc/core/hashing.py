@@ -35,6 +35,8 @@ class StageKey:
     stage: str = field(compare=False)
     version: int = field(compare=False)
     inputs: Mapping[str, JsonValue] = field(compare=False)
+    label: str = field(default="", compare=False)
+    """What people call it, such as the object's name; no part of the key."""
     digest: str = field(init=False)
     """SHA-256, 64 hexadecimal digits, over the canonical JSON of stage, version and inputs."""
 

@@ -74,7 +74,7 @@ def build_model(scene: Scene, sampler: GridSampler, store: StageStore, progress:
     """Build, or fetch from the store, the grid of `sampler` and its contact shapes in `scene`."""
     grid_key = StageKey("grid", STAGE_VERSIONS["grid"], {
         "object": scene.object.describe(), "sampler": sampler.describe(), "sensor": scene.geometry.describe(),
-    })  # fmt: skip
+    }, scene.object.name)  # fmt: skip
     artifact = store.build(grid_key, lambda work: work.save_array("T_sensor_object", _grid(scene, sampler, progress)))
     contact = PoseGrid(np.array(artifact.array("T_sensor_object")), PoseMetric(scene.object))
     shapes_key = StageKey("shapes", STAGE_VERSIONS["shapes"], {

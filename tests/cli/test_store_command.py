@@ -91,6 +91,12 @@ def test_the_list_says_what_each_stage_was_made_from(ask):
     assert entries[0]["age_s"] == pytest.approx(40 * DAY_S, abs=600)
 
 
+def test_the_list_names_the_object(cli):
+    cli("build", "--object", "pin", "-o", "grid.spacing_mm=8", "--store", "named")
+    entries = json.loads(cli("store", "list", "--json", "--store", "named").stdout)["entries"]
+    assert {entry["made_from"]["object"] for entry in entries} == {"pin"}
+
+
 def test_the_list_as_people_read_it(ask):
     lines = ask("list").stdout.splitlines()
     (row,) = [line for line in lines if line.startswith("shapes")]

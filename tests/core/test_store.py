@@ -82,6 +82,13 @@ def test_other_inputs_are_another_artifact(store: StageStore) -> None:
     assert [artifact.json("x") for artifact in found if artifact] == [1, 2]
 
 
+def test_a_label_is_kept_and_is_no_part_of_the_key(store: StageStore) -> None:
+    named = StageKey(KEY.stage, KEY.version, KEY.inputs, label="pin")
+    assert named == KEY
+    assert store.build(named, Five()).key.label == "pin"
+    assert store.build(KEY, forbidden).key.label == "pin"
+
+
 def test_asking_for_what_is_not_there(store: StageStore) -> None:
     artifact = store.build(KEY, Five())
     with pytest.raises(StoreError, match=r"no 'nothing\.npy'; it holds meta\.json, piece0"):
