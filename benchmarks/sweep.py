@@ -1,0 +1,151 @@
+#!/usr/bin/env python3
+"""One sweep three ways: on local processes, on a Dask cluster of this machine, and each with a worker killed meanwhile.
+
+Two renderers, three encoders, four refiners and three demo objects, with a coarse grid, few pixels and few touches: it
+is about the sweep, not about the numbers in it. Printed, and written to `--out`/counts.json, are the rows, failures,
+how often each stage was built, and whether all tables are the same. The exit code is 1 when anything is lost, differs
+or was built twice.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from tactile_loc.core.store import StageStore
+from tactile_loc.sweeps.cluster import DaskWorkers
+from tactile_loc.sweeps.local import LocalWorkers
+from tactile_loc.sweeps.plan import Plan
+from tactile_loc.sweeps.results import write_sweep
+from tactile_loc.sweeps.sweep import Sweep, Workers, run_sweep
+from tactile_loc.sweeps.table import MOMENTARY
+
+SENSOR = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
+MOCO = {"name": "moco", "epochs": 1, "queries": 32, "batch": 32, "channels": 4}
+ENCODERS = [{"name": "pixel", "cells": 12}, {"name": "pixel", "cells": 20}, MOCO]
+
+
+def plan_for(arguments: argparse.Namespace) -> Plan:
+    """Return the plan of 2 x 3 x 4 x 3 combinations."""
+    sensor = arguments.out / "sensor.toml"
+    sensor.write_text(SENSOR)
+    return Plan.from_values({
+        "object": ["pin", "head", "damping_pin"], "sensor": str(sensor), "renderer": ["pyrender", "raycast"],
+        "encoder": ENCODERS, "refiner": ["none", "icp", "filterreg", "kiss-icp"], "count": arguments.count,
+        "option": {"grid": {"spacing_mm": arguments.spacing_mm}}, "shape_px": 32, "temperature": 0.01,
+    })  # fmt: skip
+
+
+@contextmanager
+def killing(rows: Path, after: int, victims: Callable[[], list[int]]) -> Iterator[list[int]]:
+    """Kill one of the processes `victims` when the folder `rows` holds `after` rows; yield who was killed."""
+    killed: list[int] = []
+    over = threading.Event()
+
+    def wait() -> None:
+        while not over.wait(0.02):
+            if len(list(rows.glob("*.json"))) >= after and (pids := victims()):
+                os.kill(pids[0], signal.SIGKILL)
+                killed.append(pids[0])
+                return
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    try:
+        yield killed
+    finally:
+        over.set()
+        thread.join()
+
+
+def local_workers() -> list[int]:
+    """Return the process numbers of this process's local workers."""
+    children = psutil.Process().children()
+    return [child.pid for child in children if "tactile_loc.sweeps.worker" in child.cmdline()]
+
+
+def measure(name: str, arguments: argparse.Namespace, workers: Workers, victims: Callable[[], list[int]] | None) -> Any:
+    """Run the sweep into a folder and a store of its own, and return its table and its counts."""
+    out, store = arguments.out / name, arguments.out / f"store-{name}"
+    plan = plan_for(arguments)
+    start_s = time.perf_counter()
+    with killing(out / "rows", 20, victims or list) as killed:
+        swept = run_sweep(plan, out, store, workers)
+    seconds = time.perf_counter() - start_s
+    write_sweep(out, swept, "chosen")
+    return lasting(swept), {"name": name, "seconds": round(seconds, 1), "killed": len(killed), **counts(swept, store)}
+
+
+def counts(swept: Sweep, store: Path) -> dict[str, Any]:
+    """Return how many rows there are and failed, and how often stages were built."""
+    built = Counter(name for row in swept.rows for name in json.loads(row["built"]))
+    stored = {f"{entry.stage} {entry.digest}" for entry in StageStore(store).entries()}
+    return {
+        "rows": len(swept.rows), "failed": swept.failed, "built": swept.built,
+        "most_builds_of_one": max(built.values()),
+        "stored_but_in_no_row": len(stored - set(built)), "in_a_row_but_not_stored": len(set(built) - stored),
+    }  # fmt: skip
+
+
+def lasting(swept: Sweep) -> list[dict[str, Any]]:
+    """Return the table without what depends on the machine or the moment."""
+    return [{name: value for name, value in row.items() if name not in MOMENTARY} for row in swept.rows]
+
+
+def runs(arguments: argparse.Namespace) -> Iterator[tuple[list[dict[str, Any]], dict[str, Any]]]:
+    """Run the sweep in all ways that were asked for."""
+    from distributed import LocalCluster
+
+    local = LocalWorkers(arguments.workers, 1, arguments.out / "workers.log")
+    if not arguments.only_killed:
+        yield measure("local", arguments, local, None)
+    yield measure("local-killed", arguments, local, local_workers)
+    with LocalCluster(
+        n_workers=arguments.workers, processes=True, threads_per_worker=1, dashboard_address=None
+    ) as cluster:
+        dask = DaskWorkers(cluster.scheduler_address)
+        if not arguments.only_killed:
+            yield measure("dask", arguments, dask, None)
+        yield measure("dask-killed", arguments, dask, lambda: [nanny.pid for nanny in cluster.workers.values()])
+
+
+def is_whole(found: dict[str, Any], table: list[dict[str, Any]], first: list[dict[str, Any]]) -> bool:
+    """Whether nothing was lost, built twice, or came out differently."""
+    lost = found["failed"] + found["stored_but_in_no_row"] + found["in_a_row_but_not_stored"]
+    return not lost and found["most_builds_of_one"] == 1 and table == first
+
+
+def main() -> int:
+    """Run, print and write the counts."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("out/benchmarks/sweep"))
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--count", type=int, default=2, help="touches a combination")
+    parser.add_argument("--spacing-mm", type=float, default=8.0)
+    parser.add_argument("--only-killed", action="store_true", help="leave out the runs in which no worker is killed")
+    arguments = parser.parse_args()
+    arguments.out = arguments.out.absolute()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    found, first = [], None
+    for table, count in runs(arguments):
+        first = table if first is None else first
+        found.append({**count, "same_table": table == first, "whole": is_whole(count, table, first)})
+        print(json.dumps(found[-1]), flush=True)
+    (arguments.out / "counts.json").write_text(json.dumps(found, indent=1) + "\n")
+    return 0 if all(one["whole"] for one in found) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,114 @@
+"""A plan's full product: what is evaluated, in which order, and the key of each result."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tactile_loc import __version__
+from tactile_loc.core.config import ObjectConfig, RunConfig, SlotConfig, TouchConfig
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.hashing import canonical_json
+from tactile_loc.core.hookspecs import SLOTS
+from tactile_loc.core.meshes import load_object
+from tactile_loc.core.noise import noise as noise_called
+from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.registry import registry
+from tactile_loc.evaluation.protocol import PROTOCOL_VERSION
+from tactile_loc.sweeps.plan import Plan
+
+ROW_VERSION = 1  # raised when a row of the same combination would hold other numbers
+KEY_DIGITS = 16
+
+
+@dataclass(frozen=True)
+class Combination:
+    """One row to be: an object, a component for each slot, a noise and a seed (all in `config`), and how many touches.
+
+    `key` is a hash of everything that decides the row; `place` its position along each axis of the plan.
+    """
+
+    object: str
+    config: RunConfig
+    count: int
+    key: str
+    place: tuple[int, ...]
+
+
+def combine(plan: Plan) -> tuple[list[Combination], dict[str, ObjectModel]]:
+    """Return all combinations, ordered by object, slots, noise and seed, and the objects by name.
+
+    Everything that they need is tried: meshes are read and components made. Raises TactileLocError.
+    """
+    objects = _load(plan.objects)
+    described = _Descriptions()
+    axes = [objects.items(), *plan.slots.values(), plan.noises, plan.seeds]
+    combinations = []
+    for places in itertools.product(*(list(enumerate(axis)) for axis in axes)):
+        place, values = zip(*places, strict=True)
+        (obj_config, obj), noise, seed = values[0][1], values[-2], values[-1]
+        config = RunConfig(
+            object=obj_config, touch=TouchConfig(noise=noise), seed=seed, **plan.settings,
+            **dict(zip(plan.slots, values[1:-2], strict=True)),
+        )  # fmt: skip
+        key = combination_key(config, obj, plan.count, described.of(config))
+        combinations.append(Combination(obj.name, config, plan.count, key, place))
+    return combinations, {obj.name: obj for _, obj in objects.values()}
+
+
+def in_running_order(combinations: Iterable[Combination]) -> list[Combination]:
+    """Return combinations in an order in which neighbours share little: first objects differ, then sensors, and so on.
+
+    So workers seldom wait for one another's stages, and an interrupted sweep has seen something of everything.
+    """
+    return sorted(combinations, key=lambda combination: combination.place[::-1])
+
+
+def combination_key(config: RunConfig, obj: ObjectModel, count: int, components: Mapping[str, Any]) -> str:
+    """Return a hash of all that decides a row; `components` is what `describe_components` says of its slots."""
+    settings = config.model_dump(mode="json", exclude={"object", "top"})
+    text = canonical_json({
+        "version": ROW_VERSION, "tactile-loc": __version__, "protocol": PROTOCOL_VERSION, "count": count,
+        "object": {"name": obj.name, **obj.describe()}, "settings": settings, "components": components,
+        "noise": noise_called(config.touch.noise).describe(),
+    })  # fmt: skip
+    return hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
+
+
+def describe_components(config: RunConfig) -> dict[str, Any]:
+    """Return what identifies the component of each slot, and the sensor's geometry. Raises TactileLocError."""
+    return _Descriptions().of(config)
+
+
+class _Descriptions:
+    """Makes every choice of a component once, to see that it can be made and what it says of itself."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, Any] = {}
+
+    def of(self, config: RunConfig) -> dict[str, Any]:
+        """What describes the components of all slots."""
+        return {slot: self._one(slot, getattr(config, slot)) for slot in SLOTS}
+
+    def _one(self, slot: str, chosen: SlotConfig) -> Any:
+        name = canonical_json({"slot": slot, **chosen.model_dump()})
+        if name not in self._known:
+            component = registry().create(slot, chosen.name, chosen.options)
+            geometry = {"geometry": component.geometry.describe()} if slot == "sensor" else {}
+            self._known[name] = {**component.describe(), **geometry}
+        return self._known[name]
+
+
+def _load(configs: Sequence[ObjectConfig]) -> dict[str, tuple[ObjectConfig, ObjectModel]]:
+    """The objects by name. Raises ConfigError for two of one name: their rows could not be told apart."""
+    found: dict[str, tuple[ObjectConfig, ObjectModel]] = {}
+    for config in configs:
+        obj = load_object(config.path, config.units, config.symmetry)
+        if obj.name in found:
+            other = found[obj.name][0].path
+            raise ConfigError(f"{other} and {config.path} are both called {obj.name}; rename one, or sweep them apart")
+        found[obj.name] = (config, obj)
+    return found

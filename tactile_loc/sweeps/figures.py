@@ -1,0 +1,193 @@
+"""Pictures of a sweep: error against time with the Pareto front, and what each component changes."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.evaluation.figures import COLOURS
+from tactile_loc.evaluation.pictures import make_figure
+from tactile_loc.sweeps.labels import place_labels
+from tactile_loc.sweeps.summary import Point, choice_labels, effects, pareto, points, varying
+from tactile_loc.sweeps.sweep import Sweep
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MARKERS = "osD^vP*Xh<>"
+FRONT, INK, FAINT = "#c53030", "#1a202c", "#cbd5e0"
+BY_COLOUR = ("refiner", "encoder", "matcher", "renderer", "grid", "fuser", "sensor")  # the first that varies
+MOST_LISTED = 60
+PANEL, LETTER = 7.2, 0.068  # inches: a panel's width, and that of a listed letter
+LIST_LINE = 0.19  # inches of height a listed combination takes
+
+
+def draw_error_time(sweep: Sweep, line: str) -> Figure | None:
+    """Draw a panel for each noise, a numbered point for each combination of components, and list their names.
+
+    Error and time are geometric means over the objects of medians over touches. The Pareto front is drawn, and its
+    names are bold. Returns None when no combination ended well on all objects.
+    """
+    panels = {noise: found for noise in sweep.plan.noises if (found := points(sweep, line, noise))}
+    if not panels:
+        return None
+    listed = min(MOST_LISTED, max(map(len, panels.values())))
+    height = max(4.6, 1.3 + LIST_LINE * listed)
+    aside = 1.0 + LETTER * max(22 + len(point.label) for found in panels.values() for point in found)
+    figure = make_figure(PANEL + aside, height * len(panels) + 0.6, constrained=True)
+    axes: NDArray[Any] = figure.subplots(len(panels), 2, squeeze=False, width_ratios=[PANEL, aside])
+    style = _Style(sweep)
+    for (noise, found), (left, right) in zip(panels.items(), axes, strict=True):
+        front = pareto(found)
+        numbers = {p.choices: i + 1 for i, p in enumerate(sorted(found, key=lambda p: (p.error_mm, p.time_ms)))}
+        _draw_points(left, found, front, numbers, style)
+        left.set_title(f"noise: {noise}", size=11)
+        left.set_ylabel(f"median error of {line} (mm)")
+        left.set_xlabel("median time a touch (ms)")
+        _list(right, found, front, numbers)
+    objects = [one.path.rpartition("/")[2] for one in sweep.plan.objects]
+    among = "" if len(objects) == 1 else "geometric mean over "
+    title = f"Error against time: {among}{', '.join(objects)}; {sweep.plan.count} touches each"
+    figure.suptitle(textwrap.fill(title, 100), size=13, weight="bold")
+    figure.legend(handles=style.handles(), loc="outside lower left", ncols=6, frameon=False, fontsize=9)
+    return figure
+
+
+def draw_effects(sweep: Sweep, line: str) -> Figure | None:
+    """Draw a panel for each slot that varies: by what factor each of its choices changes the error.
+
+    A dot is one setting of everything else; the line its geometric mean, with its value. Returns None when no slot
+    varies, or none has all its choices anywhere.
+    """
+    found = {slot: ratios for slot, ratios in effects(sweep, line).items() if min(map(len, ratios.values()))}
+    if not found:
+        return None
+    heights = [0.62 + 0.42 * len(ratios) for ratios in found.values()]
+    figure = make_figure(9.5, sum(heights) + 1.4, constrained=True)
+    panels: NDArray[Any] = figure.subplots(len(found), 1, squeeze=False, sharex=True, height_ratios=heights)
+    for axes, (slot, ratios) in zip(panels.flat, found.items(), strict=True):
+        _draw_effect(axes, slot, ratios)
+    _scale_ratios(panels[-1, 0], np.concatenate([r for ratios in found.values() for r in ratios.values()]))
+    panels[-1, 0].set_xlabel(
+        f"error of {line} by this choice / geometric mean over the slot's choices, all else the same"
+    )
+    figure.suptitle("What each component changes: left is better", size=13, weight="bold")
+    return figure
+
+
+class _Style:
+    """A colour for each choice of one slot, a marker for each of another."""
+
+    def __init__(self, sweep: Sweep) -> None:
+        slots = [slot for slot in BY_COLOUR if slot in varying(sweep.plan)]
+        self._labels = choice_labels(sweep.plan)
+        self._places = {slot: list(sweep.plan.slots).index(slot) for slot in slots}
+        self._colour, self._marker = [*slots, None, None][:2]
+
+    def of(self, point: Point) -> dict[str, Any]:
+        """How a point is drawn."""
+        colour = COLOURS[self._index(point, self._colour) % len(COLOURS)]
+        return {"color": colour, "marker": MARKERS[self._index(point, self._marker) % len(MARKERS)]}
+
+    def handles(self) -> list[Any]:
+        """What explains colours, markers and the front."""
+        from matplotlib.lines import Line2D
+
+        shown: list[Any] = [Line2D([], [], color=FRONT, lw=1.4, label="Pareto front")]
+        for slot, by_colour in ((self._colour, True), (self._marker, False)):
+            for i, name in enumerate(self._labels[slot] if slot else []):
+                colour = COLOURS[i % len(COLOURS)] if by_colour else "#718096"
+                marker = "o" if by_colour else MARKERS[i % len(MARKERS)]
+                shown.append(Line2D([], [], color=colour, marker=marker, ls="", label=f"{slot} {name}"))
+        return shown
+
+    def _index(self, point: Point, slot: str | None) -> int:
+        return point.choices[self._places[slot]] if slot else 0
+
+
+def _draw_points(
+    axes: Axes, found: Sequence[Point], front: Sequence[Point], numbers: Mapping[tuple[int, ...], int], style: _Style
+) -> None:
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.margins(0.07)
+    axes.step([p.time_ms for p in front], [p.error_mm for p in front], where="post", color=FRONT, lw=1.4, zorder=2)
+    for point in found:
+        axes.plot(point.time_ms, point.error_mm, ms=7, ls="", mec="white", mew=0.7, zorder=3, **style.of(point))
+    for label in place_labels(_places_pt(axes, found), [numbers[point.choices] for point in found]):
+        at, best = found[label.members[0]], any(found[i] in front for i in label.members)
+        axes.annotate(
+            label.text, (at.time_ms, at.error_mm), label.offset_pt, textcoords="offset points", ha=label.alignment,
+            size=8, color=INK, weight="bold" if best else "normal", zorder=4,
+        )  # fmt: skip
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(lambda value, _: f"{value:g}")
+        axis.set_minor_formatter(lambda value, _: f"{value:g}" if _leading(value) in (2, 5) else "")
+        axis.set_tick_params(which="both", labelsize=9)
+    axes.set_axisbelow(True)
+    axes.grid(which="both", color="#edf2f7", lw=0.8)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _list(
+    axes: Axes, found: Sequence[Point], front: Sequence[Point], numbers: Mapping[tuple[int, ...], int]
+) -> None:  # fmt: skip
+    """The names of the numbered points, the best first."""
+    axes.set_axis_off()
+    ordered = sorted(found, key=lambda p: (p not in front, numbers[p.choices]))
+    rows = sorted(ordered[:MOST_LISTED], key=lambda p: numbers[p.choices])
+    for place, point in enumerate(rows):
+        text = f"{numbers[point.choices]:>3}  {point.label}  ({point.error_mm:.3g} mm, {point.time_ms:.3g} ms)"
+        y = 1 - (place + 0.5) / max(len(rows), 20)
+        axes.text(
+            0, y, text, transform=axes.transAxes, size=8, va="center", weight="bold" if point in front else "normal"
+        )
+    if len(ordered) > len(rows):
+        axes.set_title(f"the front and the best others, {len(rows)} of {len(ordered)}", size=9, loc="left")
+
+
+def _places_pt(axes: Axes, found: Sequence[Point]) -> NDArray[np.float64]:
+    """Where points (N, 2) lie in a panel, in points of 1/72 inch, about: margins are still to be laid out."""
+    figure = axes.get_figure()
+    height = (figure.get_figheight() if figure else 1.0) / axes.get_gridspec().nrows  # type: ignore[union-attr]
+    logs = np.log([(p.time_ms, p.error_mm) for p in found])
+    share = (logs - logs.min(axis=0)) / np.maximum(np.ptp(logs, axis=0), 1e-9)
+    return share * [72 * 0.8 * PANEL, 72 * (height - 1.6)]
+
+
+def _draw_effect(axes: Axes, slot: str, ratios: Mapping[str, NDArray[np.float64]]) -> None:
+    """Choices from top to bottom; the axis holds natural logarithms of ratios."""
+    axes.axvline(0, color=FAINT, lw=1.2, zorder=1)
+    for place, (values, colour) in enumerate(zip(ratios.values(), COLOURS * len(ratios), strict=False)):
+        spread = np.linspace(-0.22, 0.22, len(values)) if len(values) > 1 else np.zeros(1)
+        axes.plot(values, place + spread, "o", ms=3.5, color=colour, alpha=0.45, mew=0, zorder=2)
+        mean = float(values.mean())
+        axes.vlines(mean, place - 0.34, place + 0.34, color=INK, lw=2.2, zorder=3)
+        axes.text(1.01, place, f"x {np.exp(mean):.2f}", transform=axes.get_yaxis_transform(), size=9, va="center")
+    axes.set_yticks(range(len(ratios)), list(ratios), size=9)
+    axes.set_ylim(len(ratios) - 0.45, -0.55)
+    axes.set_title(slot, size=11, loc="left", weight="bold")
+    axes.grid(axis="x", color="#edf2f7", lw=0.8)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    axes.tick_params(axis="y", length=0)
+
+
+def _scale_ratios(axes: Axes, values: NDArray[np.float64]) -> None:
+    """Tick an axis of natural logarithms with ratios."""
+    reach = max(0.1, 1.08 * float(np.abs(values).max()))
+    tried = (1, 1.5, 2, 3, 5, 10, 20, 50, 100, 1000, 10000) if reach > 1 else (1, 1.1, 1.25, 1.5, 2)
+    up = [t for t in tried if np.log(t) <= reach]
+    while len(up) > 5:
+        up = [up[0], *up[2::2]]
+    shown = sorted({1 / t for t in up} | set(up))
+    axes.set_xticks(np.log(shown), [f"{r:.3g}" if r >= 1 else f"{r:.2g}" for r in shown], size=9)
+    axes.set_xlim(-reach, reach)
+
+
+def _leading(value: float) -> int:
+    return int(f"{value:e}"[0])

@@ -1,0 +1,216 @@
+"""`tactile-loc sweep`."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+from cli_helpers import assert_refused, command, write_box
+
+pytest.importorskip("pyarrow")
+
+SENSOR = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
+PLAN = """\
+sensor = "flat.toml"
+object = ["pin", "head"]
+refiner = ["none", {name = "icp", max_iterations = 5}]
+count = 2
+shape_px = 32
+temperature = 0.01
+option.grid.spacing_mm = 8
+"""
+FILES = {"sweep.csv", "sweep.md", "sweep.json", "sweep.parquet", "error-time.png", "effects.png", "rows", "workers.log"}
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    """The file of a plan, in the folder where commands run."""
+    (tmp_path / "flat.toml").write_text(SENSOR)
+    path = tmp_path / "sweep.toml"
+    path.write_text(PLAN)
+    return path
+
+
+def test_a_plan_is_swept_and_written_and_not_done_again(cli, plan, tmp_path):
+    done = cli("sweep", "sweep.toml", "--workers", 2, "--json")
+    assert done.exit_code == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert (report["combinations"], report["evaluated"], report["failed"]) == (4, 4, 0)
+    assert report["built"]["evaluation"] == 4
+    assert {path.name for path in (tmp_path / "sweep").iterdir()} == FILES
+    again = cli("sweep", "sweep.toml", "--line", "reg-1")
+    assert again.exit_code == 0, again.stderr
+    lines = again.stdout.splitlines()
+    assert lines[0] == "median error of reg-1, mm, noise strong"
+    assert lines[1].split() == ["components", "pin", "head"]
+    assert "4 combinations: 0 evaluated now, 4 before" in lines
+    for name in FILES - {"rows", "workers.log"}:
+        assert name in lines[-1]
+    compared = cli("sweep", "--compare", "sweep", "--out", "sweep")
+    assert compared.exit_code == 0, compared.stderr
+    assert "4 combinations, none changed (by more than 10 %)" in compared.stdout
+    assert "| pin | icp |" in (tmp_path / "sweep" / "compare.md").read_text()
+
+
+def test_the_command_line_overrides_the_plan(cli, plan):
+    words = [
+        "--object",
+        "pin",
+        "--refiner",
+        "none,render",
+        "--refiner",
+        "icp",
+        "--seed",
+        "0,1",
+        "-o",
+        "encoder.cells=9,12",
+    ]
+    done = cli("sweep", "sweep.toml", *words, "--noise", "none,mild", "--dry-run", "--json")
+    assert done.exit_code == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert (len(report["combinations"]), report["count"]) == (3 * 2 * 2 * 2, 2)
+    assert report["combinations"][0] == {
+        "object": "pin", "sensor": "file", "renderer": "heightmap", "grid": "face", "encoder": "pixel cells=9",
+        "matcher": "dense", "refiner": "none", "fuser": "product", "noise": "none", "seed": "0", "state": "to do",
+    }  # fmt: skip
+    assert {one["refiner"] for one in report["combinations"]} == {"none", "render", "icp"}
+
+
+def test_a_dry_run_lists_and_counts_and_runs_nothing(cli, plan, tmp_path):
+    done = cli("sweep", "sweep.toml", "--dry-run", "--store", "fresh")
+    assert done.exit_code == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[0].split() == [
+        "object", "sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser", "noise", "seed",
+    ]  # fmt: skip
+    assert lines[1].split() == [
+        "pin",
+        "file",
+        "heightmap",
+        "face",
+        "pixel",
+        "dense",
+        "none",
+        "product",
+        "strong",
+        "0",
+        "to",
+        "do",
+    ]
+    assert "4 combinations of 2 touches each, 4 to do" in lines
+    assert "stages to be built: grid 2, shapes 2, encoder 0, bank 2, confidence 0, evaluation 4" in lines
+    assert {path.name for path in tmp_path.iterdir()} == {"flat.toml", "sweep.toml"}
+
+
+def test_units_are_of_the_objects_that_are_given(cli, plan, tmp_path):
+    write_box(tmp_path / "part.obj")
+    done = cli("sweep", "sweep.toml", "--object", "part.obj,pin", "--units", "mm", "--dry-run", "--json")
+    assert done.exit_code == 0, done.stderr
+    assert [one["object"] for one in json.loads(done.stdout)["combinations"]] == ["part", "part", "pin", "pin"]
+
+
+@pytest.mark.parametrize(
+    ("words", "mentioned"),
+    [
+        ([], ("nothing to sweep",)),
+        (["none.toml"], ("none.toml",)),
+        (["bad.toml"], ("bad.toml", "'refinr'", "Did you mean 'refiner'")),
+        (["--refiner", "none,ipc"], ("'ipc'",)),
+        (["--object", "pin,hok"], ("hok",)),
+        (["--object", "pin", "--seed", "0,x"], ("seed = 'x'",)),
+        (["--object", "pin", "--noise", "loud"], ("'loud'",)),
+        (["--object", "pin", "-o", "grid.spacing=3,4"], ("spacing_mm",)),
+        (["--object", "pin", "--count", "0"], ("--count",)),
+        (["--object", "pin", "--line", "best1"], ("best-1",)),
+        (["--object", "pin", "--out", "file"], ("--out",)),
+        (["--object", "pin,head", "--symmetry", "none"], ("--symmetry",)),
+        (["--object", "pin", "--scheduler", "tcp://h:1", "--workers", "2"], ("--workers",)),
+        (["--object", "pin", "--scheduler", "nowhere"], ("tcp://",)),
+        (["--compare", "nowhere"], ("nowhere", "sweep.json")),
+        (["--object", "pin", "--compare", "nowhere"], ("nowhere", "sweep.json")),
+    ],
+)
+def test_bad_input_is_one_sentence_before_anything_runs(cli, tmp_path, words, mentioned):
+    (tmp_path / "file").touch()
+    (tmp_path / "bad.toml").write_text('refinr = "icp"\n')
+    assert_refused(cli("sweep", *words), *mentioned)
+    assert not (tmp_path / "sweep").exists()
+
+
+def test_failures_are_counted_and_the_exit_code_is_1(cli, plan, tmp_path):
+    plan.write_text(PLAN.replace("8\n", "8\noption.grid.min_contact_percent = [2, 100]\n"))  # nothing touches that much
+    done = cli("sweep", "sweep.toml", "--object", "pin")
+    assert done.exit_code == 1
+    assert done.stderr.splitlines()[-1] == "failed: 2 of 4 combinations; the errors are in sweep/sweep.md"
+    assert "failed" in done.stdout
+    assert (tmp_path / "sweep" / "sweep.md").read_text().count("lower grid.min_contact_percent") == 2
+    as_json = cli("sweep", "sweep.toml", "--object", "pin", "--json")
+    assert (as_json.exit_code, json.loads(as_json.stdout)["failed"]) == (1, 2)
+
+
+def finished(out: Path) -> dict[str, int]:
+    return {path.name: path.stat().st_mtime_ns for path in out.glob("rows/[!.]*.json")}
+
+
+def start(tmp_path: Path, store: Path) -> subprocess.Popen[str]:
+    """Start a sweep as in a terminal: a shell's background jobs, these tests among them, would ignore Ctrl-C."""
+    line = command("sweep", "sweep.toml", "--encoder", "pixel", "-o", "encoder.cells=9,12", "--workers", "2")
+    return subprocess.Popen(
+        line, cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        env={**os.environ, "TACTILE_LOC_STORE": str(store)},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+
+
+def workers_of(process: subprocess.Popen[str]) -> list[int]:
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    return [int(pid) for pid in children]
+
+
+def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(plan, tmp_path, cli):
+    process = start(tmp_path, tmp_path / "store")
+    out, end_s = tmp_path / "sweep", time.monotonic() + 120
+    while len(finished(out)) < 2 and time.monotonic() < end_s:
+        time.sleep(0.02)
+    workers = workers_of(process)
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130, stderr
+    assert stderr == "interrupted: what was finished is kept, run the same command again to resume\n"
+    assert len(workers) == 2
+    assert not [pid for pid in workers if Path(f"/proc/{pid}").exists()]
+    before = finished(out)
+    assert 2 <= len(before) < 8
+    assert not (out / "sweep.csv").exists()
+    resumed = start(tmp_path, tmp_path / "store")
+    stdout, stderr = resumed.communicate(timeout=120)
+    assert resumed.returncode == 0, stderr
+    assert f"8 combinations: {8 - len(before)} evaluated now, {len(before)} before" in stdout
+    assert {name: time_ns for name, time_ns in finished(out).items() if name in before} == before
+
+
+def test_workers_end_when_their_parent_is_killed(plan, tmp_path):
+    process = start(tmp_path, tmp_path / "store")
+    end_s = time.monotonic() + 120
+    while not finished(tmp_path / "sweep") and time.monotonic() < end_s:
+        time.sleep(0.02)
+    workers = workers_of(process)
+    process.kill()
+    process.communicate()
+    end_s = time.monotonic() + 30
+    while any(_runs(pid) for pid in workers) and time.monotonic() < end_s:
+        time.sleep(0.1)
+    assert not [pid for pid in workers if _runs(pid)]
+
+
+def _runs(pid: int) -> bool:
+    """Whether a process is there; one that has ended and that nobody waits for does not count."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False

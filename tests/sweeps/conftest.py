@@ -1,0 +1,56 @@
+"""Small plans, a sweep whose numbers are made up, and a sensor with few pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tactile_loc.sweeps.combinations import Combination, combine
+from tactile_loc.sweeps.measures import ERRORS, TIMES, TRUST
+from tactile_loc.sweeps.plan import Plan
+from tactile_loc.sweeps.sweep import Sweep
+from tactile_loc.sweeps.work import Outcome
+
+SENSOR = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
+
+Measure = Callable[[Combination], Mapping[str, float] | str]
+
+
+@pytest.fixture(scope="session")
+def flat_sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a sensor of 80 x 80 pixels: quick."""
+    path = tmp_path_factory.mktemp("sensor") / "flat.toml"
+    path.write_text(SENSOR)
+    return path
+
+
+@pytest.fixture(scope="session")
+def tiny(flat_sensor: Path) -> dict[str, Any]:
+    """A plan's values that make combinations of a second."""
+    return {
+        "sensor": [str(flat_sensor)], "option": {"grid": {"spacing_mm": [8]}}, "count": 4, "temperature": 0.01,
+        "shape_px": 32,
+    }  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def made_up() -> Callable[[dict[str, Any], Measure], Sweep]:
+    """Make a sweep of a plan's values; `measure` gives some columns of each combination, or the text of its error."""
+
+    def make(values: dict[str, Any], measure: Measure) -> Sweep:
+        plan = Plan.from_values(values)
+        combinations, _ = combine(plan)
+        outcomes = {}
+        for one in combinations:
+            found = measure(one)
+            if isinstance(found, str):
+                outcomes[one.key] = Outcome(one.key, None, error=found)
+            else:
+                zeros = dict.fromkeys((*ERRORS, *TRUST, *TIMES, "model_s"), 0.0)
+                outcomes[one.key] = Outcome(one.key, {"grid_poses": 7, **zeros, **found}, (f"grid {one.key}",))
+        return Sweep(plan, combinations, outcomes, len(combinations))
+
+    return make

@@ -1,0 +1,90 @@
+"""The full product of a plan, its order, and what the key of a row depends on."""
+
+from __future__ import annotations
+
+import pytest
+import trimesh
+
+from tactile_loc.core.errors import ObjectError, PluginError, SensorError
+from tactile_loc.sweeps import combinations as module
+from tactile_loc.sweeps.combinations import combine, in_running_order
+from tactile_loc.sweeps.plan import Plan
+
+
+def keys(values: dict) -> list[str]:
+    return [one.key for one in combine(Plan.from_values(values))[0]]
+
+
+def test_all_values_are_combined_in_the_plans_order():
+    values = {"object": ["pin", "head"], "refiner": ["none", "icp"], "noise": ["none", "strong"], "seed": [0, 5]}
+    found, objects = combine(Plan.from_values(values))
+    told = [(one.object, one.config.refiner.name, one.config.touch.noise, one.config.seed) for one in found]
+    assert told == [
+        (o, r, n, s) for o in ("pin", "head") for r in ("none", "icp") for n in ("none", "strong") for s in (0, 5)
+    ]
+    assert set(objects) == {"pin", "head"}
+    assert len({one.key for one in found}) == len(found)
+
+
+def test_neighbours_share_little_in_the_order_of_running():
+    values = {
+        "object": ["pin", "head"],
+        "encoder": ["pixel"],
+        "refiner": ["none", "icp"],
+        "option": ["encoder.cells=9,12"],
+    }
+    found = in_running_order(combine(Plan.from_values(values))[0])
+    told = [(one.config.refiner.name, one.config.encoder.options["cells"], one.object) for one in found]
+    assert told == [(r, c, o) for r in ("none", "icp") for c in (9, 12) for o in ("pin", "head")]
+
+
+def test_the_key_is_the_same_for_the_same_and_another_for_anything_else(monkeypatch):
+    base = {"object": ["pin"], "refiner": ["icp"], "noise": ["none"], "seed": [0], "count": 4}
+    (key,) = keys(base)
+    assert keys({**base, "refiner": [{"name": "icp", "max_iterations": 20}]}) == [key]  # the default
+    changes = [
+        {"object": ["head"]}, {"object": [{"path": "pin", "symmetry": "none"}]}, {"refiner": ["none"]},
+        {"refiner": [{"name": "icp", "max_iterations": 7}]}, {"noise": ["mild"]}, {"seed": [1]}, {"count": 5},
+        {"shape_px": 32}, {"temperature": 0.1},
+    ]  # fmt: skip
+    others = [keys({**base, **change})[0] for change in changes]
+    assert len({key, *others}) == 1 + len(changes)
+    for name, value in (("PROTOCOL_VERSION", 99), ("__version__", "99.0"), ("ROW_VERSION", 99)):
+        with monkeypatch.context() as patched:
+            patched.setattr(module, name, value)
+            assert keys(base) != [key]
+
+
+def test_the_key_follows_what_a_mesh_holds_not_where_it_lies(tmp_path):
+    for folder, side in (("a", 20), ("b", 20), ("c", 21)):
+        (tmp_path / folder).mkdir()
+        trimesh.creation.box((side, 15, 10)).export(tmp_path / folder / "part.stl")
+    a, b, c = (keys({"object": [{"path": str(tmp_path / f / "part.stl"), "units": "mm"}]}) for f in "abc")
+    assert a == b != c
+
+
+def test_a_component_of_another_version_makes_another_row(monkeypatch):
+    from tactile_loc.plugins.refiners.icp import IcpRefiner
+
+    before = keys({"object": ["pin"], "refiner": ["icp"]})
+    monkeypatch.setattr(IcpRefiner, "version", IcpRefiner.version + 1)
+    assert keys({"object": ["pin"], "refiner": ["icp"]}) != before
+
+
+@pytest.mark.parametrize(
+    ("values", "kind", "said"),
+    [
+        ({"object": ["hok"]}, ObjectError, "hok"),
+        ({"object": ["pin"], "sensor": ["none.toml"]}, SensorError, r"none\.toml"),
+        ({"object": ["pin"], "sensor": ["gelslm"]}, PluginError, "gelslm"),
+    ],
+)
+def test_what_cannot_be_made_is_refused(values, kind, said):
+    with pytest.raises(kind, match=said):
+        combine(Plan.from_values(values))
+
+
+def test_two_objects_of_one_name_are_refused():
+    values = {"object": ["pin", {"path": "pin", "symmetry": "none"}]}
+    with pytest.raises(module.ConfigError, match="both called pin"):
+        combine(Plan.from_values(values))

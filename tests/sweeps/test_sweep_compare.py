@@ -1,0 +1,93 @@
+"""Two sweeps side by side."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import json
+
+import pytest
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.sweeps.compare import compare, comparison_rows, read_sweep, summary, write_comparison
+from tactile_loc.sweeps.results import record
+
+MM = {"none": 4.0, "icp": 1.0, "filterreg": 0.5}
+
+
+@pytest.fixture
+def recorded(made_up):
+    """Make what sweep.json holds, of a sweep over refiners whose errors are MM, or others."""
+
+    def make(**mm: float | str):
+        values = {"object": ["pin"], "refiner": list(mm), "option": ["grid.spacing_mm=3,4"]}
+        return record(made_up(values, lambda one: _measured(mm[one.config.refiner.name])), "chosen")
+
+    return make
+
+
+def _measured(value: float | str):
+    return value if isinstance(value, str) else {"chosen_median_mm": value}
+
+
+def test_ratios_and_marks(recorded):
+    found = compare(recorded(**MM), recorded(none=4.3, icp=1.2, filterreg=0.25), "chosen")
+    told = [(dict(pair.names), pair.ratio, pair.mark) for pair in found.pairs[:3]]
+    assert told == [
+        ({"object": "pin", "refiner": "none", "grid.spacing_mm": "3.0"}, pytest.approx(1.075), ""),
+        ({"object": "pin", "refiner": "icp", "grid.spacing_mm": "3.0"}, pytest.approx(1.2), "worse"),
+        ({"object": "pin", "refiner": "filterreg", "grid.spacing_mm": "3.0"}, pytest.approx(0.5), "better"),
+    ]
+    assert summary(found) == "6 combinations, 2 worse, 2 better (by more than 10 %)"
+    assert found.versions == {}
+
+
+def test_what_is_missing_in_one_or_failed(recorded):
+    found = compare(recorded(none=4.0, icp="bad"), recorded(icp=1.0, filterreg=0.5), "chosen")
+    marks = {pair.names["refiner"]: pair.mark for pair in found.pairs}
+    assert marks == {"none": "only in old", "icp": "failed", "filterreg": "only in new"}
+    assert all(pair.ratio is None for pair in found.pairs)
+
+
+def test_an_option_that_only_one_version_has_parts_nothing(recorded):
+    old, new = recorded(**MM), recorded(**MM)
+    for row in new["rows"]:
+        row["configuration"]["refiner"]["options"]["brand_new"] = 7
+    new["versions"]["tactile-loc"] = "99.0"
+    found = compare(old, new, "chosen")
+    assert {pair.mark for pair in found.pairs} == {""}
+    assert found.versions == {"tactile-loc": (old["versions"]["tactile-loc"], "99.0")}
+
+
+def test_rows_that_differ_by_what_the_other_version_lacks_have_no_counterpart(recorded):
+    old, new = recorded(icp=1.0), recorded(icp=1.0)
+    for row in new["rows"]:
+        row["configuration"]["refiner"]["options"]["brand_new"] = 7
+    new["rows"] += copy.deepcopy(new["rows"])
+    for row in new["rows"][2:]:
+        row["configuration"]["refiner"]["options"]["brand_new"] = 8
+    found = compare(old, new, "chosen")
+    assert (found.count("only in old"), found.count("only in new")) == (2, 4)
+    assert "refiner.brand_new" in comparison_rows(found)[-1]
+
+
+def test_files(recorded, tmp_path):
+    old, new = recorded(**MM), recorded(**{**MM, "icp": 2.0})
+    for name, what in (("old", old), ("new", new)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "sweep.json").write_text(json.dumps(what))
+    found = compare(read_sweep(tmp_path / "old"), read_sweep(tmp_path / "new"), "chosen")
+    markdown, table = write_comparison(tmp_path / "new", found)
+    assert "| pin | icp | 3.0 | 1.00 | 2.00 | 2.000 | worse |" in markdown.read_text()
+    with table.open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["change"] for row in rows] == ["", "worse", ""] * 2
+    assert (rows[0]["old_mm"], rows[0]["ratio"]) == ("4.00", "1.000")
+
+
+def test_a_folder_without_a_sweep_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"there is no .*sweep\.json"):
+        read_sweep(tmp_path)
+    (tmp_path / "sweep.json").write_text("[]")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_sweep(tmp_path)

@@ -1,0 +1,46 @@
+"""The Markdown tables for a paper."""
+
+from __future__ import annotations
+
+from tactile_loc.sweeps.pivot import markdown
+
+MM = {("pin", "none"): 4.0, ("pin", "icp"): 0.5, ("head", "none"): 2.0, ("head", "icp"): 2.0001}
+
+
+def measure(one):
+    base = MM[one.object, one.config.refiner.name]
+    return {"chosen_median_mm": base * (1 if one.config.touch.noise == "none" else 2)}
+
+
+def test_a_table_for_each_noise_with_the_best_of_each_column_in_bold(made_up):
+    text = markdown(
+        made_up({"object": ["pin", "head"], "refiner": ["none", "icp"], "noise": ["none", "mild"]}, measure), "chosen"
+    )
+    first, second = text.split("## Noise: ")[1:]
+    assert first.strip().splitlines() == [
+        "none", "", "| components | pin | head |", "| --- | --- | --- |", "| none | 4.00 | **2.00** |",
+        "| icp | **0.500** | **2.00** |",
+    ]  # fmt: skip
+    assert "| icp | **1.00** | **4.00** |" in second
+    assert "sensor gelslim, renderer heightmap, grid face, encoder pixel, matcher dense, fuser product" in text
+
+
+def test_failures_are_shown_with_their_errors(made_up):
+    sweep = made_up(
+        {"object": ["pin", "head"], "refiner": ["none", "icp"]},
+        lambda one: (
+            "TypeError: no" if one.object == "head" and one.config.refiner.name == "icp" else {"reg-1_median_mm": 1.0}
+        ),
+    )
+    text = markdown(sweep, "reg-1")
+    assert "| icp | **1.00** | failed |" in text
+    assert "## Failed: 1 of 4" in text
+    assert text.endswith(
+        "- head, gelslim, heightmap, face, pixel, dense, icp, product, noise strong, seed 0: TypeError: no\n"
+    )
+
+
+def test_where_nothing_varies_the_components_are_named(made_up):
+    assert "| pixel + filterreg | **1.00** |" in markdown(
+        made_up({"object": "pin"}, lambda one: {"chosen_median_mm": 1.0}), "chosen"
+    )

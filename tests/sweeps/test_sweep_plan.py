@@ -1,0 +1,130 @@
+"""A plan: which values a sweep has, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tactile_loc.core.errors import ConfigError, TactileLocError
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.sweeps.plan import Plan
+
+
+def names(plan: Plan, slot: str) -> list[str]:
+    return [chosen.name for chosen in plan.slots[slot]]
+
+
+def test_an_empty_plan_is_an_evaluation_of_the_defaults():
+    plan = Plan.from_values({})
+    assert [one.path for one in plan.objects] == list(DEMO_OBJECTS)
+    assert {slot: names(plan, slot) for slot in plan.slots} == {
+        "sensor": ["gelslim"], "renderer": ["heightmap"], "grid": ["face"], "encoder": ["pixel"], "matcher": ["dense"],
+        "refiner": ["filterreg"], "fuser": ["product"],
+    }  # fmt: skip
+    assert (plan.noises, plan.seeds, plan.count) == (("strong",), (0,), 150)
+
+
+def test_values_stand_alone_or_in_lists_and_repetitions_vanish():
+    plan = Plan.from_values({"object": "pin", "refiner": ["none", "icp", "none"], "seed": [1, "1", 2], "noise": "mild"})
+    assert names(plan, "refiner") == ["none", "icp"]
+    assert (plan.seeds, plan.noises) == ((1, 2), ("mild",))
+
+
+def test_a_component_may_bring_options():
+    plan = Plan.from_values({"refiner": ["none", {"name": "icp", "max_iterations": 7}, "icp"]})
+    assert names(plan, "refiner") == ["none", "icp", "icp"]
+    assert [one.options.get("max_iterations") for one in plan.slots["refiner"]] == [None, 7, 20]
+
+
+def test_an_option_goes_to_the_components_that_have_it():
+    plan = Plan.from_values({"refiner": ["none", "icp", "render"], "option": ["refiner.moving_points=100,200"]})
+    found = [(one.name, one.options.get("moving_points")) for one in plan.slots["refiner"]]
+    has = "moving_points" in plan.slots["refiner"][-1].options
+    assert found == [("none", None), ("icp", 100), ("icp", 200)] + ([] if has else [("render", None)])
+
+
+def test_options_of_several_slots_multiply():
+    plan = Plan.from_values({"option": ["grid.spacing_mm=3,4,5", "grid.min_contact_percent=1,2", "encoder.cells=9"]})
+    assert len(plan.slots["grid"]) == 6
+    assert {one.options["spacing_mm"] for one in plan.slots["grid"]} == {3.0, 4.0, 5.0}
+    assert [one.options["cells"] for one in plan.slots["encoder"]] == [9]
+
+
+def test_a_value_that_is_the_default_is_the_same_choice():
+    plan = Plan.from_values({"encoder": ["pixel", {"name": "pixel", "cells": 20}]})
+    assert len(plan.slots["encoder"]) == 1
+
+
+def test_options_of_a_file_are_a_table(tmp_path):
+    path = tmp_path / "sweep.toml"
+    path.write_text(
+        'object = ["pin", { path = "part.stl", units = "mm" }]\nseed = [0, 1]\n'
+        "option.grid.spacing_mm = [3, 4]\noption.encoder.cells = 12\n"
+    )
+    plan = Plan.from_toml(path)
+    assert [one.options["spacing_mm"] for one in plan.slots["grid"]] == [3.0, 4.0]
+    assert plan.slots["encoder"][0].options["cells"] == 12
+    assert (plan.objects[0].path, plan.objects[1].units) == ("pin", "mm")
+    assert plan.objects[1].path == str(Path("part.stl").absolute())  # workers may run elsewhere
+
+
+def test_a_sensor_may_be_a_file_or_a_folder(tmp_path, flat_sensor, monkeypatch):
+    monkeypatch.chdir(flat_sensor.parent)
+    plan = Plan.from_values({"sensor": ["gelslim", flat_sensor.name, "./mine"]})
+    assert names(plan, "sensor") == ["gelslim", "file", "calibrated"]
+    assert plan.slots["sensor"][1].options == {"path": str(flat_sensor)}
+
+
+def test_what_is_described_can_be_planned_again():
+    plan = Plan.from_values({"object": ["pin"], "refiner": ["none", "icp"], "seed": 3, "shape_px": 32})
+    said = plan.describe()
+    again = {key: value for key, value in said.items() if key != "temperature"}
+    again |= {slot: [{"name": one["name"], **one["options"]} for one in said[slot]] for slot in plan.slots}
+    assert Plan.from_values(again) == plan
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"refinr": "icp"}, "unknown entry 'refinr'. Did you mean 'refiner'"),
+        ({"refiner": "ipc"}, "'ipc'"),
+        ({"refiner": 3}, "refiner 3"),
+        ({"refiner": {"max_iterations": 3}}, "name"),
+        ({"refiner": {"name": "icp", "max_iteration": 3}}, "Did you mean 'max_iterations'"),
+        ({"refiner": []}, "no value for 'refiner'"),
+        ({"option": ["grid.spacing_mm=coarse"]}, "spacing_mm"),
+        ({"option": ["grid.spacing=3"]}, "Did you mean 'spacing_mm'"),
+        ({"option": ["gird.spacing_mm=3"]}, "Did you mean 'grid'"),
+        ({"option": ["grid.spacing_mm"]}, "slot.option=value"),
+        ({"option": ["grid.spacing_mm="]}, "spacing_mm"),
+        ({"option": {"grid": 3}}, "option.grid"),
+        ({"option": {"gird": {"spacing_mm": 3}}}, "gird"),
+        ({"option": {"grid": {"spacing_mm": []}}}, "spacing_mm"),
+        ({"noise": "loud"}, "'loud'"),
+        ({"seed": -1}, "seed = -1"),
+        ({"seed": "x"}, "seed = 'x'"),
+        ({"seed": True}, "seed = True"),
+        ({"count": 0}, "count = 0"),
+        ({"count": [1, 2]}, "several counts"),
+        ({"object": [{"units": "mm"}]}, "path"),
+        ({"object": [{"path": "pin", "unit": "mm"}]}, "Did you mean 'units'"),
+        ({"object": [7]}, "7"),
+        ({"shape_px": 3}, "shape_px"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_sentence(values, said):
+    with pytest.raises(TactileLocError) as caught:
+        Plan.from_values(values, "sweep.toml")
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_file_is_named(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text("colour = 3")
+    with pytest.raises(ConfigError, match=r"mine\.toml has an unknown entry 'colour'"):
+        Plan.from_toml(path)
+    path.write_text("= 3")
+    with pytest.raises(ConfigError, match=r"mine\.toml is not valid TOML"):
+        Plan.from_toml(path)

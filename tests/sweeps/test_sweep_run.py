@@ -1,0 +1,176 @@
+"""A sweep on local processes and the same one on a Dask cluster: one table, every stage built once."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import OutputError
+from tactile_loc.core.localizer import Localizer
+from tactile_loc.core.meshes import load_object
+from tactile_loc.core.progress import Progress
+from tactile_loc.core.store import StageStore
+from tactile_loc.evaluation.protocol import evaluate
+from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.sweeps.cluster import ClusterError, DaskWorkers
+from tactile_loc.sweeps.local import LocalWorkers
+from tactile_loc.sweeps.plan import Plan
+from tactile_loc.sweeps.results import write_sweep
+from tactile_loc.sweeps.sweep import Sweep, run_sweep
+from tactile_loc.sweeps.table import MOMENTARY, Row, read_csv
+from tactile_loc.sweeps.work import JOURNALS
+
+distributed = pytest.importorskip("distributed")
+
+
+class Watched(Progress):
+    """Remembers what was shown."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+
+class Nobody:
+    """Workers that must not be asked for anything."""
+
+    def outcomes(self, jobs, objects):
+        raise AssertionError(f"{len(jobs)} jobs are done again")
+
+
+@pytest.fixture(scope="module")
+def plan(tiny) -> Plan:
+    return Plan.from_values(
+        {**tiny, "object": ["pin", "head"], "encoder": {"name": "pixel", "cells": 12}, "refiner": ["none", "icp"]}
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("sweeps")
+
+
+@pytest.fixture(scope="module")
+def locally(plan, folder) -> Sweep:
+    before = dict(os.environ)
+    swept = run_sweep(
+        plan, folder / "local", folder / "store-local", LocalWorkers(2, 1, folder / "local" / "workers.log")
+    )
+    assert dict(os.environ) == before
+    return swept
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    with distributed.LocalCluster(n_workers=2, processes=True, threads_per_worker=1, dashboard_address=None) as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture(scope="module")
+def on_dask(plan, folder, address) -> Sweep:
+    return run_sweep(plan, folder / "dask", folder / "store-dask", DaskWorkers(address))
+
+
+def lasting(rows: list[Row]) -> list[Row]:
+    return [{name: value for name, value in row.items() if name not in MOMENTARY} for row in rows]
+
+
+def test_both_give_the_same_table(locally, on_dask):
+    assert lasting(locally.rows) == lasting(on_dask.rows)
+    assert [row["error"] for row in locally.rows] == [""] * 4
+
+
+@pytest.mark.parametrize("which", ["locally", "on_dask"])
+def test_every_stage_is_built_once(which, request, folder):
+    swept = request.getfixturevalue(which)
+    built = Counter(name for row in swept.rows for name in json.loads(row["built"]))
+    assert set(built.values()) == {1}
+    store = StageStore(folder / ("store-local" if which == "locally" else "store-dask"))
+    assert set(built) == {f"{entry.stage} {entry.digest}" for entry in store.entries()}
+    assert {stage: count for stage, count in swept.built.items() if stage != "bank"} == {
+        "grid": 2, "shapes": 2, "evaluation": 4,
+    }  # fmt: skip
+    assert list((store.root / JOURNALS).iterdir()) == []
+    seconds = [row["model_s"] for row in swept.rows]
+    assert sum(s > 0 for s in seconds) >= 2  # the first of each object; another may have built a part beside it
+
+
+def test_a_row_is_what_the_protocol_says(locally, tmp_path):
+    one, row = locally.combinations[3], locally.rows[3]
+    localizer = Localizer(one.config, load_object("head"), StageStore(tmp_path))
+    found = evaluate(localizer, 4, SimulatedTouches("strong", 0, False))
+    assert row["reg-1_median_mm"] == pytest.approx(1e3 * np.median(found.errors("reg-1")), rel=1e-4)
+    assert row["best-1_mean_mm"] == pytest.approx(1e3 * found.errors("best-1").mean(), rel=1e-4)
+    assert row["oracle_median_share"] == pytest.approx(row["oracle_median_mm"] / row["random_mean_mm"], rel=1e-4)
+    assert (row["object"], row["refiner"], row["grid_poses"]) == ("head", "icp", localizer.model.size)
+    assert row["total_ms"] >= row["match_ms"] > 0
+
+
+def test_the_same_sweep_does_nothing_again(plan, locally, folder):
+    again = run_sweep(plan, folder / "local", folder / "elsewhere", Nobody())
+    assert again.rows == locally.rows
+    assert again.done == 0
+
+
+def test_only_what_is_missing_is_done(plan, locally, folder):
+    gone = locally.combinations[2]
+    path = folder / "local" / "rows" / f"{gone.key}.json"
+    path.unlink()
+    watched = Watched()
+    again = run_sweep(plan, folder / "local", folder / "store-local", LocalWorkers(2, 1, folder / "log"), watched)
+    assert again.done == 1
+    assert watched.notes == ["head pixel none"]
+    assert lasting(again.rows) == lasting(locally.rows)
+    assert again.rows[2]["built"] == "[]"  # the evaluation is in the store
+    assert again.rows[2]["model_s"] == 0
+
+
+def test_a_larger_plan_uses_the_rows_of_a_smaller_one(locally, folder, tiny):
+    smaller = Plan.from_values({**tiny, "object": "pin", "encoder": {"name": "pixel", "cells": 12}, "refiner": ["icp"]})
+    found = run_sweep(smaller, folder / "local", folder / "elsewhere", Nobody())
+    assert found.rows[0]["reg-1_median_mm"] == locally.rows[1]["reg-1_median_mm"]
+
+
+def test_what_is_written(locally, folder):
+    written = write_sweep(folder / "written", locally, "reg-1")
+    assert [path.name for path in written] == [
+        "sweep.csv", "sweep.md", "sweep.json", "sweep.parquet", "error-time.png", "effects.png",
+    ]  # fmt: skip
+    assert read_csv(written[0]) == locally.rows
+    record: dict[str, Any] = json.loads(written[2].read_text())
+    assert (record["combinations"], record["failed"], record["built"]) == (4, 0, locally.built)
+    assert record["plan"]["refiner"][1]["name"] == "icp"
+    assert {"tactile-loc", "python", "numpy"} <= set(record["versions"])
+    assert record["rows"][1]["configuration"]["grid"]["options"]["spacing_mm"] == 8.0
+    for path in written[4:]:
+        assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_anything_runs(plan, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="choose another --out"):
+        run_sweep(plan, tmp_path / "file", tmp_path, Nobody())
+
+
+@pytest.mark.parametrize("where", ["nowhere", "tcp://127.0.0.1:1"])
+def test_a_cluster_that_is_not_there(plan, tmp_path, where, monkeypatch):
+    monkeypatch.setattr("tactile_loc.sweeps.cluster.CONNECT_S", 1)
+    with pytest.raises(ClusterError, match="Dask scheduler"):
+        run_sweep(plan, tmp_path, tmp_path, DaskWorkers(where))
+
+
+def test_without_dask_it_says_what_to_install(plan, tmp_path, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(Exception, match=r"pip install 'tactile-loc\[sweep\]'"):
+        run_sweep(plan, tmp_path, tmp_path, DaskWorkers("tcp://127.0.0.1:1"))

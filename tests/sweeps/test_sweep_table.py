@@ -1,0 +1,97 @@
+"""The table: its columns, and that CSV and Parquet say the same."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import pytest
+
+from tactile_loc.core.errors import MissingLibraryError
+from tactile_loc.core.hookspecs import SLOTS
+from tactile_loc.evaluation.judge import LINES
+from tactile_loc.sweeps.table import (
+    MOMENTARY,
+    columns_of,
+    csv_text,
+    parquet_table,
+    read_csv,
+    require_parquet,
+    write_parquet,
+)
+
+VALUES = {
+    "object": ["pin", "head"],
+    "encoder": [{"name": "pixel", "cells": 12}, {"name": "pixel", "signal": "depth"}],
+    "refiner": ["none", {"name": "icp", "walls": False}, "icp"],
+    "option": ["grid.spacing_mm=3,4.5"],
+}
+VARIED = ["grid.spacing_mm", "encoder.cells", "encoder.signal", "refiner.walls"]
+
+
+@pytest.fixture(scope="module")
+def rows(made_up):
+    def measure(one):
+        if one.object == "head" and one.config.refiner.name == "none":
+            return 'ValueError: "odd", and\nlong'
+        return {"chosen_median_mm": 0.1 + 1 / 3, "nll_nats": 1e-17, "total_ms": 3.0}
+
+    sweep = made_up(VALUES, measure)
+    assert list(sweep.rows[0]) == columns_of(sweep.plan)
+    return sweep.rows
+
+
+def test_columns_begin_with_what_a_row_is_and_end_with_the_moment(rows):
+    columns = list(rows[0])
+    assert columns[:11] == ["object", *SLOTS, "noise", "seed", "count"]
+    assert columns[11:16] == [*VARIED, "grid_poses"]
+    assert columns[16 : 16 + 3 * len(LINES)] == [
+        f"{line}_{what}" for line in LINES for what in ("median_mm", "mean_mm", "median_share")
+    ]
+    assert columns[-13:-7] == ["coverage_50", "coverage_80", "coverage_95", "nll_nats", "error", "key"]
+    assert tuple(columns[-7:]) == MOMENTARY
+    assert MOMENTARY == ("encode_ms", "match_ms", "fuse_ms", "refine_ms", "total_ms", "model_s", "built")
+
+
+def test_rows_stand_in_the_plans_order_and_lack_what_does_not_apply(rows):
+    assert len(rows) == 2 * 2 * 2 * 3
+    assert [row["object"] for row in rows] == ["pin"] * 12 + ["head"] * 12
+    assert [(row["refiner"], row["refiner.walls"]) for row in rows[:3]] == [
+        ("none", None),
+        ("icp", False),
+        ("icp", True),
+    ]
+    failed = [row for row in rows if row["error"]]
+    assert {(row["object"], row["refiner"]) for row in failed} == {("head", "none")}
+    assert all(row["chosen_median_mm"] is None and row["key"] for row in failed)
+
+
+def test_csv_round_trip(rows, tmp_path):
+    path = tmp_path / "sweep.csv"
+    path.write_text(csv_text(rows), encoding="utf-8")
+    read = read_csv(path)
+    assert read == rows
+    assert [{k: type(v) for k, v in row.items()} for row in read] == [{k: type(v) for k, v in r.items()} for r in rows]
+
+
+def test_parquet_round_trip_and_types(rows, tmp_path):
+    from pyarrow import parquet
+
+    path = write_parquet(tmp_path / "sweep.parquet", rows)
+    table = parquet.read_table(path)
+    assert table.to_pylist() == rows
+    types = {field.name: str(field.type) for field in table.schema}
+    assert (types["seed"], types["grid_poses"], types["total_ms"]) == ("int64", "int64", "double")
+    assert [types[name] for name in VARIED] == ["double", "int64", "string", "bool"]
+    assert json.loads(table.to_pylist()[0]["built"])[0].startswith("grid ")
+
+
+def test_types_do_not_depend_on_whether_anything_succeeded(rows):
+    failed = [row for row in rows if row["error"]]
+    assert parquet_table(failed).schema.field("best-1_median_mm").type == "double"
+
+
+def test_without_pyarrow_it_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(MissingLibraryError, match=r"pip install 'tactile-loc\[sweep\]'"):
+        require_parquet()
