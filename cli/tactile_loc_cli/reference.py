@@ -25,7 +25,7 @@ degrees; files are in SI units. Errors are one line on stderr.
 | exit code | meaning |
 |---|---|
 | 0 | done |
-| 1 | done, and not all is well: a combination of `sweep` failed, `plugins --check` found a broken contract, `doctor` something broken that everybody needs; or something unexpected went wrong, please report it |
+| 1 | done, but a combination of `sweep` failed, a contract is broken, or `doctor` found a fault; or a bug, please report |
 | 2 | the input, an option, a component or a place to write cannot be used; the line says which, and what to do |
 | 130 | interrupted with Ctrl-C; what was finished is kept, and the same command resumes |
 
