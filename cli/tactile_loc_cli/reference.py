@@ -25,7 +25,7 @@ degrees; files are in SI units. Errors are one line on stderr.
 | exit code | meaning |
 |---|---|
 | 0 | done |
-| 1 | done, but a combination of `sweep` failed, a contract is broken, or `doctor` found a fault; or a bug, please report |
+| 1 | done, but a combination of `sweep` failed, a contract is broken, `doctor` found a fault; or a bug: please tell |
 | 2 | the input, an option, a component or a place to write cannot be used; the line says which, and what to do |
 | 130 | interrupted with Ctrl-C; what was finished is kept, and the same command resumes |
 
