@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tactile_loc.core.geometry import axis_angle
 from tactile_loc_cli.console import output
 
 if TYPE_CHECKING:
@@ -66,16 +67,6 @@ def _cells(h: HypothesisRecord) -> list[str]:
         "({:.3f}, {:.3f}, {:.3f})".format(*axis), f"{100 * h.explained:.0f}",
     ]  # fmt: skip
     return cells if h.error_m is None else [*cells, _mm(h.error_m)]
-
-
-def axis_angle(R: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return a rotation (3, 3) as a turn in degrees, 0 to 180, and the unit axis (3,) it is about; z for no turn."""
-    from scipy.spatial.transform import Rotation
-
-    vector = Rotation.from_matrix(R).as_rotvec()
-    angle = float(np.linalg.norm(vector))
-    axis = vector / angle if angle > 1e-9 else np.array([0.0, 0.0, 1.0])
-    return float(np.degrees(angle)), axis + 0.0
 
 
 def _mm(length_m: float) -> str:

@@ -74,6 +74,15 @@ def quaternion_to_rotation(q: ArrayLike) -> Array:
     return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
+def axis_angle(R: Array) -> tuple[float, Array]:
+    """Return a rotation (3, 3) as a turn in degrees, for people: 0 to 180, and its unit axis (3,); z for no turn."""
+    from scipy.spatial.transform import Rotation
+
+    vector = Rotation.from_matrix(R).as_rotvec()
+    angle = float(np.linalg.norm(vector))
+    return float(np.degrees(angle)), vector / angle + 0.0 if angle > 1e-9 else np.array([0.0, 0.0, 1.0])
+
+
 def rotation_to_quaternion(R: Array) -> Array:
     """Turn rotations (..., 3, 3) into unit quaternions (..., 4), scalar first and non-negative, unitless."""
     from scipy.spatial.transform import Rotation

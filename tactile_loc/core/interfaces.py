@@ -117,7 +117,7 @@ class Renderer(Component):
         """
 
     def render_apart(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
-        """Return what `render` returns, of poses that share no rotation: random ones, or a refiner's.
+        """Return what `render` returns (N, H, W), metres, of poses that share no rotation: random ones, or a refiner's.
 
         Override it where these can be drawn faster or more exactly than the poses of a grid.
         """

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from cli_helpers import TINY, Cli, assert_refused, touch_depths, write_box
 from PIL import Image
-from tactile_loc_cli.tables import axis_angle
 
 from tactile_loc.core.config import RunConfig
 from tactile_loc.core.meshes import load_object
@@ -65,7 +64,7 @@ def test_the_picture_is_a_whole_png(result, tmp_path):
     with Image.open(tmp_path / "out/result.png") as picture:
         picture.load()
         assert picture.width > 1000
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["result.json", "result.png"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["result.json", "result.npz", "result.png"]
 
 
 def test_the_configuration_in_the_result_gives_the_same_result(result):
@@ -132,14 +131,6 @@ def test_guesses_are_shown_as_one_line_warnings(cli):
     assert all(line.startswith("warning: ") for line in done.stderr.splitlines())
     assert any("not watertight" in line for line in done.stderr.splitlines())
     assert any("guessed mm" in line for line in done.stderr.splitlines())
-
-
-@pytest.mark.parametrize("turn", [0.0, 1.0, np.pi])
-def test_axis_and_angle_make_the_rotation(turn):
-    c, s = np.cos(turn), np.sin(turn)
-    angle_deg, axis = axis_angle(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
-    assert angle_deg == pytest.approx(np.degrees(turn))
-    assert np.abs(axis) == pytest.approx([0, 0, 1])
 
 
 def test_noise_of_a_simulated_touch_is_recorded(cli, result, tmp_path):

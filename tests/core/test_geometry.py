@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.geometry import (
     align_to_z,
+    axis_angle,
     invert,
     is_rigid,
     make_transform,
@@ -119,3 +120,11 @@ def test_is_rigid_refuses_what_is_not():
     assert not is_rigid(spoilt(T, 3, 0, 0.1))
     assert not is_rigid(T @ np.diag([1.0, 1.0, -1.0, 1.0])), "a mirror"
     assert not is_rigid(T @ np.diag([1.1, 1.1, 1.1, 1.0])), "a scale"
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.0, np.pi])
+def test_axis_and_angle_make_the_rotation(turn):
+    c, s = np.cos(turn), np.sin(turn)
+    angle_deg, axis = axis_angle(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
+    assert angle_deg == pytest.approx(np.degrees(turn))
+    assert np.abs(axis) == pytest.approx([0, 0, 1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -39,11 +39,14 @@ PriorFile = Annotated[
     Path | None, typer.Option("--prior", metavar="FILE", help="What is known of the pose before: a TOML file.")
 ]
 Top = Annotated[int | None, typer.Option("--top", metavar="N", help="How many poses to list; by default 10.")]
-Out = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where result.json and result.png go.")]
+Out = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where result.json, .npz and .png go.")]
 
 
 Pictures = Annotated[
     bool, typer.Option("--pictures", help="With a folder of touches: draw result.png for each of them, too.")
+]
+Report = Annotated[
+    bool, typer.Option("--report", help="Write report.html, too: the result as one page to look at and to pass on.")
 ]
 
 
@@ -69,8 +72,9 @@ def run(
     seed: flags.Seed = None,
     out: Out = DEFAULT_OUT,
     pictures: Pictures = False,
+    report: Report = False,
     store: flags.Store = None,
-) -> None:
+) -> dict[str, Any]:
     """Locate an object from one touch, from several at once, or from each of a folder's touches.
 
     Without any options: a demo object and a simulated touch (of eight, the one with the most contact). The object's
@@ -87,8 +91,8 @@ def run(
 
     if settings.touch.path is not None and is_many(Path(settings.touch.path)):
         _require_no_prior(prior)
-        run_folder(localizer, Path(settings.touch.path), flags.press_depth_m(settings), out, pictures)
-        return
+        _require_no_report(report)
+        return run_folder(localizer, Path(settings.touch.path), flags.press_depth_m(settings), out, pictures)
     from tactile_loc.core.contacts import localize_together
 
     contacts = _contacts(localizer)
@@ -100,7 +104,7 @@ def run(
     seconds = {"model": time.perf_counter() - start}
     alone = len(contacts) == 1
     localization = localizer.localize(contacts[0][1], known) if alone else localize_together(contacts, known)
-    _report(localizer, localization, seconds, out)
+    return _report(contacts, localization, seconds, out, report)
 
 
 def _require_one_source(settings: RunConfig, noise: flags.Noise | None) -> None:
@@ -118,6 +122,13 @@ def _require_no_prior(prior: Path | None) -> None:
 
     if prior is not None:
         raise ConfigError("--prior is of one pose; leave it out with a folder of touches")
+
+
+def _require_no_report(report: bool) -> None:
+    from tactile_loc.core.errors import ConfigError
+
+    if report:
+        raise ConfigError("--report is of one result; leave it out with a folder of touches, or locate one of them")
 
 
 def _prior(localizer: Localizer, touch: sensing.Touch, path: Path | None) -> Prior | None:
@@ -146,15 +157,31 @@ def _touch(localizer: Localizer) -> sensing.Touch:
     return max(touches, key=lambda t: t.contact_shape.contact.sum())
 
 
-def _report(localizer: Localizer, localization: Localization, seconds: dict[str, float], out: Path) -> None:
+def _report(
+    contacts: list[Contact], localization: Localization, seconds: dict[str, float], out: Path, page: bool
+) -> dict[str, Any]:
+    """Show the result, write it (result.json, .npz, .png and, if asked for, the page), and return it and the paths."""
     from tactile_loc.evaluation.pictures import draw_result, save_figure
     from tactile_loc.evaluation.results import pose_errors_m, result_record, write_result
+    from tactile_loc.reports.result_arrays import gather
+    from tactile_loc.reports.result_files import NAME, write_arrays
     from tactile_loc_cli.tables import pose_table, summary, title
 
+    localizer = contacts[0][0]
     record = result_record(localizer, localization, seconds)
     pose_table(record)
     for line in summary(record):
         say(line)
     figure = draw_result(localization, localizer.scene, title(record), pose_errors_m(localizer.object, localization))
-    written = [save_figure(out / "result.png", figure), write_result(out / "result.json", record)]
-    say(f"written: {', '.join(map(str, reversed(written)))}")
+    written = [
+        write_result(out / "result.json", record),
+        write_arrays(out / NAME, gather(contacts, localization), record),
+        save_figure(out / "result.png", figure),
+    ]
+    if page:
+        from tactile_loc.reports.report import write_report
+        from tactile_loc.reports.source import find_source
+
+        written.append(write_report(find_source(out / "result.json")))
+    say(f"written: {', '.join(map(str, written))}")
+    return {**record.model_dump(mode="json"), "written": [str(path) for path in written]}

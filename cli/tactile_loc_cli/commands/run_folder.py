@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tactile_loc.core.geometry import axis_angle
 from tactile_loc_cli.console import progress, say
-from tactile_loc_cli.tables import axis_angle
 
 if TYPE_CHECKING:
     from tactile_loc.core.localization import Localization

@@ -1,0 +1,8 @@
+"""Reports: one HTML file that shows a result; see docs/reports.md."""
+
+from __future__ import annotations
+
+from tactile_loc.reports.report import write_report
+from tactile_loc.reports.source import Source, find_source
+
+__all__ = ["Source", "find_source", "write_report"]

@@ -1,0 +1,192 @@
+"""The object and the sensors' pads as surfaces that a browser draws; mm, in the first touch's sensor frame."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.geometry import invert, transform_points
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.poses import Poses
+from tactile_loc.core.sensing import ContactShape, SensorGeometry
+from tactile_loc.evaluation.pictures import extent_mm
+from tactile_loc.evaluation.pose_panel import GEL_MM, RIM_MM
+from tactile_loc.evaluation.views import CREASE_DEG, View, box
+from tactile_loc.reports.result_arrays import TouchArrays
+
+Array = NDArray[np.float64]
+
+AZIMUTHS_DEG = (-55.0, -35.0, 35.0, 55.0, -145.0, -125.0, 125.0, 145.0)
+ELEVATION_DEG = 28.0
+ASIDE_DEG = 25.0  # a peak is seen from the side, lest it be flat
+FIELD_DEG = 45.0
+ROOM = 1.12  # around what is seen
+MOST_CREASES = 20_000
+MARGIN_MM = 16.0  # for numbers around the pads
+
+
+def packed(values: NDArray[Any], kind: str) -> str:
+    """Return an array's numbers, little-endian float32 ("<f4") or int32 ("<i4"), row by row, as base64."""
+    return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode()
+
+
+def packed_mesh(mesh: TriangleMesh) -> dict[str, str]:
+    """Return a surface, its corners in mm."""
+    return {"vertices_mm": packed(1e3 * mesh.vertices_m, "<f4"), "faces": packed(mesh.faces, "<i4")}
+
+
+def rows_mm(T: Array) -> list[float]:
+    """Return the rows of [R t] of a transform (4, 4) in metres as twelve numbers, the translation in mm."""
+    rows = np.array(T[:3], float)
+    rows[:, 3] *= 1e3
+    return [round(float(v), 7) for v in rows.ravel()]
+
+
+def pad(touch: TouchArrays) -> dict[str, Any]:
+    """Return a touch's sensor: its gel, the housing around it, and the outline of its contact; mm, first frame."""
+    x0, x1, y0, y1 = (1e3 * value for value in touch.geometry.rectangle)
+    top, rim = 1e3 * touch.geometry.standoff_m, RIM_MM
+    gel = box((x0, x1), (y0, y1), (top - GEL_MM, top))
+    housing = box((x0 - rim, x1 + rim), (y0 - rim, y1 + rim), (top - 2.2 * GEL_MM, top - 0.4 * GEL_MM))
+    T = invert(touch.T_sensor_first)
+    lines = [transform_points(T, 1e-3 * line) * 1e3 for line in outlines_mm(touch.shape, touch.geometry)]
+    return {"gel": _triangles(gel, T), "housing": _triangles(housing, T), "contact": _polyline(lines)}
+
+
+def outlines_mm(shape: ContactShape, geometry: SensorGeometry) -> list[Array]:
+    """Return the closed borders (P, 3) of a contact (H, W) on the undeformed gel, mm of the sensor frame."""
+    from contourpy import contour_generator
+
+    left, right, bottom, top = extent_mm(geometry)
+    height, width = geometry.shape
+    framed = np.pad((shape.contact & geometry.observed_mask).astype(float), 1)  # closed at the image's border
+    borders: Any = contour_generator(z=framed).lines(0.5)
+    found = []
+    for line in borders:
+        column, row = (np.clip(line - 0.5, 0, [width, height]) / [width, height]).T
+        z = np.full(len(line), 1e3 * geometry.standoff_m)
+        found.append(np.stack([left + column * (right - left), top + row * (bottom - top), z], axis=1))
+    return found
+
+
+def creases(mesh: TriangleMesh) -> list[list[int]]:
+    """Return pairs of vertices between which the surface bends sharply or ends, at most MOST_CREASES."""
+    a, b, c = np.moveaxis(mesh.triangles_m, 1, 0)
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    edges = np.sort(np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], -1).reshape(-1, 2), axis=1)
+    faces = np.repeat(np.arange(len(mesh.faces)), 3)
+    order = np.lexsort((faces, edges[:, 1], edges[:, 0]))
+    edges, faces = edges[order], faces[order]
+    unique, first, count = np.unique(edges, axis=0, return_index=True, return_counts=True)
+    second = faces[np.minimum(first + 1, len(faces) - 1)]
+    bend = (normals[faces[first]] * normals[second]).sum(axis=1) < np.cos(np.radians(CREASE_DEG))
+    sharp: list[list[int]] = unique[(count != 2) | bend][:MOST_CREASES].tolist()
+    return sharp
+
+
+def bounds_mm(mesh: TriangleMesh, poses: Sequence[Array], pads: Iterable[dict[str, Any]]) -> list[list[float]]:
+    """Return the range (low, high) along x, y, z, mm, that holds the object at all poses (4, 4) and the pads."""
+    clouds = [1e3 * transform_points(T, mesh.vertices_m) for T in poses]
+    clouds += [np.stack([one["housing"][k] for k in "xyz"], axis=1) for one in pads]
+    low = np.min([cloud.min(axis=0) for cloud in clouds], axis=0)
+    high = np.max([cloud.max(axis=0) for cloud in clouds], axis=0)
+    return [[round(float(a - MARGIN_MM), 2), round(float(b + MARGIN_MM), 2)] for a, b in zip(low, high, strict=True)]
+
+
+def camera_on(points_mm: Array, bounds: Sequence[Sequence[float]], view: View) -> dict[str, dict[str, float]]:
+    """Return plotly's camera that sees all points (P, 3), mm, from a view; `bounds` are the axes' ranges.
+
+    Plotly's unit is the geometric mean of the ranges, its origin their middle, its angle of view FIELD_DEG.
+    """
+    low, high = np.array(bounds, float).T
+    unit, middle = float(np.prod(high - low) ** (1 / 3)), 0.5 * (low + high)
+    centre = 0.5 * (points_mm.min(axis=0) + points_mm.max(axis=0))
+    flat = (points_mm - centre) @ view.axes.T
+    distance = float((np.abs(flat[:, :2]).max(axis=1) / np.tan(np.radians(0.5 * FIELD_DEG)) + flat[:, 2]).max())
+    eye = centre + ROOM * distance * view.axes[2]
+    places = {"eye": (eye - middle) / unit, "center": (centre - middle) / unit, "up": np.array([0.0, 0.0, 1.0])}
+    return {name: {k: round(float(v), 5) for k, v in zip("xyz", place, strict=True)} for name, place in places.items()}
+
+
+def view_of(mesh: TriangleMesh, T_sensor_object: Array) -> View:
+    """Return from where the object at a pose (4, 4), metres, shows most and hides the sensor least."""
+    points_mm = 1e3 * transform_points(T_sensor_object, mesh.vertices_m)
+    scores = {}
+    for azimuth_deg in AZIMUTHS_DEG:
+        view = View(azimuth_deg, ELEVATION_DEG)
+        nearness_mm = float(view.axes[2, :2] @ points_mm.mean(axis=0)[:2])
+        shown = float(np.sqrt(max(np.linalg.det(np.cov(view.project(points_mm).T)), 0.0)))
+        scores[azimuth_deg] = shown * (1 - 0.4 * np.tanh(nearness_mm / 15))
+    return View(max(scores, key=lambda a: scores[a]), ELEVATION_DEG)
+
+
+def view_on(point: Array, centre: Array) -> View:
+    """Return a view from which a point (3,) of a surface lies in front of the surface's centre."""
+    x, y, z = point - centre
+    azimuth_deg = float(np.degrees(np.arctan2(x, -y)))
+    elevation_deg = float(np.degrees(np.arctan2(z, np.hypot(x, y))))
+    return View(azimuth_deg + ASIDE_DEG, float(np.clip(elevation_deg, -60, 60)))
+
+
+def triad(box_mm: Array, view: View, length_mm: float) -> dict[str, Any]:
+    """Return the frame's axes, `length_mm` long, at the lower left of a box (3, 2), mm, as it is seen: lines, names."""
+    corners = np.array(np.meshgrid(*box_mm, indexing="ij")).reshape(3, -1).T
+    origin_mm = corners[(view.project(corners) @ [1.0, 1.0]).argmin()]
+    lines = _polyline([np.stack([origin_mm, end]) for end in origin_mm + length_mm * np.eye(3)])
+    names = origin_mm + 1.25 * length_mm * np.eye(3)
+    return {"lines": lines, "names": {**_columns(names), "text": ["x", "y", "z"]}}
+
+
+def pad_ticks(geometry: SensorGeometry, view: View) -> dict[str, list[Any]]:
+    """Return numbers along the two edges of the first sensor's pad that are nearest to the viewer, mm."""
+    x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
+    away, z = RIM_MM + 5.5, 1e3 * geometry.standoff_m - GEL_MM
+    x = x1 + away if view.axes[2, 0] > 0 else x0 - away
+    y = y1 + away if view.axes[2, 1] > 0 else y0 - away
+    further = 1 + 9 / max(abs(x), abs(y))
+    places = [(v, y) for v in round_values(x0, x1)] + [(x, v) for v in round_values(y0, y1)]
+    text = [number(v) for limits in ((x0, x1), (y0, y1)) for v in round_values(*limits)]
+    places += [(0.5 * (x0 + x1), y * further), (x * further, 0.5 * (y0 + y1))]
+    return {**_columns(np.array([(*place, z) for place in places])), "text": [*text, "x (mm)", "y (mm)"]}
+
+
+def round_values(low: float, high: float, most: int = 6) -> list[float]:
+    """Return round numbers from `low` to `high`: as many steps as fit, at most `most`."""
+    step = next((s for s in (1, 2, 5, 10, 20, 50, 100) if (high - low) / s <= most), 200)
+    return [float(k * step) for k in range(int(np.ceil(low / step - 1e-6)), int(np.floor(high / step + 1e-6)) + 1)]
+
+
+def candidate_poses(records: Iterable[Any]) -> Poses:
+    """Return the refined poses (K, 4, 4) of hypothesis records, metres."""
+    return np.array([record.T_sensor_object for record in records], float)
+
+
+def number(value: float) -> str:
+    """Write a number shortly, with a true minus."""
+    return f"{value:g}".replace("-", "\N{MINUS SIGN}")
+
+
+def _columns(points: Array) -> dict[str, list[float]]:
+    """Points (P, 3) by coordinate."""
+    return {name: np.round(points[:, k], 3).tolist() for k, name in enumerate("xyz")}
+
+
+def _triangles(triangles_mm: Array, T: Array) -> dict[str, list[float]]:
+    """Triangles (F, 3, 3), mm, moved by a transform in metres, as plotly's mesh."""
+    corners = transform_points(T, 1e-3 * triangles_mm.reshape(-1, 3)) * 1e3
+    numbers = np.arange(len(corners)).reshape(-1, 3)
+    return _columns(corners) | {name: numbers[:, k].tolist() for k, name in enumerate("ijk")}
+
+
+def _polyline(lines: Sequence[Array]) -> dict[str, list[float | None]]:
+    """Lines (P, 3) as one, with gaps between them."""
+    columns: dict[str, list[float | None]] = {"x": [], "y": [], "z": []}
+    for line in lines:
+        for k, name in enumerate("xyz"):
+            columns[name] += [*np.round(line[:, k], 3).tolist(), None]
+    return columns

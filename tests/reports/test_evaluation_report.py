@@ -1,0 +1,103 @@
+"""The pages of evaluations say what is in their JSON."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+
+import pytest
+from report_helpers import Elements, html_of, page_in, write_evaluation
+
+from tactile_loc.evaluation.tables import SHOWN
+from tactile_loc.evaluation.tabular import mm
+from tactile_loc.reports.source import ResultError
+
+
+@pytest.fixture(scope="module")
+def document(evaluation_folder) -> dict:
+    return json.loads((evaluation_folder / "results.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def page(evaluation_folder) -> Elements:
+    return Elements(html_of(evaluation_folder))
+
+
+def test_medians_are_those_of_the_file(document, page):
+    header = next(row for row in page.rows if row[:2] == ["object", "grid poses"])
+    assert header[2:] == list(SHOWN)
+    for run in document["runs"]:
+        lengths, shares = (row for row in page.rows if row[0] == run["object"] and len(row) == len(header))
+        assert lengths[2:] == [mm(run["lines"][line]["add"]["metres"]["median"]) for line in SHOWN]
+        assert shares[2:] == [f"{run['lines'][line]['add']['normalised']['median']:.3f}" for line in SHOWN]
+
+
+def test_trust_and_times_are_those_of_the_file(document, page):
+    run = document["runs"][0]
+    rows = [row for row in page.rows if row and row[0] == run["object"]]
+    held = [f"{100 * share:.0f} %" for share in run["trust"]["coverage"]]
+    assert any(row[1:4] == held and row[4] == f"{run['trust']['nll']:.2f}" for row in rows)
+    times = [f"{1e3 * s:.2f}" for s in run["median_seconds"].values()]
+    assert any(row[1:] == times for row in rows)
+
+
+def test_scripts_draw_every_touch_s_errors_in_mm(document, evaluation_folder):
+    data = page_in(evaluation_folder).data
+    for drawn, run in zip(data["runs"], document["runs"], strict=True):
+        for line, by_metric in run["errors_m"].items():
+            for metric, errors in by_metric.items():
+                assert drawn["errors_mm"][line][metric] == pytest.approx([1e3 * e for e in errors], rel=1e-5)
+        assert drawn["entropy"] == pytest.approx(run["beliefs"]["entropy"], rel=1e-5)
+        assert drawn["random_mm"]["add"] == pytest.approx(1e3 * run["random_mean_m"]["add"])
+
+
+def test_galleries_are_in_the_page_not_too_large(page):
+    (image,) = page.named("img")
+    assert str(image["src"]).startswith("data:image/png;base64,")
+    assert len(str(image["src"])) < 20_000
+    assert "pin" in str(image["alt"])
+
+
+def test_several_encoders_are_told_apart(tmp_path):
+    write_evaluation(tmp_path)
+    document = json.loads((tmp_path / "results.json").read_text())
+    document["runs"].append({**document["runs"][0], "encoder": "moco"})
+    (tmp_path / "results.json").write_text(json.dumps(document))
+    assert [run["name"] for run in page_in(tmp_path).data["runs"]] == ["pin, pixel", "hook, pixel", "pin, moco"]
+
+
+def test_contacts_are_those_of_the_file(contacts_folder):
+    document = json.loads((contacts_folder / "contacts.json").read_text())
+    page = Elements(html_of(contacts_folder))
+    (run,) = document["runs"]
+    assert page.rows[0] == ["object", "line", "1 contact", "2 contacts", "5 contacts"]
+    for row, (line, entries) in zip(page.rows[1:], run["lines"].items(), strict=False):
+        assert row[1] == line
+        assert row[2:] == [f"{mm(e['metres']['median'])} ({e['normalised']['median']:.3f})" for e in entries]
+    drawn = page_in(contacts_folder).data["runs"][0]["lines"]["best-1"]
+    assert drawn["contacts"] == [1, 2, 5]
+    assert drawn["metres"]["q75"] == pytest.approx([1e3 * e["metres"]["q75"] for e in run["lines"]["best-1"]])
+    assert ["pin", "0", "0", "4"] in page.rows  # without a common pose
+
+
+@pytest.mark.parametrize("fixture", ["evaluation_folder", "contacts_folder"])
+def test_what_is_wrong_with_a_file_is_one_sentence(fixture, request, tmp_path):
+    folder = shutil.copytree(request.getfixturevalue(fixture), tmp_path / "copy")
+    (path,) = (path for path in folder.glob("*.json"))
+    document = json.loads(path.read_text())
+    for changed, says in (
+        ({"schema_version": 9}, "is of version 9"), ({"runs": []}, "holds no run"), ({"runs": None}, "damaged"),
+        ({"protocol": {}}, "damaged or incomplete: it has no "), ({"runs": [{"object": "a"}]}, "encoder"),
+    ):  # fmt: skip
+        path.write_text(json.dumps({**document, **changed}))
+        with pytest.raises(ResultError, match=f"{path.name}.*{says}"):
+            page_in(folder)
+
+
+def test_numbers_that_are_none_are_one_sentence(evaluation_folder, tmp_path):
+    folder = shutil.copytree(evaluation_folder, tmp_path / "copy")
+    text = (folder / "results.json").read_text()
+    (folder / "results.json").write_text(re.sub(r'("entropy": \[\s*)[\d.e-]+', r"\1NaN", text, count=1))
+    with pytest.raises(ResultError, match=r"results\.json"):
+        page_in(folder)

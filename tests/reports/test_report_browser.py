@@ -1,0 +1,226 @@
+"""The pages in a browser without any network: they draw, they answer, and nothing goes wrong or out."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from report_helpers import UNFRIENDLY, write_sweep
+
+from tactile_loc.reports.report import write_report
+from tactile_loc.reports.source import find_source
+
+webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+FLAGS = (
+    "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--window-size=900,900",
+)  # fmt: skip
+LOCAL = ("file:", "data:", "blob:", "about:", "chrome:")
+CHANGED_PX = 300
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A headless browser that cannot look up any host."""
+    driver, binary = shutil.which("chromedriver"), next(filter(None, map(shutil.which, BROWSERS)), None)
+    if driver is None or binary is None:
+        pytest.skip("there is no chromium with its chromedriver")
+    from selenium.webdriver.chrome.service import Service
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = binary
+    for flag in FLAGS:
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    found = webdriver.Chrome(options=options, service=Service(driver))
+    found.set_page_load_timeout(120)
+    yield found
+    found.quit()
+
+
+@pytest.fixture
+def show(browser: Any, tmp_path: Path) -> Iterator[Callable[[Path], Any]]:
+    """Open the report of a result; afterwards the console has no error, and nothing was asked of any server."""
+    for kind in ("browser", "performance"):
+        browser.get_log(kind)
+
+    def open_report(folder: Path) -> Any:
+        browser.get(write_report(find_source(folder), tmp_path / "page.html").as_uri())
+        return browser
+
+    yield open_report
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+    asked = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    urls = [m["params"]["request"]["url"] for m in asked if m["method"] == "Network.requestWillBeSent"]
+    assert any(url.endswith("page.html") for url in urls)
+    assert [url for url in urls if not url.startswith(LOCAL)] == []
+
+
+def plots(browser: Any) -> dict[str, int]:
+    """The number of traces of every plot's place."""
+    script = "return [...document.querySelectorAll('.plotly')].map(e => [e.id, (e.data || []).length])"
+    return {name: count for name, count in browser.execute_script(script) if name}
+
+
+def find(browser: Any, selector: str) -> Any:
+    return browser.find_element("css selector", selector)
+
+
+def choose(browser: Any, name: str, value: str) -> None:
+    find(browser, f"#{name} option[value='{value}']").click()
+
+
+def pixels(element: Any) -> np.ndarray:
+    return np.array(Image.open(io.BytesIO(element.screenshot_as_png)).convert("RGB")).astype(int)
+
+
+def object_points(browser: Any) -> np.ndarray:
+    """The object's corners (V, 3) as they are drawn on the sensor, mm."""
+    script = "const t = document.getElementById('scene').data[0]; return [t.x, t.y, t.z].map((v) => Array.from(v))"
+    return np.array(browser.execute_script(script)).T
+
+
+def test_a_run_is_drawn_and_another_candidate_moves_the_object(show, run_folder):
+    browser = show(run_folder)
+    assert set(plots(browser)) == {"scene", "surface", "yaw", "modes", "times"}
+    assert min(plots(browser).values()) > 0
+    result = json.loads((run_folder / "result.json").read_text())
+    vertices = object_points(browser)
+    scene = find(browser, "#scene")
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", scene)
+    before, camera = (
+        pixels(scene),
+        browser.execute_script("return document.getElementById('scene').layout.scene.camera"),
+    )
+    rows = browser.find_elements("css selector", "tr.pick")
+    assert len(rows) == len(result["hypotheses"]) > 1
+    browser.execute_script("arguments[0].click()", rows[1])
+    after = pixels(scene)
+    assert camera == browser.execute_script("return document.getElementById('scene').layout.scene.camera")
+    assert (np.abs(after - before).max(axis=2) > 20).sum() > CHANGED_PX
+    first, second = (np.array(h["T_sensor_object"]) for h in result["hypotheses"][:2])
+    move = second @ np.linalg.inv(first)
+    expected = vertices @ move[:3, :3].T + 1e3 * move[:3, 3]
+    assert np.abs(object_points(browser) - expected).max() < 0.01
+    assert [row.get_attribute("aria-selected") for row in rows[:3]] == ["false", "true", "false"]
+    assert rows[1].value_of_css_property("background-color") != rows[0].value_of_css_property("background-color")
+    assert find(browser, "#chosen").text.startswith("Candidate 2: ")
+    cards = browser.find_elements("css selector", ".card")
+    assert [card.get_attribute("aria-selected") for card in cards[:2]] == ["false", "true"]
+
+
+def test_the_page_of_a_run_answers(show, run_folder):
+    browser = show(run_folder)
+    assert_to_scale(browser)
+    assert_chosen_by_card_and_key(browser)
+    assert_dark_theme_draws_anew(browser)
+
+
+def assert_to_scale(browser: Any) -> None:
+    """One millimetre is as long along all axes, whatever the ranges are."""
+    for name in ("scene", "surface"):
+        scene = browser.execute_script(
+            "const s = document.getElementById(arguments[0])._fullLayout.scene;"
+            "return ['x', 'y', 'z'].map(k => [s.aspectratio[k], s[k + 'axis'].range])",
+            name,
+        )
+        per_mm = [ratio / (high - low) for ratio, (low, high) in scene]
+        assert per_mm == pytest.approx([per_mm[0]] * 3, rel=1e-6)
+
+
+def assert_chosen_by_card_and_key(browser: Any) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    cards = browser.find_elements("css selector", ".card")
+    browser.execute_script("arguments[0].click()", cards[1])
+    assert find(browser, "#chosen").text.startswith("Candidate 2")
+    browser.find_elements("css selector", "tr.pick")[0].send_keys(Keys.ENTER)
+    assert find(browser, "#chosen").text.startswith("Candidate 1")
+
+
+def assert_dark_theme_draws_anew(browser: Any) -> None:
+    script = (
+        "return [getComputedStyle(document.body).backgroundColor, document.getElementById('modes').layout.font.color]"
+    )
+    before = browser.execute_script(script)
+    find(browser, "#theme").click()
+    after = browser.execute_script(script)
+    assert all(a != b for a, b in zip(before, after, strict=True))
+
+
+def test_names_are_text_in_the_browser(show, unfriendly_run):
+    browser = show(unfriendly_run)
+    assert UNFRIENDLY.strip() in find(browser, "h1").get_attribute("textContent")
+    assert browser.execute_script("return document.scripts.length") == 4  # the data, plotly, and two of ours
+    assert min(plots(browser).values()) > 0
+
+
+def test_an_evaluation_is_drawn_and_its_choices_work(show, evaluation_folder):
+    browser = show(evaluation_folder)
+    assert set(plots(browser)) == {"errors", "curves", "coverage", "entropy", "times"}
+    assert min(plots(browser).values()) > 0
+    run = json.loads((evaluation_folder / "results.json").read_text())["runs"][1]
+    choose(browser, "object", "1")
+    choose(browser, "shape", "box")
+    choose(browser, "metric", "mssd")
+    script = "return document.getElementById('errors').data.map(t => [t.type, t.name, Array.from(t.y)])"
+    drawn = browser.execute_script(script)
+    assert {kind for kind, _, _ in drawn} == {"box"}
+    assert {name: values for _, name, values in drawn}["reg-1"] == pytest.approx(
+        [1e3 * e for e in run["errors_m"]["reg-1"]["mssd"]], rel=1e-4
+    )
+    choose(browser, "scale", "share")
+    choose(browser, "line", "best-1")
+    x = browser.execute_script("return Array.from(document.getElementById('curves').data[1].x)")
+    expected = sorted(e / run["random_mean_m"]["mssd"] for e in run["errors_m"]["best-1"]["mssd"])
+    assert x == pytest.approx(expected, rel=1e-4)
+
+
+def test_several_contacts_are_drawn(show, contacts_folder):
+    browser = show(contacts_folder)
+    medians = "return document.getElementById('curves').data.filter(t => t.mode === 'lines+markers').length"
+    assert browser.execute_script(medians) == 3
+    choose(browser, "line", "best-1")
+    assert browser.execute_script(medians) == 1
+
+
+def visible_rows(browser: Any) -> list[list[str]]:
+    rows = browser.find_elements("css selector", "#table tbody tr:not([hidden])")
+    return [[cell.get_attribute("textContent") for cell in row.find_elements("css selector", "td")] for row in rows]
+
+
+def test_a_sweep_is_drawn_sorted_and_filtered(show, sweep_folder):
+    browser = show(sweep_folder)
+    assert set(plots(browser)) == {"scatter", "effect-0", "effect-1"}
+    effect = "return document.getElementById('effect-0').data.map(t => [t.name, Array.from(t.y)])"
+    middle = (4.0 * 1.0 * 0.5) ** (1 / 3)
+    for name, ratios in browser.execute_script(effect):
+        assert ratios == pytest.approx([{"none": 4.0, "icp": 1.0, "filterreg": 0.5}[name] / middle] * 4)
+    headings = browser.find_elements("css selector", "#table th")
+    place = [heading.get_attribute("textContent") for heading in headings].index("chosen (mm)")
+    for sign in (1, -1):
+        browser.execute_script("arguments[0].click()", headings[place])
+        values = [float(row[place]) for row in visible_rows(browser)]
+        assert values == sorted(values, reverse=sign < 0)
+    find(browser, "#filter").send_keys("pin icp")
+    assert {tuple(row[:2]) for row in visible_rows(browser)} == {("pin", "icp")}
+    assert find(browser, "#count").text == "2 of 12 combinations"
+    dots = "return document.getElementById('scatter').data.reduce((n, t) => n + t.x.length, 0)"
+    assert browser.execute_script(dots) == 2
+    texts = browser.execute_script("return document.getElementById('scatter').data.flatMap(t => t.text)")
+    assert all("refiner: icp" in text for text in texts)
+
+
+def test_a_sweep_with_few_columns_is_drawn_too(show, tmp_path):
+    rows = [{"object": UNFRIENDLY, "refiner": name, "chosen_median_mm": value} for name, value in (("a", 1), ("b", 2))]
+    browser = show(write_sweep(tmp_path, rows))
+    assert plots(browser) == {"effect-0": 2}

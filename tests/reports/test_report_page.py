@@ -1,0 +1,87 @@
+"""The page's skeleton: one file, nothing from elsewhere, nothing of the user's as markup."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from report_helpers import UNFRIENDLY, Elements, html_of, write_evaluation, write_sweep
+
+from tactile_loc.core.errors import OutputError
+from tactile_loc.reports.markup import script_json, table, tiles
+from tactile_loc.reports.page import Page, Section, render
+from tactile_loc.reports.report import write_report
+from tactile_loc.reports.source import find_source
+
+
+@pytest.fixture(params=["run_folder", "evaluation_folder", "contacts_folder", "sweep_folder"])
+def html(request) -> str:
+    return html_of(request.getfixturevalue(request.param))
+
+
+def test_nothing_is_loaded_from_elsewhere(html):
+    found = Elements(html)
+    for _, attributes in found.elements:
+        for name in ("src", "href", "data", "action", "srcset", "poster"):
+            value = attributes.get(name)
+            assert value is None or value.startswith(("data:", "#")), value
+    assert not re.search(r"@import|url\(", "".join(re.findall(r"<style>(.*?)</style>", html, re.DOTALL)))
+    (policy,) = [a["content"] for a in found.named("meta") if a.get("http-equiv") == "Content-Security-Policy"]
+    assert str(policy).startswith("default-src 'none'")
+    assert "http" not in str(policy)
+
+
+def test_plotly_is_in_it_once_and_its_size_is_sensible(html):
+    assert len(re.findall(r"plotly\.js v\d", html)) == 1
+    assert 4e6 < len(html) < 8e6
+
+
+def test_names_are_unique_and_links_lead_somewhere(html):
+    found = Elements(html)
+    names = [attributes["id"] for _, attributes in found.elements if "id" in attributes]
+    assert len(names) == len(set(names))
+    assert {a["href"] for a in found.named("a")} <= {f"#{name}" for name in names}
+
+
+def test_what_users_named_is_text(unfriendly_run, tmp_path):
+    evaluation, sweep = tmp_path / "evaluation", tmp_path / "sweep"
+    evaluation.mkdir()
+    sweep.mkdir()
+    write_evaluation(evaluation, names=(UNFRIENDLY, "pin"))
+    rows = [{"object": UNFRIENDLY, "refiner": name, "chosen_median_mm": 1, "error": ""} for name in ("a", "b")]
+    write_sweep(sweep, [*rows, {**rows[0], "error": UNFRIENDLY}])
+    for folder in (unfriendly_run, evaluation, sweep):
+        html = html_of(folder)
+        assert html.count("<script") - html.count("'<script") >= 3
+        assert "<script>alert" not in html
+        scripts = [a for a in Elements(html).named("script") if a.get("type") is None]
+        assert len(scripts) <= 4  # plotly and ours
+        assert UNFRIENDLY in Elements(html).text
+
+
+def test_data_cannot_end_its_script():
+    assert "</script" not in script_json({"a": "</script><!--"})
+    with pytest.raises(ValueError, match="JSON"):
+        script_json([float("nan")])
+
+
+def test_tables_and_tiles_are_text():
+    assert "&lt;b&gt;" in table(["<b>"], [["<b>"]])
+    assert "<b>" not in table(["<b>"], [["<b>"]], label='"<b>') + tiles([("<b>", "<b>", "<b>")])
+
+
+def test_scripts_run_only_if_they_are_ours():
+    html = render(Page("t", "a", [Section("s", "S", "")], {}, []))
+    (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', html)
+    assert policy.count("'sha256-") == 2
+    assert "unsafe-inline" not in policy.split("script-src")[1]
+
+
+def test_a_report_is_whole_or_not_there(evaluation_folder, tmp_path):
+    source = find_source(evaluation_folder)
+    written = write_report(source, tmp_path / "new" / "page.html")
+    assert written.read_text(encoding="utf-8").endswith("</html>\n")
+    assert [path.name for path in written.parent.iterdir()] == ["page.html"]
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_report(source, tmp_path / "file" / "page.html")

@@ -1,0 +1,59 @@
+"""Which result a path names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tactile_loc.reports.source import ResultError, find_source
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "result.json").write_text("{}")
+    return tmp_path
+
+
+def test_a_folder_or_any_of_its_files_names_the_result(folder):
+    (folder / "result.npz").touch()
+    for path in (folder, folder / "result.json", folder / "result.npz", folder / "result.png"):
+        source = find_source(path)
+        assert (source.kind, source.path) == ("run", folder / "result.json")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("results.json", "evaluation"), ("contacts.json", "contacts"), ("sweep.json", "sweep")]
+)
+def test_the_kind_is_that_of_the_file(tmp_path, name, kind):
+    (tmp_path / name).write_text("{}")
+    assert find_source(tmp_path).kind == kind
+
+
+def test_of_several_results_the_file_decides(folder):
+    (folder / "contacts.json").write_text("{}")
+    with pytest.raises(ResultError, match=r"several results, result\.json and contacts\.json"):
+        find_source(folder)
+    assert find_source(folder / "contacts.json").kind == "contacts"
+
+
+def test_what_is_no_result_is_one_sentence(tmp_path):
+    with pytest.raises(ResultError, match="holds no result"):
+        find_source(tmp_path)
+    with pytest.raises(ResultError, match="does not exist"):
+        find_source(tmp_path / "nowhere")
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(ResultError, match=r"notes\.txt is no result"):
+        find_source(tmp_path / "notes.txt")
+    with pytest.raises(ResultError, match=r"there is no .*result\.json"):
+        find_source(tmp_path / "result.npz")
+    (tmp_path / "results.csv").touch()
+    with pytest.raises(ResultError, match="give the folder of one"):
+        find_source(tmp_path)
+
+
+@pytest.mark.parametrize(("text", "says"), [("{", "is no JSON"), ("[1]", "holds a list")])
+def test_a_damaged_document_is_one_sentence(folder, text, says):
+    (folder / "result.json").write_text(text)
+    with pytest.raises(ResultError, match=says):
+        find_source(folder).document()

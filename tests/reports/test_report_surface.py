@@ -1,0 +1,103 @@
+"""The distribution over an object's surface."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_loc.core.geometry import make_transform, random_rotations
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.reports.surface import (
+    refined,
+    surface_distribution,
+    touched_points,
+    vertex_areas,
+    vertex_normals,
+)
+
+
+def surface(solid: trimesh.Trimesh) -> TriangleMesh:
+    return TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
+
+
+@pytest.fixture(scope="module")
+def rod() -> TriangleMesh:
+    """Thin triangles as long as the rod."""
+    return surface(trimesh.creation.cylinder(0.004, 0.060, sections=48))
+
+
+def test_a_refined_surface_is_the_same_surface_closed_and_without_long_edges(rod):
+    fine = refined(rod, 0.002)
+    a, b, c = np.moveaxis(fine.triangles_m, 1, 0)
+    assert max(np.linalg.norm(u - v, axis=1).max() for u, v in ((a, b), (b, c), (c, a))) <= 0.002
+    assert fine.face_areas.sum() == pytest.approx(rod.face_areas.sum(), rel=1e-9)
+    assert trimesh.Trimesh(fine.vertices_m, fine.faces, process=False).is_watertight
+    assert len(fine.faces) < 40_000  # cutting each in four would make 98 000
+
+
+def test_a_surface_of_short_edges_stays_as_it_is(rod):
+    fine = refined(rod, 1.0)
+    assert (fine.vertices_m.shape, fine.faces.shape) == (rod.vertices_m.shape, rod.faces.shape)
+
+
+def test_areas_and_normals_of_vertices_are_those_of_a_ball():
+    ball = surface(trimesh.creation.icosphere(3, 0.01))
+    assert vertex_areas(ball).sum() == pytest.approx(ball.face_areas.sum())
+    outwards = ball.vertices_m / 0.01
+    assert (vertex_normals(ball) * outwards).sum(axis=1).min() > 0.999
+
+
+def test_it_sums_to_one_and_lies_where_the_sensor_is(rod, flat_camera):
+    """Poses with one and the same point of the rod above the sensor's centre."""
+    x0, x1, y0, y1 = flat_camera.rectangle
+    centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
+    touched = np.array([0.004, 0.0, 0.013])
+    R = random_rotations(50, np.random.default_rng(0))
+    T = make_transform(R, centre - R @ touched)
+    weights = np.random.default_rng(1).dirichlet(np.ones(50))
+    found = surface_distribution(rod, T, weights, flat_camera, 0.001)
+    assert found.mass.sum() == pytest.approx(1.0, abs=1e-12)
+    assert (found.mass >= 0).all()
+    away = np.linalg.norm(found.mesh.vertices_m - touched, axis=1)
+    assert found.mass[away < 0.0045].sum() == pytest.approx(1.0)
+    assert away[found.density.argmax()] < 0.002
+
+
+def test_two_places_share_the_probability_as_their_weights_say(rod, flat_camera):
+    x0, x1, y0, y1 = flat_camera.rectangle
+    centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
+    places = np.array([[0.004, 0.0, 0.02], [0.004, 0.0, -0.02]])
+    T = make_transform(np.broadcast_to(np.eye(3), (2, 3, 3)), centre - places)
+    found = surface_distribution(rod, T, np.array([0.8, 0.2]), flat_camera, 0.001)
+    assert found.mass[found.mesh.vertices_m[:, 2] > 0].sum() == pytest.approx(0.8)
+
+
+def test_the_back_of_a_thin_wall_gets_nothing(flat_camera):
+    plate = surface(trimesh.creation.box((0.03, 0.03, 0.0005)))
+    x0, x1, y0, y1 = flat_camera.rectangle
+    centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
+    T = make_transform(np.eye(3), centre - [0.001, 0.002, -0.00025])[None]  # on its lower side
+    found = surface_distribution(plate, T, np.ones(1), flat_camera, 0.002)
+    assert found.mass.sum() == pytest.approx(1.0)
+    assert found.mass[found.mesh.vertices_m[:, 2] > 0].sum() == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_density_is_even_where_the_weights_are(flat_camera):
+    plate = surface(trimesh.creation.box((0.04, 0.04, 0.01)))
+    x0, x1, y0, y1 = flat_camera.rectangle
+    centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
+    x, y = (v.ravel() for v in np.meshgrid(*[np.linspace(-0.019, 0.019, 39)] * 2))
+    T = make_transform(np.eye(3), centre - np.column_stack([x, y, np.full(len(x), -0.005)]))
+    found = surface_distribution(plate, T, np.full(len(x), 1 / len(x)), flat_camera, 0.002)
+    inside = (np.abs(found.mesh.vertices_m[:, :2]).max(axis=1) < 0.012) & (found.mesh.vertices_m[:, 2] < 0)
+    assert found.density[inside] == pytest.approx(1 / 0.04**2, rel=0.25)
+
+
+def test_the_nearest_point_is_looked_for_in_the_object_s_frame(rod, flat_camera):
+    x0, x1, y0, y1 = flat_camera.rectangle
+    centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
+    (R,) = random_rotations(1, np.random.default_rng(5))
+    for vertex in (0, 7, 30):
+        T = make_transform(R, centre - R @ (rod.vertices_m[vertex] * 1.0))
+        assert touched_points(rod, T[None], flat_camera).tolist() == [vertex]

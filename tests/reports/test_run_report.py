@@ -1,0 +1,144 @@
+"""The page of a run says what is in result.json, for people."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import pytest
+from report_helpers import Elements, floats, html_of, numbers_in, page_in
+
+from tactile_loc.core.geometry import rotation_about
+from tactile_loc.reports.contact_section import contact_section
+from tactile_loc.reports.result_files import read_arrays
+from tactile_loc.reports.run_data import surface_of
+from tactile_loc.reports.run_report import read_record
+from tactile_loc.reports.source import ResultError, find_source
+
+
+@pytest.fixture(scope="module")
+def result(run_folder) -> dict:
+    return json.loads((run_folder / "result.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def page(run_folder) -> Elements:
+    return Elements(html_of(run_folder))
+
+
+@pytest.fixture(scope="module")
+def data(run_folder) -> dict:
+    return page_in(run_folder).data
+
+
+def test_the_list_of_candidates_is_that_of_the_result(result, page):
+    rows = page.rows[1 : 1 + len(result["hypotheses"])]
+    assert page.rows[0][0] == "rank"
+    for row, h in zip(rows, result["hypotheses"], strict=True):
+        T = np.array(h["T_sensor_object"])
+        shown = [float(cell) for cell in row[:7]]
+        assert shown[:3] == pytest.approx([h["rank"], 100 * h["probability"], 100 * h["explained"]], abs=0.51)
+        assert shown[1] == pytest.approx(100 * h["probability"], abs=0.051)
+        assert shown[3:6] == pytest.approx(1e3 * T[:3, 3], abs=0.0051)
+        R = rotation_about(numbers_in(row[7]), np.radians(shown[6]))
+        assert np.abs(R - T[:3, :3]).max() < 0.005
+        assert float(row[8]) == pytest.approx(1e3 * h["error_m"], abs=0.0051)
+
+
+def test_the_head_says_who_where_how_sure_and_how_far_off(result, page):
+    assert "pin on gelslim" in page.text
+    assert f"{result['certainty']:.2f}" in page.text
+    x, y, z = (1e3 * row[3] for row in result["hypotheses"][0]["T_sensor_object"][:3])
+    assert f"{x:.2f}, {y:.2f}, {z:.2f} mm" in page.text
+    assert f"{result['grid_poses']} poses searched" in page.text
+    assert "error" in page.text
+
+
+def test_every_candidate_has_its_shape_and_its_difference(result, page):
+    cards = [a for a in page.named("div") if a.get("class") == "card"]
+    assert len(cards) == len(result["hypotheses"])
+    pictures = page.named("image")
+    assert len(pictures) == 1 + 2 * len(cards)
+    assert all(str(a["href"]).startswith("data:image/png;base64,") for a in pictures)
+
+
+def test_scripts_draw_the_poses_of_the_result(result, data):
+    for candidate, h in zip(data["candidates"], result["hypotheses"], strict=True):
+        T = np.array(h["T_sensor_object"])[:3]
+        T[:, 3] *= 1e3
+        assert candidate["T"] == pytest.approx(T.ravel(), abs=1e-5)
+        assert candidate["probability"] == h["probability"]
+        assert candidate["error_mm"] == pytest.approx(1e3 * h["error_m"])
+    truth = np.array(result["touch"]["T_sensor_object"])[:3]
+    assert data["truth"][3::4] == pytest.approx(1e3 * truth[:, 3], abs=1e-5)
+    assert dict(data["times"]) == {k: pytest.approx(1e3 * s) for k, s in result["seconds"].items() if k != "model"}
+
+
+def test_the_marginals_sum_to_one(run_folder, data):
+    record = read_record(find_source(run_folder))
+    found = surface_of(record, read_arrays(run_folder / "result.npz", record))
+    assert found.mass.sum() == pytest.approx(1.0, abs=1e-9)
+    assert (found.density * found.area_m2).sum() == pytest.approx(1.0, abs=1e-9)
+    assert sum(data["yaw"]["percent"]) == pytest.approx(100)
+    assert np.sum(data["side"]["percent"]) == pytest.approx(100)
+    density = floats(data["surface"]["log_density"])
+    assert 10 ** density.max() == pytest.approx(100 * 1e-6 * found.density.max(), rel=1e-4)
+
+
+def test_the_peak_on_the_surface_is_under_the_best_pose(result, data):
+    """The touch is clean and on a coarse grid: most of the probability is around the truth."""
+    marks = data["surface"]["marks"]
+    assert any("1" in text.split(", ") for text in marks["text"])
+    vertices = floats(data["surface"]["mesh"]["vertices_mm"]).reshape(-1, 3)
+    density = floats(data["surface"]["log_density"])
+    first = next(i for i, text in enumerate(marks["text"]) if "1" in text.split(", "))
+    near = np.linalg.norm(vertices - [marks[k][first] for k in "xyz"], axis=1) < 6
+    assert density[near].max() > density.max() - 1
+
+
+def test_the_bounds_hold_the_object_at_every_candidate(result, data):
+    vertices = floats(data["mesh"]["vertices_mm"]).reshape(-1, 3)
+    for candidate in data["candidates"]:
+        T = np.array(candidate["T"]).reshape(3, 4)
+        points = vertices @ T[:, :3].T + T[:, 3]
+        for k, (low, high) in enumerate(data["bounds"]):
+            assert low < points[:, k].min()
+            assert points[:, k].max() < high
+
+
+def test_without_the_truth_no_error_is_claimed(run_folder, tmp_path, monkeypatch):
+    folder = shutil.copytree(run_folder, tmp_path / "copy")
+    document = json.loads((folder / "result.json").read_text())
+    document["errors"] = document["touch"]["T_sensor_object"] = None
+    for h in document["hypotheses"]:
+        h["error_m"] = None
+    (folder / "result.json").write_text(json.dumps(document))
+    monkeypatch.setattr("tactile_loc.reports.result_files.fingerprint", lambda record: "same")
+    with np.load(folder / "result.npz") as file:
+        arrays = {name: file[name] for name in file.files} | {"result_sha256": np.array("same")}
+    np.savez(folder / "result.npz", **arrays)
+    page = page_in(folder)
+    assert page.data["truth"] is None
+    assert page.data["creases"] == []
+    assert all(candidate["error_mm"] is None for candidate in page.data["candidates"])
+    text = Elements(html_of(folder)).text
+    assert "error" not in text
+    assert "true pose" not in text
+
+
+def test_a_touch_from_an_image_shows_the_image(run_folder):
+    record = read_record(find_source(run_folder))
+    arrays = read_arrays(run_folder / "result.npz", record)
+    photo = np.full((30, 40, 3), 200, np.uint8)
+    seen = dataclasses.replace(arrays, touches=(dataclasses.replace(arrays.touches[0], image=photo),))
+    plain, found = (Elements(contact_section(record, one)) for one in (arrays, seen))
+    assert len(found.named("image")) == len(plain.named("image")) + 1
+    assert "image that it was estimated from" in found.text
+
+
+def test_a_run_without_its_arrays_is_one_sentence(run_folder, tmp_path):
+    shutil.copy(run_folder / "result.json", tmp_path)
+    with pytest.raises(ResultError, match=r"result\.npz"):
+        page_in(tmp_path)

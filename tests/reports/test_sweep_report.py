@@ -1,0 +1,83 @@
+"""The page of a sweep says what is in its CSV, whatever columns that has."""
+
+from __future__ import annotations
+
+import pytest
+from report_helpers import Elements, html_of, page_in, sweep_rows, write_sweep
+
+from tactile_loc.reports.source import ResultError, find_source
+from tactile_loc.reports.sweep_rows import components, is_factor, measured_lines, read_rows, varying
+
+
+def test_what_varies_is_found(sweep_folder):
+    rows = read_rows(find_source(sweep_folder))
+    assert varying(rows) == ["object", "refiner", "grid.spacing_mm"]
+    assert components(rows) == ["refiner", "grid.spacing_mm"]
+    assert measured_lines(rows) == ["chosen", "best-1"]
+
+
+@pytest.mark.parametrize(
+    ("column", "is_one"),
+    [("object", True), ("grid.spacing_mm", True), ("grid_poses", False), ("chosen_median_mm", False), ("a.b", False)],
+)
+def test_factors_are_told_from_measures(column, is_one):
+    assert is_factor(column) is is_one
+
+
+def test_rows_are_those_of_the_file(sweep_folder):
+    data, rows = page_in(sweep_folder).data, sweep_rows()
+    assert len(data["rows"]) == len(rows)
+    for drawn, row in zip(data["rows"], rows, strict=True):
+        assert drawn["chosen_median_mm"] == row["chosen_median_mm"]
+        assert drawn["total_ms"] == pytest.approx(row["total_ms"])
+        assert (drawn["object"], drawn["refiner"]) == (row["object"], row["refiner"])
+    table = Elements(html_of(sweep_folder)).rows
+    assert table[0] == [
+        "object", "refiner", "grid.spacing_mm", "best-1 (mm)", "chosen (mm)", "coverage 80", "total (ms)", "model (s)",
+        "grid poses",
+    ]  # fmt: skip
+    assert [float(cell) for cell in table[1][3:5]] == [rows[0]["best-1_median_mm"], rows[0]["chosen_median_mm"]]
+
+
+def test_the_best_of_each_object_is_named(sweep_folder):
+    text = Elements(html_of(sweep_folder)).text
+    assert "best of pin" in text
+    assert "6 mm" in text
+    assert "filterreg, 4.0" in text
+
+
+def test_what_failed_is_listed_with_its_error_and_not_drawn(tmp_path):
+    rows = sweep_rows()
+    rows[1] |= {"error": "the grid is empty", "chosen_median_mm": "", "best-1_median_mm": "", "total_ms": ""}
+    folder = write_sweep(tmp_path, rows)
+    assert len(page_in(folder).data["rows"]) == len(rows) - 1
+    found = Elements(html_of(folder))
+    assert ["pin", "icp", "4.0", "the grid is empty"] in found.rows
+
+
+def test_missing_columns_are_done_without(tmp_path):
+    rows = [{"object": "pin", "refiner": name, "chosen_median_mm": 1} for name in ("a", "b")]
+    page = page_in(write_sweep(tmp_path, rows))
+    names = [section.name for section in page.sections]
+    assert "time" not in names
+    assert "effects" in names
+
+
+def test_a_sweep_in_which_all_failed_has_a_page(tmp_path):
+    rows = [{"object": "pin", "refiner": name, "chosen_median_mm": "", "error": "no"} for name in ("a", "b")]
+    page = page_in(write_sweep(tmp_path, rows))
+    assert page.data["rows"] == []
+    assert [section.name for section in page.sections] == ["summary", "rows", "failed", "made"]
+
+
+def test_a_missing_or_empty_table_is_one_sentence(tmp_path):
+    write_sweep(tmp_path)
+    (tmp_path / "sweep.csv").write_text("object,refiner\n")
+    with pytest.raises(ResultError, match=r"sweep\.csv holds no combination"):
+        page_in(tmp_path)
+    (tmp_path / "sweep.csv").write_bytes(b"object\n\xff\xfe\n")
+    with pytest.raises(ResultError, match=r"sweep\.csv cannot be read"):
+        page_in(tmp_path)
+    (tmp_path / "sweep.csv").unlink()
+    with pytest.raises(ResultError, match=r"sweep\.csv cannot be read"):
+        page_in(tmp_path)
