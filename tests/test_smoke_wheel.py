@@ -81,9 +81,9 @@ def test_without_an_environment_it_says_what_to_do(tmp_path):
     assert "run make setup first" in done.stderr
 
 
-def test_continuous_integration_tests_and_then_tries_the_wheel():
+def test_continuous_integration_tests_tries_the_wheel_and_builds_the_documentation():
     lines = (ROOT / ".ci" / "run").read_text().splitlines()
-    assert lines[-2:] == ["make test", "make smoke"]
+    assert lines[-3:] == ["make test", "make smoke", "make docs"]
     makefile = (ROOT / "Makefile").read_text()
     assert "scripts/smoke-wheel.sh $(VENV)/bin/python" in makefile
     assert "scripts/system-packages.sh --tests" in makefile

@@ -1,0 +1,71 @@
+"""The outline encoder: a map of signed distances to the contact's outline, told by its low frequencies."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Encoder, Float32
+from tactile_loc.core.sensing import SensorGeometry
+
+from tactile_loc_outline.distances import signed_distances
+
+IMAGE_PX = 100  # longer images are thinned to about this: distances are smooth
+
+
+class OutlineEncoder(Encoder):
+    """Embeds a contact as the low frequencies of a map: how far is each place from the outline, inside or outside.
+
+    Contacts that nearly coincide differ little, and more the farther apart they are. Of masks, two thin parts that lie
+    beside one another differ as much as two that lie anywhere.
+    """
+
+    capabilities = Capabilities(follows_press_depth=True)
+
+    class Options(ComponentOptions):
+        """How far an outline is felt, and how finely the map is told."""
+
+        reach_mm: float = Field(default=4.0, gt=0, description="distances are cut at so many mm from the outline")
+        frequencies: int = Field(
+            default=12, ge=1, le=64, description="half waves along the longer image side; as many and more are left out"
+        )
+
+    def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
+        """Return embeddings (N, D) of contact depths (N, H, W) in metres cut at `press_depth_m`.
+
+        The squared distance of two embeddings is, but for high frequencies, the mean squared difference of their maps
+        in units of the reach. What is not observed is out of contact.
+        """
+        step = max(1, round(max(geometry.shape) / IMAGE_PX))
+        thinned = geometry.every(step)
+        contact = (depth_m[:, ::step, ::step] < np.float32(press_depth_m)) & thinned.observed_mask
+        reach_m = self.options.reach_mm * 1e-3
+        maps = signed_distances(contact, thinned.pixel_pitch_m, reach_m) / np.float32(reach_m)
+        x, y = ((np.arange(0, pixels, step) + 0.5) / pixels for pixels in (geometry.width_px, geometry.height_px))
+        kept = low_frequencies(geometry, self.options.frequencies)
+        rows, columns = cosines(y, kept.shape[0]), cosines(x, kept.shape[1])
+        partial = (maps.reshape(-1, len(x)) @ columns.T).reshape(len(maps), len(y), len(columns))
+        return np.ascontiguousarray((rows @ partial)[:, kept])
+
+
+def low_frequencies(geometry: SensorGeometry, below: int) -> NDArray[np.bool_]:
+    """Return which (V, U) pairs of half waves down and across the field of view are kept.
+
+    Those whose wave vector is shorter than `below` half waves along the longer side: all directions are told alike,
+    whatever the field's proportions, and its size in pixels plays no part.
+    """
+    across_scale, down_scale = geometry.scale_at_surface
+    sides_m = np.array([geometry.height_px / down_scale, geometry.width_px / across_scale])
+    v, u = (np.arange(max(1, int(np.ceil(below * side)))) / side for side in sides_m / sides_m.max())
+    kept: NDArray[np.bool_] = np.hypot(v[:, None], u) < below
+    return kept
+
+
+def cosines(places: NDArray[np.float64], count: int) -> NDArray[np.float32]:
+    """Return a matrix (count, P) that takes P samples to their first `count` cosine coefficients.
+
+    `places` (P,) lie between 0 and 1, evenly. The waves are orthonormal, and a sample weighs 1 / P.
+    """
+    waves = np.cos(np.pi * np.arange(count)[:, None] * places) * np.sqrt(2.0)
+    waves[0] = 1.0
+    return (waves / len(places)).astype(np.float32)

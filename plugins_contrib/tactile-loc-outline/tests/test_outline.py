@@ -1,0 +1,147 @@
+"""The encoder keeps every contract of its slot, and its distances are those of the maps it stands for."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from tactile_loc.core.geometry import translation
+from tactile_loc.core.registry import registry
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.testing import parametrize_with_checks
+
+from tactile_loc_outline.distances import signed_distances
+from tactile_loc_outline.encoder import OutlineEncoder, cosines, low_frequencies
+
+PRESS_M = 0.001
+SENSOR = SensorGeometry("orthographic", 80, 80, 4000.0, 4000.0, 40.0, 40.0, 0.02, 0.002)  # 20 x 20 mm
+FINE = SENSOR.resized(400, 400)
+
+
+def with_options(**options) -> OutlineEncoder:
+    return OutlineEncoder(OutlineEncoder.Options(**options))
+
+
+def pressed(x_mm: float, y_mm: float, wide_mm: float, high_mm: float, geometry: SensorGeometry = SENSOR) -> np.ndarray:
+    """A flat rectangle's contact depths (1, H, W), metres: its lower corner and its sides, in mm of the field."""
+    columns, rows = ((np.arange(n) + 0.5) / n * 20 for n in (geometry.width_px, geometry.height_px))
+    inside = [(a >= start) & (a < start + side) for a, start, side in ((rows, y_mm, high_mm), (columns, x_mm, wide_mm))]
+    return np.where(inside[0][:, None] & inside[1], 0.0, PRESS_M).astype(np.float32)[None]
+
+
+@parametrize_with_checks([OutlineEncoder(), with_options(reach_mm=1.0, frequencies=20)])
+def test_contract(component, check):
+    check(component)
+
+
+def test_distances_to_a_straight_edge_are_exact():
+    mask = np.zeros((2, 10, 40), bool)
+    mask[0, :, :15] = True
+    mask[1, :4] = True
+    across, down = signed_distances(mask, 0.5, 3.0)
+    expected = np.clip((15 - (np.arange(40) + 0.5)) * 0.5, -3, 3)
+    np.testing.assert_allclose(across, np.tile(expected, (10, 1)), atol=1e-6)
+    np.testing.assert_allclose(down[:, 0], np.clip((4 - (np.arange(10) + 0.5)) * 0.5, -3, 3), atol=1e-6)
+
+
+def test_distances_from_a_disc_are_those_to_its_rim():
+    y, x = np.indices((101, 101)) - 50.0
+    radius = np.hypot(x, y)
+    found = signed_distances((radius < 20.3)[None], 1.0, 12.0)[0]
+    np.testing.assert_allclose(found, np.clip(20.3 - radius, -12, 12), atol=1.0)
+    assert abs(np.mean(found - np.clip(20.3 - radius, -12, 12))) < 0.1
+
+
+def test_full_and_empty_masks_are_as_far_as_can_be():
+    masks = np.stack([np.ones((5, 6), bool), np.zeros((5, 6), bool)])
+    np.testing.assert_array_equal(signed_distances(masks, 0.1, 2.0), np.float32([2.0, -2.0])[:, None, None] * np.ones(
+        (5, 6), np.float32))  # fmt: skip
+    assert signed_distances(masks[:0], 0.1, 2.0).shape == (0, 5, 6)
+
+
+def test_masks_and_their_negatives_are_opposite():
+    mask = np.random.default_rng(0).random((3, 20, 30)) < 0.3
+    np.testing.assert_allclose(signed_distances(mask, 1.0, 4.0), -signed_distances(~mask, 1.0, 4.0))
+
+
+def test_waves_are_orthonormal():
+    places = (np.arange(64) + 0.5) / 64
+    waves = cosines(places, 20) * 64
+    np.testing.assert_allclose(waves @ waves.T / 64, np.eye(20), atol=1e-5)
+
+
+def test_all_frequencies_keep_all_of_the_distance():
+    """Parseval: with every wave of a small image, the embeddings' distance is that of the maps."""
+    small = SENSOR.resized(16, 16)
+    a, b = (pressed(*sides, small) for sides in ((3, 4, 8, 6), (5, 9, 10, 5)))
+    encoder = with_options(frequencies=23, reach_mm=6.0)
+    assert low_frequencies(small, 23)[:16, :16].all()
+    maps = [signed_distances(d < PRESS_M, small.pixel_pitch_m, 0.006)[0] / 0.006 for d in (a, b)]
+    waves = cosines((np.arange(16) + 0.5) / 16, 16)
+    whole = [waves @ m @ waves.T for m in maps]
+    np.testing.assert_allclose(np.sum((whole[0] - whole[1]) ** 2), np.mean((maps[0] - maps[1]) ** 2), rtol=1e-5)
+    kept = low_frequencies(small, 23)[:16, :16]
+    assert kept.sum() == 256
+    few = with_options(frequencies=9, reach_mm=6.0)
+    near = np.sum((few.encode(a, PRESS_M, small) - few.encode(b, PRESS_M, small)) ** 2)
+    assert 0.8 * np.mean((maps[0] - maps[1]) ** 2) < near < 1.001 * np.mean((maps[0] - maps[1]) ** 2)
+    assert encoder.encode(a, PRESS_M, small).shape == (1, int(low_frequencies(small, 23).sum()))
+
+
+@pytest.mark.parametrize("frequencies", [1, 6, 9, 12])
+def test_as_many_numbers_as_waves_in_a_quarter_of_a_disc(frequencies):
+    count = with_options(frequencies=frequencies).encode(pressed(5, 5, 5, 5), PRESS_M, SENSOR).shape[1]
+    assert count == sum(u * u + v * v < frequencies**2 for u in range(frequencies) for v in range(frequencies))
+
+
+def test_a_narrow_field_has_fewer_waves_across():
+    narrow = SensorGeometry("orthographic", 40, 80, 4000.0, 4000.0, 20.0, 40.0, 0.02, 0.002)
+    assert low_frequencies(narrow, 8).shape == (8, 4)
+    stretched = dataclasses.replace(SENSOR, fx=2000.0)  # the same pixels, twice the width in metres
+    assert low_frequencies(stretched, 8).shape == (4, 8)
+
+
+def test_distance_grows_with_displacement_where_masks_have_nothing_in_common():
+    """A bar 1 mm wide, moved by 1 to 5 mm: its mask is as far off after 2 mm as after 5, its outline is not."""
+    bars = np.concatenate([pressed(7 + moved, 2, 1, 15) for moved in (0, 1, 2, 3, 5)])
+    ours, pixel = (e.encode(bars, PRESS_M, SENSOR) for e in (OutlineEncoder(), registry().create("encoder", "pixel")))
+    apart = [np.linalg.norm(vectors[1:] - vectors[0], axis=1) for vectors in (ours, pixel)]
+    assert (np.diff(apart[0]) > 0.1 * apart[0][0]).all()
+    assert np.ptp(apart[1][1:]) < 1e-3 * apart[1][1]
+
+
+def test_image_size_hardly_matters():
+    """400 pixels a side are thinned to 100, which blurs an outline by less than a third of a millimetre."""
+    coarse, fine = (OutlineEncoder().encode(pressed(4, 5, 9, 7, g), PRESS_M, g) for g in (SENSOR, FINE))
+    moved = OutlineEncoder().encode(pressed(5, 5, 9, 7), PRESS_M, SENSOR)
+    assert np.linalg.norm(coarse - fine) < np.linalg.norm(coarse - moved) / 3
+
+
+def test_length_is_that_of_the_sensing_surface_not_of_the_camera():
+    """A pinhole camera that sees the same 20 x 20 mm embeds the same imprint alike."""
+    pinhole = SensorGeometry("pinhole", 80, 80, 80.0, 80.0, 40.0, 40.0, 0.02, 0.002)
+    a, b = (OutlineEncoder().encode(pressed(4, 5, 9, 7), PRESS_M, g) for g in (SENSOR, pinhole))
+    np.testing.assert_allclose(a, b, atol=1e-6)
+
+
+def test_reach_decides_how_far_an_outline_is_felt():
+    apart = []
+    for reach_mm in (0.5, 4.0):
+        vectors = with_options(reach_mm=reach_mm).encode(
+            np.concatenate([pressed(x, 2, 2, 15) for x in (3, 6, 14)]), PRESS_M, SENSOR
+        )
+        near, far = np.linalg.norm(vectors[1:] - vectors[0], axis=1)
+        apart.append(far / near)
+    assert apart[0] < 1.1 < 1.3 < apart[1]
+
+
+def test_vectors_are_float32_and_translation_of_the_pose_moves_them():
+    from tactile_loc.testing.problems import pressed_block
+
+    problem = pressed_block()
+    poses = np.stack([problem.truth, translation([0.001, 0, 0]) @ problem.truth])
+    vectors = OutlineEncoder().encode(problem.scene.contact_depths(poses), 0.002, problem.scene.geometry)
+    assert vectors.dtype == np.float32
+    assert vectors.flags.c_contiguous
+    assert np.linalg.norm(vectors[1] - vectors[0]) > 0.01

@@ -1,0 +1,19 @@
+"""A refiner for tactile-loc: generalised ICP by the small_gicp library."""
+
+from __future__ import annotations
+
+from tactile_loc import ComponentSpec, hookimpl
+
+
+@hookimpl
+def tactile_loc_components() -> list[ComponentSpec]:
+    """Return the components that this package offers; a class is imported when it is used."""
+    return [
+        ComponentSpec(
+            slot="refiner",
+            name="small-gicp",
+            target="tactile_loc_small_gicp.refiner:SmallGicpRefiner",
+            summary="generalised ICP of contact clouds, by small_gicp",
+            requires="small-gicp",
+        )
+    ]

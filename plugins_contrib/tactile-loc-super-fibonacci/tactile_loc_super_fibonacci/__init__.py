@@ -1,0 +1,18 @@
+"""A pose grid for tactile-loc with any number of rotations: super-Fibonacci spirals."""
+
+from __future__ import annotations
+
+from tactile_loc import ComponentSpec, hookimpl
+
+
+@hookimpl
+def tactile_loc_components() -> list[ComponentSpec]:
+    """Return the components that this package offers; a class is imported when it is used."""
+    return [
+        ComponentSpec(
+            slot="grid",
+            name="super-fibonacci",
+            target="tactile_loc_super_fibonacci.grid:SuperFibonacciGrid",
+            summary="all of SO(3) times the plane, any number of rotations, by spirals",
+        )
+    ]

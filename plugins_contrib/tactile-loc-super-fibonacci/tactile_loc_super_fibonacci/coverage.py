@@ -1,0 +1,106 @@
+"""How evenly rotations are spread, beside the Hopf grid of tactile-loc: run as a module, this prints the table.
+
+python -m tactile_loc_super_fibonacci.coverage
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from tactile_loc.core.geometry import random_rotations, rotation_to_quaternion
+from tactile_loc.core.registry import registry
+from tactile_loc.testing.problems import CAMERAS, block
+
+from tactile_loc_super_fibonacci.spirals import super_fibonacci_rotations
+
+Float = NDArray[np.float64]
+
+LEVELS = (0, 1, 2, 3)  # of the Hopf grid: 72 * 8^level rotations
+ASKED = 1_000_000
+
+
+@dataclass(frozen=True)
+class Spread:
+    """What random rotations find: the largest and the mean angle to the nearest sample, radians; and the samples'
+    own least and mean angle to their nearest neighbour, radians."""
+
+    covering_rad: float
+    mean_rad: float
+    closest_rad: float
+    neighbour_rad: float
+
+
+def spread_of(R: Float, asked: int = ASKED, seed: int = 0) -> Spread:
+    """Measure samples R (N, 3, 3), N > 1, by the nearest of them to each of `asked` random rotations.
+
+    Quaternions of both signs are in the tree, so that q and -q are the same rotation.
+    """
+    from scipy.spatial import cKDTree
+
+    q = rotation_to_quaternion(R)
+    tree = cKDTree(np.concatenate([q, -q]))
+    queries = rotation_to_quaternion(random_rotations(asked, np.random.default_rng(seed)))
+    nearest = angle_of_chord(tree.query(queries)[0])
+    neighbour = angle_of_chord(tree.query(q, k=2)[0][:, 1])
+    return Spread(*(float(v) for v in (nearest.max(), nearest.mean(), neighbour.min(), neighbour.mean())))
+
+
+def angle_of_chord(chord: Float) -> Float:
+    """Return the angle, radians, between rotations whose unit quaternions are a straight `chord` apart (unitless)."""
+    return 4 * np.arcsin(np.clip(chord / 2, 0, 1))
+
+
+def least_covering(count: int) -> float:
+    """Return the angle, radians, below which no `count` rotations cover SO(3): their balls have too little volume.
+
+    A ball of angle r holds (r - sin r) / pi of all rotations.
+    """
+    low, high = 0.0, float(np.pi)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if (middle - np.sin(middle)) / np.pi * count < 1 else (low, middle)
+    return high
+
+
+def hopf_rotations(level: int) -> Float:
+    """Return tactile-loc's Hopf grid of rotations (72 * 8^level, 3, 3), unitless, as its plugin makes it."""
+    hopf = registry().create("grid", "hopf", {"level": level})
+    poses = hopf.sample(block(), CAMERAS["orthographic"], spacing_m=1.0)  # one place for each rotation
+    rotations: Float = poses[:, :3, :3]
+    return rotations
+
+
+def table(levels: tuple[int, ...], asked: int) -> str:
+    """Return the comparison as a Markdown table, angles in degrees."""
+    lines = [
+        "| rotations | grid | covering radius | over the bound | mean to nearest | closest pair | mean neighbour |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for level in levels:
+        hopf = hopf_rotations(level)
+        for name, R in (("hopf", hopf), ("super-fibonacci", super_fibonacci_rotations(len(hopf)))):
+            found = spread_of(R, asked)
+            cells = [f"{np.degrees(a):.2f}°" for a in (found.covering_rad, found.mean_rad, found.closest_rad,
+                                                      found.neighbour_rad)]  # fmt: skip
+            cells.insert(1, f"{found.covering_rad / least_covering(len(R)):.2f}")
+            lines.append(f"| {len(R)} | {name} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Write the table to standard output."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--asked", type=int, default=ASKED, help="random rotations")
+    parser.add_argument(
+        "--levels", type=int, nargs="+", default=LEVELS, help="of the Hopf grid: 72 * 8^level rotations"
+    )
+    arguments = parser.parse_args()
+    sys.stdout.write(table(tuple(arguments.levels), arguments.asked) + "\n")
+
+
+if __name__ == "__main__":
+    main()

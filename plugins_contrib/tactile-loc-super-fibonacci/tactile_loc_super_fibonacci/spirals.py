@@ -1,0 +1,59 @@
+"""Evenly spread rotations and directions, any number of them, along spirals.
+
+Rotations after M. Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3)", CVPR 2022; directions by
+the Fibonacci lattice of the sphere, which is the same idea a dimension lower.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from tactile_loc.core.geometry import align_to_z, quaternion_to_rotation
+
+Float = NDArray[np.float64]
+
+PHI = float(np.sqrt(2.0))
+PSI = 1.533751168755204288118041
+"""The positive root of x^4 = x + 4: with `PHI`, the paper's choice."""
+GOLDEN = float((1 + np.sqrt(5.0)) / 2)
+
+
+def super_fibonacci_quaternions(count: int) -> Float:
+    """Return unit quaternions (count, 4), scalar last as in the paper, unitless: algorithm 1 of the paper.
+
+    They lie all over the sphere S^3, and no two are the same rotation. Raises ValueError unless count is positive.
+    """
+    s, share = _steps(count)
+    inner, outer = np.sqrt(share), np.sqrt(1 - share)
+    alpha, beta = 2 * np.pi * (s / PHI % 1.0), 2 * np.pi * (s / PSI % 1.0)
+    return np.stack([inner * np.sin(alpha), inner * np.cos(alpha), outer * np.sin(beta), outer * np.cos(beta)], axis=-1)
+
+
+def super_fibonacci_rotations(count: int) -> Float:
+    """Return rotations (count, 3, 3), unitless. Raises ValueError unless count is positive."""
+    return quaternion_to_rotation(np.roll(super_fibonacci_quaternions(count), 1, axis=-1))
+
+
+def fibonacci_directions(count: int) -> Float:
+    """Return unit vectors (count, 3), unitless, evenly over the sphere. Raises ValueError unless count is positive."""
+    s, share = _steps(count)
+    z = 1 - 2 * share
+    radius, azimuth = np.sqrt(1 - z**2), 2 * np.pi * (s / GOLDEN % 1.0)
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=-1)
+
+
+def rotations_of_axis(axis: Float, directions: Float) -> Float:
+    """Return rotations (N, 3, 3) that turn the unit vector `axis` (3,) to `directions` (N, 3), which are unitless."""
+    z = directions[:, 2]
+    cosine, sine = np.sqrt(np.clip((1 + z) / 2, 0, 1)), np.sqrt(np.clip((1 - z) / 2, 0, 1))
+    azimuth = np.arctan2(directions[:, 1], directions[:, 0])
+    q = np.stack([cosine, -sine * np.sin(azimuth), sine * np.cos(azimuth), np.zeros_like(z)], axis=-1)
+    return quaternion_to_rotation(q) @ align_to_z(axis)
+
+
+def _steps(count: int) -> tuple[Float, Float]:
+    """The steps s (count,) along a spiral, and their share of the way, strictly between 0 and 1."""
+    if count < 1:
+        raise ValueError(f"there must be at least one point on a spiral, not {count}")
+    s = np.arange(count, dtype=np.float64) + 0.5
+    return s, s / count

@@ -1,0 +1,127 @@
+"""The grid keeps every contract of its slot, covers what hopf covers, and takes any number of rotations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tactile_loc.core.contact import bring_to_contact
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.geometry import is_rigid, make_transform
+from tactile_loc.core.objects import ObjectModel, TriangleMesh
+from tactile_loc.core.poses import PoseGrid, PoseMetric
+from tactile_loc.core.registry import registry
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.testing import parametrize_with_checks
+from tactile_loc.testing.problems import CAMERAS, block
+
+from tactile_loc_super_fibonacci.coverage import least_covering, spread_of
+from tactile_loc_super_fibonacci.grid import SuperFibonacciGrid, rotations_for, spread_rotations
+from tactile_loc_super_fibonacci.spirals import super_fibonacci_rotations
+
+SENSOR = SensorGeometry("orthographic", 40, 30, 2000, 2000, 20, 15, 0.025, 0.002)  # 20 x 15 mm
+CORNERS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+FACES = np.array([(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
+                  (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)])  # fmt: skip
+
+
+def brick(symmetry: str = "none", shift_m: tuple[float, float, float] = (0, 0, 0), size_m=(0.06, 0.04, 0.03)):
+    """A box as an object: whatever its sides, `z4` and `zinf` are taken at their word."""
+    mesh = TriangleMesh(CORNERS * size_m + shift_m, FACES)
+    return ObjectModel("brick", mesh, SymmetryGroup.parse(symmetry, shift_m))
+
+
+@parametrize_with_checks([SuperFibonacciGrid()])
+def test_contract(component, check):
+    """Run one check of `tactile_loc.testing` on one component."""
+    check(component)
+
+
+@pytest.mark.parametrize("count", [50, 73, 500])
+def test_a_number_of_rotations_is_kept_and_the_spacing_is_that_of_the_plane(count):
+    sampler = SuperFibonacciGrid(SuperFibonacciGrid.Options(rotations=count))
+    assert not sampler.spacing_is_mean
+    assert SuperFibonacciGrid().spacing_is_mean
+    T = sampler.sample(brick(), SENSOR, 0.02)
+    R, first = np.unique(T[:, :3, :3].reshape(-1, 9), axis=0, return_index=True)
+    assert len(R) == count
+    one = T[(T[:, :3, :3] == T[first[0], :3, :3]).all(axis=(1, 2))]
+    apart = np.linalg.norm(one[1:, :2, 3] - one[0, :2, 3], axis=1)
+    np.testing.assert_allclose(apart.min(), 0.02)
+
+
+@pytest.mark.parametrize("spacing_m", [0.004, 0.006])
+def test_neighbouring_rotations_are_about_a_spacing_apart(spacing_m):
+    R = spread_rotations(brick(), rotations_for(brick(), spacing_m))
+    turned = PoseGrid(make_transform(R, np.zeros(3)), PoseMetric(brick()))
+    assert 0.7 < turned.neighbour_spacing().mean() / spacing_m < 1.2
+
+
+@pytest.mark.parametrize(("symmetry", "order"), [("x2", 2), ("x2*y2", 4), ("z4*x4", 24)])
+def test_symmetry_leaves_its_share_of_the_rotations_and_covers_the_rest(symmetry, order):
+    obj, count = brick(symmetry), 5000
+    R = spread_rotations(obj, count)
+    assert len(R) * order == pytest.approx(count, rel=0.1)
+    whole = (R[:, None] @ obj.symmetry.rotations).reshape(-1, 3, 3)
+    assert spread_of(whole, asked=50_000).covering_rad < 2 * least_covering(count)
+
+
+@pytest.mark.parametrize(("symmetry", "share", "most"), [("zinf", 1.0, 1.3), ("zinf*x2", 0.5, 1.8)])
+def test_a_turned_part_has_one_rotation_for_each_direction_of_its_axis(symmetry, share, most):
+    """`most` is in radii of a cap of one direction's share; where half a sphere meets its other half, spirals clash."""
+    R = spread_rotations(brick(symmetry), 400)
+    assert len(R) == pytest.approx(400 * share, rel=0.05)
+    axes = R[:, :, 2] if share == 1 else np.concatenate([R[:, :, 2], -R[:, :, 2]])
+    random = np.random.default_rng(0).normal(size=(5000, 3))
+    nearest = (random / np.linalg.norm(random, axis=1, keepdims=True) @ axes.T).max(axis=1)
+    assert np.arccos(nearest.min()) < most * np.sqrt(4 / 400)
+
+
+def test_one_rotation_of_a_symmetric_object_is_left():
+    for symmetry in ("none", "z4*x4", "zinf*x2"):
+        R = spread_rotations(brick(symmetry), 1)
+        assert R.shape == (1, 3, 3)
+        assert is_rigid(make_transform(R, np.zeros(3)))
+
+
+def test_the_plane_is_covered_wherever_boxes_overlap_and_nowhere_else():
+    T = SuperFibonacciGrid(SuperFibonacciGrid.Options(rotations=30)).sample(brick(), SENSOR, 0.015)
+    for rotation in np.unique(T[:, :3, :3].reshape(-1, 9), axis=0).reshape(-1, 3, 3):
+        c = T[(T[:, :3, :3] == rotation).all(axis=(1, 2))][:, :2, 3]
+        half = np.ptp(brick().mesh.vertices_m @ rotation.T, axis=0)[:2] / 2 + [0.010, 0.0075]
+        places = np.random.default_rng(0).uniform(-half, half, (200, 2))
+        assert np.abs(places[:, None] - c).max(axis=-1).min(axis=1).max() <= 0.0075 + 1e-9
+        assert (np.abs(c) <= half + 1e-9).all()
+    assert bring_to_contact(brick().mesh, T, SENSOR)[1].mean() > 0.5
+
+
+def test_grid_does_not_depend_on_where_the_origin_is():
+    sampler = SuperFibonacciGrid(SuperFibonacciGrid.Options(rotations=50))
+    shift = np.array([0.03, -0.02, 0.05])
+    T, moved = (sampler.sample(obj, SENSOR, 0.015) for obj in (brick(), brick(shift_m=tuple(shift))))
+    np.testing.assert_allclose(moved[:, :3, :3] @ shift + moved[:, :3, 3], T[:, :3, 3], atol=1e-9)
+
+
+def test_random_draws_what_hopf_draws():
+    """Ten numbers of a pose are distributed as hopf's: no quantile is off by more than chance."""
+    from scipy.stats import ks_2samp
+
+    hopf = registry().create("grid", "hopf")
+    drawn = [s.random(block(), CAMERAS["orthographic"], 4000, np.random.default_rng(k)) for k, s in
+             enumerate((SuperFibonacciGrid(), hopf))]  # fmt: skip
+    a, b = (np.column_stack([T[:, :3, :3].reshape(-1, 9), T[:, :2, 3]]) for T in drawn)
+    assert min(ks_2samp(a[:, k], b[:, k]).pvalue for k in range(a.shape[1])) > 1e-3
+
+
+def test_too_many_poses_are_refused_before_they_are_made():
+    sampler = SuperFibonacciGrid(SuperFibonacciGrid.Options(max_poses=1000))
+    for spacing_m in (0.008, 1e-5):
+        with pytest.raises(
+            GridError, match=r"super-fibonacci grid of brick .* over the limit of 1,000; take a greater"
+        ):
+            sampler.sample(brick(), SENSOR, spacing_m)
+    for spacing_m in (0.0, float("nan"), 1e-7):
+        with pytest.raises(GridError, match="spacing is"):
+            sampler.sample(brick(), SENSOR, spacing_m)
+    with pytest.raises(ValueError, match="at least one point"):
+        super_fibonacci_rotations(0)

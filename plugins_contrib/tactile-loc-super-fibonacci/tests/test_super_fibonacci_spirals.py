@@ -1,0 +1,84 @@
+"""Rotations and directions are those of the formulas, proper, no two alike, and cover everything evenly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tactile_loc.core.geometry import is_rigid, make_transform, rotation_about, rotation_angle
+from tactile_loc.core.symmetry import SymmetryGroup
+
+from tactile_loc_super_fibonacci.coverage import angle_of_chord, hopf_rotations, least_covering, spread_of
+from tactile_loc_super_fibonacci.spirals import (
+    PSI,
+    fibonacci_directions,
+    rotations_of_axis,
+    super_fibonacci_quaternions,
+    super_fibonacci_rotations,
+)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 72, 1000])
+def test_rotations_are_proper_and_as_many_as_asked_for(count):
+    R = super_fibonacci_rotations(count)
+    assert R.shape == (count, 3, 3)
+    assert is_rigid(make_transform(R, np.zeros(3)))
+
+
+def test_first_point_is_that_of_the_formula():
+    assert abs(PSI**4 - PSI - 4) < 1e-14
+    s, n = 0.5, 10
+    a, b, inner, outer = 2 * np.pi * s / np.sqrt(2), 2 * np.pi * s / PSI, np.sqrt(s / n), np.sqrt(1 - s / n)
+    first = [inner * np.sin(a), inner * np.cos(a), outer * np.sin(b), outer * np.cos(b)]
+    np.testing.assert_allclose(super_fibonacci_quaternions(n)[0], first, atol=1e-15)
+    x, y, z, w = first
+    half = rotation_about([x, y, z], 2 * np.arccos(w))
+    np.testing.assert_allclose(super_fibonacci_rotations(n)[0], half, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [10, 100, 1000, 10_000])
+def test_no_quaternion_is_near_another_or_its_antipode(count):
+    """A rotation is q and -q: the closest two are as far apart as half the side of a cube of their share of SO(3)."""
+    q = super_fibonacci_quaternions(count)
+    np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1)
+    R = super_fibonacci_rotations(count)
+    assert spread_of(R, asked=10).closest_rad > 0.5 * (8 * np.pi**2 / count) ** (1 / 3)
+
+
+@pytest.mark.parametrize("count", [50, 72, 333, 576, 4608])
+def test_covering_radius_is_near_the_least_possible(count):
+    found = spread_of(super_fibonacci_rotations(count), asked=100_000)
+    assert least_covering(count) < found.covering_rad < 1.65 * least_covering(count)
+
+
+def test_covering_radius_of_known_sets():
+    """The identity alone leaves a half turn; the 24 turns of a cube leave 62.8 degrees (Karney 2007)."""
+    assert spread_of(np.stack([np.eye(3), np.eye(3)]), asked=100_000).covering_rad == pytest.approx(np.pi, abs=0.05)
+    cube = SymmetryGroup.parse("z4*x4", np.zeros(3)).rotations
+    assert len(cube) == 24
+    assert np.degrees(spread_of(cube, asked=300_000).covering_rad) == pytest.approx(62.80, abs=1.0)
+    assert np.degrees(least_covering(1)) == pytest.approx(180)
+
+
+def test_angle_of_a_chord():
+    R = rotation_about([1, 2, 3], 0.7)
+    assert angle_of_chord(np.array([2 * np.sin(0.7 / 4)]))[0] == pytest.approx(rotation_angle(R))
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_rotations_cover_as_hopf_does(level):
+    hopf = hopf_rotations(level)
+    assert len(hopf) == 72 * 8**level
+    theirs, ours = (spread_of(R, asked=100_000) for R in (hopf, super_fibonacci_rotations(len(hopf))))
+    assert ours.covering_rad < 1.1 * theirs.covering_rad
+    assert ours.mean_rad < 1.07 * theirs.mean_rad
+
+
+def test_directions_are_even_and_an_axis_is_turned_to_them():
+    directions = fibonacci_directions(500)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
+    apart = np.sort(np.arccos(np.clip(directions @ directions.T, -1, 1)), axis=1)[:, 1]
+    assert apart.min() > 0.8 * np.sqrt(4 * np.pi / 500)
+    axis = np.array([2.0, -1.0, 0.5]) / np.linalg.norm([2.0, -1.0, 0.5])
+    R = rotations_of_axis(axis, directions)
+    np.testing.assert_allclose(R @ axis, directions, atol=1e-12)
+    assert is_rigid(make_transform(R, np.zeros(3)))

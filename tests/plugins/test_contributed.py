@@ -1,0 +1,127 @@
+"""The contributed plugins: each builds, installs and passes its own tests, and leans on the public API alone."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import pytest
+
+CONTRIBUTED = Path(__file__).parents[2] / "plugins_contrib"
+DISTRIBUTIONS = sorted(path.parent.name for path in CONTRIBUTED.glob("*/pyproject.toml"))
+PUBLIC = ("tactile_loc.core", "tactile_loc.testing")
+INSTALL = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "install", "--no-index", "--no-deps",
+           "--no-build-isolation", "--target"]  # fmt: skip
+LEFT_OUT = shutil.ignore_patterns("__pycache__", "*.egg-info", "build", ".*")
+each = pytest.mark.parametrize("name", DISTRIBUTIONS)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with all of them installed, offline; the sources stay as they are."""
+    folder = tmp_path_factory.mktemp("contributed")
+    sources = [shutil.copytree(CONTRIBUTED / name, folder / name, ignore=LEFT_OUT) for name in DISTRIBUTIONS]
+    subprocess.run([*INSTALL, str(folder / "site"), *map(str, sources)], check=True)
+    return folder / "site"
+
+
+def python(site: Path, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run Python in a new process that sees the installed plugins and not their sources."""
+    seen = {k: v for k, v in os.environ.items() if k != "TACTILE_LOC_PLUGINS"}
+    seen |= {"PYTHONPATH": str(site), "COLUMNS": "200", "PYTHONDONTWRITEBYTECODE": "1"}
+    return subprocess.run([sys.executable, *words], env=seen, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def project(name: str) -> dict:
+    return tomllib.loads((CONTRIBUTED / name / "pyproject.toml").read_text())["project"]
+
+
+def require_libraries(name: str) -> None:
+    """Skip where a library that a distribution needs beside tactile-loc is not installed."""
+    for needed in project(name)["dependencies"]:
+        library = re.split(r"[<>=!~ \[;]", needed)[0]
+        try:
+            version(library)
+        except PackageNotFoundError:
+            pytest.skip(f"{name} needs {library}, which is not installed: pip install {library}")
+
+
+def imported(text: str) -> Iterator[str]:
+    """Yield the modules that a source imports, by statement or by name: `from a import b` yields a and a.b."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = "." * node.level + (node.module or "")
+            yield from (base, *(f"{base}.{alias.name}" for alias in node.names))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and "tactile_loc.plugins" in node.value:
+            yield node.value
+
+
+def private(text: str) -> list[str]:
+    """Return what a source imports of tactile-loc beyond `tactile_loc`, its core and its testing."""
+    of_ours = [name for name in imported(text) if re.match(r"tactile_loc(\.|$)", name) or "tactile_loc.plugins" in name]
+    public_names = ("ComponentSpec", "hookimpl", "Localizer", "StageStore", "load_object")
+    allowed = {"tactile_loc", *(f"tactile_loc.{n}" for n in public_names), *PUBLIC}
+    return [name for name in of_ours if name not in allowed and not name.startswith(tuple(f"{p}." for p in PUBLIC))]
+
+
+def test_there_are_some():
+    assert len(DISTRIBUTIONS) >= 3
+
+
+@each
+def test_only_the_public_api_is_imported(name):
+    sources = list((CONTRIBUTED / name).rglob("*.py"))
+    assert len(sources) >= 3
+    assert {str(path): private(path.read_text()) for path in sources if private(path.read_text())} == {}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "import tactile_loc.plugins.refiners.registration",
+        "def f():\n    from tactile_loc.plugins.grids import lattice",
+        "from tactile_loc import plugins",
+        "importlib.import_module('tactile_loc.plugins.encoders.pixel')",
+        "from tactile_loc.evaluation.metrics import add_s",
+    ],
+)
+def test_a_private_import_is_noticed(text):
+    assert private(text)
+    assert not private("from tactile_loc import hookimpl\nfrom tactile_loc.core.scene import Scene\nimport numpy")
+
+
+@each
+def test_it_says_what_it_is_and_how_to_install_it(name):
+    readme = (CONTRIBUTED / name / "README.md").read_text()
+    assert f"pip install -e plugins_contrib/{name}" in readme
+    assert project(name)["name"] == name
+    assert "tactile_loc" in project(name)["entry-points"]
+
+
+def test_all_are_listed_with_their_distribution(site, tmp_path):
+    listed = python(site, tmp_path, "-m", "tactile_loc_cli.main", "plugins")
+    assert listed.returncode == 0, listed.stderr
+    assert "not loaded" not in listed.stdout + listed.stderr
+    for name in DISTRIBUTIONS:
+        component = name.removeprefix("tactile-loc-")
+        assert re.search(rf"\b{component} +{name} ", listed.stdout), f"{component} of {name}:\n{listed.stdout}"
+
+
+@each
+def test_its_own_tests_pass(site, tmp_path, name):
+    require_libraries(name)
+    tests = shutil.copytree(CONTRIBUTED / name / "tests", tmp_path / "tests", ignore=LEFT_OUT)
+    quiet = ["-q", "-p", "no:cacheprovider", "-p", "no:dash", "--rootdir", str(tests), str(tests)]
+    done = python(site, tests, "-m", "pytest", *quiet)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"\d\d passed", done.stdout)
