@@ -43,7 +43,7 @@ def plan_for(arguments: argparse.Namespace) -> Plan:
     sensor.write_text(SENSOR)
     return Plan.from_values({
         "object": ["pin", "head", "damping_pin"], "sensor": str(sensor), "renderer": ["pyrender", "raycast"],
-        "encoder": ENCODERS, "refiner": ["none", "icp", "filterreg", "kiss-icp"], "count": arguments.count,
+        "encoder": ENCODERS, "refiner": ["none", "filterreg", "kiss-icp", "render"], "count": arguments.count,
         "option": {"grid": {"spacing_mm": arguments.spacing_mm}}, "shape_px": 32, "temperature": 0.01,
     })  # fmt: skip
 

@@ -97,7 +97,8 @@ def _symmetry(declared: str, mesh: TriangleMesh, notes: list[str]) -> SymmetryGr
 
     if declared == "auto":
         group = detect_symmetry(mesh.vertices_m, mesh.faces)
-        notes.append(f"symmetry found: {group} (say --symmetry to be sure)")
+        if not group.is_trivial:
+            notes.append(f"symmetry found: {group} (say --symmetry to be sure)")
         return group
     group = SymmetryGroup.parse(declared, mesh.centroid_m)
     if not group.is_trivial:

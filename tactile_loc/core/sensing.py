@@ -288,7 +288,7 @@ def contact_shape_from_array(
     if not 0 < press_depth_m <= max_depth_m * (1 + 1e-6):
         raise TouchError(
             f"{name} has a press depth of {press_depth_m * 1e3:.3g} mm; "
-            f"the sensor's range is 0 to {max_depth_m * 1e3:.3g} mm"
+            f"the sensor's range is 0 to {max_depth_m * 1e3:.3g} mm; choose the sensor that took it"
         )
     depth[_reaches(depth, press_depth_m)] = press_depth_m
     return ContactShape(np.clip(depth, 0, np.float32(press_depth_m)), float(press_depth_m))

@@ -14,7 +14,7 @@ from tactile_loc.reports.toml_text import toml_text
 
 TABLE_LINES = ("best-1", "reg-1", "chosen", "closest")
 OTHERS = ("coverage_80", "nll_nats", "total_ms", "model_s", "grid_poses")
-TIMES = {"total_ms": "time a touch (ms)", "encode_ms": "encode (ms)", "match_ms": "match (ms)",
+TIMES = {"total_ms": "time a touch, one pose refined (ms)", "encode_ms": "encode (ms)", "match_ms": "match (ms)",
          "refine_ms": "refine (ms)", "model_s": "building the model (s)"}  # fmt: skip
 UNITS = {"_mm": "mm", "_ms": "ms", "_s": "s", "_nats": "nats", "_share": "share"}
 

@@ -48,7 +48,7 @@ def draw_error_time(sweep: Sweep, line: str) -> Figure | None:
         _draw_points(left, found, front, numbers, style)
         left.set_title(f"noise: {noise}", size=11)
         left.set_ylabel(f"median error of {line} (mm)")
-        left.set_xlabel("median time a touch (ms)")
+        left.set_xlabel("median time a touch, one pose refined (ms)")
         _list(right, found, front, numbers)
     objects = [one.path.rpartition("/")[2] for one in sweep.plan.objects]
     among = "" if len(objects) == 1 else "geometric mean over "

@@ -50,7 +50,7 @@ class Nobody:
 @pytest.fixture(scope="module")
 def plan(tiny) -> Plan:
     return Plan.from_values(
-        {**tiny, "object": ["pin", "head"], "encoder": {"name": "pixel", "cells": 12}, "refiner": ["none", "icp"]}
+        {**tiny, "object": ["pin", "head"], "encoder": {"name": "pixel", "cells": 12}, "refiner": ["none", "filterreg"]}
     )
 
 
@@ -111,7 +111,7 @@ def test_a_row_is_what_the_protocol_says(locally, tmp_path):
     assert row["reg-1_median_mm"] == pytest.approx(1e3 * np.median(found.errors("reg-1")), rel=1e-4)
     assert row["best-1_mean_mm"] == pytest.approx(1e3 * found.errors("best-1").mean(), rel=1e-4)
     assert row["oracle_median_share"] == pytest.approx(row["oracle_median_mm"] / row["random_mean_mm"], rel=1e-4)
-    assert (row["object"], row["refiner"], row["grid_poses"]) == ("head", "icp", localizer.model.size)
+    assert (row["object"], row["refiner"], row["grid_poses"]) == ("head", "filterreg", localizer.model.size)
     assert row["total_ms"] >= row["match_ms"] > 0
 
 
@@ -135,7 +135,9 @@ def test_only_what_is_missing_is_done(plan, locally, folder):
 
 
 def test_a_larger_plan_uses_the_rows_of_a_smaller_one(locally, folder, tiny):
-    smaller = Plan.from_values({**tiny, "object": "pin", "encoder": {"name": "pixel", "cells": 12}, "refiner": ["icp"]})
+    smaller = Plan.from_values(
+        {**tiny, "object": "pin", "encoder": {"name": "pixel", "cells": 12}, "refiner": ["filterreg"]}
+    )
     found = run_sweep(smaller, folder / "local", folder / "elsewhere", Nobody())
     assert found.rows[0]["reg-1_median_mm"] == locally.rows[1]["reg-1_median_mm"]
 
@@ -148,7 +150,7 @@ def test_what_is_written(locally, folder):
     assert read_csv(written[0]) == locally.rows
     record: dict[str, Any] = json.loads(written[2].read_text())
     assert (record["combinations"], record["failed"], record["built"]) == (4, 0, locally.built)
-    assert record["plan"]["refiner"][1]["name"] == "icp"
+    assert record["plan"]["refiner"][1]["name"] == "filterreg"
     assert {"tactile-loc", "python", "numpy"} <= set(record["versions"])
     assert record["rows"][1]["configuration"]["grid"]["options"]["spacing_mm"] == 8.0
     for path in written[4:]:

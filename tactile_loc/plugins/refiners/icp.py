@@ -6,6 +6,7 @@ import numpy as np
 import open3d as o3d
 from pydantic import Field
 
+from tactile_loc.core.interfaces import Capabilities
 from tactile_loc.plugins.refiners.registration import Cloud, CloudRefiner, Registration
 
 BURST = 8  # iterations between looks at whether the pose still moves
@@ -14,7 +15,12 @@ DECIMALS = 7  # of radians and mm
 
 
 class IcpRefiner(CloudRefiner):
-    """Registers in two passes, a wide one that finds the way and a narrow one that settles."""
+    """Registers in two passes, a wide one that finds the way and a narrow one that settles.
+
+    open3d adds up in an order that its threads decide; now and then, on a busy machine, a registration ends elsewhere.
+    """
+
+    capabilities = Capabilities(uses_normals=True, deterministic=False)
 
     class Options(CloudRefiner.Options):
         """Distances in mm between points that may correspond, and how long to iterate."""
