@@ -45,6 +45,9 @@ def summary(record: ResultRecord) -> Iterator[str]:
         f"certainty: {record.certainty:.2f} (1: one pose is certain, 0: nothing is known), "
         f"{record.grid_poses} poses searched"
     )
+    grid = record.configuration["grid"]
+    if (grid["name"], grid["options"].get("face")) == ("face", "auto"):
+        yield f"side searched: {_side(record)}, on which it rests lowest; another: -o grid.face=+z, all: --grid hopf"
     errors = record.errors
     if errors is not None:
         yield (
@@ -52,6 +55,12 @@ def summary(record: ResultRecord) -> Iterator[str]:
             f"{_mm(errors.closest_in_grid_m)} mm the nearest of the grid (RMS surface distance, symmetry regarded)"
         )
     yield "time: " + ", ".join(f"{stage} {_duration(s)}" for stage, s in record.seconds.items())
+
+
+def _side(record: ResultRecord) -> str:
+    """The object's side that touches, as the outward direction in its own frame that points into the sensor."""
+    x, y, z = -np.array(record.hypotheses[0].T_sensor_object_grid)[2, :3] + 0.0
+    return f"the object's side ({x:.2f}, {y:.2f}, {z:.2f})"
 
 
 def _sensor(record: ResultRecord) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from PIL import Image
 from tactile_loc.core.config import RunConfig
 from tactile_loc.core.meshes import load_object
 from tactile_loc.core.poses import PoseMetric
+from tactile_loc.plugins.grids.face import resting_normal
 
 ROOT = Path(__file__).parents[2]
 
@@ -58,6 +60,15 @@ def test_it_says_how_certain_how_far_off_how_long_and_where(result):
     for words in ("certainty: ", "error: ", "time: ", "out/result.json", "out/result.png"):
         assert words in result["stdout"]
     assert result["stderr"] == ""
+
+
+def test_it_says_which_side_of_the_object_was_searched(cli, result):
+    mesh = load_object(result["object"]["name"]).mesh
+    (line,) = [line for line in result["stdout"].splitlines() if line.startswith("side searched")]
+    shown = [float(word) for word in re.search(r"\((.*?)\)", line)[1].split(",")]
+    assert shown == pytest.approx(resting_normal(mesh.vertices_m, mesh.centroid_m), abs=0.006)
+    chosen = cli("run", *TINY, "-o", "grid.face=-z", "--out", "chosen")
+    assert "side searched" not in chosen.stdout
 
 
 def test_the_picture_is_a_whole_png(result, tmp_path):
