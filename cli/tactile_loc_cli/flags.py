@@ -143,7 +143,7 @@ def _table(value: Any, section: str) -> dict[str, Any]:
 
 def component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, Any]) -> Any:
     """Return one slot's name and options: the file's, unless the flag names another component; `overrides` on top."""
-    from tactile_loc.core.config import RunConfig
+    from tactile_loc.core.config import RunConfig, kind_of_sensor
 
     given: dict[str, Any] = {"name": in_file} if isinstance(in_file, str) else dict(_table(in_file or {}, slot))
     given |= given.pop("options", {}) if isinstance(given.get("options"), dict) else {}
@@ -152,7 +152,7 @@ def component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, An
         _warn_of_namesake(flag)
     if flag is not None and flag != given["name"]:
         given = {"name": flag}
-    if slot == "sensor" and (kind := _kind_of_sensor(str(given["name"]))):
+    if slot == "sensor" and (kind := kind_of_sensor(str(given["name"]))):
         given = {**given, "name": kind, "path": given["name"]}
     return {**given, **overrides}
 
@@ -163,17 +163,6 @@ def _warn_of_namesake(name: str) -> None:
 
     if name in registry().names("sensor") and (Path(name) / CALIBRATION).is_file():
         logger.warning("the sensor %s is used, not what is in the folder of this name: for that write ./%s", name, name)
-
-
-def _kind_of_sensor(name: str) -> str | None:
-    """The component that reads a sensor given by its path; None when it is the name of one."""
-    from tactile_loc.core.registry import registry
-
-    if name in registry().names("sensor"):
-        return None
-    if name.endswith(".toml"):
-        return "file"
-    return "calibrated" if Path(name).is_dir() or "/" in name else None
 
 
 def open_localizer(config: RunConfig, store: Path | None) -> Localizer:

@@ -90,6 +90,17 @@ class RunConfig(_Strict):
         return result
 
 
+def kind_of_sensor(name: str) -> str | None:
+    """Return the component that reads a sensor given by its path; None when it is the name of one."""
+    from tactile_loc.core.registry import registry
+
+    if name in registry().names("sensor"):
+        return None
+    if name.endswith(".toml"):
+        return "file"
+    return "calibrated" if Path(name).is_dir() or "/" in name else None
+
+
 def read_toml(path: str | Path) -> dict[str, Any]:
     """Read a TOML file. Raises ConfigError when it is missing, unreadable, or not TOML."""
     try:

@@ -6,7 +6,6 @@ The sensors may be of different kinds; each touch says where its sensor was. The
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -18,6 +17,7 @@ from tactile_loc.core.interfaces import Candidate, Prior, RefinedPose
 from tactile_loc.core.localization import Hypothesis, Localization, distinct
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.posterior import Mode
+from tactile_loc.core.progress import timed
 from tactile_loc.core.sensing import Touch
 
 if TYPE_CHECKING:
@@ -36,16 +36,11 @@ def localize_together(contacts: Sequence[Contact], prior: Prior | None = None, t
     _require_one_object(contacts)
     first, touch = contacts[0]
     seconds: dict[str, float] = {}
-    start = time.perf_counter()
-    posteriors = [localizer.single_posterior(t) for localizer, t in contacts]
-    seconds["touches"] = time.perf_counter() - start
-    start = time.perf_counter()
-    fused = first.fuser.fuse(posteriors, [t.T_base_sensor for _, t in contacts], prior)
-    seconds["fuse"] = time.perf_counter() - start
-    start = time.perf_counter()
-    modes = fused.modes(first.mode_radius_m, top or first.config.top)
-    hypotheses = _refined(contacts, modes)
-    seconds["refine"] = time.perf_counter() - start
+    posteriors = timed(seconds, "touches", lambda: [localizer.single_posterior(t) for localizer, t in contacts])
+    T_base_sensor = [t.T_base_sensor for _, t in contacts]
+    fused = timed(seconds, "fuse", lambda: first.fuser.fuse(posteriors, T_base_sensor, prior))
+    most = top or first.config.top
+    hypotheses = timed(seconds, "refine", lambda: _refined(contacts, fused.modes(first.mode_radius_m, most)))
     found = distinct(hypotheses, first.model.grid.metric, first.same_pose_m, prior)
     return Localization(touch, fused, found, seconds, tuple(t for _, t in contacts[1:]))
 

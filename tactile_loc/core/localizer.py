@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +20,7 @@ from tactile_loc.core.model import STAGE_VERSIONS, ObjectPoseModel, build_bank, 
 from tactile_loc.core.noise import noise as noise_called
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.progress import Progress
+from tactile_loc.core.progress import Progress, timed
 from tactile_loc.core.registry import registry
 from tactile_loc.core.scene import Scene
 from tactile_loc.core.sensing import Touch
@@ -157,8 +156,8 @@ class Localizer:
         """Scores (M, N) of touches against the bank of one press, metres, and seconds a stage for each of them."""
         matcher = self.matcher(press_m)
         seconds: dict[str, float] = {}
-        queries = _timed(seconds, "encode", lambda: np.concatenate([self._encode(touch, press_m) for touch in touches]))
-        rows = _timed(seconds, "match", lambda: matcher.scores(queries))
+        queries = timed(seconds, "encode", lambda: np.concatenate([self._encode(touch, press_m) for touch in touches]))
+        rows = timed(seconds, "match", lambda: matcher.scores(queries))
         return rows, {stage: duration / len(touches) for stage, duration in seconds.items()}
 
     def _explained(
@@ -166,10 +165,10 @@ class Localizer:
         prior: Prior | None = None,
     ) -> Localization:  # fmt: skip
         """A posterior's modes, refined, in the order of how well they explain the touch."""
-        modes = _timed(seconds, "modes", lambda: posterior.modes(self.mode_radius_m, top or self.config.top))
-        refined = _timed(seconds, "refine", lambda: self.refine_many(touch, posterior, [m.index for m in modes]))
+        modes = timed(seconds, "modes", lambda: posterior.modes(self.mode_radius_m, top or self.config.top))
+        refined = timed(seconds, "refine", lambda: self.refine_many(touch, posterior, [m.index for m in modes]))
         poses = np.stack([r.T_sensor_object for r in refined])
-        explained = _timed(seconds, "choose", lambda: self.scene.explained(poses, touch))
+        explained = timed(seconds, "choose", lambda: self.scene.explained(poses, touch))
         hypotheses = [
             Hypothesis(m.probability, m.T_sensor_object, r, m.index, len(m.members), float(e))
             for m, r, e in zip(modes, refined, explained, strict=True)
@@ -211,8 +210,8 @@ class Localizer:
         seconds = {} if seconds is None else seconds
         matcher = self.matcher(touch.press_depth_m)
         press_m = self._bank_press(touch.press_depth_m)
-        query = _timed(seconds, "encode", lambda: self._encode(touch, press_m))
-        scores: NDArray[np.float32] = _timed(seconds, "match", lambda: matcher.scores(query)[0])
+        query = timed(seconds, "encode", lambda: self._encode(touch, press_m))
+        scores: NDArray[np.float32] = timed(seconds, "match", lambda: matcher.scores(query)[0])
         return scores
 
     def _fused(
@@ -220,7 +219,7 @@ class Localizer:
     ) -> PosePosterior:
         """The posterior of a touch's scores (N,) and the prior."""
         single = self.confidence.posterior(self.model.grid, scores)
-        return _timed(seconds, "fuse", lambda: self.fuser.fuse([single], [touch.T_base_sensor], prior))
+        return timed(seconds, "fuse", lambda: self.fuser.fuse([single], [touch.T_base_sensor], prior))
 
     def refine(self, touch: Touch, posterior: PosePosterior, index: int) -> RefinedPose:
         """Refine one pose of the posterior's grid against the touch."""
@@ -275,11 +274,3 @@ class Localizer:
         press_m = shape.press_depth_m
         embedding: NDArray[np.float32] = self.encoder.encode(shape.depth_m[None], press_m, touch.geometry)
         return embedding
-
-
-def _timed(seconds: dict[str, float], stage: str, work: Callable[[], Any]) -> Any:
-    start = time.perf_counter()
-    result = work()
-    seconds[stage] = time.perf_counter() - start
-    logger.debug("Of locating, the stage %s took %.1f ms.", stage, 1e3 * seconds[stage])
-    return result

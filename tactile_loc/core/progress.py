@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 
 class Progress:
@@ -22,3 +24,11 @@ class Progress:
 def rank() -> int:
     """Return this process's number among those that torchrun started together; 0 when it did not."""
     return int(os.environ.get("RANK", "0"))
+
+
+def timed(seconds: dict[str, float], stage: str, work: Callable[[], Any]) -> Any:
+    """Return what `work` returns, and note in `seconds` how long the stage took, seconds."""
+    start = time.perf_counter()
+    result = work()
+    seconds[stage] = time.perf_counter() - start
+    return result

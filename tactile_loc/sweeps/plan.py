@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.core.config import ObjectConfig, RunConfig, SlotConfig, read_toml
+from tactile_loc.core.config import ObjectConfig, RunConfig, SlotConfig, kind_of_sensor, read_toml
 from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.hookspecs import SLOTS
 from tactile_loc.core.noise import noise as noise_called
-from tactile_loc.core.registry import registry, validate_options
+from tactile_loc.core.registry import validate_options
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.sweeps.choices import expand
 from tactile_loc.sweeps.words import as_list, read_options, whole_numbers
@@ -102,11 +102,9 @@ def _component(slot: str, entry: Any, source: str) -> SlotConfig:
 def _sensor(chosen: SlotConfig) -> SlotConfig:
     """A sensor by its name, or by the path of its description or calibration, which becomes absolute."""
     path = chosen.options.get("path")
-    if chosen.name not in registry().names("sensor"):
-        is_file, is_folder = chosen.name.endswith(".toml"), Path(chosen.name).is_dir() or "/" in chosen.name
-        if is_file or is_folder:
-            path = chosen.name
-            chosen = SlotConfig(name="file" if is_file else "calibrated", options=chosen.options)
+    if kind := kind_of_sensor(chosen.name):
+        path = chosen.name
+        chosen = SlotConfig(name=kind, options=chosen.options)
     if isinstance(path, str):
         absolute = str(Path(path).expanduser().absolute())
         chosen = SlotConfig(name=chosen.name, options={**chosen.options, "path": absolute})

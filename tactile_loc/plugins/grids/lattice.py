@@ -19,8 +19,7 @@ def lattice_shape(low_m: Float, high_m: Float, pitch_m: float) -> NDArray[np.int
     Each point stands for a square of side `pitch_m`; the fewest squares that cover the range are taken, at least one.
     Raises GridError when the pitch is not a positive number.
     """
-    if not (np.isfinite(pitch_m) and pitch_m > 0):
-        raise GridError(f"a lattice needs a positive pitch, not {pitch_m * 1e3:g} mm; give a spacing above zero")
+    _require_pitch(pitch_m)
     # A range that is a whole number of pitches must not get one more from rounding.
     squares = np.ceil((np.asarray(high_m, float) - np.asarray(low_m, float)) / pitch_m - 1e-9)
     shape: NDArray[np.int64] = np.maximum(squares, 1).astype(np.int64)
@@ -48,7 +47,7 @@ def shifted_lattice(low_m: Float, high_m: Float, pitch_m: float, number: int) ->
     Metres; lattices of successive numbers fill one another's gaps evenly. Number 0 has a point in the middle of the
     range, low (2,) to high (2,); a range that no point is in gets its middle. Raises GridError as `plane_lattice` does.
     """
-    lattice_shape(low_m, high_m, pitch_m)  # checks the pitch
+    _require_pitch(pitch_m)
     low, high = np.asarray(low_m, float), np.asarray(high_m, float)
     middle, shift = (low + high) / 2, pitch_m * (number * SHIFTS % 1.0)
     axes = []
@@ -58,6 +57,11 @@ def shifted_lattice(low_m: Float, high_m: Float, pitch_m: float, number: int) ->
         points = middle[a] + shift[a] + pitch_m * np.arange(first, last + 1)
         axes.append(points if len(points) else middle[a : a + 1])
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def _require_pitch(pitch_m: float) -> None:
+    if not (np.isfinite(pitch_m) and pitch_m > 0):
+        raise GridError(f"a lattice needs a positive pitch, not {pitch_m * 1e3:g} mm; give a spacing above zero")
 
 
 def reachable_translations(points_m: Float, rectangle_m: tuple[float, float, float, float]) -> tuple[Float, Float]:

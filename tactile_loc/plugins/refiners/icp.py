@@ -17,7 +17,7 @@ DECIMALS = 7  # of radians and mm
 class IcpRefiner(CloudRefiner):
     """Registers in two passes, a wide one that finds the way and a narrow one that settles.
 
-    open3d adds up in an order that its threads decide; now and then, on a busy machine, a registration ends elsewhere.
+    On a busy machine a registration ended elsewhere, once in some thousands; what in open3d that hangs on is not known.
     """
 
     capabilities = Capabilities(uses_normals=True, deterministic=False)
