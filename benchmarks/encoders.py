@@ -18,19 +18,19 @@ from typing import Any
 import numpy as np
 from single_touch import spacing_for
 
-from tactile_loc.core.config import RunConfig
-from tactile_loc.core.localizer import Localizer
-from tactile_loc.core.meshes import load_object
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.registry import registry
-from tactile_loc.core.store import StageStore
 from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.figures import draw_violins
 from tactile_loc.evaluation.judge import STAGES
-from tactile_loc.evaluation.pictures import save_figure
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.sources import SimulatedTouches
 from tactile_loc.evaluation.tables import Run
+from tactile_loc.io.config import RunConfig
+from tactile_loc.io.meshes import load_object
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.store import StageStore
 
 ENCODERS = {"pixel": {"name": "pixel"}, "pixel, depth": {"name": "pixel", "signal": "depth"}, "moco": {"name": "moco"}}
 LINES = ("best-1", "best-10", "best-50", "reg-1", "reg-10", "closest", "oracle", "random")

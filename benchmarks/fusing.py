@@ -19,10 +19,10 @@ from single_touch import spacing_for
 
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry import invert
-from tactile_loc.core.localizer import Localizer
-from tactile_loc.core.meshes import load_object
-from tactile_loc.core.store import StageStore
 from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.io.meshes import load_object
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.store import StageStore
 
 NUMBERS = (1, 2, 3, 5, 7)
 

@@ -23,9 +23,9 @@ from tactile_loc.calibration.calibrate import Calibrated, calibrate
 from tactile_loc.calibration.converters import convert
 from tactile_loc.calibration.folder import write_calibration
 from tactile_loc.calibration.presses import PressFolder, read_presses
-from tactile_loc.core.localizer import Localizer
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.store import StageStore
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.store import StageStore
 
 # folder or file, format, ball radius and pixel in mm, image size
 SETS = {

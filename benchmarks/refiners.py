@@ -29,23 +29,23 @@ import numpy as np
 from numpy.typing import NDArray
 from single_touch import spacing_for
 
-from tactile_loc.core.config import RunConfig
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.interfaces import Candidate, Refiner
-from tactile_loc.core.localizer import MODE_RADIUS, Localizer
-from tactile_loc.core.meshes import load_object
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.registration import Cloud, CloudRefiner, Registration
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import Touch
-from tactile_loc.core.store import StageStore
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.judge import SURFACE_POINTS
 from tactile_loc.evaluation.metrics import symmetric_adds
 from tactile_loc.evaluation.oracle import true_pose
 from tactile_loc.evaluation.sources import SimulatedTouches
-from tactile_loc.plugins.refiners.registration import Cloud, CloudRefiner, Registration
+from tactile_loc.io.config import RunConfig
+from tactile_loc.io.meshes import load_object
+from tactile_loc.locate.localizer import MODE_RADIUS, Localizer
+from tactile_loc.store.store import StageStore
 
 Transform = NDArray[np.float64]
 Record = dict[str, Any]

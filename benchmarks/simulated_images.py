@@ -25,12 +25,8 @@ from tactile_loc.calibration.estimator import GelEstimator
 from tactile_loc.calibration.folder import write_calibration
 from tactile_loc.calibration.reading import contact_shape, press_depth_m
 from tactile_loc.calibration.simulated import calibrate_simulated, simulated_sensor
-from tactile_loc.core.config import RunConfig, parse_overrides
 from tactile_loc.core.errors import TouchError
-from tactile_loc.core.localizer import Localizer
-from tactile_loc.core.meshes import load_object
 from tactile_loc.core.sensing import Touch
-from tactile_loc.core.store import StageStore
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.sources import SimulatedTouches
@@ -38,6 +34,10 @@ from tactile_loc.evaluation.tabular import mm
 from tactile_loc.imaging.gel import contact_indentation, gel_surface
 from tactile_loc.imaging.optics import Optics
 from tactile_loc.imaging.simulate import touch_images
+from tactile_loc.io.config import RunConfig, parse_overrides
+from tactile_loc.io.meshes import load_object
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.store import StageStore
 
 BATCH = 10
 COLUMNS = ("object", "RMSE, image (mm)", "RMSE, contact (mm)", "IoU", "least IoU", "press error (mm)", "ms an image")

@@ -16,15 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_loc.core.config import RunConfig
-from tactile_loc.core.localizer import Localizer
-from tactile_loc.core.meshes import load_object
 from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.store import StageStore
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.judge import STAGES
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.io.config import RunConfig
+from tactile_loc.io.meshes import load_object
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.store import StageStore
 
 LINES = ("closest", "random", "best-1", "best-10", "reg-1", "chosen")
 

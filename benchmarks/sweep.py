@@ -24,7 +24,7 @@ from typing import Any
 
 import psutil
 
-from tactile_loc.core.store import StageStore
+from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.cluster import DaskWorkers
 from tactile_loc.sweeps.local import LocalWorkers
 from tactile_loc.sweeps.plan import Plan

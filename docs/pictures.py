@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.localizer import Localizer
 from tactile_loc.core.sensing import ContactShape, Touch
-from tactile_loc.evaluation.pictures import (
+from tactile_loc.drawing.pictures import (
     draw_contact_shape,
     draw_noise,
     draw_outline,
@@ -22,7 +21,8 @@ from tactile_loc.evaluation.pictures import (
     percent,
     save_figure,
 )
-from tactile_loc.evaluation.pose_panel import draw_pose
+from tactile_loc.drawing.pose_panel import draw_pose
+from tactile_loc.locate.localizer import Localizer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

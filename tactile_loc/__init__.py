@@ -10,16 +10,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tactile_loc.core.confidence import Confidence as Confidence
-    from tactile_loc.core.config import RunConfig as RunConfig
-    from tactile_loc.core.contacts import localize_together as localize_together
     from tactile_loc.core.errors import TactileLocError as TactileLocError
-    from tactile_loc.core.hookspecs import ComponentSpec as ComponentSpec
-    from tactile_loc.core.hookspecs import hookimpl as hookimpl
-    from tactile_loc.core.localization import Hypothesis as Hypothesis
-    from tactile_loc.core.localization import Localization as Localization
-    from tactile_loc.core.localizer import Localizer as Localizer
-    from tactile_loc.core.meshes import load_object as load_object
     from tactile_loc.core.objects import ObjectModel as ObjectModel
     from tactile_loc.core.objects import TriangleMesh as TriangleMesh
     from tactile_loc.core.poses import PoseGrid as PoseGrid
@@ -29,31 +20,40 @@ if TYPE_CHECKING:
     from tactile_loc.core.priors import GaussianPrior as GaussianPrior
     from tactile_loc.core.priors import PosteriorPrior as PosteriorPrior
     from tactile_loc.core.priors import RegionPrior as RegionPrior
+    from tactile_loc.core.registry import ComponentSpec as ComponentSpec
+    from tactile_loc.core.registry import hookimpl as hookimpl
     from tactile_loc.core.sensing import ContactShape as ContactShape
     from tactile_loc.core.sensing import SensorGeometry as SensorGeometry
     from tactile_loc.core.sensing import Touch as Touch
-    from tactile_loc.core.store import StageStore as StageStore
-    from tactile_loc.core.touches import read_touch as read_touch
-    from tactile_loc.core.touches import write_touch as write_touch
+    from tactile_loc.io.config import RunConfig as RunConfig
+    from tactile_loc.io.meshes import load_object as load_object
+    from tactile_loc.io.touches import read_touch as read_touch
+    from tactile_loc.io.touches import write_touch as write_touch
+    from tactile_loc.locate.contacts import localize_together as localize_together
+    from tactile_loc.locate.localizer import Localizer as Localizer
+    from tactile_loc.locate.probabilities import Confidence as Confidence
+    from tactile_loc.locate.result import Hypothesis as Hypothesis
+    from tactile_loc.locate.result import Localization as Localization
+    from tactile_loc.store.store import StageStore as StageStore
 
 _HOMES = {
-    "confidence": ["Confidence"],
-    "config": ["RunConfig"],
-    "contacts": ["localize_together"],
-    "errors": ["TactileLocError"],
-    "hookspecs": ["ComponentSpec", "hookimpl"],
-    "localization": ["Hypothesis", "Localization"],
-    "localizer": ["Localizer"],
-    "meshes": ["load_object"],
-    "objects": ["ObjectModel", "TriangleMesh"],
-    "poses": ["PoseGrid", "PoseMetric"],
-    "posterior": ["Mode", "PosePosterior"],
-    "priors": ["GaussianPrior", "PosteriorPrior", "RegionPrior"],
-    "sensing": ["ContactShape", "SensorGeometry", "Touch"],
-    "store": ["StageStore"],
-    "touches": ["read_touch", "write_touch"],
+    "core.errors": ["TactileLocError"],
+    "core.objects": ["ObjectModel", "TriangleMesh"],
+    "core.poses": ["PoseGrid", "PoseMetric"],
+    "core.posterior": ["Mode", "PosePosterior"],
+    "core.priors": ["GaussianPrior", "PosteriorPrior", "RegionPrior"],
+    "core.registry": ["ComponentSpec", "hookimpl"],
+    "core.sensing": ["ContactShape", "SensorGeometry", "Touch"],
+    "io.config": ["RunConfig"],
+    "io.meshes": ["load_object"],
+    "io.touches": ["read_touch", "write_touch"],
+    "locate.contacts": ["localize_together"],
+    "locate.localizer": ["Localizer"],
+    "locate.probabilities": ["Confidence"],
+    "locate.result": ["Hypothesis", "Localization"],
+    "store.store": ["StageStore"],
 }
-_MODULE_OF = {name: f"tactile_loc.core.{module}" for module, names in _HOMES.items() for name in names}
+_MODULE_OF = {name: f"tactile_loc.{module}" for module, names in _HOMES.items() for name in names}
 
 __version__ = version("tactile-loc")
 __all__ = sorted(_MODULE_OF)

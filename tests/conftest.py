@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from report_helpers import UNFRIENDLY, write_contacts, write_evaluation, write_run, write_sweep
 
-from tactile_loc.core import confidence
+from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
-from tactile_loc.core.scene import Scene
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.store import StageStore
 from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.locate import probabilities as confidence
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result import Localization
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
+from tactile_loc.store.store import StageStore
 from tactile_loc.testing.problems import LOPSIDED_CAMERAS
 
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -96,3 +100,44 @@ def pinhole() -> SensorGeometry:
 def make_scene() -> Callable[[ObjectModel, SensorGeometry], Scene]:
     """Make a scene rendered by the height map renderer."""
     return lambda obj, geometry: Scene(obj, geometry, HeightmapRenderer())
+
+
+@pytest.fixture(scope="session")
+def localizer(store: StageStore) -> Localizer:
+    """The pin on a coarse grid."""
+    return Localizer.create("pin", grid={"name": "face", "spacing_mm": 8}, store=store)
+
+
+@pytest.fixture(scope="session")
+def localization(localizer: Localizer) -> Localization:
+    """One localisation, for all who write or draw it."""
+    return localizer.localize(localizer.simulate(1, seed=0)[0])
+
+
+@pytest.fixture(scope="session")
+def run_folder(localizer: Localizer, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The result of one simulated touch; nothing may be changed in it."""
+    return write_run(tmp_path_factory.mktemp("run"), localizer)
+
+
+@pytest.fixture(scope="session")
+def unfriendly_run(localizer: Localizer, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same of an object and a touch with names that would be HTML."""
+    obj = dataclasses.replace(localizer.object, name=UNFRIENDLY, notes=(UNFRIENDLY,))
+    other = Localizer(localizer.config, obj, localizer.store)
+    return write_run(tmp_path_factory.mktemp("unfriendly"), other, touch_name=UNFRIENDLY)
+
+
+@pytest.fixture(scope="session")
+def evaluation_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_evaluation(tmp_path_factory.mktemp("evaluation"))
+
+
+@pytest.fixture(scope="session")
+def contacts_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_contacts(tmp_path_factory.mktemp("contacts"))
+
+
+@pytest.fixture(scope="session")
+def sweep_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_sweep(tmp_path_factory.mktemp("sweep"))

@@ -13,10 +13,10 @@ from PIL import Image
 from tactile_loc.calibration.estimator import LabelledPresses
 from tactile_loc.calibration.labels import PressLabel, ball_label
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.sensor_files import write_sensor_file
 from tactile_loc.imaging.gel import gel_surface
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.imaging.shading import background, render_images
+from tactile_loc.io.sensor_files import write_sensor_file
 
 MM = 1e-3
 BALL_M = 3e-3

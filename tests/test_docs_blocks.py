@@ -21,9 +21,9 @@ from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
 from tactile_loc import Localizer, load_object, write_touch
-from tactile_loc.core.prior_files import read_prior
-from tactile_loc.core.sensor_files import read_sensor_file
-from tactile_loc.core.touch_list import read_touch_list
+from tactile_loc.io.prior_files import read_prior
+from tactile_loc.io.sensor_files import read_sensor_file
+from tactile_loc.io.touch_lists import read_touch_list
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

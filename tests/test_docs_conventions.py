@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.geometry import is_rigid
-from tactile_loc.core.localizer import Localizer
-from tactile_loc.core.prior_files import read_prior
-from tactile_loc.core.touch_list import read_touch_list
-from tactile_loc.core.touches import write_touch
+from tactile_loc.io.prior_files import read_prior
+from tactile_loc.io.touch_lists import read_touch_list
+from tactile_loc.io.touches import write_touch
+from tactile_loc.locate.localizer import Localizer
 
 PAGE = Path(__file__).parents[1] / "docs" / "conventions.md"
 

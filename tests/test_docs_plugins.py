@@ -12,8 +12,7 @@ import pytest
 
 from tactile_loc.core import interfaces
 from tactile_loc.core.errors import PluginError
-from tactile_loc.core.hookspecs import SLOTS, ComponentSpec, hookimpl
-from tactile_loc.core.registry import Registry
+from tactile_loc.core.registry import SLOTS, ComponentSpec, Registry, hookimpl
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "plugin"

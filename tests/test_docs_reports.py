@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from typer.main import get_command
 
-from tactile_loc.core.localizer import Localizer
-from tactile_loc.reports.result_arrays import MOST_FACES, MOST_POSES, as_arrays, gather
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result_arrays import MOST_FACES, MOST_POSES, as_arrays, gather
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "reports.md").read_text()

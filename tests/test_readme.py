@@ -10,7 +10,7 @@ import pytest
 from typer.main import get_command
 
 from tactile_loc import StageStore
-from tactile_loc.core.localizer import Localizer
+from tactile_loc.locate.localizer import Localizer
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -58,8 +58,7 @@ def test_links_and_pictures_are_there():
 
 
 def test_the_table_of_components_is_the_registry_s():
-    from tactile_loc.core.hookspecs import SLOTS
-    from tactile_loc.core.registry import BUILT_IN, registry
+    from tactile_loc.core.registry import BUILT_IN, SLOTS, registry
 
     for slot in SLOTS:
         (row,) = re.findall(rf"^\| {slot} \| (.*) \|$", README, re.MULTILINE)

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.hookspecs import SLOTS
+from tactile_loc.core.registry import SLOTS
 
 if TYPE_CHECKING:
-    from tactile_loc.core.config import RunConfig
-    from tactile_loc.core.localizer import Localizer
     from tactile_loc.core.objects import ObjectModel
+    from tactile_loc.io.config import RunConfig
+    from tactile_loc.locate.localizer import Localizer
 
 
 CALIBRATION = "calibration.json"  # what a calibration's folder holds
@@ -111,7 +111,8 @@ def run_config(flags: dict[str, Any]) -> RunConfig:
 
     Raises ConfigError for unknown or ill-typed settings.
     """
-    from tactile_loc.core.config import RunConfig, parse_overrides, read_toml
+    from tactile_loc.io.config import RunConfig, parse_overrides
+    from tactile_loc.io.toml import read_toml
 
     path = flags.get("config")
     settings = read_toml(path) if path is not None else {}
@@ -143,7 +144,7 @@ def _table(value: Any, section: str) -> dict[str, Any]:
 
 def component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, Any]) -> Any:
     """Return one slot's name and options: the file's, unless the flag names another component; `overrides` on top."""
-    from tactile_loc.core.config import RunConfig, kind_of_sensor
+    from tactile_loc.io.config import RunConfig, kind_of_sensor
 
     given: dict[str, Any] = {"name": in_file} if isinstance(in_file, str) else dict(_table(in_file or {}, slot))
     given |= given.pop("options", {}) if isinstance(given.get("options"), dict) else {}
@@ -167,8 +168,8 @@ def _warn_of_namesake(name: str) -> None:
 
 def open_localizer(config: RunConfig, store: Path | None) -> Localizer:
     """Load the object and make its localizer. Raises TactileLocError for bad input."""
-    from tactile_loc.core.localizer import Localizer
-    from tactile_loc.core.store import StageStore
+    from tactile_loc.locate.localizer import Localizer
+    from tactile_loc.store.store import StageStore
     from tactile_loc_cli.console import progress
 
     return Localizer(config, load_object(config), StageStore(store), progress())
@@ -176,7 +177,7 @@ def open_localizer(config: RunConfig, store: Path | None) -> Localizer:
 
 def load_object(config: RunConfig) -> ObjectModel:
     """Load the configuration's object. Raises ObjectError or SymmetryError."""
-    from tactile_loc.core.meshes import load_object as load
+    from tactile_loc.io.meshes import load_object as load
 
     return load(config.object.path, config.object.units, config.object.symmetry)
 

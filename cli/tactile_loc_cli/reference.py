@@ -101,7 +101,7 @@ def _block(arguments: list[str]) -> str:
 
 
 def _schema() -> Iterator[str]:
-    from tactile_loc.evaluation import results
+    from tactile_loc.locate import result_json as results
 
     yield (
         "## result.json\n\nEverything that a run found, and everything it was made from. Lengths in metres, times in "

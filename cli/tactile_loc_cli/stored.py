@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from tactile_loc.core.artifact import read_artifact
 from tactile_loc.core.errors import ConfigError, StoreError
-from tactile_loc.core.hookspecs import SLOTS
-from tactile_loc.core.store import Entry
+from tactile_loc.core.registry import SLOTS
+from tactile_loc.store.artifact import read_artifact
+from tactile_loc.store.store import Entry
 
 UNITS_S = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)([smhdw])")

@@ -12,7 +12,7 @@ from tactile_loc.core.geometry import axis_angle
 from tactile_loc_cli.console import output
 
 if TYPE_CHECKING:
-    from tactile_loc.evaluation.results import HypothesisRecord, ResultRecord
+    from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord
 
 
 def title(record: ResultRecord) -> str:

@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from tactile_loc.calibration.estimator import Image, LabelledPresses
 from tactile_loc.calibration.labels import PressLabel, surface_label
-from tactile_loc.core.hashing import StageKey
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.store import StageStore
-from tactile_loc.core.workspace import Workspace
 from tactile_loc.imaging.gel import SOFTNESS_M
 from tactile_loc.imaging.optics import Optics
 from tactile_loc.imaging.shading import background
 from tactile_loc.imaging.simulate import board_presses
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import StageStore
+from tactile_loc.store.workspace import Workspace
 
 STAGE_VERSION = 3
 SHARD = 64  # presses rendered, saved and resumed at once, under lamps of their own

@@ -14,7 +14,7 @@ import numpy as np
 from tactile_loc.calibration.labels import STEEPEST
 from tactile_loc.calibration.presses import TABLE
 from tactile_loc.core.errors import CalibrationError
-from tactile_loc.core.touch_files import read_colour_image
+from tactile_loc.io.images import read_colour_image
 
 COLUMNS = ("image", "kind", "center_x_px", "center_y_px", "radius_px", "ball_radius_mm")
 DEEPEST_MM = 1.5

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from tactile_loc.calibration.estimator import GelEstimator, estimator_class, estimator_options
 from tactile_loc.core.errors import CalibrationError, OutputError, SensorError, TouchError
-from tactile_loc.core.hashing import hash_file
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.sensor_files import read_sensor_file, write_sensor_file
-from tactile_loc.core.touch_files import read_colour_image
 from tactile_loc.imaging.optics import Optics
+from tactile_loc.io.images import read_colour_image
+from tactile_loc.io.sensor_files import read_sensor_file, write_sensor_file
+from tactile_loc.store.keys import hash_file
 
 Image = NDArray[np.uint8]
 

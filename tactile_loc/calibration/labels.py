@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import CalibrationError
-from tactile_loc.core.scene import Scene
+from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.sensing import SensorGeometry
 
 Float32 = NDArray[np.float32]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.calibration.estimator import GelEstimator, LabelledPresses
-from tactile_loc.evaluation.pictures import extent_mm, make_figure
+from tactile_loc.drawing.pictures import extent_mm, make_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -16,11 +16,11 @@ from tactile_loc.calibration.labels import PressLabel, ball_label, mesh_label
 from tactile_loc.calibration.reading import reduced
 from tactile_loc.core.errors import CalibrationError, TactileLocError
 from tactile_loc.core.geometry import make_transform
-from tactile_loc.core.meshes import load_object
+from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.registry import registry
-from tactile_loc.core.scene import Scene
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch_files import read_colour_image
+from tactile_loc.io.images import read_colour_image
+from tactile_loc.io.meshes import load_object
 
 Image = NDArray[np.uint8]
 

@@ -12,9 +12,9 @@ from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.sensor_files import read_sensor_file
-from tactile_loc.core.store import StageStore
 from tactile_loc.imaging.optics import OPTICS, Optics, optics, optics_of
+from tactile_loc.io.sensor_files import read_sensor_file
+from tactile_loc.store.store import StageStore
 
 PRESSES = {"photometric": 200, "cnn": 2000}  # by default; the paper's number for its network
 

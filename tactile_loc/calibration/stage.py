@@ -14,12 +14,12 @@ from tactile_loc.calibration.estimator import (
     estimator_options,
 )
 from tactile_loc.calibration.presses import TABLE, PressFolder
-from tactile_loc.core.hashing import StageKey, hash_arrays, hash_file
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.store import StageStore
-from tactile_loc.core.training import WorkspaceCheckpoints
-from tactile_loc.core.workspace import Workspace
+from tactile_loc.locate.model import WorkspaceCheckpoints
+from tactile_loc.store.keys import StageKey, hash_arrays, hash_file
+from tactile_loc.store.store import StageStore
+from tactile_loc.store.workspace import Workspace
 
 STAGE_VERSION = 2
 WEIGHTS, RECORD = "estimator.safetensors", "held-out"

@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.interfaces import Float32, GridSampler
+from tactile_loc.core.interfaces import Float32, GridSampler, Scene
 from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses, remove_equivalent
-from tactile_loc.core.scene import Scene
 
 log = logging.getLogger(__name__)
 

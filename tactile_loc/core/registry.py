@@ -1,10 +1,11 @@
-"""Finding plugins by entry point, importing a component's class at first use, and saying clearly what went wrong."""
+"""Plugins: what they offer for which slot, found by entry point; a component's class is imported at first use."""
 
 from __future__ import annotations
 
 import importlib
 import logging
 import os
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,7 +16,6 @@ from typing import Any
 import pluggy
 from pydantic import ValidationError
 
-from tactile_loc.core import hookspecs
 from tactile_loc.core.errors import (
     ConfigError,
     MissingLibraryError,
@@ -24,7 +24,33 @@ from tactile_loc.core.errors import (
     UnknownPluginError,
     did_you_mean,
 )
-from tactile_loc.core.hookspecs import PROJECT, SLOTS, ComponentSpec
+
+PROJECT = "tactile_loc"
+SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
+
+hookspec = pluggy.HookspecMarker(PROJECT)
+hookimpl = pluggy.HookimplMarker(PROJECT)
+
+
+@dataclass(frozen=True)
+class ComponentSpec:
+    """One component offered for one slot.
+
+    `target` is "package.module:Class", imported at first use; `requires` names the pip distribution of the library it
+    needs beyond tactile-loc's own, if any.
+    """
+
+    slot: str
+    name: str
+    target: str
+    summary: str
+    requires: str = ""
+
+
+@hookspec
+def tactile_loc_components() -> Iterable[ComponentSpec]:  # type: ignore[empty-body]
+    """Return the components that this plugin offers."""
+
 
 logger = logging.getLogger(__name__)
 
@@ -61,7 +87,7 @@ class Registry:
         distribution = plugin.dist.name if plugin.dist else plugin.value
         try:
             manager = pluggy.PluginManager(PROJECT)
-            manager.add_hookspecs(hookspecs)
+            manager.add_hookspecs(sys.modules[__name__])
             manager.register(plugin.load())
             manager.check_pending()
             offers = [spec for offered in manager.hook.tactile_loc_components() for spec in offered]

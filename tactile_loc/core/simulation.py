@@ -7,10 +7,9 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.grids import random_contact_poses
-from tactile_loc.core.interfaces import GridSampler
+from tactile_loc.core.interfaces import GridSampler, Scene
 from tactile_loc.core.noise import TouchNoise
 from tactile_loc.core.poses import Poses
-from tactile_loc.core.scene import Scene
 from tactile_loc.core.sensing import ContactShape, Touch
 
 MOST_ROUNDS = 200  # of drawing what is missing

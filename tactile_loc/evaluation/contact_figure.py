@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.drawing.pictures import make_figure
 from tactile_loc.evaluation.contact_tables import ContactRun
 from tactile_loc.evaluation.figures import COLOURS, RANDOM
-from tactile_loc.evaluation.pictures import make_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError, GridError
 from tactile_loc.core.geometry import invert
-from tactile_loc.core.hashing import StageKey
 from tactile_loc.core.interfaces import Fuser
-from tactile_loc.core.localizer import Localizer
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.registry import registry
-from tactile_loc.core.store import Artifact, Workspace
 from tactile_loc.evaluation.judge import surface_points
 from tactile_loc.evaluation.metrics import symmetric_adds
 from tactile_loc.evaluation.oracle import true_pose
 from tactile_loc.evaluation.shards import describe_located, save_in_shards
 from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import Artifact, Workspace
 
 CONTACT_VERSION = 1  # raised when the same localizer would get other numbers
 CONTACT_LINES = ("best-1", "kinematic", "random")

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.localizer import Localizer
-from tactile_loc.evaluation.pictures import OUTLINE, draw_contact_shape, draw_outline, make_figure, millimetres
+from tactile_loc.drawing.pictures import OUTLINE, draw_contact_shape, draw_outline, make_figure, millimetres
 from tactile_loc.evaluation.protocol import Evaluation
 from tactile_loc.evaluation.sources import SimulatedTouches
 from tactile_loc.evaluation.tables import Run
+from tactile_loc.locate.localizer import Localizer
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.localizer import Localizer
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.posterior import PosePosterior
@@ -17,6 +16,7 @@ from tactile_loc.core.sensing import Touch
 from tactile_loc.evaluation.belief import belief
 from tactile_loc.evaluation.metrics import add_s, hull_corners, mssd, symmetric_adds
 from tactile_loc.evaluation.oracle import true_pose
+from tactile_loc.locate.localizer import Localizer
 
 LINES = ("best-1", "best-10", "best-50", "reg-1", "chosen", "reg-10", "closest", "oracle", "random", "random-10")
 METRICS = ("add", "mssd", "add-s")

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.compiled import njit, prange
 from tactile_loc.core.errors import TouchError
-from tactile_loc.core.localizer import Localizer
 from tactile_loc.core.sensing import Touch
+from tactile_loc.locate.localizer import Localizer
 
 Float32 = NDArray[np.float32]
 

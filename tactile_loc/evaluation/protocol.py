@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.hashing import StageKey
-from tactile_loc.core.localizer import Localizer
 from tactile_loc.core.poses import Poses
-from tactile_loc.core.store import Artifact, Workspace
 from tactile_loc.evaluation.judge import LINES, METRICS, STAGES, Judge
 from tactile_loc.evaluation.oracle import oracle_poses
 from tactile_loc.evaluation.shards import describe_located, save_in_shards
 from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import Artifact, Workspace
 
 PROTOCOL_VERSION = 2  # raised when the same localizer would get other numbers
 SHARD = 25  # touches localised, saved and resumed at once

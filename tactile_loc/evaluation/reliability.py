@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tactile_loc.drawing.pictures import make_figure
 from tactile_loc.evaluation.belief import BELIEF, LEVELS
 from tactile_loc.evaluation.figures import COLOURS
-from tactile_loc.evaluation.pictures import make_figure
 from tactile_loc.evaluation.tables import Run
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.localizer import Localizer
 from tactile_loc.core.registry import registry
-from tactile_loc.core.store import Workspace
 from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.store import Workspace
 
 Arrays = Sequence[NDArray[Any]]
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from tactile_loc.calibration.folder import Calibration
 from tactile_loc.core.errors import ConfigError, TouchError
-from tactile_loc.core.localizer import Localizer
 from tactile_loc.core.noise import noise as noise_named
 from tactile_loc.core.sensing import Touch
 from tactile_loc.imaging.simulate import touch_images
+from tactile_loc.locate.localizer import Localizer
 
 log = logging.getLogger(__name__)
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.evaluation.files import write_atomically
-from tactile_loc.evaluation.results import versions
+from tactile_loc.locate.result_json import versions
+from tactile_loc.store.files import write_atomically
 
 Rows = Sequence[Sequence[str]]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.noise_parts import Gel
+from tactile_loc.core.noise import Gel
 from tactile_loc.core.sensing import SensorGeometry
 
 Float32 = NDArray[np.float32]

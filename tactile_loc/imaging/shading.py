@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.noise_parts import Gel
+from tactile_loc.core.noise import Gel
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.imaging.optics import Light, Optics
 

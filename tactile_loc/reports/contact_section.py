@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from tactile_loc.evaluation.pictures import millimetres, percent
-from tactile_loc.evaluation.results import HypothesisRecord, ResultRecord
+from tactile_loc.drawing.pictures import millimetres, percent
+from tactile_loc.locate.result_arrays import ResultArrays
+from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord
 from tactile_loc.reports import shape_pictures as pictures
 from tactile_loc.reports.markup import escape
-from tactile_loc.reports.result_arrays import ResultArrays
 
 
 def contact_section(record: ResultRecord, arrays: ResultArrays) -> str:

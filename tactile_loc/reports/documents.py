@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from tactile_loc.io.toml import toml_text
 from tactile_loc.reports.markup import details, escape, preformatted, script_json, versions_table
 from tactile_loc.reports.page import Page
 from tactile_loc.reports.source import ResultError, Source
-from tactile_loc.reports.toml_text import toml_text
 
 
 def require_version(source: Source, document: Mapping[str, Any], version: int) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tactile_loc.evaluation.files import write_atomically
 from tactile_loc.reports.page import Page, render
 from tactile_loc.reports.source import Source
+from tactile_loc.store.files import write_atomically
 
 DEFAULT_NAME = "report.html"
 
@@ -14,7 +14,7 @@ DEFAULT_NAME = "report.html"
 def page_of(source: Source) -> Page:
     """Return the page of a result. Raises ResultError when it cannot be read."""
     if source.kind == "run":
-        from tactile_loc.reports.result_files import NAME, read_arrays
+        from tactile_loc.locate.result_files import NAME, read_arrays
         from tactile_loc.reports.run_report import read_record, run_page
 
         record = read_record(source)

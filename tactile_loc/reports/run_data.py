@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry import transform_points
 from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.evaluation.results import ResultRecord
+from tactile_loc.locate.result_arrays import ResultArrays
+from tactile_loc.locate.result_json import ResultRecord
 from tactile_loc.reports import scene3d
-from tactile_loc.reports.result_arrays import ResultArrays
 from tactile_loc.reports.rotations import SideMap, side_map, yaw_histogram
 from tactile_loc.reports.surface import SurfaceDistribution, surface_distribution, touched_points, vertex_normals
 

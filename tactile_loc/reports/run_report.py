@@ -10,15 +10,15 @@ import numpy as np
 from pydantic import ValidationError
 
 from tactile_loc.core.geometry import axis_angle
-from tactile_loc.evaluation.pictures import millimetres, percent
-from tactile_loc.evaluation.results import SCHEMA_VERSION, HypothesisRecord, ResultRecord
+from tactile_loc.drawing.pictures import millimetres, percent
+from tactile_loc.io.toml import toml_text
+from tactile_loc.locate.result_arrays import ResultArrays
+from tactile_loc.locate.result_json import SCHEMA_VERSION, HypothesisRecord, ResultRecord
 from tactile_loc.reports.contact_section import contact_section
 from tactile_loc.reports.markup import details, escape, figure, preformatted, table, tiles, versions_table
 from tactile_loc.reports.page import Page, Section
-from tactile_loc.reports.result_arrays import ResultArrays
 from tactile_loc.reports.run_data import run_data, side_sentence
 from tactile_loc.reports.source import ResultError, Source
-from tactile_loc.reports.toml_text import toml_text
 
 ALL = 0.999999  # of the probability: what is missing is rounding
 COLUMNS = ("rank", "prob. (%)", "fit (%)", "x (mm)", "y (mm)", "z (mm)", "turn (°)", "about the axis")

@@ -13,10 +13,10 @@ from tactile_loc.core.geometry import invert, transform_points
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import ContactShape, SensorGeometry
-from tactile_loc.evaluation.pictures import extent_mm
-from tactile_loc.evaluation.pose_panel import GEL_MM, RIM_MM
-from tactile_loc.evaluation.views import CREASE_DEG, View, box
-from tactile_loc.reports.result_arrays import TouchArrays
+from tactile_loc.drawing.pictures import extent_mm
+from tactile_loc.drawing.pose_panel import GEL_MM, RIM_MM
+from tactile_loc.drawing.views import CREASE_DEG, View, box
+from tactile_loc.locate.result_arrays import TouchArrays
 
 Array = NDArray[np.float64]
 

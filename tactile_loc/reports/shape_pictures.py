@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.sensing import ContactShape, SensorGeometry
-from tactile_loc.evaluation.pictures import extent_mm
+from tactile_loc.drawing.pictures import extent_mm
 from tactile_loc.reports.markup import escape
 from tactile_loc.reports.scene3d import number, outlines_mm, round_values
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from tactile_loc.io.toml import toml_text
 from tactile_loc.reports.documents import guarded
 from tactile_loc.reports.markup import choice, details, escape, figure, preformatted, table, tiles, versions_table
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.reports.source import Source
 from tactile_loc.reports.sweep_rows import MEDIAN, Row, components, is_factor, measured_lines, read_rows, varying
-from tactile_loc.reports.toml_text import toml_text
 
 TABLE_LINES = ("best-1", "reg-1", "chosen", "closest")
 OTHERS = ("coverage_80", "nll_nats", "total_ms", "model_s", "grid_poses")

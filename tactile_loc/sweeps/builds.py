@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from tactile_loc.core.hashing import StageKey
+from tactile_loc.store.keys import StageKey
 
 
 class BuildJournal(list[StageKey]):

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Any
 
-from tactile_loc.core.config import SlotConfig
-from tactile_loc.core.hashing import canonical_json
 from tactile_loc.core.registry import registry, validate_options
+from tactile_loc.io.config import SlotConfig
+from tactile_loc.store.keys import canonical_json
 
 
 def expand(slot: str, named: Sequence[SlotConfig], options: Mapping[str, Sequence[Any]]) -> tuple[SlotConfig, ...]:

@@ -9,15 +9,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from tactile_loc import __version__
-from tactile_loc.core.config import ObjectConfig, RunConfig, SlotConfig, TouchConfig
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.hashing import canonical_json
-from tactile_loc.core.hookspecs import SLOTS
-from tactile_loc.core.meshes import load_object
 from tactile_loc.core.noise import noise as noise_called
 from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.registry import registry
+from tactile_loc.core.registry import SLOTS, registry
 from tactile_loc.evaluation.protocol import PROTOCOL_VERSION
+from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, TouchConfig
+from tactile_loc.io.meshes import load_object
+from tactile_loc.store.keys import canonical_json
 from tactile_loc.sweeps.plan import Plan
 
 ROW_VERSION = 1  # raised when a row of the same combination would hold other numbers

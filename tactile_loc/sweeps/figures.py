@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.drawing.pictures import make_figure
 from tactile_loc.evaluation.figures import COLOURS
-from tactile_loc.evaluation.pictures import make_figure
 from tactile_loc.sweeps.labels import place_labels
 from tactile_loc.sweeps.summary import Point, choice_labels, effects, pareto, points, varying
 from tactile_loc.sweeps.sweep import Sweep

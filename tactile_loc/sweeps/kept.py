@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.evaluation.files import write_atomically
+from tactile_loc.store.files import write_atomically
 from tactile_loc.sweeps.combinations import Combination
 from tactile_loc.sweeps.work import Outcome
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.core.config import ObjectConfig, RunConfig, SlotConfig, kind_of_sensor, read_toml
 from tactile_loc.core.errors import ConfigError, did_you_mean
-from tactile_loc.core.hookspecs import SLOTS
 from tactile_loc.core.noise import noise as noise_called
-from tactile_loc.core.registry import validate_options
+from tactile_loc.core.registry import SLOTS, validate_options
 from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, kind_of_sensor
+from tactile_loc.io.toml import read_toml
 from tactile_loc.sweeps.choices import expand
 from tactile_loc.sweeps.words import as_list, read_options, whole_numbers
 

@@ -7,10 +7,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.evaluation.files import write_atomically
-from tactile_loc.evaluation.pictures import save_figure
+from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.protocol import PROTOCOL_VERSION
-from tactile_loc.evaluation.results import versions
+from tactile_loc.locate.result_json import versions
+from tactile_loc.store.files import write_atomically
 from tactile_loc.sweeps.figures import draw_effects, draw_error_time
 from tactile_loc.sweeps.kept import configuration
 from tactile_loc.sweeps.pivot import markdown

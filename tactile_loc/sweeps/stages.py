@@ -8,15 +8,15 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from tactile_loc.core.confidence import Confidence, confidence_key
-from tactile_loc.core.hashing import StageKey
-from tactile_loc.core.localizer import Localizer
-from tactile_loc.core.model import SHARD, STAGE_VERSIONS
 from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.store import StageStore
-from tactile_loc.core.training import STAGE_VERSION as TRAINING_VERSION
 from tactile_loc.evaluation.protocol import evaluation_key
 from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.model import SHARD, STAGE_VERSIONS
+from tactile_loc.locate.model import STAGE_VERSION as TRAINING_VERSION
+from tactile_loc.locate.probabilities import Confidence, confidence_key
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.combinations import Combination
 
 STAGES = ("grid", "shapes", "encoder", "bank", "confidence", "evaluation")

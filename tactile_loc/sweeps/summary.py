@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.config import SlotConfig
 from tactile_loc.core.errors import ConfigError, did_you_mean
-from tactile_loc.core.hookspecs import SLOTS
+from tactile_loc.core.registry import SLOTS
 from tactile_loc.evaluation.judge import LINES
+from tactile_loc.io.config import SlotConfig
 from tactile_loc.sweeps.choices import label, varied_options
 from tactile_loc.sweeps.plan import Plan
 from tactile_loc.sweeps.sweep import Sweep

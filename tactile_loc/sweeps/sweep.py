@@ -12,7 +12,7 @@ from typing import Protocol
 
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.progress import Progress
-from tactile_loc.evaluation.files import require_writable
+from tactile_loc.store.files import require_writable
 from tactile_loc.sweeps.combinations import Combination, combine, in_running_order
 from tactile_loc.sweeps.kept import KeptRows
 from tactile_loc.sweeps.plan import Plan

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactile_loc.core.errors import MissingLibraryError, OutputError
-from tactile_loc.core.hookspecs import SLOTS
-from tactile_loc.evaluation.files import write_atomically
+from tactile_loc.core.registry import SLOTS
 from tactile_loc.evaluation.tabular import csv_table
+from tactile_loc.store.files import write_atomically
 from tactile_loc.sweeps.choices import varied_options
 from tactile_loc.sweeps.combinations import Combination
 from tactile_loc.sweeps.measures import ERRORS, TIMES, TRUST

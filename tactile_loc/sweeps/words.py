@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from tactile_loc.core.config import parse_overrides
 from tactile_loc.core.errors import ConfigError
+from tactile_loc.io.config import parse_overrides
 
 Options = dict[str, dict[str, list[Any]]]
 

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.core.config import RunConfig
 from tactile_loc.core.errors import ConfigError, TactileLocError
-from tactile_loc.core.localizer import Localizer
 from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.store import StageStore
+from tactile_loc.io.config import RunConfig
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.builds import BuildJournal
 from tactile_loc.sweeps.combinations import combination_key, describe_components
 

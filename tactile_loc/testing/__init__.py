@@ -17,8 +17,8 @@ import importlib
 from collections.abc import Iterable
 from typing import Any
 
-from tactile_loc.core.hookspecs import SLOTS
 from tactile_loc.core.interfaces import Component
+from tactile_loc.core.registry import SLOTS
 from tactile_loc.testing import common
 from tactile_loc.testing.contract import Check, ContractError
 

@@ -10,8 +10,8 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.hookspecs import SLOTS
 from tactile_loc.core.interfaces import Capabilities, Component, ComponentOptions
+from tactile_loc.core.registry import SLOTS
 from tactile_loc.testing.contract import Check, require
 
 

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry import make_transform, rotation_about
-from tactile_loc.core.interfaces import Candidate, RefinedPose, TrainingProblem
+from tactile_loc.core.interfaces import Candidate, RefinedPose, Scene, TrainingProblem
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
 from tactile_loc.core.registry import registry
-from tactile_loc.core.scene import Scene
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
 from tactile_loc.core.symmetry import SymmetryGroup
 from tactile_loc.testing.shapes import ReferenceRenderer, scaled, stepped_block

@@ -9,10 +9,10 @@ from tactile_loc.calibration import board_presses as module
 from tactile_loc.calibration.board_presses import SHARD, simulated_presses
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.store import StageStore
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.imaging.shading import background
 from tactile_loc.imaging.simulate import board_presses
+from tactile_loc.store.store import StageStore
 
 LAMPS = OPTICS["gelslim"]
 

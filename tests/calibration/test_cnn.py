@@ -20,10 +20,10 @@ from tactile_loc.core.errors import CalibrationError, TrainingError, WeightsErro
 from tactile_loc.core.interfaces import Checkpoints
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.store import StageStore
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.imaging.shading import background
 from tactile_loc.imaging.simulate import touch_images
+from tactile_loc.store.store import StageStore
 
 LAMPS = OPTICS["gelslim"]
 SMALL = {"channels": 8, "epochs": 10, "batch": 4, "rate": 5e-3, "dropout": 0.1}

@@ -15,7 +15,7 @@ from tactile_loc.calibration.converters import FORMATS, convert
 from tactile_loc.calibration.presses import read_presses
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch_files import read_colour_image
+from tactile_loc.io.images import read_colour_image
 
 BALLS = ball_set(3)
 MM_PER_PX = 0.25

@@ -30,7 +30,7 @@ from tactile_loc.calibration.folder import (  # noqa: E402
 )
 from tactile_loc.calibration.photometric import PhotometricEstimator  # noqa: E402
 from tactile_loc.core.errors import CalibrationError, ConfigError, OutputError, WeightsError  # noqa: E402
-from tactile_loc.core.sensor_files import write_sensor_file  # noqa: E402
+from tactile_loc.io.sensor_files import write_sensor_file  # noqa: E402
 
 BALLS = ball_set(1)
 MASK = np.tri(64, dtype=bool)

@@ -19,7 +19,7 @@ from tactile_loc.calibration.presses import read_presses  # noqa: E402
 from tactile_loc.calibration.stage import calibrate_stage  # noqa: E402
 from tactile_loc.core.errors import ConfigError  # noqa: E402
 from tactile_loc.core.progress import Progress  # noqa: E402
-from tactile_loc.core.store import StageStore  # noqa: E402
+from tactile_loc.store.store import StageStore  # noqa: E402
 
 BALLS = ball_set(5)
 FEW = {**TINY, "steps": 5}

@@ -19,11 +19,11 @@ from press_sets import MM, ball_set, magnified, sensor, write_image, write_table
 from tactile_loc.calibration.calibrate import split  # noqa: E402
 from tactile_loc.calibration.folder import read_calibration  # noqa: E402
 from tactile_loc.calibration.photometric import PhotometricEstimator  # noqa: E402
-from tactile_loc.core.sensor_files import write_sensor_file  # noqa: E402
-from tactile_loc.core.store import StageStore  # noqa: E402
 from tactile_loc.imaging.optics import OPTICS  # noqa: E402
 from tactile_loc.imaging.shading import background  # noqa: E402
+from tactile_loc.io.sensor_files import write_sensor_file  # noqa: E402
 from tactile_loc.plugins.sensors.calibrated import CalibratedSensor  # noqa: E402
+from tactile_loc.store.store import StageStore  # noqa: E402
 
 BALLS = ball_set(16, px=80)
 STEPS = ["-o", "steps=300", "-o", "hidden=16"]

@@ -12,9 +12,9 @@ from PIL import Image
 
 from tactile_loc.calibration.folder import read_calibration
 from tactile_loc.calibration.reading import reduced
-from tactile_loc.core.sensor_files import read_sensor_file
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.imaging.shading import background
+from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.plugins.sensors.calibrated import CalibratedSensor
 from tactile_loc.plugins.sensors.presets import GelSlim
 

@@ -13,8 +13,7 @@ import pytest
 from cli_helpers import command
 from test_startup import HEAVY, PROBE
 
-from tactile_loc.core.hookspecs import SLOTS
-from tactile_loc.core.registry import registry
+from tactile_loc.core.registry import SLOTS, registry
 from tactile_loc.data import DEMO_OBJECTS
 
 WITH_CHOSEN_SHELL = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}

@@ -15,9 +15,9 @@ from tactile_loc_cli.command import as_command
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
-from tactile_loc.core.store import StageStore
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.plugins.refiners.none import NoRefiner
+from tactile_loc.store.store import StageStore
 
 PIN = ["--object", "pin", *TINY]
 

@@ -9,8 +9,8 @@ from cli_helpers import TINY, assert_refused
 
 torch = pytest.importorskip("torch")
 
-from tactile_loc.core.store import StageStore  # noqa: E402
 from tactile_loc.plugins.encoders import moco, moco_training  # noqa: E402
+from tactile_loc.store.store import StageStore  # noqa: E402
 
 OPTIONS = ("epochs=2", "queries=64", "batch=32", "channels=4")
 MOCO = ["--encoder", "moco", *(word for option in OPTIONS for word in ("-o", f"encoder.{option}"))]

@@ -11,11 +11,11 @@ from cli_helpers import TINY, Cli, assert_refused
 from PIL import Image
 
 from tactile_loc import __version__
-from tactile_loc.core.config import RunConfig
-from tactile_loc.core.hookspecs import SLOTS
-from tactile_loc.core.store import StageStore
+from tactile_loc.core.registry import SLOTS
 from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.io.config import RunConfig
 from tactile_loc.plugins.grids.face import FaceGrid
+from tactile_loc.store.store import StageStore
 
 
 def test_version_and_help(cli: Cli):

@@ -12,7 +12,7 @@ from cli_helpers import Cli, assert_refused
 from tactile_loc_cli.commands.plugins import plugins
 
 from tactile_loc.core import registry
-from tactile_loc.core.hookspecs import ComponentSpec, hookimpl
+from tactile_loc.core.registry import ComponentSpec, hookimpl
 from tactile_loc.testing import checks_for
 
 PARTS = """

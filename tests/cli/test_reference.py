@@ -6,7 +6,8 @@ from pathlib import Path
 
 from tactile_loc_cli.reference import INTRODUCTION, reference
 
-from tactile_loc.core.config import RunConfig, read_toml
+from tactile_loc.io.config import RunConfig
+from tactile_loc.io.toml import read_toml
 
 
 def test_the_page_is_up_to_date():

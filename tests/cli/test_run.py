@@ -11,9 +11,9 @@ import pytest
 from cli_helpers import TINY, Cli, assert_refused, touch_depths, write_box
 from PIL import Image
 
-from tactile_loc.core.config import RunConfig
-from tactile_loc.core.meshes import load_object
 from tactile_loc.core.poses import PoseMetric
+from tactile_loc.io.config import RunConfig
+from tactile_loc.io.meshes import load_object
 from tactile_loc.plugins.grids.face import resting_normal
 
 ROOT = Path(__file__).parents[2]

@@ -17,8 +17,8 @@ from tactile_loc_cli.stored import age_in_words, parse_age, size_in_words
 from typer.testing import CliRunner
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.hashing import StageKey
-from tactile_loc.core.store import StageStore
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import StageStore
 
 DAY_S = 86400
 OBJECT = {"mesh": "ab12cd34" + "0" * 56, "symmetry": "z2", "centre_m": [0, 0, 0]}

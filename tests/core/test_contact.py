@@ -10,9 +10,9 @@ import trimesh
 
 from tactile_loc.core.contact import bring_to_contact, group_rotations, lowest_points
 from tactile_loc.core.geometry import make_transform, random_rotations, rotation_about, transform_points, translation
-from tactile_loc.core.meshes import load_object
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.io.meshes import load_object
 
 PROJECT = Path(__file__).parents[2]
 RECTANGLE = (-0.006, 0.010, -0.004, 0.007)

@@ -8,8 +8,8 @@ from tactile_loc.core.contact import lowest_points
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry import is_rigid, make_transform, rotation_about, translation
 from tactile_loc.core.grids import contact_grid, enough_contact, random_contact_poses
-from tactile_loc.core.meshes import load_object
 from tactile_loc.core.poses import PoseGrid, PoseMetric
+from tactile_loc.io.meshes import load_object
 from tactile_loc.plugins.grids.face import FaceGrid
 
 

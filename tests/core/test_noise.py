@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 from tactile_loc_cli.flags import Noise
 
-from tactile_loc.core.config import TouchConfig
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry import is_rigid, rotation_about
 from tactile_loc.core.noise import NOISE, TouchNoise, noise
 from tactile_loc.core.sensing import ContactShape, SensorGeometry
+from tactile_loc.io.config import TouchConfig
 
 PRESS_M = 0.002
 

@@ -6,10 +6,10 @@ import trimesh
 
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry import make_transform, random_rotations, rotation_about, transform_points, translation
-from tactile_loc.core.meshes import load_object
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.poses import PoseGrid, PoseMetric, remove_equivalent
 from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.io.meshes import load_object
 
 
 def random_poses(count: int, seed: int, spread_m: float = 0.01) -> np.ndarray:

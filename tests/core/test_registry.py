@@ -19,12 +19,11 @@ from tactile_loc.core.errors import (
     TactileLocError,
     UnknownPluginError,
 )
-from tactile_loc.core.hookspecs import SLOTS
 from tactile_loc.core.interfaces import Component
-from tactile_loc.core.registry import Registry, registry, validate_options
+from tactile_loc.core.registry import SLOTS, Registry, registry, validate_options
 
 HOOK = """
-from tactile_loc.core.hookspecs import ComponentSpec, hookimpl
+from tactile_loc.core.registry import ComponentSpec, hookimpl
 
 @hookimpl
 def tactile_loc_components():

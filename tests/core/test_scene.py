@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from tactile_loc.core.geometry import make_transform, rotation_about, translation
-from tactile_loc.core.scene import OUTLINE_SHARE
+from tactile_loc.core.interfaces import OUTLINE_SHARE
 from tactile_loc.core.sensing import ContactShape, Touch
 from tactile_loc.testing.problems import CAMERAS, pressed_block, with_depth
 

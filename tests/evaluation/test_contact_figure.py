@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from test_contact_tables import CONTACTS, make_contact_run
 
+from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.contact_figure import draw_contacts
-from tactile_loc.evaluation.pictures import save_figure
 
 
 def panels(figure):

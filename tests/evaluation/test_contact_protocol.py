@@ -7,9 +7,7 @@ import pytest
 
 from tactile_loc.core.errors import ConfigError, GridError
 from tactile_loc.core.geometry import invert
-from tactile_loc.core.localizer import Localizer
 from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.store import StageStore
 from tactile_loc.evaluation import contact_protocol
 from tactile_loc.evaluation.contact_protocol import (
     CONTACT_LINES,
@@ -20,8 +18,10 @@ from tactile_loc.evaluation.contact_protocol import (
     evaluate_contacts,
 )
 from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.plugins.fusers.kinematic import KinematicFuser
 from tactile_loc.plugins.fusers.product import ProductFuser
+from tactile_loc.store.store import StageStore
 
 COUNT, CONTACTS = 4, (1, 2, 4)
 SOURCE = SimulatedTouches("strong", 3)

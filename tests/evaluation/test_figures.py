@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from test_tables import make_run
 
+from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.figures import DRAWN, FLOOR, draw_gallery, draw_violins
-from tactile_loc.evaluation.pictures import save_figure
 from tactile_loc.evaluation.protocol import Evaluation, evaluate
 from tactile_loc.evaluation.sources import SimulatedTouches
 from tactile_loc.evaluation.tables import Run

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import ConfigError, TouchError
-from tactile_loc.core.localizer import Localizer
-from tactile_loc.core.store import StageStore
 from tactile_loc.evaluation import protocol
 from tactile_loc.evaluation.judge import LINES, METRICS, STAGES, Judge
 from tactile_loc.evaluation.oracle import oracle_poses
 from tactile_loc.evaluation.protocol import Evaluation, evaluate, evaluation_key
 from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.store import StageStore
 
 COUNT = 6
 

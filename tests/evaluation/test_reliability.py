@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from test_tables import make_run
 
+from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.belief import BELIEF
-from tactile_loc.evaluation.pictures import save_figure
 from tactile_loc.evaluation.reliability import draw_reliability
 
 

@@ -14,11 +14,11 @@ import torch
 from tactile_loc.calibration.folder import read_calibration, write_calibration
 from tactile_loc.calibration.simulated import calibrate_simulated
 from tactile_loc.core.errors import CalibrationError, ConfigError, TouchError
-from tactile_loc.core.localizer import Localizer
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.evaluation.protocol import evaluate, evaluation_key
 from tactile_loc.evaluation.sources import SimulatedTouches
 from tactile_loc.imaging.optics import OPTICS
+from tactile_loc.locate.localizer import Localizer
 
 IMAGES = SimulatedTouches(seed=3, images=True)
 SENSOR = SensorGeometry("orthographic", 96, 96, 3500.0, 3500.0, 48.0, 48.0, 0.01, 2e-3)

@@ -88,7 +88,7 @@ def test_only_the_public_api_is_imported(name):
 @pytest.mark.parametrize(
     "text",
     [
-        "import tactile_loc.plugins.refiners.registration",
+        "import tactile_loc.plugins.refiners.icp",
         "def f():\n    from tactile_loc.plugins.grids import lattice",
         "from tactile_loc import plugins",
         "importlib.import_module('tactile_loc.plugins.encoders.pixel')",
@@ -97,7 +97,7 @@ def test_only_the_public_api_is_imported(name):
 )
 def test_a_private_import_is_noticed(text):
     assert private(text)
-    assert not private("from tactile_loc import hookimpl\nfrom tactile_loc.core.scene import Scene\nimport numpy")
+    assert not private("from tactile_loc import hookimpl\nfrom tactile_loc.core.interfaces import Scene\nimport numpy")
 
 
 @each

@@ -11,8 +11,8 @@ import pytest
 from report_helpers import Elements, floats, html_of, numbers_in, page_in
 
 from tactile_loc.core.geometry import rotation_about
+from tactile_loc.locate.result_files import read_arrays
 from tactile_loc.reports.contact_section import contact_section
-from tactile_loc.reports.result_files import read_arrays
 from tactile_loc.reports.run_data import surface_of
 from tactile_loc.reports.run_report import read_record
 from tactile_loc.reports.source import ResultError, find_source
@@ -115,7 +115,7 @@ def test_without_the_truth_no_error_is_claimed(run_folder, tmp_path, monkeypatch
     for h in document["hypotheses"]:
         h["error_m"] = None
     (folder / "result.json").write_text(json.dumps(document))
-    monkeypatch.setattr("tactile_loc.reports.result_files.fingerprint", lambda record: "same")
+    monkeypatch.setattr("tactile_loc.locate.result_files.fingerprint", lambda record: "same")
     with np.load(folder / "result.npz") as file:
         arrays = {name: file[name] for name in file.files} | {"result_sha256": np.array("same")}
     np.savez(folder / "result.npz", **arrays)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 HOOK = """
-from tactile_loc.core.hookspecs import ComponentSpec, hookimpl
+from tactile_loc.core.registry import ComponentSpec, hookimpl
 
 @hookimpl
 def tactile_loc_components():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tactile_loc.core.config import SlotConfig
+from tactile_loc.io.config import SlotConfig
 from tactile_loc.sweeps.choices import label, varied_options
 
 

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import OutputError
-from tactile_loc.core.localizer import Localizer
-from tactile_loc.core.meshes import load_object
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.store import StageStore
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.io.meshes import load_object
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.cluster import ClusterError, DaskWorkers
 from tactile_loc.sweeps.local import LocalWorkers
 from tactile_loc.sweeps.plan import Plan

@@ -6,7 +6,7 @@ from collections import Counter
 
 import pytest
 
-from tactile_loc.core.store import StageStore
+from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.combinations import combine
 from tactile_loc.sweeps.plan import Plan
 from tactile_loc.sweeps.stages import STAGES, PlannedLocalizer, stages_to_build

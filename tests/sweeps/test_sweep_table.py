@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from tactile_loc.core.errors import MissingLibraryError
-from tactile_loc.core.hookspecs import SLOTS
+from tactile_loc.core.registry import SLOTS
 from tactile_loc.evaluation.judge import LINES
 from tactile_loc.sweeps.table import (
     MOMENTARY,

@@ -9,8 +9,8 @@ from tactile_loc_cli import flags
 from tactile_loc_cli.console import say
 
 if TYPE_CHECKING:
-    from tactile_loc.core.localizer import Localizer
     from tactile_loc.core.poses import PoseGrid
+    from tactile_loc.locate.localizer import Localizer
 
 MOST_MEASURED = 2000  # poses whose distance to their neighbours is measured
 

@@ -119,7 +119,7 @@ def calibrate(
     run --sensor FOLDER --touch photo.png
     """
     from tactile_loc.calibration.folder import require_replaceable
-    from tactile_loc.evaluation.files import require_writable
+    from tactile_loc.store.files import require_writable
 
     require_writable(out)
     require_replaceable(out.absolute())
@@ -163,8 +163,8 @@ def _convert(source: Path, folder: Path, format: Format, ball_radius: float | No
 
 
 def _options(words: list[str]) -> dict[str, Any]:
-    from tactile_loc.core.config import parse_overrides
     from tactile_loc.core.errors import ConfigError
+    from tactile_loc.io.config import parse_overrides
 
     for word in words:
         if not word.partition("=")[1]:
@@ -180,7 +180,7 @@ def _calibrate(
     from tactile_loc.calibration.presses import read_presses
     from tactile_loc.calibration.stage import calibrate_stage
     from tactile_loc.core.errors import CalibrationError
-    from tactile_loc.core.store import StageStore
+    from tactile_loc.store.store import StageStore
 
     if not folder.is_dir():
         raise CalibrationError(f"there is no folder {folder}; give one with images of presses and presses.csv")
@@ -194,7 +194,7 @@ def _calibrate_simulated(
     seed: int, out: Path, store: Path | None,
 ) -> dict[str, Any]:  # fmt: skip
     from tactile_loc.calibration.simulated import calibrate_simulated, camera_px, simulated_sensor
-    from tactile_loc.core.store import StageStore
+    from tactile_loc.store.store import StageStore
 
     sensor = sensor or DEFAULT_SENSOR
     geometry, lamps = simulated_sensor(sensor, optics)
@@ -208,7 +208,7 @@ def _calibrate_simulated(
 def _finish(presses: LabelledPresses, made: GelEstimator, record: dict[str, Any], out: Path) -> dict[str, Any]:
     from tactile_loc.calibration.folder import PICTURE, write_calibration
     from tactile_loc.calibration.pictures import draw_held_out
-    from tactile_loc.evaluation.pictures import save_figure
+    from tactile_loc.drawing.pictures import save_figure
 
     write_calibration(out.absolute(), made.geometry, made.background, made, {"presses": len(presses), **record})
     held_out = record["held_out"]
@@ -225,7 +225,7 @@ def _finish(presses: LabelledPresses, made: GelEstimator, record: dict[str, Any]
 
 def _geometry(path: Path) -> SensorGeometry:
     from tactile_loc.core.errors import SensorError
-    from tactile_loc.core.sensor_files import read_sensor_file
+    from tactile_loc.io.sensor_files import read_sensor_file
 
     if not path.is_file():
         raise SensorError(f"there is no {path}; describe the sensor in it (docs/conventions.md), or give --sensor")

@@ -16,11 +16,11 @@ from tactile_loc_cli.commands import evaluate_contacts as several
 from tactile_loc_cli.console import progress, say, say_table
 
 if TYPE_CHECKING:
-    from tactile_loc.core.config import RunConfig
-    from tactile_loc.core.localizer import Localizer
     from tactile_loc.core.objects import ObjectModel
     from tactile_loc.evaluation.sources import SimulatedTouches
     from tactile_loc.evaluation.tables import Run
+    from tactile_loc.io.config import RunConfig
+    from tactile_loc.locate.localizer import Localizer
 
 DEFAULT_OUT = Path("evaluation")
 DEFAULT_NOISE = "strong"
@@ -109,7 +109,7 @@ def evaluate(
     resumes.
     """
     asked = {key: value for key, value in locals().items() if key not in ("count", "contacts", "seed", "out", "store")}
-    from tactile_loc.evaluation.files import require_writable
+    from tactile_loc.store.files import require_writable
 
     numbers = None if contacts is None else several.parse_contacts(contacts)
     jobs, source = _jobs(asked, seed)
@@ -132,11 +132,11 @@ class _Plan:
 
     def work(self, settings: RunConfig, obj: ObjectModel) -> Run:
         """Evaluate an object with an encoder, draw its gallery, and return what was found."""
+        from tactile_loc.drawing.pictures import save_figure
         from tactile_loc.evaluation.figures import draw_gallery
-        from tactile_loc.evaluation.pictures import save_figure
         from tactile_loc.evaluation.protocol import evaluate as run_protocol
-        from tactile_loc.evaluation.results import resolved
         from tactile_loc.evaluation.tables import Run
+        from tactile_loc.locate.result_json import resolved
 
         localizer = _localizer(settings, obj, self.store)
         encoder = settings.encoder.name
@@ -164,7 +164,7 @@ class _Plan:
 
 def _jobs(asked: dict[str, Any], seed: int) -> tuple[list[tuple[RunConfig, ObjectModel]], SimulatedTouches]:
     """Every object with every encoder, and the touches; what can be wrong is found before the first is evaluated."""
-    from tactile_loc.core.config import parse_overrides
+    from tactile_loc.io.config import parse_overrides
 
     in_file = _in_file(asked["config"])
     objects = asked["object"] or _named(in_file.get("object"), "path") or _demo_objects()
@@ -213,7 +213,7 @@ def _options_of(
 
 
 def _in_file(path: Path | None) -> dict[str, Any]:
-    from tactile_loc.core.config import read_toml
+    from tactile_loc.io.toml import read_toml
 
     return {} if path is None else read_toml(path)
 
@@ -247,8 +247,8 @@ def _config_error(text: str) -> Exception:
 
 
 def _localizer(settings: RunConfig, obj: ObjectModel, store: Path | None) -> Localizer:
-    from tactile_loc.core.localizer import Localizer
-    from tactile_loc.core.store import StageStore
+    from tactile_loc.locate.localizer import Localizer
+    from tactile_loc.store.store import StageStore
 
     return Localizer(settings, obj, StageStore(store), progress())
 
@@ -258,8 +258,8 @@ def _gallery(name: str, encoder: str) -> str:
 
 
 def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
+    from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.evaluation.figures import draw_violins
-    from tactile_loc.evaluation.pictures import save_figure
     from tactile_loc.evaluation.reliability import draw_reliability
     from tactile_loc.evaluation.tables import (
         medians_mm,

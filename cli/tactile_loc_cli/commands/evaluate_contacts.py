@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from tactile_loc_cli.console import say, say_table
 
 if TYPE_CHECKING:
-    from tactile_loc.core.config import RunConfig
-    from tactile_loc.core.localizer import Localizer
     from tactile_loc.evaluation.contact_tables import ContactRun
     from tactile_loc.evaluation.sources import SimulatedTouches
+    from tactile_loc.io.config import RunConfig
+    from tactile_loc.locate.localizer import Localizer
 
 DEFAULT_COUNT = 100
 OF_EACH_TOUCH = ("errors_m", "beliefs")  # keys of the files whose lists are as long as there are touches
@@ -59,7 +59,7 @@ def _run(
 ) -> ContactRun:
     from tactile_loc.evaluation.contact_protocol import evaluate_contacts as run_protocol
     from tactile_loc.evaluation.contact_tables import ContactRun
-    from tactile_loc.evaluation.results import resolved
+    from tactile_loc.locate.result_json import resolved
 
     evaluation = run_protocol(localizer, contacts, count, touches)
     obj, poses = localizer.object, len(localizer.model.grid)
@@ -67,9 +67,9 @@ def _run(
 
 
 def _report(runs: Sequence[ContactRun], protocol: dict[str, object], heading: str, out: Path) -> dict[str, Any]:
+    from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.evaluation.contact_figure import draw_contacts
     from tactile_loc.evaluation.contact_tables import median_header, median_rows, record, write_contact_tables
-    from tactile_loc.evaluation.pictures import save_figure
 
     written = write_contact_tables(out, runs, protocol, heading)
     written.append(save_figure(out / "contacts.png", draw_contacts(runs, heading)))

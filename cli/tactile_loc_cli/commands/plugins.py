@@ -58,7 +58,7 @@ def plugins(slot: Slot = None, name: Name = None, check: Check = False, option: 
 
 def _show_components(found: Registry, slot: str | None) -> dict[str, Any]:
     from tactile_loc.core.errors import UnknownPluginError, did_you_mean
-    from tactile_loc.core.hookspecs import SLOTS
+    from tactile_loc.core.registry import SLOTS
 
     if slot is not None and slot not in SLOTS:
         raise UnknownPluginError(
@@ -169,8 +169,8 @@ def _check(found: Registry, slot: str, name: str, words: list[str]) -> dict[str,
 
 def _make(found: Registry, slot: str, name: str, words: list[str]) -> Component:
     """The component with the options given. Raises ConfigError for others' options, PluginLoadError where it fails."""
-    from tactile_loc.core.config import parse_overrides
     from tactile_loc.core.errors import ConfigError, PluginLoadError, TactileLocError
+    from tactile_loc.io.config import parse_overrides
 
     overrides = parse_overrides(words)
     others = sorted(overrides.keys() - {slot})

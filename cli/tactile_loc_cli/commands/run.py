@@ -13,11 +13,11 @@ from tactile_loc_cli.console import say
 
 if TYPE_CHECKING:
     from tactile_loc.core import sensing
-    from tactile_loc.core.config import RunConfig
-    from tactile_loc.core.contacts import Contact
     from tactile_loc.core.interfaces import Prior
-    from tactile_loc.core.localization import Localization
-    from tactile_loc.core.localizer import Localizer
+    from tactile_loc.io.config import RunConfig
+    from tactile_loc.locate.contacts import Contact
+    from tactile_loc.locate.localizer import Localizer
+    from tactile_loc.locate.result import Localization
 
 DEFAULT_OUT = Path("tactile-loc-result")
 DRAWN = 8  # touches are simulated, and the one with the most contact is shown
@@ -81,7 +81,7 @@ def run(
     model is built the first time and kept.
     """
     asked = dict(locals())
-    from tactile_loc.evaluation.files import require_writable
+    from tactile_loc.store.files import require_writable
 
     settings = flags.run_config(asked)
     _require_one_source(settings, noise)
@@ -93,7 +93,7 @@ def run(
         _require_no_prior(prior)
         _require_no_report(report)
         return run_folder(localizer, Path(settings.touch.path), flags.press_depth_m(settings), out, pictures)
-    from tactile_loc.core.contacts import localize_together
+    from tactile_loc.locate.contacts import localize_together
 
     contacts = _contacts(localizer)
     known = _prior(localizer, contacts[0][1], prior)
@@ -132,7 +132,7 @@ def _require_no_report(report: bool) -> None:
 
 def _prior(localizer: Localizer, touch: sensing.Touch, path: Path | None) -> Prior | None:
     """The prior in the first touch's sensor frame."""
-    from tactile_loc.core.prior_files import read_prior
+    from tactile_loc.io.prior_files import read_prior
 
     return None if path is None else read_prior(path, localizer.object).seen_from(touch.T_base_sensor)
 
@@ -160,10 +160,10 @@ def _report(
     contacts: list[Contact], localization: Localization, seconds: dict[str, float], out: Path, page: bool
 ) -> dict[str, Any]:
     """Show the result, write it (result.json, .npz, .png and, if asked for, the page), and return it and the paths."""
-    from tactile_loc.evaluation.pictures import draw_result, save_figure
-    from tactile_loc.evaluation.results import pose_errors_m, result_record, write_result
-    from tactile_loc.reports.result_arrays import gather
-    from tactile_loc.reports.result_files import NAME, write_arrays
+    from tactile_loc.drawing.pictures import draw_result, save_figure
+    from tactile_loc.locate.result_arrays import gather
+    from tactile_loc.locate.result_files import NAME, write_arrays
+    from tactile_loc.locate.result_json import pose_errors_m, result_record, write_result
     from tactile_loc_cli.tables import pose_table, summary, title
 
     localizer = contacts[0][0]

@@ -13,9 +13,9 @@ from tactile_loc.core.geometry import axis_angle
 from tactile_loc_cli.console import progress, say
 
 if TYPE_CHECKING:
-    from tactile_loc.core.localization import Localization
-    from tactile_loc.core.localizer import Localizer
     from tactile_loc.core.sensing import Touch
+    from tactile_loc.locate.localizer import Localizer
+    from tactile_loc.locate.result import Localization
 
 COLUMNS = ("touch", "probability", "fit", "x_mm", "y_mm", "z_mm", "turn_deg", "axis_x", "axis_y", "axis_z", "says")
 TOGETHER = 32  # touches read and located at once
@@ -32,7 +32,7 @@ def run_folder(
     the paths. Raises TouchError when the folder holds no touch or none can be located.
     """
     from tactile_loc.core.errors import TouchError
-    from tactile_loc.evaluation.files import write_atomically
+    from tactile_loc.store.files import write_atomically
 
     files = _touch_files(folder)
     rows: list[dict[str, Any]] = []
@@ -64,7 +64,7 @@ def is_many(path: Path) -> bool:
 
 def _touch_files(folder: Path) -> list[Path]:
     from tactile_loc.core.errors import TouchError
-    from tactile_loc.core.touch_files import IMAGE_SUFFIXES
+    from tactile_loc.io.images import IMAGE_SUFFIXES
 
     known = {".npz", ".npy", *IMAGE_SUFFIXES}
     if folder.is_dir():
@@ -125,8 +125,8 @@ def _result(row: dict[str, Any], localization: Localization | None, out: Path) -
 
 
 def _write(localizer: Localizer, localization: Localization, folder: Path, pictures: bool) -> None:
-    from tactile_loc.evaluation.pictures import draw_result, save_figure
-    from tactile_loc.evaluation.results import result_record, write_result
+    from tactile_loc.drawing.pictures import draw_result, save_figure
+    from tactile_loc.locate.result_json import result_record, write_result
     from tactile_loc_cli.tables import title
 
     record = result_record(localizer, localization)

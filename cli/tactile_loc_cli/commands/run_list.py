@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from tactile_loc_cli import flags
 
 if TYPE_CHECKING:
-    from tactile_loc.core.contacts import Contact
-    from tactile_loc.core.localizer import Localizer
-    from tactile_loc.core.touch_list import ListedTouch
+    from tactile_loc.io.touch_lists import ListedTouch
+    from tactile_loc.locate.contacts import Contact
+    from tactile_loc.locate.localizer import Localizer
 
 
 def is_list(path: Path) -> bool:
@@ -21,7 +21,7 @@ def is_list(path: Path) -> bool:
 
 def read_contacts(localizer: Localizer, path: Path) -> list[Contact]:
     """Read every touch of a list, each with the localizer of its sensor. Raises TactileLocError for bad input."""
-    from tactile_loc.core.touch_list import read_touch_list
+    from tactile_loc.io.touch_lists import read_touch_list
 
     of_sensor = {None: localizer, localizer.config.sensor.name: localizer}
     contacts: list[Contact] = []
@@ -34,8 +34,8 @@ def read_contacts(localizer: Localizer, path: Path) -> list[Contact]:
 
 def _with_sensor(localizer: Localizer, sensor: str) -> Localizer:
     """The same localizer, but for its sensor, which is given by name, folder or file."""
-    from tactile_loc.core.config import SlotConfig
-    from tactile_loc.core.localizer import Localizer
+    from tactile_loc.io.config import SlotConfig
+    from tactile_loc.locate.localizer import Localizer
 
     chosen = SlotConfig.model_validate(flags.component("sensor", None, sensor, {}))
     config = localizer.config.model_copy(update={"sensor": chosen})

@@ -14,9 +14,9 @@ from tactile_loc_cli.console import say
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tactile_loc.core.localizer import Localizer
     from tactile_loc.core.sensing import Touch
     from tactile_loc.imaging.optics import Optics
+    from tactile_loc.locate.localizer import Localizer
 
 DEFAULT_OUT = Path("tactile-loc-touches")
 BATCH = 16  # images rendered at once
@@ -56,7 +56,7 @@ def simulate(
     Random contact poses of those that the grid covers, as contact shapes (npz) that `run --touch` reads.
     """
     asked = dict(locals())
-    from tactile_loc.evaluation.files import require_writable
+    from tactile_loc.store.files import require_writable
 
     settings = flags.run_config(asked)
     seen_by = _optics(optics or settings.sensor.name, optics is not None) if images or optics is not None else None
@@ -78,10 +78,10 @@ def simulate(
 def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, Any]:
     """Write the touches, their poses and their picture; return what poses.json says."""
     from tactile_loc.core.errors import OutputError
-    from tactile_loc.core.touches import write_touch
-    from tactile_loc.evaluation.files import write_atomically
-    from tactile_loc.evaluation.pictures import draw_touches, save_figure
-    from tactile_loc.evaluation.results import resolved
+    from tactile_loc.drawing.pictures import draw_touches, save_figure
+    from tactile_loc.io.touches import write_touch
+    from tactile_loc.locate.result_json import resolved
+    from tactile_loc.store.files import write_atomically
 
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -132,6 +132,6 @@ def _write_images(touches: list[Touch], optics: Optics, seed: int, out: Path) ->
 def _write_png(path: Path, image: NDArray[Any]) -> None:
     from PIL import Image
 
-    from tactile_loc.evaluation.files import write_atomically
+    from tactile_loc.store.files import write_atomically
 
     write_atomically(path, lambda temporary: Image.fromarray(image).save(temporary))

@@ -12,7 +12,7 @@ from tactile_loc_cli import flags
 from tactile_loc_cli.console import say, say_table
 
 if TYPE_CHECKING:
-    from tactile_loc.core.store import Entry, StageStore
+    from tactile_loc.store.store import Entry, StageStore
     from tactile_loc_cli.stored import Origins
 
 
@@ -100,7 +100,7 @@ COMMANDS: Mapping[str, Callable[..., dict[str, Any]]] = {"list": list_store, "si
 
 
 def _open(store: flags.Store) -> StageStore:
-    from tactile_loc.core.store import StageStore
+    from tactile_loc.store.store import StageStore
 
     return StageStore(store)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.hookspecs import SLOTS
+from tactile_loc.core.registry import SLOTS
 from tactile_loc_cli import flags
 from tactile_loc_cli.commands import sweep_report
 from tactile_loc_cli.console import complain, progress
@@ -154,8 +154,8 @@ _PLANNED = ("object", *SLOTS, "noise", "seed", "count", "option")
 
 def _plan(path: Path | None, given: dict[str, Any], units: flags.Units | None, symmetry: str | None) -> Plan:
     """The file's plan with what is given on the command line over it."""
-    from tactile_loc.core.config import read_toml
     from tactile_loc.core.errors import ConfigError
+    from tactile_loc.io.toml import read_toml
     from tactile_loc.sweeps.plan import Plan
     from tactile_loc.sweeps.words import merge_options, read_options, split_all
 
@@ -179,7 +179,7 @@ def _plan(path: Path | None, given: dict[str, Any], units: flags.Units | None, s
 
 
 def _store(store: Path | None) -> Path:
-    from tactile_loc.core.store import StageStore
+    from tactile_loc.store.store import StageStore
 
     return StageStore(store).root
 

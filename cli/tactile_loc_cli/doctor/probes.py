@@ -150,7 +150,7 @@ def _plugins() -> Iterator[Check]:
 
 
 def _store(folder: Path | None) -> Check:
-    from tactile_loc.core.store import StageStore
+    from tactile_loc.store.store import StageStore
     from tactile_loc_cli.stored import size_in_words
 
     root = StageStore(folder).root

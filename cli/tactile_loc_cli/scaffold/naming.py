@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from tactile_loc.core.errors import ConfigError, PluginConflictError, UnknownPluginError, did_you_mean
-from tactile_loc.core.hookspecs import SLOTS
+from tactile_loc.core.registry import SLOTS
 
 KEBAB = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 LONGEST = 30  # so that the lines it is written into stay short

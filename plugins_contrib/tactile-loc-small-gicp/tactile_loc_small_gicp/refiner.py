@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from tactile_loc.core.clouds import contact_cloud
 from tactile_loc.core.geometry import is_rigid
-from tactile_loc.core.interfaces import Candidate, ComponentOptions, RefinedPose, Refiner
-from tactile_loc.core.scene import Scene
+from tactile_loc.core.interfaces import Candidate, ComponentOptions, RefinedPose, Refiner, Scene
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
 
 Floats = NDArray[np.float64]

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tactile_loc.core.common_poses import ContactOptions, check_contacts, common_poses, prior_weights
 from tactile_loc.core.interfaces import Capabilities, Fuser, Prior
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.plugins.fusers.common_poses import ContactOptions, check_contacts, common_poses, prior_weights
 
 
 class KinematicFuser(Fuser):

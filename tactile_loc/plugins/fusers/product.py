@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from tactile_loc.core.common_poses import ContactOptions, check_contacts, common_poses, prior_weights
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.interfaces import Fuser, Prior
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.plugins.fusers.common_poses import ContactOptions, check_contacts, common_poses, prior_weights
 
 ALL = slice(None)
 

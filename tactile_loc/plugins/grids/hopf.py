@@ -12,11 +12,11 @@ from pydantic import Field
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry import make_transform, random_rotations
 from tactile_loc.core.interfaces import GridSampler
+from tactile_loc.core.lattices import lattice_shape, plane_lattice, reachable_translations
 from tactile_loc.core.objects import LARGEST_M, ObjectModel, TriangleMesh
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.plugins.grids.hopf_rotations import rotation_grid
-from tactile_loc.plugins.grids.lattice import lattice_shape, plane_lattice, reachable_translations
 
 Float = NDArray[np.float64]
 SMALLEST_SPACING_M = 1e-6

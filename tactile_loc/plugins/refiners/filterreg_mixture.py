@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.registration import Cloud
 from tactile_loc.plugins.refiners import filterreg_kernels as kernels
-from tactile_loc.plugins.refiners.registration import Cloud
 
 REACH = 2.5  # standard deviations at which a Gaussian is cut off
 MOST_BOXES = 2_000_000  # into which points are merged; a cloud that spans more is left as it is

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactile_loc.core.geometry import transform_points
-from tactile_loc.plugins.refiners.registration import Cloud, CloudRefiner, Registration, orthonormal
+from tactile_loc.core.registration import Cloud, CloudRefiner, Registration, orthonormal
 
 Floats = NDArray[np.float64]
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from tactile_loc.core.interfaces import Candidate, Capabilities, RefinedPose, Refiner
-from tactile_loc.core.scene import Scene
+from tactile_loc.core.interfaces import Candidate, Capabilities, RefinedPose, Refiner, Scene
 from tactile_loc.core.sensing import Touch
 
 

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from tactile_loc.core.interfaces import ComponentOptions
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.sensor_files import read_sensor_file
+from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.plugins.sensors.depth import DepthSensor
 
 

@@ -12,10 +12,10 @@ torch = pytest.importorskip("torch")
 
 from tactile_loc.core.errors import ConfigError, GridError, TrainingError, WeightsError  # noqa: E402
 from tactile_loc.core.interfaces import Checkpoints, TrainingProblem  # noqa: E402
-from tactile_loc.core.localizer import Localizer  # noqa: E402
-from tactile_loc.core.store import StageStore  # noqa: E402
+from tactile_loc.locate.localizer import Localizer  # noqa: E402
 from tactile_loc.plugins.encoders import moco, moco_training  # noqa: E402
 from tactile_loc.plugins.encoders.moco import MocoEncoder  # noqa: E402
+from tactile_loc.store.store import StageStore  # noqa: E402
 
 TINY = {"epochs": 3, "queries": 64, "batch": 32, "channels": 4, "noise": "mild"}
 

@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.meshes import load_object
-from tactile_loc.core.model import build_bank, build_model
+from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.scene import Scene
 from tactile_loc.core.simulation import simulate_touches
+from tactile_loc.io.meshes import load_object
+from tactile_loc.locate.model import build_bank, build_model
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.plugins.matchers.dense import DenseMatcher

@@ -10,12 +10,12 @@ from scipy.spatial import cKDTree
 from tactile_loc.core.geometry import is_rigid, make_transform, rotation_about, transform_points, translation
 from tactile_loc.core.interfaces import Candidate
 from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.registration import Cloud
 from tactile_loc.core.sensing import ContactShape, Touch
 from tactile_loc.plugins.refiners import filterreg_kernels as kernels
 from tactile_loc.plugins.refiners.filterreg import FilterRegRefiner
 from tactile_loc.plugins.refiners.filterreg_mixture import REACH, Mixtures
 from tactile_loc.plugins.refiners.filterreg_twists import exponential, solved
-from tactile_loc.plugins.refiners.registration import Cloud
 
 Options = FilterRegRefiner.Options
 

@@ -7,14 +7,13 @@ import pytest
 import trimesh
 
 from tactile_loc.core.geometry import is_rigid, make_transform, rotation_about, transform_points, translation
-from tactile_loc.core.interfaces import Candidate
-from tactile_loc.core.meshes import load_object
+from tactile_loc.core.interfaces import Candidate, Scene
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.scene import Scene
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
 from tactile_loc.core.simulation import simulate_touches
 from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.io.meshes import load_object
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.plugins.refiners.icp import IcpRefiner
 from tactile_loc.plugins.refiners.none import NoRefiner

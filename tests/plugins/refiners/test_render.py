@@ -8,9 +8,8 @@ import trimesh
 from pydantic import ValidationError
 
 from tactile_loc.core.geometry import make_transform, rotation_about, translation
-from tactile_loc.core.interfaces import Candidate
+from tactile_loc.core.interfaces import Candidate, Scene
 from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.scene import Scene
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.plugins.refiners.render import RenderRefiner
 from tactile_loc.testing.problems import CAMERAS, planar_pose, pressed_block, touch_at, with_depth

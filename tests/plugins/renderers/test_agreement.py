@@ -10,10 +10,10 @@ import pytest
 from tactile_loc.core.contact import bring_to_contact
 from tactile_loc.core.geometry import make_transform, random_rotations
 from tactile_loc.core.interfaces import Renderer
-from tactile_loc.core.meshes import load_object
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.data import demo_object_path
+from tactile_loc.io.meshes import load_object
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 

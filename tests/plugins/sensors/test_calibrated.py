@@ -26,9 +26,9 @@ from tactile_loc.calibration.reading import SKIRT  # noqa: E402
 from tactile_loc.core.errors import CalibrationError, ConfigError, TouchError, WeightsError  # noqa: E402
 from tactile_loc.core.registry import registry  # noqa: E402
 from tactile_loc.core.sensing import ContactShape, Touch  # noqa: E402
-from tactile_loc.core.touches import read_touch  # noqa: E402
 from tactile_loc.imaging.optics import OPTICS  # noqa: E402
 from tactile_loc.imaging.shading import background  # noqa: E402
+from tactile_loc.io.touches import read_touch  # noqa: E402
 from tactile_loc.plugins.sensors.calibrated import CalibratedSensor  # noqa: E402
 from tactile_loc.testing import checks_for  # noqa: E402
 

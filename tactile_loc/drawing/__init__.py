@@ -1,0 +1,1 @@
+"""Pictures of touches, poses and results."""

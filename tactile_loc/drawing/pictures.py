@@ -1,0 +1,222 @@
+"""Pictures of a result, for people: millimetres, degrees, per cent. No global state of matplotlib is touched."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.interfaces import Scene
+from tactile_loc.core.noise import NOISE
+from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.drawing.pose_panel import EDGE, STEEL, TRUTH, draw_pose
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result import Localization
+from tactile_loc.store.files import write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.image import AxesImage
+
+NO_CONTACT, UNSEEN, OUTLINE = "#eceff1", "#b0bec5", "#e03131"
+EXPECTED = "#ffffff"  # on a photo
+MOST_TOUCHES = 30
+DPI = 130
+
+
+def draw_result(
+    localization: Localization, scene: Scene, title: str, errors_m: NDArray[np.float64] | None = None
+) -> Figure:
+    """Draw the touch, the contact shapes of the best hypotheses with the touch's outline, and the object on the sensor.
+
+    A touch that was estimated from an image begins with it, and on it the outline of the best pose. `scene`
+    renders at the touch's geometry; `errors_m` (K,) are the hypotheses' distances to the truth, metres.
+    """
+    columns = 1 if len(localization.hypotheses) < 3 else 2
+    photo = [] if localization.touch.image is None else [4.7]
+    widths = [*photo, 4.7, 2.5 * columns, 6.3]
+    figure = make_figure(sum(widths), 5.9)
+    figure.suptitle(title, size=14, weight="bold", x=0.5, y=0.978)
+    panels: Any = figure.subfigures(1, len(widths), width_ratios=widths)
+    left, middle, right = panels[-3:]
+    if photo:
+        _draw_photo(panels[0], localization, scene)
+    _draw_observed(left, localization.touch)
+    _draw_candidates(middle, localization, scene, errors_m, columns)
+    _draw_scene(right, localization, scene)
+    return figure
+
+
+def draw_touches(touches: Sequence[Touch], title: str) -> Figure:
+    """Draw the contact shapes of touches, at most `MOST_TOUCHES`, as a sheet."""
+    shown = list(touches)[:MOST_TOUCHES]
+    columns = min(5, len(shown))
+    rows = -(-len(shown) // columns)
+    figure = make_figure(2.5 * columns + 1.0, 2.7 * rows + 0.9, constrained=True)
+    figure.suptitle(title, size=12, weight="bold")
+    grid: NDArray[Any] = figure.subplots(rows, columns, squeeze=False)
+    for axes in grid.flat[len(shown) :]:
+        axes.set_axis_off()
+    deepest_m = max(touch.press_depth_m for touch in shown)  # one colour scale for all
+    for axes, touch in zip(grid.flat, shown, strict=False):
+        image = draw_contact_shape(axes, touch.contact_shape, touch.geometry, deepest_m)
+        axes.set_title(touch.name, size=8)
+    grid[0, 0].set_ylabel("y (mm)", size=8)
+    grid[0, 0].set_xlabel("x (mm)", size=8)
+    figure.colorbar(image, ax=list(grid.flat), shrink=0.8, label="depth from full penetration (mm)")
+    return figure
+
+
+def draw_noise(localizer: Localizer, seed: int = 0) -> Figure:
+    """Draw five touches of a localizer's object, the same in every row, with each level of noise in turn.
+
+    Titles give the press depth that the sensor measures, mm. Where noise makes a touch be drawn anew, columns differ.
+    """
+    touches = [
+        dataclasses.replace(touch, name=f"{level}, {millimetres(touch.press_depth_m)}")
+        for level in NOISE
+        for touch in localizer.simulate(5, seed, noise=level)
+    ]
+    return draw_touches(touches, f"{localizer.object.name} on {localizer.config.sensor.name}: touch noise")
+
+
+def draw_contact_shape(
+    axes: Axes, shape: ContactShape, geometry: SensorGeometry, deepest_m: float | None = None
+) -> AxesImage:
+    """Draw a contact shape (H, W) as the sensor sees it, x right and y down, in mm on the sensing surface.
+
+    The colours end at `deepest_m`, by default the shape's press depth.
+    """
+    from matplotlib import colormaps
+    from matplotlib.patches import Rectangle
+
+    colours = colormaps["viridis"].with_extremes(bad=NO_CONTACT)
+    depth_mm = np.ma.masked_where(~shape.contact, 1e3 * shape.depth_m)
+    extent = extent_mm(geometry)
+    image: AxesImage = axes.imshow(
+        depth_mm, cmap=colours, vmin=0.0, vmax=1e3 * (deepest_m or shape.press_depth_m), extent=extent, origin="upper"
+    )
+    if not geometry.observed_mask.all():
+        unseen = np.ma.masked_where(geometry.observed_mask, np.ones(geometry.shape))
+        axes.imshow(unseen, cmap=colormaps["Greys"], vmin=0, vmax=4, extent=extent, origin="upper", alpha=0.8)
+    x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
+    axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, lw=1.0, ec="#37474f", clip_on=False))
+    axes.set(xlim=extent[:2], ylim=extent[2:])
+    axes.tick_params(labelsize=8, length=2.5)
+    return image
+
+
+def save_figure(path: str | Path, figure: Figure, dpi: int = DPI) -> Path:
+    """Write a figure as PNG, atomically, and return the path. Raises OutputError when that is impossible."""
+    return write_atomically(Path(path), lambda temporary: figure.savefig(temporary, dpi=dpi, facecolor="white"))
+
+
+def _draw_observed(panel: SubFigure, touch: Touch) -> None:
+    axes = panel.add_axes((0.125, 0.19, 0.85, 0.68))
+    image = draw_contact_shape(axes, touch.contact_shape, touch.geometry)
+    draw_outline(axes, touch)
+    axes.set_xlabel("x (mm)", size=9, labelpad=2)
+    axes.set_ylabel("y (mm)", size=9, labelpad=-2)
+    _heading(panel, "observed contact shape")
+    bar = panel.add_axes((0.125, 0.095, 0.85, 0.022))
+    panel.colorbar(image, cax=bar, orientation="horizontal")
+    bar.set_xlabel("depth from full penetration (mm); grey: no contact", size=9, labelpad=2)
+    bar.tick_params(labelsize=8)
+
+
+def _draw_photo(panel: SubFigure, localization: Localization, scene: Scene) -> None:
+    """The image, and where the contact of the best pose would end in it."""
+    touch = localization.touch
+    axes = panel.add_axes((0.125, 0.19, 0.85, 0.68))
+    axes.imshow(np.asarray(touch.image), extent=extent_mm(touch.geometry), origin="upper")
+    made = scene.contact_shape(localization.best.refined.T_sensor_object, touch.press_depth_m)
+    draw_outline(axes, dataclasses.replace(touch, contact_shape=made), EXPECTED)
+    axes.tick_params(labelsize=8, length=2.5)
+    axes.set_xlabel("x (mm)", size=9, labelpad=2)
+    axes.set_ylabel("y (mm)", size=9, labelpad=-2)
+    _heading(panel, "image")
+    panel.text(0.55, 0.085, "white: outline that the best pose makes", size=9, ha="center", color="#37474f")
+
+
+def _draw_candidates(
+    panel: SubFigure, localization: Localization, scene: Scene, errors_m: NDArray[np.float64] | None, columns: int
+) -> None:
+    touch = localization.touch
+    width, top = 0.92 / columns, 0.475 if len(localization.hypotheses) > 1 else 0.28
+    for i, hypothesis in enumerate(localization.hypotheses[: 2 * columns]):
+        left, bottom = 0.04 + (i % columns) * (width + 0.01), top - (i // columns) * 0.42
+        axes = panel.add_axes((left, bottom, width - 0.01, 0.36))
+        shape = scene.contact_shape(hypothesis.refined.T_sensor_object, touch.press_depth_m)
+        draw_contact_shape(axes, shape, touch.geometry)
+        draw_outline(axes, touch)
+        axes.set(xticks=[], yticks=[])
+        axes.set_title(_caption(i, hypothesis.probability, hypothesis.explained, errors_m), size=8.5, pad=4)
+    _heading(panel, "best explanations" if columns == 2 else "best")
+    panel.text(0.5, 0.012, "red: observed outline", size=9, ha="center", va="bottom", color=OUTLINE)
+
+
+def _heading(panel: SubFigure, text: str) -> None:
+    panel.text(0.5, 0.893, text, size=11, ha="center", va="bottom")
+
+
+def _caption(i: int, probability: float, explained: float, errors_m: NDArray[np.float64] | None) -> str:
+    text = f"{i + 1}:  {percent(probability)},  fit {100 * explained:.0f} %"
+    return text if errors_m is None else f"{text},  {millimetres(errors_m[i])} off"
+
+
+def percent(share: float) -> str:
+    """Write a share (0 to 1) for people: 99.7 %, 61 %, 2.8 %, < 0.1 %."""
+    value = 100 * share
+    return "< 0.1 %" if value < 0.1 else f"{value:.1f} %" if value < 10 or 99 < value < 99.95 else f"{value:.0f} %"
+
+
+def millimetres(length_m: float) -> str:
+    """Write a length in metres for people: 0.02 mm, 1.9 mm, 48 mm."""
+    value = 1e3 * length_m
+    return f"{value:.2f} mm" if value < 1 else f"{value:.1f} mm" if value < 10 else f"{value:.0f} mm"
+
+
+def _draw_scene(panel: SubFigure, localization: Localization, scene: Scene) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    axes = panel.add_axes((0.02, 0.075, 0.97, 0.815))
+    touch, best = localization.touch, localization.best.refined
+    draw_pose(axes, scene.object.mesh, scene.geometry, best.T_sensor_object, touch.T_sensor_object)
+    handles: list[Any] = [Patch(fc=STEEL, ec=EDGE, lw=0.8, label="best pose")]
+    if touch.T_sensor_object is not None:
+        handles.append(Line2D([], [], color=TRUTH, lw=1.5, label="true pose"))
+    _heading(panel, "the object on the sensor")
+    panel.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, -0.005), ncols=2, frameon=False, fontsize=9)
+
+
+def draw_outline(axes: Axes, touch: Touch, colour: str = OUTLINE) -> None:
+    """Draw the border of the touch's contact, as the sensor sees it, in mm."""
+    left, right, bottom, top = extent_mm(touch.geometry)
+    height, width = touch.geometry.shape
+    x = left + (np.arange(width) + 0.5) / width * (right - left)
+    y = top + (np.arange(height) + 0.5) / height * (bottom - top)
+    axes.contour(x, y, touch.contact_shape.contact.astype(float), levels=[0.5], colors=colour, linewidths=1.1)
+
+
+def extent_mm(geometry: SensorGeometry) -> tuple[float, float, float, float]:
+    """Return the image's borders (left, right, bottom, top) on the sensing surface, mm; y runs down."""
+    sx, sy = geometry.scale_at_surface
+    x0, x1 = -geometry.cx / sx, (geometry.width_px - geometry.cx) / sx
+    y0, y1 = -geometry.cy / sy, (geometry.height_px - geometry.cy) / sy
+    return 1e3 * x0, 1e3 * x1, 1e3 * y1, 1e3 * y0
+
+
+def make_figure(width: float, height: float, constrained: bool = False) -> Figure:
+    """Return an empty figure, `width` by `height` inches, that knows how to be saved and touches no global state."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained" if constrained else None)
+    FigureCanvasAgg(figure)
+    return figure

@@ -1,0 +1,201 @@
+"""The object on the sensor, in a matplotlib Axes: the estimate solid, the true pose as lines, axes in mm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.geometry import transform_points
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.drawing.views import Buffers, Tracer, View, box, shade, shrink
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+Bounds = tuple[float, float, float, float]
+
+STEEL, GEL, HOUSING = (0.50, 0.64, 0.80), (0.87, 0.88, 0.86), (0.34, 0.36, 0.40)
+EDGE, TRUTH = "#16202c", "#e8590c"
+PIXELS, SUPERSAMPLE = 620, 2
+GEL_MM, RIM_MM = 1.5, 1.6  # thickness drawn for the gel, width of the housing around it
+
+
+def draw_pose(
+    axes: Axes, mesh: TriangleMesh, geometry: SensorGeometry, T_estimate: Array, T_true: Array | None = None
+) -> None:
+    """Draw the object at `T_estimate` (4, 4) over the sensing rectangle and the edges of it at `T_true`; metres."""
+    view = View(azimuth_deg=_best_azimuth_deg(mesh, T_estimate))
+    estimate = _posed_mm(mesh, T_estimate)
+    truth = None if T_true is None else _posed_mm(mesh, T_true)
+    floor = _sensor_mm(geometry)
+    bounds = _bounds(view, [s for s in (estimate, truth, *floor) if s is not None])
+    shape = _pixels(bounds)
+    tracer = Tracer([estimate, *floor], view)
+    seen = tracer.look(bounds, shape)
+    image = shade(seen, np.array([STEEL, GEL, HOUSING]), tracer.shadow(seen, 0.02))
+    size_mm = float(np.ptp(estimate.reshape(-1, 3), axis=0).max())
+    _paint(image, seen.edges(0.04 * size_mm) & (seen.surface >= 0), EDGE, 0.75)
+    if truth is not None:
+        _paint(image, _thicker(Tracer([truth], view).look(bounds, shape).edges(0.04 * size_mm)), TRUTH, 0.95)
+    axes.imshow(shrink(image, SUPERSAMPLE), extent=bounds, interpolation="antialiased", zorder=1)
+    _draw_axes(axes, view, geometry, _height_mm(geometry, estimate, truth), _Picture(seen, bounds))
+    axes.set(xlim=bounds[:2], ylim=bounds[2:], aspect="equal")
+    axes.set_axis_off()
+
+
+def _posed_mm(mesh: TriangleMesh, T: Array) -> Array:
+    return transform_points(T, mesh.vertices_m)[mesh.faces] * 1e3
+
+
+def _sensor_mm(geometry: SensorGeometry) -> list[Array]:
+    """The gel under the sensing rectangle, and the housing around it."""
+    x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
+    top = 1e3 * geometry.standoff_m
+    gel = box((x0, x1), (y0, y1), (top - GEL_MM, top))
+    rim = RIM_MM
+    return [gel, box((x0 - rim, x1 + rim), (y0 - rim, y1 + rim), (top - 2.2 * GEL_MM, top - 0.4 * GEL_MM))]
+
+
+def _best_azimuth_deg(mesh: TriangleMesh, T: Array) -> float:
+    """The direction that shows most of the object's outline, rather from where it does not hide the sensor."""
+    points = 1e3 * transform_points(T, mesh.vertices_m)
+    scores = {}
+    for azimuth_deg in (-55.0, -35.0, 35.0, 55.0, -145.0, -125.0, 125.0, 145.0):
+        view = View(azimuth_deg=azimuth_deg)
+        nearness_mm = float(view.axes[2, :2] @ points.mean(axis=0)[:2])
+        scores[azimuth_deg] = _spread(view.project(points)) * (1 - 0.4 * np.tanh(nearness_mm / 15))
+    return max(scores, key=lambda a: scores[a])
+
+
+def _spread(points: Array) -> float:
+    return float(np.sqrt(max(np.linalg.det(np.cov(points.T)), 0.0)))
+
+
+def _bounds(view: View, surfaces: list[Array]) -> Bounds:
+    flat = np.concatenate([view.project(s).reshape(-1, 2) for s in surfaces])
+    (left, bottom), (right, top) = flat.min(axis=0), flat.max(axis=0)
+    margin = 0.17 * max(right - left, top - bottom)
+    return left - margin, right + margin, bottom - margin, top + 0.3 * margin
+
+
+def _pixels(bounds: Bounds) -> tuple[int, int]:
+    """Image size (H, W), `PIXELS` times the supersampling along the longer side."""
+    width, height = bounds[1] - bounds[0], bounds[3] - bounds[2]
+    scale = PIXELS / max(width, height)
+    return max(1, round(height * scale)) * SUPERSAMPLE, max(1, round(width * scale)) * SUPERSAMPLE
+
+
+def _paint(image: Array, where: NDArray[np.bool_], colour: str, opacity: float) -> None:
+    """Lay a colour over the marked pixels (H, W) of an RGBA image, in place."""
+    from matplotlib.colors import to_rgb
+
+    image[where, :3] = (1 - opacity) * image[where, :3] + opacity * np.array(to_rgb(colour))
+    image[where, 3] = np.maximum(image[where, 3], opacity)
+
+
+def _thicker(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    grown = marked.copy()
+    grown[1:] |= marked[:-1]
+    grown[:, 1:] |= marked[:, :-1]
+    return grown
+
+
+def _height_mm(geometry: SensorGeometry, *surfaces: Array | None) -> float:
+    top = max(float(s[..., 2].max()) for s in surfaces if s is not None)
+    return max(top - 1e3 * geometry.standoff_m, 5.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    """Where the object is in the picture."""
+
+    seen: Buffers
+    bounds: Bounds
+
+    def covered(self, places: Array) -> int:
+        """How many of the places (N, 2), mm in the picture, the object covers."""
+        left, right, bottom, top = self.bounds
+        height, width = self.seen.surface.shape
+        columns = ((places[:, 0] - left) / (right - left) * width).astype(int).clip(0, width - 1)
+        rows = ((top - places[:, 1]) / (top - bottom) * height).astype(int).clip(0, height - 1)
+        return int((self.seen.surface[rows, columns] == 0).sum())
+
+
+def _draw_axes(axes: Axes, view: View, geometry: SensorGeometry, height_mm: float, picture: _Picture) -> None:
+    """Draw ticks along the near edges of the sensing rectangle (x, y) and up its left or right corner (z)."""
+    x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
+    z0 = 1e3 * geometry.standoff_m
+    away = RIM_MM + 0.6
+    towards = view.axes[2]
+    near_x, near_y = (x1 if towards[0] > 0 else x0), (y1 if towards[1] > 0 else y0)
+    out_x, out_y = np.sign(near_x - 0.5 * (x0 + x1)), np.sign(near_y - 0.5 * (y0 + y1))
+    z_low, xs, ys = z0 - GEL_MM, _ticks(x0, x1), _ticks(y0, y1)
+    _scale(axes, view, [(x, near_y + out_y * away, z_low) for x in xs], xs, (0, out_y, 0), "x (mm)")
+    _scale(axes, view, [(near_x + out_x * away, y, z_low) for y in ys], ys, (out_x, 0, 0), "y (mm)")
+    rim_mm = [x0 - RIM_MM, x1 + RIM_MM, y0 - RIM_MM, y1 + RIM_MM]
+    _draw_height(axes, view, rim_mm, z0, _ticks(z0, z0 + height_mm, 4.5), picture)
+
+
+def _draw_height(
+    axes: Axes, view: View, rim_mm: list[float], base_mm: float, ticks: list[float], picture: _Picture
+) -> None:
+    """Draw the z axis at the sensor's left or right corner, whichever the object covers less."""
+    corners = [(x, y) for x in rim_mm[:2] for y in rim_mm[2:]]
+    corners.sort(key=lambda c: view.project(np.array([*c, 0.0]))[0])
+    sides = [
+        ([(*corner, z) for z in ticks], sign * view.axes[0]) for corner, sign in ((corners[0], -1), (corners[-1], 1))
+    ]
+    reach_mm = 0.05 * (picture.bounds[1] - picture.bounds[0])
+    hidden = [
+        sum(picture.covered(view.project(np.array(points) + k * reach_mm * outwards)) for k in (0, 1, 2))
+        for points, outwards in sides
+    ]
+    points, outwards = sides[int(np.argmin(hidden))]
+    pole = view.project(np.array([[*points[0][:2], base_mm], points[-1]]))
+    axes.plot(pole[:, 0], pole[:, 1], color="#777777", lw=0.8, zorder=2)
+    _scale(axes, view, points, ticks, outwards, "z (mm)", distance=7.6)
+
+
+def _ticks(low: float, high: float, most: float = 6.5) -> list[float]:
+    """Round values between two limits, mm: as many steps as fit, at most `most`."""
+    step = next((s for s in (1, 2, 5, 10, 20, 50, 100) if (high - low) / s <= most), 200)
+    return [float(t) for t in np.arange(np.ceil(low / step - 1e-6), np.floor(high / step + 1e-6) + 1) * step]
+
+
+def _scale(
+    axes: Axes, view: View, points: list[Any], values: list[float], outwards: Any, label: str, distance: float = 6.6
+) -> None:
+    """Draw tick marks (points in mm of the sensor frame) with their values, and the axis's name at the middle."""
+    flat = view.project(np.array(points))
+    direction = view.project(np.asarray(outwards, float))
+    direction = direction / max(float(np.linalg.norm(direction)), 1e-9)
+    length = 0.012 * float(np.ptp(axes.get_images()[0].get_extent()[:2]))
+    for point, value in zip(flat, values, strict=True):
+        end = point + length * direction
+        axes.plot(*np.stack([point, end]).T, color="#777777", lw=0.8, zorder=2)
+        _text(axes, point + 2.4 * length * direction, f"{value:g}", 8)
+    middle = 0.5 * (flat[0] + flat[-1])
+    _text(axes, middle + distance * length * direction, label, 9)
+
+
+def _text(axes: Axes, at: Array, text: str, size: float) -> None:
+    from matplotlib.patheffects import withStroke
+
+    halo = [withStroke(linewidth=2.0, foreground="white")]
+    axes.text(
+        at[0],
+        at[1],
+        text,
+        size=size,
+        ha="center",
+        va="center",
+        color="#333333",
+        path_effects=halo,
+        zorder=3,
+        clip_on=False,
+    )

@@ -1,0 +1,1 @@
+"""What is read from files: meshes, touches, lists, images, sensors, priors, configuration."""

@@ -1,0 +1,120 @@
+"""The configuration of a run: which object, which touch, which component for each slot, with which options."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from tactile_loc.core.errors import ConfigError, did_you_mean
+from tactile_loc.core.registry import SLOTS
+from tactile_loc.io.toml import read_toml, toml_value
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class SlotConfig(_Strict):
+    """One slot: the component's name and its options. In TOML: a table with `name` and the options beside it."""
+
+    name: str
+    options: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _flat(cls, value: Any) -> Any:
+        """Accept "icp" and {name = "icp", max_iterations = 30} beside the full form."""
+        if isinstance(value, str):
+            return {"name": value}
+        if isinstance(value, dict) and "options" not in value:
+            return {"name": value.get("name"), "options": {k: v for k, v in value.items() if k != "name"}}
+        return value
+
+
+class ObjectConfig(_Strict):
+    """The object: a mesh file or the name of a demo object, its unit, and its symmetry."""
+
+    path: str = "hook"
+    units: Literal["m", "mm", "cm", "inch", "auto"] = "auto"
+    symmetry: str = "auto"
+
+
+class TouchConfig(_Strict):
+    """The touch: a file, the unit of its depths, and how deep the press was (mm) when the file does not say.
+
+    Without a file a touch is simulated, with `noise`.
+    """
+
+    path: str | None = None
+    unit: Literal["m", "mm", "um"] | None = None
+    press_depth_mm: float | None = None
+    noise: Literal["none", "mild", "strong"] = "none"
+
+
+class RunConfig(_Strict):
+    """Everything that decides a result. `shape_px` is the longer image side of the grid's contact shapes, pixels."""
+
+    object: ObjectConfig = ObjectConfig()
+    touch: TouchConfig = TouchConfig()
+    sensor: SlotConfig = SlotConfig(name="gelslim")
+    renderer: SlotConfig = SlotConfig(name="heightmap")
+    grid: SlotConfig = SlotConfig(name="face")
+    encoder: SlotConfig = SlotConfig(name="pixel")
+    matcher: SlotConfig = SlotConfig(name="dense")
+    refiner: SlotConfig = SlotConfig(name="filterreg")
+    fuser: SlotConfig = SlotConfig(name="product")
+    top: int = Field(default=10, ge=1)
+    seed: int = Field(default=0, ge=0)
+    shape_px: int = Field(default=64, ge=16, le=1024)
+    temperature: float | None = Field(default=None, gt=0)
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> RunConfig:
+        """Read a configuration file. Raises ConfigError when it is missing, no TOML, or has unknown entries."""
+        return cls.from_dict(read_toml(path), str(path))
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any], source: str = "the configuration") -> RunConfig:
+        """Validate nested values; raises ConfigError in one sentence that names `source` and what is allowed."""
+        from tactile_loc.core.registry import validate_options
+
+        unknown = set(values) - set(cls.model_fields)
+        if unknown:
+            key = sorted(unknown)[0]
+            near = did_you_mean(key, cls.model_fields)
+            raise ConfigError(f"{source} has an unknown entry {key!r}.{near} Known: {', '.join(cls.model_fields)}")
+        result: RunConfig = validate_options(cls, values, f"configuration {source!r}")
+        return result
+
+
+def kind_of_sensor(name: str) -> str | None:
+    """Return the component that reads a sensor given by its path; None when it is the name of one."""
+    from tactile_loc.core.registry import registry
+
+    if name in registry().names("sensor"):
+        return None
+    if name.endswith(".toml"):
+        return "file"
+    return "calibrated" if Path(name).is_dir() or "/" in name else None
+
+
+def parse_overrides(assignments: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Turn "slot.option=value" words into {slot: {option: value}}; values are read as TOML, else as text.
+
+    Raises ConfigError for words of another form or an unknown slot.
+    """
+    overrides: dict[str, dict[str, Any]] = {}
+    for word in assignments:
+        target, equals, text = word.partition("=")
+        slot, dot, option = (part.strip() for part in target.partition("."))
+        if not (equals and dot and option):
+            raise ConfigError(f"cannot read the option {word!r}; write it as slot.option=value, as grid.spacing_mm=3")
+        if slot not in SLOTS:
+            raise ConfigError(
+                f"there is no slot {slot!r} in {word!r}.{did_you_mean(slot, SLOTS)} Slots: {', '.join(SLOTS)}"
+            )
+        overrides.setdefault(slot, {})[option] = toml_value(text.strip())
+    return overrides

@@ -1,0 +1,85 @@
+"""Images as files: photos of the gel, masks, 16-bit depths. Nothing is ever unpickled, and a damaged file is told."""
+
+from __future__ import annotations
+
+import tokenize
+import zipfile
+import zlib
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import TouchError
+
+FORMATS = ".npz, .npy or 16-bit grey .png"  # of contact shapes
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+
+UNREADABLE = (
+    OSError, ValueError, EOFError, KeyError, SyntaxError, RuntimeError, MemoryError,
+    tokenize.TokenError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+
+
+def read_colour_image(path: Path) -> NDArray[np.uint8] | None:
+    """Return a colour image (H, W, 3), or None when the file is something else; TouchError when it is damaged.
+
+    A picture in colour, or an .npy file of (H, W, 3) uint8.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in (*IMAGE_SUFFIXES, ".npy"):
+        return None
+    require_file(path)
+    try:
+        mode, values = ("RGB", load_npy(path)) if suffix == ".npy" else load_image(path)
+    except UNREADABLE as error:
+        raise TouchError(why_unreadable(path, error)) from error
+    colour = mode == "RGB" and values.ndim == 3 and values.shape[2] == 3 and values.dtype == np.uint8
+    return values if colour else None
+
+
+def load_image(path: Path) -> tuple[str, NDArray[Any]]:
+    """Return an image's mode and its values. Raises OSError or ValueError when it is damaged or enormous."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            return image.mode, np.asarray(image)
+    except Image.DecompressionBombError as error:
+        raise ValueError(str(error)) from error
+
+
+def require_file(path: Path) -> None:
+    """Raise TouchError unless there is a file, and no folder, at `path`."""
+    try:
+        folder, file = path.is_dir(), path.is_file()
+    except OSError as error:
+        raise TouchError(f"{path} cannot be read ({error.strerror})") from error
+    if folder:
+        raise TouchError(f"{path} is a folder; give one file, {FORMATS}")
+    if not file:
+        raise TouchError(f"there is no file {path}; check the path")
+
+
+def why_unreadable(path: Path, error: BaseException) -> str:
+    """Return the sentence that says why a file could not be read."""
+    if "allow_pickle" in str(error):
+        return f"{path} holds Python objects, which are never loaded; save plain numbers (H, W)"
+    reason = " ".join(str(error).split()) or type(error).__name__
+    return f"{path} cannot be read as {path.suffix.lower()[1:]} ({reason}); it is damaged or of another kind"
+
+
+def expect_magic(file: IO[bytes], magic: bytes) -> None:
+    """Raise ValueError unless a file begins with these bytes."""
+    if file.read(len(magic)) != magic:
+        raise ValueError("its first bytes are those of another kind of file")
+    file.seek(0)
+
+
+def load_npy(path: Path) -> NDArray[Any]:
+    """Return the array of an .npy file. Raises one of UNREADABLE when it is damaged or none."""
+    with path.open("rb") as file:
+        expect_magic(file, b"\x93NUMPY")
+        array: NDArray[Any] = np.load(file, allow_pickle=False)
+    return array

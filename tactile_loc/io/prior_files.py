@@ -1,0 +1,128 @@
+"""Priors as TOML files, in mm and degrees: a Gaussian about a pose, a box, or a half of space."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from tactile_loc.core.errors import ConfigError, did_you_mean
+from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.priors import GaussianPrior, PosePrior, RegionPrior
+from tactile_loc.io.toml import MATRIX, Matrix, PoseKeys, Positive, Three, explain, pose_from_keys, read_toml
+
+Frame = Literal["sensor", "base"]
+Bounds = Annotated[list[Annotated[float, Field(allow_inf_nan=True)]], Field(min_length=3, max_length=3)]
+FRAME = "'sensor' or 'base': the frame that its numbers are in"
+
+
+@dataclass(frozen=True, eq=False)
+class FramedPrior:
+    """A prior as a file has it: in the frame of the sensor, or in the base frame. `source` names the file."""
+
+    prior: PosePrior
+    frame: Frame
+    source: str
+
+    def seen_from(self, T_base_sensor: NDArray[np.float64] | None) -> PosePrior:
+        """Return the prior of T_sensor_object for a sensor at `T_base_sensor` (4, 4), metres.
+
+        Raises ConfigError when the prior is in the base frame and the sensor's pose is unknown.
+        """
+        if self.frame == "sensor":
+            return self.prior
+        if T_base_sensor is None:
+            raise ConfigError(
+                f"{self.source} is in the base frame, but the touch does not say where its sensor was; "
+                "give T_base_sensor, or the prior in the sensor's frame"
+            )
+        return self.prior.seen_from(T_base_sensor)
+
+
+class _Gaussian(PoseKeys):
+    kind: Literal["gaussian"] = Field(description="'gaussian', 'region' or 'half-space'")
+    frame: Frame = Field(description=FRAME)
+    T: Matrix | None = Field(None, description=MATRIX)
+    translation_std_mm: Positive = Field(description="a positive number (mm)")
+    rotation_std_deg: Positive | None = Field(
+        None, description="a positive number (degrees), left out where the rotation is unknown"
+    )
+
+
+class _Placed(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    frame: Frame = Field(description=FRAME)
+    object_point_mm: Three | None = Field(
+        None, description="[x, y, z] (mm), the point of the object, in its frame, by default its centroid"
+    )
+
+    def point_m(self, obj: ObjectModel) -> NDArray[np.float64]:
+        return obj.mesh.centroid_m if self.object_point_mm is None else 1e-3 * np.array(self.object_point_mm)
+
+
+class _Region(_Placed):
+    kind: Literal["region"] = Field(description="'gaussian', 'region' or 'half-space'")
+    low_mm: Bounds = Field([-math.inf] * 3, description="[x, y, z] (mm), -inf where it is open")
+    high_mm: Bounds = Field([math.inf] * 3, description="[x, y, z] (mm), inf where it is open")
+
+
+class _HalfSpace(_Placed):
+    kind: Literal["half-space"] = Field(description="'gaussian', 'region' or 'half-space'")
+    normal: Three = Field(description="[x, y, z], pointing from the plane to where the object is")
+    plane_point_mm: Three = Field(description="[x, y, z] (mm), a point of the plane")
+
+
+def read_prior(path: str | Path, obj: ObjectModel) -> FramedPrior:
+    """Read a prior about an object's pose from a TOML file (mm and degrees).
+
+    `kind` is "gaussian", "region" or "half-space". The object's symmetry is regarded, and its centroid is the point
+    that is in a region unless the file names another. Raises ConfigError, in one sentence, when the file is missing or
+    a key is missing, unknown or ill-typed.
+    """
+    path, values = Path(path), read_toml(path)
+    kind = values.get("kind")
+    if not isinstance(kind, str) or kind not in _KINDS:
+        near = did_you_mean(kind, _KINDS) if isinstance(kind, str) else ""
+        raise ConfigError(f"{path}: kind = {kind!r} is no kind of prior.{near} Kinds: {', '.join(_KINDS)}")
+    model, make = _KINDS[kind]
+    try:
+        keys = model(**values)
+        return FramedPrior(make(keys, obj), keys.frame, str(path))
+    except ValidationError as error:
+        _refuse(path, explain(error, model, values, f"a prior of kind {kind!r}"), error)
+    except (ConfigError, ValueError) as error:
+        _refuse(path, str(error), error)
+
+
+def _refuse(path: Path, reason: str, error: Exception) -> NoReturn:
+    raise ConfigError(f"{path}: {reason}") from error
+
+
+def _gaussian(keys: _Gaussian, obj: ObjectModel) -> PosePrior:
+    T = pose_from_keys(keys, keys.T, "T")
+    if T is None:
+        raise ValueError("the pose is missing; give T, or xyz_mm with either rpy_deg or quaternion_wxyz")
+    rotation_std_deg = math.inf if keys.rotation_std_deg is None else keys.rotation_std_deg
+    return GaussianPrior(T, 1e-3 * keys.translation_std_mm, math.radians(rotation_std_deg), obj.symmetry)
+
+
+def _region(keys: _Region, obj: ObjectModel) -> PosePrior:
+    return RegionPrior(1e-3 * np.array(keys.low_mm), 1e-3 * np.array(keys.high_mm), keys.point_m(obj))
+
+
+def _half_space(keys: _HalfSpace, obj: ObjectModel) -> PosePrior:
+    return RegionPrior.half_space(keys.normal, 1e-3 * np.array(keys.plane_point_mm), keys.point_m(obj))
+
+
+_KINDS: dict[str, tuple[type[Any], Callable[[Any, ObjectModel], PosePrior]]] = {
+    "gaussian": (_Gaussian, _gaussian),
+    "region": (_Region, _region),
+    "half-space": (_HalfSpace, _half_space),
+}

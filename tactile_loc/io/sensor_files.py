@@ -1,0 +1,133 @@
+"""Sensors described by TOML files. docs/conventions.md lists the keys, examples/my_sensor.toml shows one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from tactile_loc.core.errors import ConfigError, SensorError
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.io.toml import Finite, Positive, explain, read_toml
+
+PositiveInt = Annotated[int, Field(gt=0)]
+
+
+class _SensorFile(BaseModel):
+    """The keys that every sensor has. A field's description completes "key must be ..."."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    camera: Literal["pinhole", "orthographic"] = Field(description="'pinhole' or 'orthographic'")
+    image_size_px: list[PositiveInt] = Field(
+        min_length=2, max_length=2, description="[width, height], positive whole numbers (pixels)"
+    )
+    max_depth_mm: Positive = Field(description="a positive number (mm)")
+    cx: Finite | None = Field(None, description="a number (pixels), by default the image's centre")
+    cy: Finite | None = Field(None, description="a number (pixels), by default the image's centre")
+    sensing_rectangle_mm: list[Finite] | None = Field(
+        None, min_length=4, max_length=4, description="[x_min, x_max, y_min, y_max], four numbers (mm)"
+    )
+    mask: str | None = Field(None, description="the path of a PNG, relative to the sensor file, in quotes")
+
+
+class _Pinhole(_SensorFile):
+    fx: Positive = Field(description="a positive number (pixels)")
+    fy: Positive = Field(description="a positive number (pixels)")
+    standoff_mm: Positive = Field(description="a positive number (mm)")
+
+    @property
+    def focal(self) -> tuple[float, float]:
+        return self.fx, self.fy
+
+
+class _Orthographic(_SensorFile):
+    mm_per_px: Positive | Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
+        description="a positive number, or [x, y] (mm)"
+    )
+    standoff_mm: Positive = Field(10.0, description="a positive number (mm), by default 10")
+
+    @property
+    def focal(self) -> tuple[float, float]:
+        x, y = self.mm_per_px if isinstance(self.mm_per_px, list) else (self.mm_per_px, self.mm_per_px)
+        return 1e3 / x, 1e3 / y
+
+
+def read_sensor_file(path: Path) -> SensorGeometry:
+    """Read a sensor file (TOML, mm and pixels) into a geometry in metres and pixels.
+
+    Raises SensorError when the file or its mask cannot be read, a key is missing, unknown or ill-typed, or the numbers
+    contradict one another.
+    """
+    try:
+        values = read_toml(path)
+    except ConfigError as error:
+        raise SensorError(str(error)) from error
+    model = _Orthographic if values.get("camera") == "orthographic" else _Pinhole
+    try:
+        description = model(**values)
+    except ValidationError as error:
+        kind = f"an {values['camera']}" if model is _Orthographic else "a pinhole"
+        reason = explain(error, model, values, f"{kind} sensor", decisive="camera")
+        raise SensorError(f"{path}: {reason}") from error
+    mask = None if description.mask is None else _read_mask(path.parent / description.mask, path)
+    try:
+        return _geometry(description, mask)
+    except SensorError as error:
+        raise SensorError(f"{path}: {error}") from error
+
+
+def _geometry(description: _Pinhole | _Orthographic, mask: NDArray[np.bool_] | None) -> SensorGeometry:
+    width, height = description.image_size_px
+    fx, fy = description.focal
+    rectangle = description.sensing_rectangle_mm
+    x0, x1, y0, y1 = (v * 1e-3 for v in rectangle or (0.0,) * 4)
+    return SensorGeometry(
+        description.camera, width, height, fx, fy,
+        cx=width / 2 if description.cx is None else description.cx,
+        cy=height / 2 if description.cy is None else description.cy,
+        standoff_m=description.standoff_mm * 1e-3,
+        max_depth_m=description.max_depth_mm * 1e-3,
+        rectangle_m=None if rectangle is None else (x0, x1, y0, y1),
+        observed=mask,
+    )  # fmt: skip
+
+
+def _read_mask(path: Path, sensor_file: Path) -> NDArray[np.bool_]:
+    """Read the mask (H, W) of observed pixels from a PNG: white (at least half) is observed."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            return np.asarray(image.convert("L")) >= 128
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise SensorError(
+            f"{sensor_file}: the mask {path} cannot be read as an image ({error}); mask must be the path of a PNG, "
+            "white where the sensor observes, relative to the sensor file"
+        ) from error
+
+
+def write_sensor_file(path: Path, geometry: SensorGeometry) -> Path:
+    """Write a geometry as a sensor file, and its mask as a PNG beside it, and return the path. Raises OSError."""
+    mm = 1e3
+    values: dict[str, Any] = {"camera": geometry.camera, "image_size_px": [geometry.width_px, geometry.height_px]}
+    if geometry.is_pinhole:
+        values |= {"fx": geometry.fx, "fy": geometry.fy}
+    else:
+        values |= {"mm_per_px": [mm / geometry.fx, mm / geometry.fy]}
+    values |= {"cx": geometry.cx, "cy": geometry.cy, "standoff_mm": mm * geometry.standoff_m}
+    values |= {"max_depth_mm": mm * geometry.max_depth_m}
+    if geometry.rectangle_m is not None:
+        values |= {"sensing_rectangle_mm": [mm * v for v in geometry.rectangle_m]}
+    if geometry.observed is not None:
+        from PIL import Image
+
+        values |= {"mask": f"{path.stem}_mask.png"}
+        Image.fromarray(geometry.observed.astype(np.uint8) * 255).save(path.with_name(values["mask"]))
+    lines = [f"{key} = {json.dumps(value)}" for key, value in values.items()]  # these values look alike in TOML
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path

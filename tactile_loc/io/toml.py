@@ -1,0 +1,139 @@
+"""TOML: reading a file, kinds of numbers, poses, what to say when a key is wrong, and writing settings."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from tactile_loc.core.errors import ConfigError, did_you_mean
+from tactile_loc.core.geometry import is_rigid, make_transform, quaternion_to_rotation, rotation_about
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Three = Annotated[list[Finite], Field(min_length=3, max_length=3)]
+Four = Annotated[list[Finite], Field(min_length=4, max_length=4)]
+Matrix = Annotated[list[Four], Field(min_length=4, max_length=4)]
+MATRIX = "four rows of four numbers (rotation without unit, translation in metres, last row 0 0 0 1)"
+UNIT_TOLERANCE = 1e-3  # of a quaternion's length: rounded to four digits it is still meant as one
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """Read a TOML file. Raises ConfigError when it is missing, unreadable, or not TOML."""
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise ConfigError(f"there is no file {path}; check the path") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} cannot be read ({error})") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path} is not valid TOML: {error}") from error
+
+
+def toml_value(text: str) -> Any:
+    """Return the value that a text has in TOML; the text itself where it has none."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def explain(
+    error: ValidationError, model: type[BaseModel], values: dict[str, Any], what: str, decisive: str = ""
+) -> str:
+    """Say in one sentence which key of `what`, a table of `model`'s keys, is wrong, and what is allowed.
+
+    The key `decisive`, on which the others depend, is named before them, and unknown keys before ill-typed ones. A
+    field's description completes "key must be ...".
+    """
+    problems = sorted(error.errors(), key=lambda p: (p["loc"][0] != decisive, p["type"] != "extra_forbidden"))
+    key = str(problems[0]["loc"][0])
+    field = model.model_fields.get(key)
+    if field is None:
+        known = model.model_fields
+        return f"{what} has no key {key!r}.{did_you_mean(key, known)} Its keys: {', '.join(known)}"
+    must_be = f"it must be {field.description}"
+    return f"{key} = {values[key]!r} is wrong; {must_be}" if key in values else f"{key} is missing; {must_be}"
+
+
+class PoseKeys(BaseModel):
+    """The keys of a pose but for the matrix, whose name tells the frames. Unknown ones are refused.
+
+    A field's description completes "key must be ...".
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    xyz_mm: Three | None = Field(None, description="[x, y, z] (mm)")
+    rpy_deg: Three | None = Field(
+        None, description="[roll, pitch, yaw] (degrees), about the fixed axes x, y, z in this order"
+    )
+    quaternion_wxyz: Four | None = Field(None, description="[w, x, y, z], a unit quaternion, scalar first")
+
+
+def pose_from_keys(keys: PoseKeys, matrix: Sequence[Sequence[float]] | None, name: str) -> NDArray[np.float64] | None:
+    """Return the pose (4, 4), metres, of `matrix`, the key called `name`, or of the other keys; None if there is none.
+
+    R = Rz(yaw) Ry(pitch) Rx(roll), as in URDF. Raises ValueError that says what is wrong.
+    """
+    given = [key for key in ("xyz_mm", "rpy_deg", "quaternion_wxyz") if getattr(keys, key) is not None]
+    if matrix is not None:
+        if given:
+            raise ValueError(f"{name} is the whole pose; leave {given[0]} out")
+        T = np.array(matrix, float)
+        if not is_rigid(T):
+            raise ValueError(f"{name} is no rigid transform; it must be {MATRIX}")
+        return T
+    if not given:
+        return None
+    if "xyz_mm" not in given or len(given) != 2:
+        raise ValueError(f"a pose is {name}, or xyz_mm with either rpy_deg or quaternion_wxyz, not {', '.join(given)}")
+    return make_transform(_rotation(keys), 1e-3 * np.array(keys.xyz_mm))
+
+
+def _rotation(keys: PoseKeys) -> NDArray[np.float64]:
+    if keys.rpy_deg is not None:
+        roll, pitch, yaw = (
+            rotation_about(axis, angle) for axis, angle in zip(np.eye(3), np.radians(keys.rpy_deg), strict=True)
+        )
+        return yaw @ pitch @ roll
+    q = np.array(keys.quaternion_wxyz, float)
+    length = float(np.linalg.norm(q))
+    if abs(length - 1.0) > UNIT_TOLERANCE:
+        raise ValueError(f"quaternion_wxyz has the length {length:.4g}; it must be a unit quaternion, scalar first")
+    return quaternion_to_rotation(q / length)
+
+
+def toml_text(configuration: Mapping[str, Any]) -> str:
+    """Return a resolved configuration as TOML; what is not set is left out. A slot's options stand beside its name."""
+    plain = {key: value for key, value in configuration.items() if not isinstance(value, Mapping)}
+    parts = [_lines(plain)] if plain else []
+    for name, section in configuration.items():
+        if isinstance(section, Mapping):
+            options = section.get("options")
+            flat = {k: v for k, v in section.items() if k != "options"}
+            parts.append(f"[{name}]\n" + _lines({**flat, **(options if isinstance(options, Mapping) else {})}))
+    return "\n".join(parts)
+
+
+def _lines(values: Mapping[str, Any]) -> str:
+    return "".join(f"{_key(key)} = {_value(value)}\n" for key, value in values.items() if value is not None)
+
+
+def _key(key: str) -> str:
+    bare = key.replace("_", "").replace("-", "").isalnum() and key.isascii()
+    return key if bare else _value(key)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None) + " }"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_value(item) for item in value) + "]"
+    return json.dumps(value, ensure_ascii=False)

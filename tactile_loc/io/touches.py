@@ -1,0 +1,223 @@
+"""Touches as files: contact shapes in npz, npy and 16-bit PNG. docs/conventions.md has the tables.
+
+Nothing is ever unpickled, and no unit is ever guessed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import OutputError, TouchError
+from tactile_loc.core.geometry import is_rigid
+from tactile_loc.core.sensing import ContactShape, Touch, contact_shape_from_array
+from tactile_loc.io.images import (
+    FORMATS,
+    IMAGE_SUFFIXES,
+    UNREADABLE,
+    expect_magic,
+    load_image,
+    load_npy,
+    read_colour_image,
+    require_file,
+    why_unreadable,
+)
+from tactile_loc.store.files import replacing
+
+if TYPE_CHECKING:
+    from tactile_loc.core.interfaces import SensorModel
+
+
+@dataclass(frozen=True, eq=False)
+class FileContents:
+    """What a file says: depths (H, W) and the press depth in `unit` (None when it names none), poses in metres."""
+
+    depth: NDArray[Any]
+    unit: str | None = None
+    press_depth: float | None = None
+    T_sensor_object: NDArray[np.float64] | None = None
+    T_base_sensor: NDArray[np.float64] | None = None
+
+
+def read_contents(path: Path) -> FileContents:
+    """Read what an .npz, .npy or 16-bit grey .png file says; raises TouchError when it is none or damaged."""
+    readers = {".npz": _read_npz, ".npy": _read_npy, ".png": _read_png}
+    suffix = path.suffix.lower()
+    require_file(path)
+    if suffix not in readers:
+        raise TouchError(_is_image(path) if suffix in IMAGE_SUFFIXES else f"{path} is no touch; give {FORMATS}")
+    try:
+        return readers[suffix](path)
+    except UNREADABLE as error:
+        raise TouchError(why_unreadable(path, error)) from error
+
+
+def _is_image(path: Path) -> str:
+    return (
+        f"{path} is an image, but not one in colour of 8 bits, which a sensor calibrated for images reads; convert it, "
+        f"or give a contact shape as {FORMATS}, with its unit"
+    )
+
+
+def _read_npy(path: Path) -> FileContents:
+    return FileContents(load_npy(path))
+
+
+def _read_npz(path: Path) -> FileContents:
+    with path.open("rb") as file:
+        expect_magic(file, b"PK")
+        archive = np.load(file, allow_pickle=False)
+        arrays = {name: np.asarray(archive[name]) for name in archive.files}
+    unit = str(arrays["unit"]) if "unit" in arrays else None
+    return FileContents(
+        _find_depth(arrays, path), unit, _number(arrays, "press_depth", path),
+        _pose(arrays, "T_sensor_object", path), _pose(arrays, "T_base_sensor", path),
+    )  # fmt: skip
+
+
+def _find_depth(arrays: Mapping[str, NDArray[Any]], path: Path) -> NDArray[Any]:
+    """Return the array `depth`, else the only 2-D array of a stranger's file."""
+    if "depth" in arrays:
+        return arrays["depth"]
+    maps = [a for name, a in arrays.items() if a.ndim >= 2 and not name.startswith("T_")]
+    if len(maps) != 1:
+        held = ", ".join(f"{name} {a.shape}" for name, a in arrays.items()) or "nothing"
+        raise TouchError(f"{path} holds {held}; a touch holds one array (H, W), or names it 'depth'")
+    return maps[0]
+
+
+def _number(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> float | None:
+    if name not in arrays:
+        return None
+    value = arrays[name]
+    if value.size != 1 or value.dtype.kind not in "fiu":
+        raise TouchError(f"{name} in {path} has the shape {value.shape} and type {value.dtype}; it must be one number")
+    return float(value.reshape(()))
+
+
+def _pose(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> NDArray[np.float64] | None:
+    if name not in arrays:
+        return None
+    T = arrays[name]
+    if T.shape != (4, 4) or T.dtype.kind not in "fiu" or not is_rigid(T.astype(np.float64)):
+        raise TouchError(
+            f"{name} in {path} is no rigid transform; it must be (4, 4), rotation and metres, last row 0 0 0 1"
+        )
+    return T.astype(np.float64)
+
+
+def _read_png(path: Path) -> FileContents:
+    mode, values = load_image(path)
+    if mode != "I" and not mode.startswith("I;16"):  # Pillow before 11 opens 16-bit grey as "I"
+        raise TouchError(_is_image(path))
+    return FileContents(values.astype(np.uint16))
+
+
+UNITS_M = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
+NO_CONTACT_U16 = 65535
+
+
+def read_contact_shape(
+    path: str | Path, max_depth_m: float, unit: str | None = None, press_depth_m: float | None = None
+) -> ContactShape:
+    """Read a contact shape (H, W) from an .npz, .npy or 16-bit .png file.
+
+    `max_depth_m` is the sensor's, metres. `unit` ("m", "mm" or "um") is needed when the file names none.
+    `press_depth_m` is how deep the press was when the file does not say; without it the shape's deepest step is taken
+    (see `contact_shape_from_array`). A file that does say is cut at `press_depth_m`, which can only be lighter.
+    Raises TouchError when the file is no contact shape.
+    """
+    path = Path(path)
+    return _shape(read_contents(path), path, max_depth_m, unit, press_depth_m)
+
+
+def read_touch(
+    path: str | Path, sensor: SensorModel, unit: str | None = None, press_depth_m: float | None = None
+) -> Touch:
+    """Read a touch taken by `sensor`, as `read_contact_shape` does, with the poses (4, 4) that the file has.
+
+    A colour image goes to the sensor, which turns it into a contact shape if it is calibrated. Metres. Raises
+    TouchError when the file is no touch, does not fit the sensor, or shows no contact or nothing but contact.
+    """
+    path = Path(path)
+    geometry = sensor.geometry
+    image = read_colour_image(path)
+    if image is not None:
+        shape = _cut(_ask_sensor(sensor, image, path), path, press_depth_m)
+        return Touch(shape, geometry, path.name, image=image)
+    contents = read_contents(path)
+    shape = _shape(contents, path, geometry.max_depth_m, unit, press_depth_m)
+    return Touch(shape, geometry, path.name, contents.T_base_sensor, contents.T_sensor_object)
+
+
+def write_touch(path: str | Path, touch: Touch) -> Path:
+    """Write a touch as .npz (metres), atomically, and return the path. Raises OutputError when that is impossible."""
+    path = Path(path)
+    if path.suffix.lower() != ".npz":
+        raise OutputError(f"{path} does not end in .npz; a touch is written as .npz")
+    poses = {"T_sensor_object": touch.T_sensor_object, "T_base_sensor": touch.T_base_sensor}
+    arrays = {
+        "depth": touch.contact_shape.depth_m.astype(np.float32),
+        "unit": np.array("m"),
+        "press_depth": np.array(touch.press_depth_m, np.float64),
+        **{name: np.asarray(T, np.float64) for name, T in poses.items() if T is not None},
+    }
+    try:
+        with replacing(path) as temporary, temporary.open("xb") as file:
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written ({error.strerror}); choose another place") from error
+    return path
+
+
+def _shape(
+    contents: FileContents, path: Path, max_depth_m: float, unit: str | None, press_depth_m: float | None
+) -> ContactShape:
+    raw = contents.depth
+    if raw.ndim != 2 or raw.dtype.kind not in "fiu":
+        raise TouchError(f"{path} holds {raw.dtype} of shape {raw.shape}; a contact shape is (H, W) numbers")
+    scale = _scale(contents, path, unit)
+    depth = raw.astype(np.float64) * scale
+    if raw.dtype.kind == "u" and raw.dtype.itemsize == 2:
+        depth[raw == NO_CONTACT_U16] = np.nan
+    if contents.press_depth is None:
+        return contact_shape_from_array(depth, max_depth_m, press_depth_m, str(path))
+    shape = contact_shape_from_array(depth, max_depth_m, contents.press_depth * scale, str(path))
+    return _cut(shape, path, press_depth_m)
+
+
+def _cut(shape: ContactShape, path: Path, press_depth_m: float | None) -> ContactShape:
+    """Cut at a lighter press; a deeper one cannot be seen in a shape that is cut already."""
+    if press_depth_m is None:
+        return shape
+    if not 0 < press_depth_m <= shape.press_depth_m * (1 + 1e-6):
+        raise TouchError(
+            f"{path} was pressed {shape.press_depth_m * 1e3:.3g} mm deep; it cannot be read with a press depth of "
+            f"{press_depth_m * 1e3:.3g} mm, only a positive smaller one"
+        )
+    return shape.pressed_to(press_depth_m)
+
+
+def _scale(contents: FileContents, path: Path, unit: str | None) -> float:
+    """Return the metres per unit of a file's depths."""
+    for name in (unit, contents.unit):
+        if name is not None and name not in UNITS_M:
+            raise TouchError(f"the unit {name!r} of {path} is unknown; the units are {', '.join(UNITS_M)}")
+    if unit is not None and contents.unit is not None and unit != contents.unit:
+        raise TouchError(f"{path} says that its unit is {contents.unit}, not {unit}; leave --touch-unit out")
+    known = contents.unit or unit
+    if known is None:
+        raise TouchError(f"{path} does not say in which unit its depths are; give --touch-unit {', '.join(UNITS_M)}")
+    return UNITS_M[known]
+
+
+def _ask_sensor(sensor: SensorModel, image: NDArray[np.uint8], path: Path) -> ContactShape:
+    try:
+        return sensor.contact_shape(image)
+    except TouchError as error:
+        raise TouchError(f"{path}: {error}") from error

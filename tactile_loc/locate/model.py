@@ -1,0 +1,203 @@
+"""What is built once for an object and a sensor, each a stage of the store: grid, contact shapes, encoder, bank."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.grids import contact_grid, enough_contact
+from tactile_loc.core.interfaces import Checkpoints, Encoder, GridSampler, Scene, TrainingProblem
+from tactile_loc.core.poses import PoseGrid, PoseMetric
+from tactile_loc.core.progress import Progress, rank
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import Artifact, StageStore
+from tactile_loc.store.workspace import Workspace
+
+SHARD = 1024  # poses rendered, saved and resumed at once
+NO_CONTACT = 65535
+STAGE_VERSIONS = {"grid": 2, "shapes": 1, "bank": 1}
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeBank:
+    """The grid's contact shapes at full press, as 16-bit shares of `max_depth_m`, a shard of poses a file."""
+
+    artifact: Artifact
+    max_depth_m: float
+
+    @property
+    def kept(self) -> NDArray[np.int64]:
+        """The indices (K,) of the contact grid's poses that make enough contact."""
+        return self.artifact.array("kept")
+
+    def shards(self, press_depth_m: float | None = None) -> Iterator[NDArray[np.float32]]:
+        """Yield contact depths (S, H, W), S > 0, in metres, cut at `press_depth_m`, in the grid's order."""
+        press = np.float32(self.max_depth_m if press_depth_m is None else press_depth_m)
+        for number, size in enumerate(self.artifact.json("sizes")):
+            if size:  # of a whole shard perhaps no pose makes enough contact
+                yield self._decoded(self.artifact.array(_shard_name(number)), press)
+
+    def shape(self, index: int, press_depth_m: float) -> NDArray[np.float32]:
+        """Return the contact depth (H, W) in metres of one pose of the grid, cut at `press_depth_m`."""
+        ends = np.cumsum(self.artifact.json("sizes"))
+        number = int(np.searchsorted(ends, index, side="right"))
+        start = int(ends[number - 1]) if number else 0
+        code = self.artifact.array(_shard_name(number))[index - start]
+        return self._decoded(code, np.float32(press_depth_m))
+
+    def _decoded(self, codes: NDArray[np.uint16], press_depth_m: np.float32) -> NDArray[np.float32]:
+        depths = codes * np.float32(self.max_depth_m / NO_CONTACT)
+        return np.where(codes == NO_CONTACT, press_depth_m, np.minimum(depths, press_depth_m))
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectPoseModel:
+    """An object ready to be located: its grid and the contact shapes of the grid's poses."""
+
+    grid: PoseGrid
+    shapes: ShapeBank
+    key: StageKey = field(repr=False)
+
+    @cached_property
+    def size(self) -> int:
+        """Number of poses."""
+        return len(self.grid)
+
+
+def build_model(scene: Scene, sampler: GridSampler, store: StageStore, progress: Progress) -> ObjectPoseModel:
+    """Build, or fetch from the store, the grid of `sampler` and its contact shapes in `scene`."""
+    grid_key = StageKey("grid", STAGE_VERSIONS["grid"], {
+        "object": scene.object.describe(), "sampler": sampler.describe(), "sensor": scene.geometry.describe(),
+    }, scene.object.name)  # fmt: skip
+    artifact = store.build(grid_key, lambda work: work.save_array("T_sensor_object", _grid(scene, sampler, progress)))
+    contact = PoseGrid(np.array(artifact.array("T_sensor_object")), PoseMetric(scene.object))
+    shapes_key = StageKey("shapes", STAGE_VERSIONS["shapes"], {
+        "grid": grid_key.digest, "renderer": scene.renderer.describe(), "shard": SHARD,
+    })  # fmt: skip
+    percent = sampler.options.min_contact_percent
+    rendered = store.build(shapes_key, lambda work: _render_all(work, contact, scene, percent, progress))
+    shapes = ShapeBank(rendered, scene.geometry.max_depth_m)
+    return ObjectPoseModel(PoseGrid(contact.T_sensor_object[shapes.kept], contact.metric), shapes, shapes_key)
+
+
+def build_bank(
+    model: ObjectPoseModel, scene: Scene, encoder: Encoder, press_depth_m: float, store: StageStore,
+    progress: Progress, trained: str = "",
+) -> NDArray[np.float32]:  # fmt: skip
+    """Return the bank (N, D) of the model's contact shapes cut at `press_depth_m` metres, from the store if there.
+
+    `trained` identifies what the encoder has learned, empty if it needs no training.
+    """
+    key = StageKey("bank", STAGE_VERSIONS["bank"], {
+        "shapes": model.key.digest, "encoder": encoder.describe(), "trained": trained, "press_depth_m": press_depth_m,
+    })  # fmt: skip
+
+    def encode(work: Workspace) -> None:
+        rows = []
+        with progress.task("encoding contact shapes", model.size) as advance:
+            for depths in model.shapes.shards(press_depth_m):
+                rows.append(encoder.encode(depths, press_depth_m, scene.geometry))
+                advance(len(depths))
+        work.save_array("bank", np.concatenate(rows))
+
+    return np.asarray(store.build(key, encode).array("bank"))
+
+
+def _grid(scene: Scene, sampler: GridSampler, progress: Progress) -> NDArray[np.float64]:
+    with progress.task("sampling the pose grid", 1) as advance:
+        poses = contact_grid(sampler, scene).T_sensor_object
+        advance(1)
+    return poses
+
+
+def _render_all(work: Workspace, grid: PoseGrid, scene: Scene, percent: float, progress: Progress) -> None:
+    """Render the grid shard by shard; shards that an interrupted build finished are not rendered again."""
+    kept: list[NDArray[Any]] = []
+    sizes = []
+    with progress.task("rendering contact shapes", len(grid)) as advance:
+        for number, start in enumerate(range(0, len(grid), SHARD)):
+            poses = grid.T_sensor_object[start : start + SHARD]
+            name = _shard_name(number)
+            codes = work.load(name)
+            enough = work.load(f"{name}-enough", keep=False)
+            if codes is None or enough is None:
+                depths = scene.grid_depths(poses)
+                enough = enough_contact(depths, scene, percent)
+                codes = _encoded(depths[enough], scene.geometry.max_depth_m)
+                work.save_array(name, codes)
+                work.save_array(f"{name}-enough", enough, keep=False)
+            kept.append(start + np.flatnonzero(enough))
+            sizes.append(len(codes))
+            advance(len(poses))
+    if not sum(sizes):
+        raise GridError(
+            f"no pose of {scene.object.name} makes contact with {percent:g} % of the sensor; lower "
+            "grid.min_contact_percent or choose another face"
+        )
+    work.save_array("kept", np.concatenate(kept))
+    work.save_json("shards", len(sizes))
+    work.save_json("sizes", sizes)
+
+
+def _shard_name(number: int) -> str:
+    return f"depth-{number:05d}"
+
+
+def _encoded(depths_m: NDArray[np.float32], max_depth_m: float) -> NDArray[np.uint16]:
+    """Contact depths (S, H, W) as 16-bit shares of max_depth; a pixel in contact never rounds to no contact."""
+    codes = np.rint(depths_m * np.float32(NO_CONTACT / max_depth_m))
+    touching = depths_m < np.float32(max_depth_m)
+    return np.where(touching, np.minimum(codes, NO_CONTACT - 1), NO_CONTACT).astype(np.uint16)
+
+
+STAGE_VERSION = 2
+CHECKPOINT, WEIGHTS = "checkpoint.safetensors", "encoder.safetensors"
+
+
+class WorkspaceCheckpoints(Checkpoints):
+    """Keeps a training's state in the folder where its stage is being built, until the stage is finished."""
+
+    def __init__(self, work: Workspace) -> None:
+        self._work = work
+
+    def load(self) -> Path | None:
+        """Return the checkpoint that an interrupted build left, if it is intact."""
+        return self._work.load_file(CHECKPOINT, keep=False)
+
+    def save(self, write: Callable[[Path], object]) -> None:
+        """Replace the checkpoint atomically."""
+        self._work.save_file(CHECKPOINT, write, keep=False)
+
+
+def train_encoder(
+    encoder: Encoder, model: ObjectPoseModel, scene: Scene, sampler: GridSampler, store: StageStore,
+    progress: Progress,
+) -> str:  # fmt: skip
+    """Train `encoder` on the model's object, or load what was trained before; return what identifies the result.
+
+    Encoders that need no training are left alone and identified by their description. Of several processes that
+    torchrun started, the first stores what all of them train together. Raises what `fit` raises.
+    """
+    if not encoder.capabilities.needs_training:
+        return ""
+    key = StageKey("encoder", STAGE_VERSION, {
+        "shapes": model.key.digest, "encoder": encoder.describe(), "sampler": sampler.describe(),
+    })  # fmt: skip
+
+    def fit(work: Workspace) -> None:
+        checkpoints = WorkspaceCheckpoints(work)
+        encoder.fit(TrainingProblem(model.grid, scene, sampler, model.shapes.shards, progress, checkpoints))
+        work.save_file(WEIGHTS, encoder.save_weights)
+
+    if rank() > 0 and store.get(key) is None:  # the first process holds the lock, and waits for this one in `fit`
+        encoder.fit(TrainingProblem(model.grid, scene, sampler, model.shapes.shards, progress))
+    else:
+        encoder.load_weights(store.build(key, fit).file(WEIGHTS))
+    return key.digest

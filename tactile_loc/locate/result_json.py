@@ -1,0 +1,209 @@
+"""The file `result.json`: everything that a localisation found, and everything it was made from. SI units."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.registry import SLOTS, registry, validate_options
+from tactile_loc.core.sensing import Touch
+from tactile_loc.io.config import RunConfig, TouchConfig
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result import Localization
+from tactile_loc.store.files import write_atomically
+
+SCHEMA_VERSION = 1
+LIBRARIES = (
+    "faiss-cpu", "numba", "numpy", "open3d", "open3d-cpu", "pluggy", "pydantic", "pyrender", "scipy", "torch", "trimesh"
+)  # fmt: skip
+
+Matrix = list[list[float]]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class ObjectRecord(_Record):
+    """The object that was located."""
+
+    name: str = Field(description="the object's name")
+    source: str = Field(description="the mesh file that was read")
+    size_m: list[float] = Field(description="size of the box around the surface along x, y, z of the object frame, m")
+    triangles: int = Field(description="triangles of the surface")
+    symmetry: str = Field(description="the rotations onto itself, declared or found")
+    notes: list[str] = Field(description="what was guessed or looked doubtful on reading")
+
+
+class TouchRecord(_Record):
+    """The touch that was explained."""
+
+    name: str = Field(description="the touch's name")
+    path: str | None = Field(description="its file; null when it was simulated")
+    noise: str | None = Field(description="the noise it was simulated with; null when it was read from a file")
+    image_px: list[int] = Field(description="size of the contact shape (rows, columns), pixels")
+    press_depth_m: float = Field(description="how deep the object was pressed, m")
+    T_base_sensor: Matrix | None = Field(description="where the sensor was, (4, 4), m; null when not known")
+    T_sensor_object: Matrix | None = Field(description="the true pose, (4, 4), m; null when not known")
+
+
+class HypothesisRecord(_Record):
+    """One distinct explanation of the touch."""
+
+    rank: int = Field(description="1 is the one that explains the touch best")
+    probability: float = Field(description="of this hypothesis with all grid poses that it holds, 0 to 1")
+    grid_poses: int = Field(description="how many poses of the grid it holds")
+    T_sensor_object_grid: Matrix = Field(description="its most probable pose on the grid, (4, 4), m")
+    T_sensor_object: Matrix = Field(description="that pose refined, (4, 4), m: the answer")
+    explained: float = Field(
+        description="how well the refined pose explains the touch in depth and outline, 0 to 1: hypotheses are in the "
+        "order of this, and of the prior if there is one"
+    )
+    fitness: float = Field(
+        description="overlap of the observed contact and the refined pose's (intersection over union), 0 to 1"
+    )
+    converged: bool = Field(description="whether the refinement converged")
+    iterations: int = Field(description="iterations of the refinement")
+    error_m: float | None = Field(description="surface distance to the true pose, m; null when that is not known")
+
+
+class ErrorRecord(_Record):
+    """How far off the answer is: root mean square distance of surface, the least over the object's symmetry."""
+
+    best_m: float = Field(description="of the first hypothesis, m")
+    best_listed_m: float = Field(description="of the nearest of those listed, m")
+    closest_in_grid_m: float = Field(description="of the grid pose nearest to the truth, m")
+
+
+class ResultRecord(_Record):
+    """The whole file."""
+
+    schema_version: int = Field(
+        default=SCHEMA_VERSION, description="raised when a key is removed or changes its meaning"
+    )
+    created: str = Field(description="when, UTC, ISO 8601")
+    versions: dict[str, str] = Field(description="of tactile-loc, python and the libraries installed")
+    configuration: dict[str, Any] = Field(
+        description="every setting, defaults included; `tactile-loc run --config` takes the same entries as TOML"
+    )
+    distributions: dict[str, str] = Field(description="the installed package that each slot's component came from")
+    object: ObjectRecord = Field(description="the object")
+    touch: TouchRecord = Field(description="the touch; of several the first, in whose sensor's frame poses are")
+    other_touches: list[TouchRecord] = Field(description="the other touches that were fused with it")
+    grid_poses: int = Field(description="poses that were searched")
+    certainty: float = Field(description="1 - entropy / log(grid_poses): 1 one pose is certain, 0 nothing is known")
+    entropy_nats: float = Field(description="Shannon entropy of the posterior, nats")
+    hypotheses: list[HypothesisRecord] = Field(description="distinct explanations, the best first")
+    errors: ErrorRecord | None = Field(description="where the true pose is known, else null")
+    seconds: dict[str, float] = Field(description="duration of each stage, s")
+
+
+def result_record(
+    localizer: Localizer, localization: Localization, seconds: Mapping[str, float] | None = None
+) -> ResultRecord:
+    """Gather what a localisation found. `seconds` adds durations of other stages to those of the localisation."""
+    config, posterior = localizer.config, localization.posterior
+    errors_m = pose_errors_m(localizer.object, localization)
+    return ResultRecord(
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        versions=versions(),
+        configuration=resolved(config),
+        distributions={slot: registry().find(slot, getattr(config, slot).name).distribution for slot in SLOTS},
+        object=_object(localizer.object),
+        touch=_touch(localization.touch, config.touch),
+        other_touches=[_touch(touch, config.touch) for touch in localization.others],
+        grid_poses=len(posterior.grid),
+        certainty=float(localization.certainty),
+        entropy_nats=posterior.entropy,
+        hypotheses=_hypotheses(localization, errors_m),
+        errors=_errors(localization, errors_m),
+        seconds={**(seconds or {}), **localization.seconds},
+    )
+
+
+def write_result(path: str | Path, record: ResultRecord) -> Path:
+    """Write a record as JSON, atomically, and return the path. Raises OutputError when that is impossible."""
+    text = record.model_dump_json(indent=1) + "\n"
+    return write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def resolved(config: RunConfig) -> dict[str, Any]:
+    """Return every setting of a run as JSON values, each component's options complete with their defaults."""
+    settings = config.model_dump(mode="json")
+    for slot in SLOTS:
+        chosen = getattr(config, slot)
+        options = registry().load(slot, chosen.name).Options
+        complete = validate_options(options, chosen.options, f"{slot} {chosen.name!r}")
+        settings[slot] = {"name": chosen.name, "options": complete.model_dump(mode="json")}
+    return settings
+
+
+def pose_errors_m(obj: ObjectModel, localization: Localization) -> NDArray[np.float64] | None:
+    """Return each hypothesis's surface distance (K,) in metres to the true pose; None where that is not known."""
+    T_true = localization.touch.T_sensor_object
+    if T_true is None:
+        return None
+    T = np.stack([h.refined.T_sensor_object for h in localization.hypotheses])
+    return PoseMetric(obj).symmetric_distance(T, np.broadcast_to(T_true, T.shape))
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of tactile-loc, python and those of its libraries that are installed."""
+    found = {"tactile-loc": metadata.version("tactile-loc"), "python": platform.python_version()}
+    for name in LIBRARIES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def _object(obj: ObjectModel) -> ObjectRecord:
+    return ObjectRecord(
+        name=obj.name, source=obj.source, size_m=obj.mesh.extents_m.tolist(), triangles=len(obj.mesh.faces),
+        symmetry=str(obj.symmetry), notes=list(obj.notes),
+    )  # fmt: skip
+
+
+def _touch(touch: Touch, source: TouchConfig) -> TouchRecord:
+    return TouchRecord(
+        name=touch.name, path=source.path, noise=source.noise if source.path is None else None,
+        image_px=list(touch.geometry.shape), press_depth_m=touch.press_depth_m,
+        T_base_sensor=_matrix(touch.T_base_sensor), T_sensor_object=_matrix(touch.T_sensor_object),
+    )  # fmt: skip
+
+
+def _hypotheses(localization: Localization, errors_m: NDArray[np.float64] | None) -> list[HypothesisRecord]:
+    return [
+        HypothesisRecord(
+            rank=i + 1, probability=h.probability, grid_poses=h.poses, T_sensor_object_grid=h.T_sensor_object.tolist(),
+            T_sensor_object=h.refined.T_sensor_object.tolist(), explained=h.explained, fitness=h.refined.fitness,
+            converged=h.refined.converged, iterations=h.refined.iterations,
+            error_m=None if errors_m is None else float(errors_m[i]),
+        )
+        for i, h in enumerate(localization.hypotheses)
+    ]  # fmt: skip
+
+
+def _errors(localization: Localization, errors_m: NDArray[np.float64] | None) -> ErrorRecord | None:
+    T_true = localization.touch.T_sensor_object
+    if errors_m is None or T_true is None:
+        return None
+    closest_m = localization.posterior.grid.nearest(T_true[None])[0][0]
+    return ErrorRecord(
+        best_m=float(errors_m[0]), best_listed_m=float(errors_m.min()), closest_in_grid_m=float(closest_m)
+    )
+
+
+def _matrix(T: NDArray[np.float64] | None) -> Matrix | None:
+    return None if T is None else np.asarray(T, float).tolist()

@@ -1,0 +1,1 @@
+"""Results of stages on disk: keys, artifacts, workspaces, whole-or-nothing files."""

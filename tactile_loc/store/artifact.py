@@ -1,0 +1,154 @@
+"""A finished stage on disk: a folder of plain files and the manifest that vouches for them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import StoreError
+from tactile_loc.store.keys import StageKey, canonical_json, hash_file
+
+MANIFEST = "manifest.json"
+_FORMAT = 1
+
+
+class DamagedError(StoreError):
+    """An artifact is incomplete or not what its manifest says; the message is the reason alone."""
+
+
+@dataclass(frozen=True)
+class FileRecord:
+    """Size in bytes and SHA-256 (hex) of one file."""
+
+    size: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Artifact:
+    """The stored result of one stage. Read-only; obtained from `StageStore.get` or `StageStore.build`."""
+
+    path: Path
+    key: StageKey
+    files: Mapping[str, FileRecord]
+    created: datetime
+    """When the build ended, UTC."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the files, with their suffixes, sorted; the manifest is not one of them."""
+        return tuple(sorted(self.files))
+
+    @property
+    def nbytes(self) -> int:
+        """The size of all files together, bytes."""
+        return sum(record.size for record in self.files.values())
+
+    def file(self, name: str) -> Path:
+        """Return the path of the file of this name (with its suffix).
+
+        Raises:
+            StoreError: if the artifact has no such file.
+        """
+        if name not in self.files:
+            raise StoreError(f"Stage {self.key} holds no {name!r}; it holds {', '.join(self.names) or 'no files'}.")
+        return self.path / name
+
+    def array(self, name: str, mmap: bool = True) -> NDArray[Any]:
+        """Return the array stored as `<name>.npy`, mapped read-only from the disk, or in memory if not `mmap`.
+
+        Raises:
+            StoreError: if there is no such array or it cannot be read; arrays of pickled objects never are.
+        """
+        path = self.file(f"{name}.npy")
+        try:
+            array: NDArray[Any] = np.load(path, mmap_mode="r" if mmap else None, allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise StoreError(f"Cannot read {path}: {error}; remove {self.path} and run again.") from error
+        return array
+
+    def json(self, name: str) -> Any:
+        """Return the value stored as `<name>.json`.
+
+        Raises:
+            StoreError: if there is no such file or it cannot be read.
+        """
+        path = self.file(f"{name}.json")
+        try:
+            return json.loads(path.read_bytes())
+        except (OSError, ValueError) as error:
+            raise StoreError(f"Cannot read {path}: {error}; remove {self.path} and run again.") from error
+
+    def signature(self) -> tuple[tuple[int, int], ...]:
+        """Return (mtime_ns, size) of the manifest and of every file: cheap to get, and changed by any ordinary write.
+
+        Raises:
+            DamagedError: if a file is missing or its size is not the recorded one.
+        """
+        try:
+            stats = [(self.path / name).stat() for name in (MANIFEST, *self.names)]
+        except OSError as error:
+            raise DamagedError(f"{error.filename} cannot be read ({error.strerror})") from error
+        for name, stat in zip(self.names, stats[1:], strict=True):
+            if stat.st_size != self.files[name].size:
+                raise DamagedError(f"{name} has {stat.st_size} bytes instead of {self.files[name].size}")
+        return tuple((stat.st_mtime_ns, stat.st_size) for stat in stats)
+
+    def verify(self) -> None:
+        """Read every file and compare its checksum with the manifest's.
+
+        Raises:
+            DamagedError: if one differs.
+        """
+        for name, record in self.files.items():
+            try:
+                found = hash_file(self.path / name)
+            except StoreError as error:
+                raise DamagedError(f"{name} cannot be read") from error
+            if found != record.sha256:
+                raise DamagedError(f"the content of {name} does not match its checksum")
+
+
+def write_manifest(path: Path, key: StageKey, files: Mapping[str, FileRecord]) -> None:
+    """Write the manifest of the files in a folder; it carries a checksum of itself. Raises OSError."""
+    manifest: dict[str, Any] = {
+        "format": _FORMAT,
+        "stage": key.stage,
+        "version": key.version,
+        "inputs": key.inputs,
+        "label": key.label,
+        "files": {name: {"size": record.size, "sha256": record.sha256} for name, record in files.items()},
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+    path.write_text(json.dumps({**manifest, "sha256": _seal(manifest)}, sort_keys=True, indent=1) + "\n")
+
+
+def read_artifact(folder: Path) -> Artifact:
+    """Return the artifact in a folder by its manifest; the files themselves are not looked at.
+
+    Raises:
+        DamagedError: if the manifest is missing, unreadable or altered.
+    """
+    try:
+        manifest = json.loads((folder / MANIFEST).read_bytes())
+        if manifest.pop("sha256") != _seal(manifest) or manifest["format"] != _FORMAT:
+            raise DamagedError("its manifest is altered or of another format")
+        files = {name: FileRecord(**record) for name, record in manifest["files"].items()}
+        key = StageKey(manifest["stage"], manifest["version"], manifest["inputs"], manifest.get("label", ""))
+        return Artifact(folder, key, files, datetime.fromisoformat(manifest["created"]))
+    except OSError as error:
+        raise DamagedError(f"its manifest cannot be read ({error.strerror})") from error
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise DamagedError("its manifest is not readable JSON") from error
+
+
+def _seal(manifest: Mapping[str, Any]) -> str:
+    return hashlib.sha256(canonical_json(manifest).encode()).hexdigest()

@@ -1,0 +1,248 @@
+"""The stage store: each stage's result in a folder named by the hash of what it was made from.
+
+`<root>/<stage>/<16 hex digits>/` holds a finished artifact, `<16 hex digits>.partial/` one that is being built or whose
+build was interrupted, and `<16 hex digits>.lock` keeps two processes from building the same one.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tactile_loc.core.errors import StoreError
+from tactile_loc.store.artifact import MANIFEST, Artifact, DamagedError, read_artifact
+from tactile_loc.store.keys import StageKey, canonical_json, hash_arrays, hash_file
+from tactile_loc.store.workspace import Workspace, delete, storing, sync_folder
+
+__all__ = [
+    "Artifact",
+    "Entry",
+    "StageKey",
+    "StageStore",
+    "Workspace",
+    "canonical_json",
+    "default_root",
+    "hash_arrays",
+    "hash_file",
+]
+
+if TYPE_CHECKING:
+    from filelock import FileLock
+
+logger = logging.getLogger(__name__)
+
+_ENTRY = re.compile(r"([0-9a-f]{16})(\.partial)?")
+_SETTLED_NS = 2_000_000_000  # the coarsest clock of the common file systems ticks every 2 s
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One folder of the store: an artifact, or what an interrupted build left if not `complete`."""
+
+    stage: str
+    digest: str
+    """The first 16 digits; `StageStore.remove` takes them as they are."""
+    nbytes: int
+    created: datetime
+    """When the build ended or, for an incomplete one, last saved a piece, UTC."""
+    complete: bool
+    path: Path
+
+
+class StageStore:
+    """Results of stages on disk, found by their `StageKey` and never rebuilt while what they depend on is unchanged.
+
+    Nothing is created before the first build. `built` lists the keys that this instance built, in order.
+    """
+
+    def __init__(self, root: Path | None = None) -> None:
+        self.root = default_root() if root is None else root.expanduser().absolute()
+        self.built: list[StageKey] = []
+        self._verified: dict[str, tuple[tuple[int, int], ...]] = {}
+
+    def get(self, key: StageKey) -> Artifact | None:
+        """Return the artifact of this key, or None if there is none.
+
+        One that is incomplete or altered is removed with a warning and counts as none. Checksums are read once per
+        instance, and again when a file's time or size has changed.
+
+        Raises:
+            StoreError: if a damaged artifact cannot be removed.
+        """
+        try:
+            return self._open(key)
+        except DamagedError:
+            lock = self._try_lock(self._folder(key))
+        if lock is None:
+            return None  # another process is rebuilding it
+        with lock:
+            return self._open_or_remove(key)
+
+    def build(self, key: StageKey, make: Callable[[Workspace], object]) -> Artifact:
+        """Return the artifact of this key, having `make` build it in a workspace if there is none.
+
+        If another process is building it, wait and return what it built. What `make` saved before an interruption or
+        an exception stays in the workspace for the next build of this key.
+
+        Raises:
+            StoreError: if it cannot be stored, for instance on a full disk. What `make` raises passes through.
+        """
+        artifact = self.get(key)
+        if artifact is None:
+            with self._lock(key):
+                artifact = self._open_or_remove(key) or self._make(key, make)
+        else:
+            logger.debug("Stage %s is there already.", key)
+        return artifact
+
+    def entries(self) -> list[Entry]:
+        """Return what the store holds, finished or not, ordered by stage and digest; checksums are not read."""
+        return [_entry(path) for path in sorted(self.root.glob("*/*")) if _ENTRY.fullmatch(path.name) and path.is_dir()]
+
+    def remove(self, digest: str) -> int:
+        """Remove what the store holds under this digest (all or the first 16 digits); return how many bytes went.
+
+        Raises:
+            StoreError: if it is being built now or cannot be removed.
+        """
+        found = [entry for entry in self.entries() if entry.digest == digest[:16]]
+        for entry in found:
+            lock = self._try_lock(entry.path.with_suffix(""))
+            if lock is None:
+                raise StoreError(f"{entry.path} is being built by another process; try again when that has ended.")
+            with lock:
+                _remove(entry.path)
+        return sum(entry.nbytes for entry in found)
+
+    def is_being_built(self, entry: Entry) -> bool:
+        """Tell whether some process is building this entry now, or removing it.
+
+        Raises:
+            StoreError: if the disk refuses to say.
+        """
+        lock = self._try_lock(entry.path.with_suffix(""))
+        if lock is None:
+            return True
+        with lock:
+            return False
+
+    def _folder(self, key: StageKey) -> Path:
+        return self.root / key.stage / key.short
+
+    def _open(self, key: StageKey) -> Artifact | None:
+        """Return the artifact, verified, or None if there is none; raise DamagedError if it must not be read."""
+        folder = self._folder(key)
+        if not os.path.lexists(folder):
+            return None
+        artifact = read_artifact(folder)
+        if artifact.key != key:
+            raise DamagedError("it was made from other inputs")
+        signature = artifact.signature()
+        if self._verified.get(key.digest) != signature:
+            artifact.verify()
+            # A write within the clock's tick could still leave the time unchanged: trust only times that are past.
+            if time.time_ns() - max(mtime_ns for mtime_ns, _ in signature) > _SETTLED_NS:
+                self._verified[key.digest] = signature
+        return artifact
+
+    def _open_or_remove(self, key: StageKey) -> Artifact | None:
+        """Do as `_open`, but remove what is damaged. The caller holds the lock."""
+        try:
+            return self._open(key)
+        except DamagedError as damage:
+            logger.warning("The stored stage %s in %s is removed: %s.", key, self._folder(key), damage)
+        _remove(self._folder(key))
+        return None
+
+    def _make(self, key: StageKey, make: Callable[[Workspace], object]) -> Artifact:
+        folder = self._folder(key)
+        partial = folder.with_suffix(".partial")
+        logger.info("Stage %s is being built.", key)
+        start_s = time.monotonic()
+        with storing(f"stage {key}", partial):
+            partial.mkdir(parents=True, exist_ok=True)
+        workspace = Workspace(partial, key)
+        make(workspace)
+        workspace.finish()
+        with storing(f"stage {key}", folder):
+            os.rename(partial, folder)
+            sync_folder(folder.parent)
+        self.built.append(key)
+        artifact = read_artifact(folder)
+        logger.info("Stage %s is built: %.1f MB in %.1f s.", key, artifact.nbytes / 1e6, time.monotonic() - start_s)
+        return artifact
+
+    def _lock(self, key: StageKey) -> AbstractContextManager[object]:
+        """Return the lock of a key, held until its block ends, after waiting for another process if need be."""
+        lock = self._try_lock(self._folder(key))
+        if lock is None:
+            logger.info("Stage %s is being built by another process; waiting for it.", key)
+            with storing(f"stage {key}", self.root):
+                lock = _file_lock(self._folder(key)).acquire()
+        return lock
+
+    def _try_lock(self, folder: Path) -> AbstractContextManager[object] | None:
+        """Return the lock of an artifact's folder, held until its block ends, or None if it is taken."""
+        from filelock import Timeout
+
+        with storing(f"stage {folder.parent.name} {folder.name}", folder.parent):
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                return _file_lock(folder).acquire(timeout=0)
+            except Timeout:
+                return None
+
+
+def default_root() -> Path:
+    """Return the store's place: `$TACTILE_LOC_STORE`, else `tactile-loc` in `$XDG_CACHE_HOME` or in `~/.cache`."""
+    if chosen := os.environ.get("TACTILE_LOC_STORE"):
+        return Path(chosen).expanduser().absolute()
+    cache = Path(os.environ.get("XDG_CACHE_HOME", ""))  # to be ignored unless absolute, says its specification
+    return (cache if cache.is_absolute() else Path.home() / ".cache") / "tactile-loc"
+
+
+def _file_lock(folder: Path) -> FileLock:
+    """Return the lock of an artifact's folder, not yet taken.
+
+    The operating system frees the lock of a process that dies. The lock's file stays: deleting it would let two
+    processes hold the lock of one name.
+    """
+    from filelock import FileLock
+
+    return FileLock(folder.with_suffix(".lock"))
+
+
+def _remove(path: Path) -> None:
+    try:
+        delete(path)
+    except FileNotFoundError:
+        return  # another process was faster
+    except OSError as error:
+        raise StoreError(
+            f"Cannot remove {path}: {error.strerror}; remove it by hand or choose another store."
+        ) from error
+
+
+def _entry(folder: Path) -> Entry:
+    digest, _, suffix = folder.name.partition(".")
+    manifest = folder / MANIFEST
+    complete = not suffix and manifest.is_file()
+    created_s = (manifest if complete else folder).stat().st_mtime
+    return Entry(folder.parent.name, digest, _size(folder), datetime.fromtimestamp(created_s, UTC), complete, folder)
+
+
+def _size(folder: Path) -> int:
+    """Return the bytes of all files in a folder, however deep; those that vanish meanwhile do not count."""
+    nbytes = 0
+    for path in folder.rglob("*"):
+        with suppress(FileNotFoundError):
+            nbytes += path.lstat().st_size if path.is_file() else 0
+    return nbytes

@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import dataclasses
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from PIL import Image
+
+from tactile_loc.core.errors import OutputError
+from tactile_loc.core.noise import NOISE
+from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.drawing.pictures import (
+    MOST_TOUCHES,
+    draw_contact_shape,
+    draw_noise,
+    draw_result,
+    draw_touches,
+    millimetres,
+    percent,
+    save_figure,
+)
+from tactile_loc.drawing.pose_panel import draw_pose
+
+# 2 px a mm; the optical axis is 2 mm from the left border and 1.5 mm from the top one
+FLAT = SensorGeometry("orthographic", 20, 12, 2000.0, 2000.0, 4.0, 3.0, 0.01, 0.001, (-0.001, 0.007, -0.001, 0.004))
+
+
+def texts(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.findobj(plt.Text) if text.get_text()]
+
+
+@pytest.fixture(scope="module")
+def figure(localizer, localization):
+    errors_m = np.arange(len(localization.hypotheses)) * 1e-3 + 2.5e-3
+    return draw_result(localization, localizer.scene, "pin on gelslim", errors_m)
+
+
+def test_everything_is_labelled_with_units(figure):
+    shown = texts(figure)
+    for label in ("pin on gelslim", "x (mm)", "y (mm)", "z (mm)", "true pose", "best pose"):
+        assert label in shown
+    assert any("(mm)" in text and "no contact" in text for text in shown)
+
+
+def test_each_candidate_has_its_probability_fit_and_error(figure, localization):
+    captions = [text for text in texts(figure) if "fit" in text]
+    assert len(captions) == min(4, len(localization.hypotheses))
+    best = localization.best
+    assert captions[0].startswith(f"1:  {percent(best.probability)}")
+    assert captions[0].endswith("2.5 mm off")
+
+
+def test_without_a_true_pose_none_is_promised(localizer, localization):
+    unknown = dataclasses.replace(localization, touch=dataclasses.replace(localization.touch, T_sensor_object=None))
+    shown = texts(draw_result(unknown, localizer.scene, "pin"))
+    assert "true pose" not in shown
+    assert not any("off" in text for text in shown)
+
+
+def test_a_photo_is_shown_with_the_outline_that_the_best_pose_makes(localizer, localization):
+    photo = np.full((*localization.touch.geometry.shape, 3), (10, 90, 160), np.uint8)
+    seen = dataclasses.replace(localization, touch=dataclasses.replace(localization.touch, image=photo))
+    figure = draw_result(seen, localizer.scene, "pin")
+    assert {"image", "observed contact shape"} <= set(texts(figure))
+    axes = next(a for a in figure.findobj(Axes) if a.images and a.images[0].get_array().shape == photo.shape)
+    contours = [c for c in axes.collections if len(c.get_paths())]
+    made = localizer.scene.contact_shape(seen.best.refined.T_sensor_object, seen.touch.press_depth_m)
+    x_mm = np.concatenate([path.vertices for c in contours for path in c.get_paths()])[:, 0]
+    columns = np.flatnonzero(made.contact.any(axis=0)) + 0.5
+    geometry = seen.touch.geometry
+    wanted_mm = 1e3 * (columns[[0, -1]] - geometry.cx) / geometry.scale_at_surface[0]
+    np.testing.assert_allclose([x_mm.min(), x_mm.max()], wanted_mm, atol=1.5e3 * geometry.pixel_pitch_m)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_few_candidates(localizer, localization, count):
+    few = dataclasses.replace(localization, hypotheses=(localization.best,) * count)
+    captions = [text for text in texts(draw_result(few, localizer.scene, "pin")) if "fit" in text]
+    assert len(captions) == count
+
+
+def test_pyplot_knows_of_no_figure_and_the_settings_are_as_they_were(localizer, localization, tmp_path):
+    before = dict(plt.rcParams)
+    save_figure(tmp_path / "a.png", draw_result(localization, localizer.scene, "pin"), dpi=40)
+    assert plt.get_fignums() == []
+    assert dict(plt.rcParams) == before
+
+
+def test_contact_shapes_are_drawn_where_they_are(tmp_path):
+    depth = np.full(FLAT.shape, 0.001, np.float32)
+    depth[3, 4] = 0.0004  # its centre is 0.25 mm right of and below the axis
+    axes = Figure().add_subplot()
+    image = draw_contact_shape(axes, ContactShape(depth, 0.001), FLAT)
+    assert image.get_extent() == pytest.approx([-2.0, 8.0, 4.5, -1.5])
+    values = image.get_array()
+    assert values.mask.sum() == values.size - 1
+    assert values[3, 4] == pytest.approx(0.4)  # mm
+    assert image.get_clim() == pytest.approx((0.0, 1.0))
+    assert axes.get_ylim()[0] > axes.get_ylim()[1]  # y runs down, as in the image
+    (rectangle,) = axes.patches
+    assert rectangle.get_bbox().extents == pytest.approx([-1, -1, 7, 4])
+
+
+def test_the_outline_runs_around_the_contact(localizer, localization):
+    depth = np.full((200, 200), 0.002, np.float32)
+    depth[50:100, 20:60] = 0.0
+    touch = Touch(ContactShape(depth, 0.002), localization.touch.geometry)
+    figure = draw_result(dataclasses.replace(localization, touch=touch), localizer.scene, "pin")
+    outline = next(c for a in figure.findobj(plt.Axes) for c in a.collections if type(c).__name__ == "QuadContourSet")
+    x, y = outline.get_paths()[0].vertices.T
+    sx, sy = (1e-3 * s for s in touch.geometry.scale_at_surface)
+    cx, cy = touch.geometry.cx, touch.geometry.cy
+    assert [x.min(), x.max()] == pytest.approx([(20 - cx) / sx, (60 - cx) / sx], abs=0.11)
+    assert [y.min(), y.max()] == pytest.approx([(50 - cy) / sy, (100 - cy) / sy], abs=0.11)
+
+
+def test_the_pose_panel_shows_the_object_where_it_is(localizer, localization):
+    T = localization.touch.T_sensor_object
+    pictures = []
+    for estimate, truth in ((T, None), (T, T)):
+        axes = Figure().add_subplot()
+        draw_pose(axes, localizer.object.mesh, localizer.scene.geometry, estimate, truth)
+        pictures.append(np.asarray(axes.get_images()[0].get_array()))
+    blue, with_lines = pictures
+    assert blue.shape == with_lines.shape  # the same pose: the same bounds
+    changed = np.abs(blue - with_lines).max(axis=-1) > 0.05
+    assert 0.001 < changed.mean() < 0.1  # lines, no areas
+    assert (with_lines[changed][:, 0] > with_lines[changed][:, 2]).mean() > 0.9  # orange
+
+
+def test_a_sheet_of_touches(localizer):
+    touches = localizer.simulate(7, seed=1)
+    figure = draw_touches(touches, "pin, simulated")
+    shown = texts(figure)
+    assert [touch.name for touch in touches if touch.name not in shown] == []
+    assert len(draw_touches(touches[:1] * 100, "many").findobj(lambda a: a in figure.axes)) <= MOST_TOUCHES
+
+
+def test_saving(tmp_path, figure):
+    with Image.open(save_figure(tmp_path / "deep" / "a.png", figure, dpi=50)) as picture:
+        picture.load()
+        assert picture.size == tuple(int(50 * side) for side in figure.get_size_inches())
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(OutputError):
+        save_figure(tmp_path / "file" / "a.png", figure)
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [
+        (1.0, "100 %"),
+        (0.997, "99.7 %"),
+        (0.99, "99 %"),
+        (0.612, "61 %"),
+        (0.028, "2.8 %"),
+        (0.0004, "< 0.1 %"),
+        (0.0, "< 0.1 %"),
+    ],
+)
+def test_percent(share, text):
+    assert percent(share) == text
+
+
+@pytest.mark.parametrize(("length", "text"), [(1.9e-5, "0.02 mm"), (0.00187, "1.9 mm"), (0.0478, "48 mm")])
+def test_millimetres(length, text):
+    assert millimetres(length) == text
+
+
+def test_every_level_of_noise_is_drawn_in_one_scale(localizer):
+    figure = draw_noise(localizer)
+    titles = [text for text in texts(figure) if text.split(",")[0] in NOISE]
+    assert [title.split(",")[0] for title in titles] == [level for level in NOISE for _ in range(5)]
+    assert titles[0] == "none, 2.0 mm"
+    scales = [axes.images[0].get_clim() for axes in figure.axes if axes.images]
+    assert np.array(scales) == pytest.approx(np.tile([0.0, 2.0], (15, 1)))

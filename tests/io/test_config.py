@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+import pytest
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.registry import SLOTS
+from tactile_loc.io.config import RunConfig, parse_overrides
+from tactile_loc.io.toml import read_toml
+
+
+def test_nothing_said_is_a_whole_configuration():
+    config = RunConfig.from_dict({})
+    assert config.object.path
+    assert all(getattr(config, slot).name for slot in SLOTS)
+    assert RunConfig() == config
+
+
+@pytest.mark.parametrize("written", [
+    {"name": "icp", "max_iterations": 7}, {"name": "icp", "options": {"max_iterations": 7}},
+])  # fmt: skip
+def test_a_slot_may_be_flat_or_nested(written):
+    slot = RunConfig.from_dict({"refiner": written}).refiner
+    assert (slot.name, slot.options) == ("icp", {"max_iterations": 7})
+
+
+def test_a_slot_may_be_a_name_alone():
+    slot = RunConfig.from_dict({"refiner": "none"}).refiner
+    assert (slot.name, slot.options) == ("none", {})
+
+
+def test_what_is_set_leaves_the_rest_alone():
+    config = RunConfig.from_dict({"top": 3, "object": {"units": "mm"}})
+    assert (config.top, config.object.units, config.object.path) == (3, "mm", RunConfig().object.path)
+    assert config.refiner == RunConfig().refiner
+
+
+@pytest.mark.parametrize(("values", "words"), [
+    ({"refinr": "icp"}, r"run.toml has an unknown entry 'refinr'. Did you mean 'refiner'"),
+    ({"top": 0}, "top = 0"),
+    ({"top": "ten"}, "top = 'ten'"),
+    ({"seed": -1}, "seed = -1"),
+    ({"shape_px": 8}, "shape_px = 8"),
+    ({"temperature": 0}, "temperature = 0"),
+    ({"object": {"units": "furlong"}}, "object.units = 'furlong'"),
+    ({"object": {"file": "x.stl"}}, "object.file"),
+    ({"object": "pin"}, "object = 'pin'"),
+    ({"touch": {"unit": "cm"}}, "touch.unit"),
+    ({"refiner": 3}, "refiner = 3"),
+    ({"refiner": None}, "refiner = None"),
+    ({"refiner": {"max_iterations": 7}}, "refiner.name"),
+    ({"refiner": {"name": "icp", "options": {}, "reach": 1}}, "refiner.reach"),
+])  # fmt: skip
+def test_bad_values_are_refused_in_a_sentence_that_names_source_and_entry(values, words):
+    with pytest.raises(ConfigError, match=words) as refused:
+        RunConfig.from_dict(values, "run.toml")
+    assert "run.toml" in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_file_is_read(tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text('top = 4\n[grid]\nname = "face"\nspacing_mm = 3.5\n[object]\npath = "hook"\n')
+    config = RunConfig.from_toml(path)
+    assert (config.top, config.object.path, config.grid.options) == (4, "hook", {"spacing_mm": 3.5})
+
+
+def test_files_that_cannot_be_read_are_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"there is no file .*none\.toml"):
+        RunConfig.from_toml(tmp_path / "none.toml")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_toml(tmp_path)
+    (tmp_path / "bad.toml").write_text("top = = 3")
+    with pytest.raises(ConfigError, match=r"bad\.toml is not valid TOML"):
+        read_toml(tmp_path / "bad.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00top")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_toml(tmp_path / "binary.toml")
+    (tmp_path / "typo.toml").write_text("tpo = 3")
+    with pytest.raises(ConfigError, match=r"typo\.toml has an unknown entry 'tpo'"):
+        RunConfig.from_toml(tmp_path / "typo.toml")
+
+
+def test_a_configuration_cannot_be_changed():
+    with pytest.raises(ValueError, match="frozen"):
+        RunConfig().top = 3
+
+
+def test_overrides_are_read_as_toml_or_else_as_text():
+    words = [
+        "grid.face=+z",
+        "grid.spacing_mm=3.5",
+        "refiner.max_iterations = 7",
+        "refiner.walls=false",
+        "sensor.image_size_px=[80, 60]",
+        'sensor.path="a=b.toml"',
+        "encoder.signal=depth",
+    ]
+    assert parse_overrides(words) == {
+        "grid": {"face": "+z", "spacing_mm": 3.5},
+        "refiner": {"max_iterations": 7, "walls": False},
+        "sensor": {"image_size_px": [80, 60], "path": "a=b.toml"},
+        "encoder": {"signal": "depth"},
+    }
+    assert parse_overrides([]) == {}
+
+
+def test_the_last_override_counts():
+    assert parse_overrides(["grid.spacing_mm=3", "grid.spacing_mm=4"]) == {"grid": {"spacing_mm": 4}}
+
+
+@pytest.mark.parametrize("word", ["grid", "grid.face", "grid=face", "=3", "grid.=3", ".face=3", "grid. =3"])
+def test_overrides_of_another_form_are_refused(word):
+    with pytest.raises(ConfigError):
+        parse_overrides([word])
+
+
+def test_an_override_of_an_unknown_slot_is_answered_with_the_near_one():
+    with pytest.raises(ConfigError, match=r"no slot 'refinr' in 'refinr.walls=true'. Did you mean 'refiner'"):
+        parse_overrides(["refinr.walls=true"])

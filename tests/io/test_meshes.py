@@ -1,0 +1,226 @@
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_loc.core.errors import ObjectError, SymmetryError
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.io.meshes import load_object
+
+SIDES_M = np.array([0.030, 0.020, 0.012])
+TWO_FACES = (
+    "solid part\n"
+    + "".join(
+        f"facet normal 0 0 1\nouter loop\nvertex 0 0 {z}\nvertex 10 0 {z}\nvertex 0 10 {z}\nendloop\nendfacet\n"
+        for z in (0, 5)
+    )
+    + "endsolid part\n"
+)
+
+
+@pytest.fixture
+def write_box(tmp_path: Path):
+    """Write a box of 30 x 20 x 12 mm, `scale` file units a metre."""
+
+    def write(name: str = "part.stl", scale: float = 1.0) -> Path:
+        trimesh.creation.box(SIDES_M * scale).export(tmp_path / name)
+        return tmp_path / name
+
+    return write
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "glb", "off"])
+def test_formats(write_box, suffix):
+    obj = load_object(write_box(f"part.{suffix}"), units="m", symmetry="none")
+    assert obj.name == "part"
+    assert obj.source.endswith(f"part.{suffix}")
+    np.testing.assert_allclose(obj.mesh.extents_m, SIDES_M, rtol=1e-6)
+    assert (len(obj.mesh.vertices_m), len(obj.mesh.faces)) == (8, 12), "corners are merged"
+    assert obj.notes == ()
+
+
+def test_ascii_stl_and_quads(tmp_path):
+    box = trimesh.creation.box(SIDES_M)
+    (tmp_path / "a.stl").write_text(trimesh.exchange.stl.export_stl_ascii(box))
+    (tmp_path / "b.obj").write_text("v 0 0 0\nv 0.01 0 0\nv 0.01 0.01 0\nv 0 0.01 0\nf 1 2 3 4\n")
+    np.testing.assert_allclose(load_object(tmp_path / "a.stl", "m", "none").mesh.extents_m, SIDES_M, rtol=1e-6)
+    assert load_object(tmp_path / "b.obj", "m", "none").mesh.face_areas.sum() == pytest.approx(1e-4)
+
+
+def test_all_bodies_of_a_scene_where_they_are(tmp_path):
+    scene = trimesh.Scene()
+    scene.add_geometry(trimesh.creation.box([0.01, 0.01, 0.01]))
+    scene.add_geometry(
+        trimesh.creation.box([0.01, 0.01, 0.01]), transform=trimesh.transformations.translation_matrix([0.05, 0, 0])
+    )
+    scene.export(tmp_path / "two.glb")
+    np.testing.assert_allclose(
+        load_object(tmp_path / "two.glb", "m", "none").mesh.extents_m, [0.06, 0.01, 0.01], rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize(("units", "per_metre"), [("m", 1.0), ("mm", 1e3), ("cm", 1e2), ("inch", 1 / 0.0254)])
+def test_declared_units_agree(write_box, units, per_metre):
+    obj = load_object(write_box(scale=per_metre), units=units, symmetry="none")
+    np.testing.assert_allclose(obj.mesh.extents_m, SIDES_M, rtol=1e-6)
+    assert obj.notes == ()
+
+
+@pytest.mark.parametrize(("per_metre", "guess"), [(1.0, "m"), (1e3, "mm")])
+def test_guessed_units_are_right_and_said(write_box, caplog, per_metre, guess):
+    with caplog.at_level(logging.WARNING):
+        obj = load_object(write_box(scale=per_metre), symmetry="none")
+    np.testing.assert_allclose(obj.mesh.extents_m, SIDES_M, rtol=1e-6)
+    (note,) = obj.notes
+    assert f"guessed {guess}, so 30 mm" in note
+    assert "--units" in note
+    assert note in caplog.text
+
+
+def test_unknown_units_are_refused(write_box):
+    with pytest.raises(ObjectError, match=r"unknown unit 'furlong' for part\.stl; give one of m, mm, cm, inch, auto"):
+        load_object(write_box(), units="furlong")
+
+
+@pytest.mark.parametrize("name", DEMO_OBJECTS)
+def test_demo_objects_load_by_name_with_their_symmetry_and_nothing_to_note(name):
+    obj = load_object(name)
+    assert obj.name == name
+    assert str(obj.symmetry) == DEMO_OBJECTS[name].symmetry
+    assert obj.notes == ()
+    assert 0.02 < obj.mesh.extents_m.max() < 0.09
+
+
+def test_a_demo_objects_symmetry_can_be_declared_otherwise():
+    assert str(load_object("pin", symmetry="none").symmetry) == "none"
+    with pytest.raises(SymmetryError):
+        load_object("pin", symmetry="z6")
+
+
+def test_a_file_comes_before_a_demo_object_of_its_name(tmp_path, monkeypatch):
+    trimesh.creation.box(SIDES_M).export(tmp_path / "pin", file_type="stl")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ObjectError, match="pin cannot be read as a mesh"):
+        load_object("pin")
+
+
+def test_name_can_be_given(write_box):
+    assert load_object(write_box(), "m", "none", name="bracket").name == "bracket"
+
+
+def test_symmetry_is_found_about_the_surfaces_centroid_and_noted(tmp_path):
+    box = trimesh.creation.box(SIDES_M).apply_translation([0.1, 0, 0])
+    box.export(tmp_path / "part.ply")
+    obj = load_object(tmp_path / "part.ply", units="m")
+    assert str(obj.symmetry) == "x2*y2"
+    np.testing.assert_allclose(obj.symmetry.centre_m, [0.1, 0, 0], atol=1e-8)
+    assert any("symmetry found: x2*y2" in note for note in obj.notes)
+
+
+def test_declared_symmetry_is_about_the_centroid_and_checked(tmp_path):
+    trimesh.creation.box(SIDES_M).apply_translation([0, 0.2, 0]).export(tmp_path / "part.ply")
+    obj = load_object(tmp_path / "part.ply", units="m", symmetry="z2")
+    np.testing.assert_allclose(obj.symmetry.centre_m, [0, 0.2, 0], atol=1e-8)
+    with pytest.raises(SymmetryError, match="does not have the symmetry 'z4'"):
+        load_object(tmp_path / "part.ply", units="m", symmetry="z4")
+
+
+def test_a_missing_file_is_said_with_near_names(tmp_path):
+    with pytest.raises(ObjectError, match=r"there is no mesh file at .*none\.stl; check the path"):
+        load_object(tmp_path / "none.stl")
+    with pytest.raises(ObjectError, match=r"no mesh file at elbow.* Did you mean 'elbow_pipe'\?.*damping_pin"):
+        load_object("elbow_pip")
+    with pytest.raises(ObjectError, match="no mesh file"):
+        load_object(tmp_path)
+
+
+BAD_FILES = {
+    "prose.stl": "This is a letter, not a part.",
+    "prose.obj": "Dear all,\nregards",
+    "prose.ply": "ply? no.",
+    "prose.glb": "glb? no.",
+    "prose.xyzzy": "unknown format",
+    "nothing.stl": "",
+    "nothing.ply": "",
+    "binary.stl": "\x00" * 84,
+    "points.ply": "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    "end_header\n0 0 0\n10 0 0\n0 10 0\n",
+    "nan.obj": "v 0 0 0\nv nan 0 0\nv 0 10 0\nf 1 2 3\n",
+    "inf.obj": "v 0 0 0\nv 10 inf 0\nv 0 10 0\nf 1 2 3\n",
+    "line.obj": "v 0 0 0\nv 10 0 0\nv 20 0 0\nf 1 2 3\n",
+    "point.obj": "v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n",
+    "huge.obj": "v 0 0 0\nv 5000 0 0\nv 0 5000 0\nf 1 2 3\n",
+    "tiny.obj": "v 0 0 0\nv 5e-4 0 0\nv 0 5e-4 0\nf 1 2 3\n",
+    "beyond.obj": "v 0 0 0\nv 10 0 0\nv 0 10 0\nf 1 2 9\n",
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_bad_files_are_refused_in_a_sentence_that_names_them(tmp_path, name):
+    path = tmp_path / name
+    path.write_text(BAD_FILES[name])
+    with pytest.raises(ObjectError) as refused:
+        load_object(path, symmetry="none")
+    message = str(refused.value)
+    assert name in message
+    assert "\n" not in message
+    assert ";" in message, "it says what to do"
+
+
+@pytest.mark.parametrize(("name", "words"), [
+    ("nan.obj", "NaN"), ("point.obj", "zero extent"), ("line.obj", "zero extent"), ("huge.obj", "5000 mm long"),
+    ("tiny.obj", "0.5 mm long"), ("points.ply", "no faces"),
+])  # fmt: skip
+def test_bad_files_are_refused_for_the_right_reason(tmp_path, name, words):
+    (tmp_path / name).write_text(BAD_FILES[name])
+    with pytest.raises(ObjectError, match=words):
+        load_object(tmp_path / name, symmetry="none")
+
+
+def test_a_wrong_unit_is_refused_rather_than_believed(write_box):
+    with pytest.raises(ObjectError, match=r"30000 mm long.*3e\+04|3e\+04 mm long"):
+        load_object(write_box(scale=1e3), units="m")
+    with pytest.raises(ObjectError, match=r"0\.03 mm long"):
+        load_object(write_box(), units="mm")
+
+
+def test_an_open_surface_is_noted_and_used(tmp_path):
+    (tmp_path / "open.stl").write_text(TWO_FACES)
+    obj = load_object(tmp_path / "open.stl", units="mm", symmetry="none")
+    assert len(obj.mesh.faces) == 2
+    assert any("open.stl is not watertight" in note for note in obj.notes)
+
+
+def test_degenerate_faces_and_stray_vertices_do_not_count(tmp_path):
+    """They would enlarge the object's box, which bounds where it can touch."""
+    box = trimesh.creation.box(SIDES_M)
+    lines = [f"v {x} {y} {z}" for x, y, z in box.vertices] + ["v 0.5 0 0", "v 0.6 0 0", "v 0.7 0 0"]
+    lines += [f"f {a} {b} {c}" for a, b, c in box.faces + 1]
+    (tmp_path / "stray.obj").write_text("\n".join(lines) + "\n")
+    (tmp_path / "needle.obj").write_text("\n".join([*lines, "f 9 10 11"]) + "\n")
+    for name in ("stray.obj", "needle.obj"):
+        obj = load_object(tmp_path / name, units="m", symmetry="none")
+        np.testing.assert_allclose(obj.mesh.extents_m, SIDES_M, rtol=1e-6)
+        assert len(obj.mesh.faces) == 12
+
+
+def test_reading_does_not_move_turn_or_reorder_the_surface(tmp_path):
+    """A touch's pose is of the file's own frame: no centring, no axis conventions."""
+    hook = load_object("hook").mesh
+    trimesh.Trimesh(hook.vertices_m * 1e3, hook.faces, process=False).export(tmp_path / "hook.stl")
+    again = load_object(tmp_path / "hook.stl", "mm", "none").mesh
+    np.testing.assert_allclose(again.centroid_m, hook.centroid_m, atol=1e-8)
+    np.testing.assert_allclose(again.covariance_m2, hook.covariance_m2, atol=1e-10)
+    assert isinstance(again, TriangleMesh)
+
+
+def test_catalogue_parts_in_millimetres_are_read_as_such(shared_data):
+    path = next((shared_data / "meshes" / "o2ac").rglob("*.stl"))
+    auto, declared = load_object(path, symmetry="none"), load_object(path, "mm", "none")
+    np.testing.assert_allclose(auto.mesh.extents_m, declared.mesh.extents_m)
+    assert 0.002 < auto.mesh.extents_m.max() < 0.3

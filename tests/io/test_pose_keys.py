@@ -1,0 +1,48 @@
+"""Poses in files: millimetres, degrees and quaternions become (4, 4) metres, whichever way they are written."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tactile_loc.io.toml import PoseKeys, pose_from_keys
+
+
+def test_angles_turn_about_fixed_axes_roll_first():
+    T = pose_from_keys(PoseKeys(xyz_mm=[1, -2.5, 30], rpy_deg=[10, -20, 70]), None, "T")
+    np.testing.assert_allclose(T[:3, 3], [0.001, -0.0025, 0.030], atol=1e-15)
+    np.testing.assert_allclose(T[:3, :3], Rotation.from_euler("xyz", [10, -20, 70], degrees=True).as_matrix())
+    quarter = pose_from_keys(PoseKeys(xyz_mm=[0, 0, 0], rpy_deg=[90, 0, 90]), None, "T")
+    np.testing.assert_allclose(quarter[:3, :3] @ [0, 1, 0], [0, 0, 1], atol=1e-12)  # y to z by the roll, z stays
+
+
+def test_three_ways_of_writing_one_pose():
+    angles = pose_from_keys(PoseKeys(xyz_mm=[1, 2, 3], rpy_deg=[10, -20, 70]), None, "T")
+    w_last = Rotation.from_matrix(angles[:3, :3]).as_quat()
+    rounded = [round(float(v), 4) for v in [w_last[3], *w_last[:3]]]
+    quaternion = pose_from_keys(PoseKeys(xyz_mm=[1, 2, 3], quaternion_wxyz=rounded), None, "T")
+    np.testing.assert_allclose(quaternion, angles, atol=2e-4)
+    assert np.linalg.det(quaternion[:3, :3]) == pytest.approx(1, abs=1e-12)
+    np.testing.assert_array_equal(pose_from_keys(PoseKeys(), angles.tolist(), "T"), angles)
+
+
+def test_no_key_is_no_pose():
+    assert pose_from_keys(PoseKeys(), None, "T") is None
+
+
+@pytest.mark.parametrize(
+    ("keys", "matrix", "sentence"),
+    [
+        ({"xyz_mm": [0, 0, 0]}, None, "a pose is T, or xyz_mm with either rpy_deg or quaternion_wxyz, not xyz_mm$"),
+        ({"rpy_deg": [0, 0, 0]}, None, "not rpy_deg$"),
+        ({"xyz_mm": [0, 0, 0], "rpy_deg": [0, 0, 0], "quaternion_wxyz": [1, 0, 0, 0]}, None, "not xyz_mm, rpy_deg, q"),
+        ({"xyz_mm": [0, 0, 0], "quaternion_wxyz": [1, 1, 0, 0]}, None, "has the length 1.414"),
+        ({"xyz_mm": [0, 0, 0]}, np.eye(4).tolist(), "T is the whole pose; leave xyz_mm out"),
+        ({}, (2 * np.eye(4)).tolist(), "T is no rigid transform"),
+        ({}, np.diag([1.0, 1.0, -1.0, 1.0]).tolist(), "T is no rigid transform"),
+    ],
+)
+def test_half_a_pose_or_two_are_refused(keys, matrix, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        pose_from_keys(PoseKeys(**keys), matrix, "T")

@@ -1,0 +1,118 @@
+"""A prior's file is in mm and degrees, and comes out as the prior it describes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.geometry import invert, make_transform, random_rotations, rotation_about, translation
+from tactile_loc.core.priors import GaussianPrior, RegionPrior
+from tactile_loc.io.prior_files import read_prior
+
+GAUSSIAN = 'kind = "gaussian"\nframe = "sensor"\ntranslation_std_mm = 4\n'
+REGION = 'kind = "region"\nframe = "sensor"\n'
+HALF_SPACE = 'kind = "half-space"\nframe = "sensor"\nnormal = [0, 0, 1]\nplane_point_mm = [0, 0, 20]\n'
+POSE = "xyz_mm = [1, 2, 25]\nrpy_deg = [0, 0, 90]\n"
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "prior.toml"
+    path.write_text(text)
+    return path
+
+
+def random_poses(count: int, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return make_transform(random_rotations(count, rng), rng.normal(scale=0.02, size=(count, 3)))
+
+
+def test_a_gaussian_is_in_mm_and_degrees(tmp_path, box):
+    prior = read_prior(written(tmp_path, GAUSSIAN + POSE + "rotation_std_deg = 10\n"), box).prior
+    T = make_transform(rotation_about([0, 0, 1], np.pi / 2), [0.001, 0.002, 0.025])
+    expected = GaussianPrior(T, 0.004, np.radians(10))(random_poses(20))
+    np.testing.assert_allclose(prior(random_poses(20)), expected, rtol=1e-9)
+
+
+def test_the_pose_may_be_a_matrix_in_metres(tmp_path, box):
+    rows = "T = [[0, -1, 0, 0.001], [1, 0, 0, 0.002], [0, 0, 1, 0.025], [0, 0, 0, 1]]\n"
+    one, other = (read_prior(written(tmp_path, GAUSSIAN + pose), box).prior for pose in (rows, POSE))
+    np.testing.assert_allclose(one(random_poses(20)), other(random_poses(20)), atol=1e-9)
+
+
+def test_a_rotation_that_is_left_out_is_unknown(tmp_path, box):
+    prior = read_prior(written(tmp_path, GAUSSIAN + POSE), box).prior
+    turned = translation([0.001, 0.002, 0.025]) @ make_transform(random_rotations(9, np.random.default_rng(0)), [0] * 3)
+    np.testing.assert_allclose(prior(turned), 0, atol=1e-12)
+
+
+def test_the_objects_symmetry_is_regarded(tmp_path, make_box):
+    brick = make_box(0.03, 0.02, 0.01, symmetry="z2")
+    prior = read_prior(written(tmp_path, GAUSSIAN + POSE + "rotation_std_deg = 10\n"), brick).prior
+    poses = random_poses(20)
+    np.testing.assert_allclose(prior(poses @ brick.symmetry.elements()[1]), prior(poses), atol=1e-9)
+
+
+def test_a_region_may_be_open_and_is_of_the_centroid(tmp_path, box):
+    text = REGION + "low_mm = [-inf, 0, -5]\nhigh_mm = [3, inf, 5]\n"
+    poses = random_poses(200)
+    expected = RegionPrior([-np.inf, 0, -0.005], [0.003, np.inf, 0.005], box.mesh.centroid_m)(poses)
+    assert 0 < np.isfinite(expected).sum() < 200
+    assert np.array_equal(read_prior(written(tmp_path, text), box).prior(poses), expected)
+
+
+def test_a_half_space_may_be_of_another_point(tmp_path, box):
+    poses = translation([[0, 0, 0.013], [0, 0, 0.009]])
+    prior = read_prior(written(tmp_path, HALF_SPACE + "object_point_mm = [0, 0, 9]\n"), box).prior
+    assert prior(poses).tolist() == [0.0, -np.inf]
+    assert read_prior(written(tmp_path, HALF_SPACE), box).prior(poses).tolist() == [-np.inf, -np.inf]
+
+
+def test_a_prior_in_the_base_frame_needs_the_sensors_pose(tmp_path, box):
+    framed = read_prior(written(tmp_path, (GAUSSIAN + POSE).replace('"sensor"', '"base"')), box)
+    T_base_sensor, T_base_object = random_poses(2, seed=3)
+    T_base_object[:3, 3] = [0.001, 0.002, 0.025]
+    seen = framed.seen_from(T_base_sensor)((invert(T_base_sensor) @ T_base_object)[None])
+    np.testing.assert_allclose(seen, 0, atol=1e-9)
+    with pytest.raises(ConfigError, match=r"prior\.toml is in the base frame, but the touch does not say"):
+        framed.seen_from(None)
+
+
+def test_a_prior_in_the_sensors_frame_needs_none(tmp_path, box):
+    framed = read_prior(written(tmp_path, GAUSSIAN + POSE), box)
+    assert framed.seen_from(None) is framed.prior
+    assert framed.seen_from(random_poses(1)[0]) is framed.prior
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "kind = None is no kind of prior. Kinds: gaussian, region, half-space"),
+        ('kind = "gausian"\n', "Did you mean 'gaussian'"),
+        ("kind = [1]\n", "is no kind of prior"),
+        (GAUSSIAN, "the pose is missing; give T, or xyz_mm"),
+        (GAUSSIAN + "xyz_mm = [0, 0, 0]\n", "not xyz_mm$"),
+        (GAUSSIAN + POSE + "rotation_std = 3\n", "has no key 'rotation_std'. Did you mean 'rotation_std_deg'"),
+        (GAUSSIAN + POSE + "rotation_std_deg = 0\n", "rotation_std_deg = 0 is wrong; it must be a positive number"),
+        (GAUSSIAN.replace("4", "inf") + POSE, "translation_std_mm = inf is wrong"),
+        (GAUSSIAN.replace('"sensor"', '"camera"') + POSE, "frame = 'camera' is wrong; it must be 'sensor' or 'base'"),
+        ('kind = "gaussian"\ntranslation_std_mm = 4\n', "frame is missing"),
+        (REGION + "low_mm = [0, 0]\n", "low_mm = .* is wrong"),
+        (REGION + "low_mm = [0, 0, 0]\nhigh_mm = [1, 0, 1]\n", "is empty"),
+        (HALF_SPACE.replace("[0, 0, 1]", "[0, 0, 0]"), "has no direction"),
+        ("kind = ", "is not valid TOML"),
+    ],
+)
+def test_a_wrong_file_is_refused_in_one_sentence(tmp_path, box, text, sentence):
+    path = written(tmp_path, text)
+    with pytest.raises(ConfigError, match=sentence) as caught:
+        read_prior(path, box)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value).split("TOML")[0]
+
+
+def test_a_missing_file_is_named(tmp_path, box):
+    with pytest.raises(ConfigError, match=r"there is no file .*prior\.toml"):
+        read_prior(tmp_path / "prior.toml", box)

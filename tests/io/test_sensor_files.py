@@ -1,0 +1,76 @@
+"""Sensor files that are written come back as the same sensor; tests of the `file` sensor read those of people."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import SensorError
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.io.sensor_files import read_sensor_file, write_sensor_file
+from tactile_loc.plugins.sensors.presets import Digit, GelSightMini, GelSlim
+
+MASK = np.random.default_rng(0).random((48, 64)) > 0.3
+GEOMETRIES = {
+    "gelslim": GelSlim().geometry,
+    "native gelslim": GelSlim.native,
+    "gelsight-mini": GelSightMini().geometry,
+    "digit": Digit().geometry,
+    "oblong pixels": SensorGeometry("orthographic", 64, 48, 1e3 / 0.3, 7001.3, 30.2, 25.7, 0.0123, 7.7e-4),
+    "rectangle": dataclasses.replace(GelSlim().geometry, rectangle_m=(-0.0101, 0.009, -1e-5, 0.0123)),
+    "mask": SensorGeometry("pinhole", 64, 48, 42.0, 40.0, 31.0, 25.0, 0.025, 0.002, observed=MASK),
+    "both": SensorGeometry(
+        "orthographic", 64, 48, 3000.0, 3000.0, 32.0, 24.0, 0.01, 1e-3, (-0.01, 0.005, -0.006, 0.007), MASK
+    ),
+}
+
+
+def numbers(geometry: SensorGeometry) -> list[float]:
+    fields = [getattr(geometry, f.name) for f in dataclasses.fields(geometry)]
+    return [*filter(lambda v: isinstance(v, int | float), fields), *geometry.rectangle]
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_a_sensor_survives_its_file(tmp_path: Path, name: str) -> None:
+    geometry = GEOMETRIES[name]
+    path = write_sensor_file(tmp_path / "sensor.toml", geometry)
+    assert path == tmp_path / "sensor.toml"
+    found = read_sensor_file(path)
+    assert numbers(found) == pytest.approx(numbers(geometry), rel=1e-14, abs=0)
+    assert len(numbers(found)) == 12
+    assert (found.camera, found.describe()["observed"]) == (geometry.camera, geometry.describe()["observed"])
+    assert (found.rectangle_m is None) == (geometry.rectangle_m is None)
+    np.testing.assert_array_equal(found.observed_mask, geometry.observed_mask)
+    assert found.is_same_sensor(geometry)
+
+
+def test_lengths_are_mm_in_the_file(tmp_path: Path) -> None:
+    path = write_sensor_file(tmp_path / "sensor.toml", GEOMETRIES["both"])
+    values = tomllib.loads(path.read_text())
+    assert values["image_size_px"] == [64, 48]
+    assert values["mm_per_px"] == pytest.approx([1 / 3, 1 / 3])
+    assert (values["standoff_mm"], values["max_depth_mm"]) == pytest.approx((10, 1))
+    assert values["sensing_rectangle_mm"] == pytest.approx([-10, 5, -6, 7])
+    assert values["mask"] == "sensor_mask.png"
+    assert not values.keys() & {"fx", "fy"}
+
+
+def test_without_a_mask_there_is_one_file(tmp_path: Path) -> None:
+    write_sensor_file(tmp_path / "sensor.toml", GEOMETRIES["gelslim"])
+    assert [path.name for path in tmp_path.iterdir()] == ["sensor.toml"]
+
+
+def test_a_mask_goes_with_its_file(tmp_path: Path) -> None:
+    write_sensor_file(tmp_path / "sensor.toml", GEOMETRIES["mask"])
+    tmp_path.joinpath("sensor_mask.png").unlink()
+    with pytest.raises(SensorError, match=r"sensor\.toml: the mask .*sensor_mask\.png cannot be read"):
+        read_sensor_file(tmp_path / "sensor.toml")
+
+
+def test_a_place_that_cannot_be_written_to(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="none"):
+        write_sensor_file(tmp_path / "none" / "sensor.toml", GEOMETRIES["gelslim"])

@@ -1,0 +1,123 @@
+"""A list of touches: files and sensors beside it, poses in metres, and sentences that name the touch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import ConfigError, TouchError
+from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.sensing import ContactShape, Touch
+from tactile_loc.io.touch_lists import read_touch_list
+from tactile_loc.io.touches import write_touch
+
+POSE = "xyz_mm = [100, -20, 300]\nrpy_deg = [0, 0, 90]\n"
+T = make_transform(rotation_about([0, 0, 1], np.pi / 2), [0.1, -0.02, 0.3])
+
+
+@pytest.fixture
+def folder(tmp_path, flat_camera) -> Path:
+    """a.npz knows no pose, b.npz has one; c.png is only there."""
+    depth = np.full(flat_camera.shape, 0.002, np.float32)
+    depth[10:20, 20:30] = 0.001
+    for name, pose in (("a", None), ("b", T)):
+        touch = Touch(ContactShape(depth, 0.002), flat_camera, T_base_sensor=pose)
+        write_touch(tmp_path / f"{name}.npz", touch)
+    (tmp_path / "c.png").touch()
+    return tmp_path
+
+
+def written(folder: Path, *tables: str) -> Path:
+    path = folder / "touches.toml"
+    path.write_text("\n".join(f"[[touch]]\n{table}" for table in tables))
+    return path
+
+
+def test_all_keys_are_read(folder):
+    (folder / "gel.toml").touch()
+    rows = f"T_base_sensor = {T.tolist()}\n"
+    first, second = read_touch_list(
+        written(
+            folder,
+            'path = "a.npz"\nsensor = "gel.toml"\nunit = "mm"\npress_depth_mm = 1.5\n' + POSE,
+            'path = "c.png"\nsensor = "digit"\n' + rows,
+        )
+    )
+    assert (first.path, second.path) == (folder / "a.npz", folder / "c.png")
+    assert (first.sensor, second.sensor) == (str(folder / "gel.toml"), "digit")
+    assert (first.unit, second.unit) == ("mm", None)
+    assert first.press_depth_m == pytest.approx(0.0015)
+    assert second.press_depth_m is None
+    np.testing.assert_allclose([first.T_base_sensor, second.T_base_sensor], [T, T], atol=1e-15)
+
+
+def test_a_single_touch_needs_no_pose(folder):
+    (touch,) = read_touch_list(written(folder, 'path = "a.npz"\n'))
+    assert touch.T_base_sensor is None
+
+
+def test_a_touchs_own_file_may_have_the_pose_but_the_list_has_the_last_word(folder):
+    other = "xyz_mm = [0, 0, 0]\nquaternion_wxyz = [1, 0, 0, 0]\n"
+    own, listed = read_touch_list(written(folder, 'path = "b.npz"\n', 'path = "b.npz"\n' + other))
+    np.testing.assert_allclose(own.T_base_sensor, T)
+    np.testing.assert_array_equal(listed.T_base_sensor, np.eye(4))
+
+
+def test_a_folder_of_touches_may_be_called_after_their_sensor(folder):
+    (folder / "digit").mkdir()
+    (folder / "mine").mkdir()
+    (folder / "mine" / "calibration.json").touch()
+    for name, sensor in (("digit", "digit"), ("mine", str(folder / "mine")), ("./digit", str(folder / "digit"))):
+        (touch,) = read_touch_list(written(folder, f'path = "a.npz"\nsensor = "{name}"\n'))
+        assert touch.sensor == sensor
+
+
+@pytest.mark.parametrize(
+    ("tables", "sentence"),
+    [
+        (['path = "a.npz"\n' + POSE, 'path = "a.npz"\n'], "touch 2: the sensor's pose is missing; several touches all"),
+        (['path = "z.npz"\n'], r"touch 1: there is no file .*z\.npz"),
+        (["unit = 'mm'\n"], "touch 1: path is missing"),
+        (['path = "a.npz"\nunits = "mm"\n'], "touch 1: a touch has no key 'units'. Did you mean 'unit'"),
+        (['path = "a.npz"\nunit = "cm"\n'], "unit = 'cm' is wrong; it must be 'm', 'mm' or 'um'"),
+        (['path = "a.npz"\npress_depth_mm = -1\n'], "press_depth_mm = -1 is wrong; it must be a positive number"),
+        (['path = "a.npz"\nsensor = "no.toml"\n'], r"there is no sensor .*no\.toml"),
+        (['path = "a.npz"\nxyz_mm = [0, 0, 0]\n'], "not xyz_mm"),
+        (['path = "a.npz"\nxyz_mm = [0, nan, 0]\n'], "xyz_mm = .* is wrong; it must be"),
+        (['path = "a.npz"\nT_base_sensor = [[1, 0], [0, 1]]\n'], "it must be four rows of four numbers"),
+        ([f'path = "a.npz"\nT_base_sensor = {(2 * np.eye(4)).tolist()}\n'], "T_base_sensor is no rigid transform"),
+    ],
+)
+def test_a_wrong_table_is_named_by_list_and_number(folder, tables, sentence):
+    path = written(folder, *tables)
+    with pytest.raises(TouchError, match=sentence) as caught:
+        read_touch_list(path)
+    assert str(caught.value).startswith(f"{path}, touch ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_damaged_file_is_named_by_its_number(folder):
+    (folder / "bad.npz").write_bytes(b"PK\x03\x04 nonsense")
+    with pytest.raises(TouchError, match=r"touch 2: .*bad\.npz cannot be read as npz"):
+        read_touch_list(written(folder, 'path = "b.npz"\n', 'path = "bad.npz"\n'))
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "lists no touch"),
+        ("touch = 3", "begin each touch with"),
+        ('[touch]\npath = "a.npz"', "begin each touch with"),
+        ('[[touches]]\npath = "a.npz"', "unknown entry 'touches'. Did you mean 'touch'"),
+        ("[[touch", "is not valid TOML"),
+    ],
+)
+def test_a_file_that_is_no_list_is_refused(folder, text, sentence):
+    path = folder / "touches.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=sentence):
+        read_touch_list(path)
+    with pytest.raises(ConfigError, match="there is no file"):
+        read_touch_list(folder / "none.toml")

@@ -1,0 +1,313 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from tactile_loc.core.errors import OutputError, TouchError
+from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.interfaces import SensorModel
+from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.io.touches import read_contact_shape, read_touch, write_touch
+
+MM = 1e-3
+MAX_DEPTH_M = 2 * MM
+PRESS_DEPTH_M = 1.5 * MM
+T_SENSOR_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.001, -0.002, 0.03])
+T_BASE_SENSOR = make_transform(rotation_about([0, 1, 0], 2.0), [0.4, 0.1, 0.2])
+
+
+class Sensor(SensorModel):
+    """A sensor of 12 x 9 pixels; `calibrated` for images of one brightness a depth."""
+
+    def __init__(self, calibrated: bool = False) -> None:
+        super().__init__()
+        self.calibrated = calibrated
+
+    @property
+    def geometry(self) -> SensorGeometry:
+        return SensorGeometry("orthographic", 12, 9, 1e4, 1e4, 6, 4.5, 0.01, MAX_DEPTH_M)
+
+    def contact_shape(self, image: NDArray[Any]) -> ContactShape:
+        if not self.calibrated:
+            raise TouchError("the sensor has no calibration for images")
+        return ContactShape(image[..., 0].astype(np.float32) * np.float32(MAX_DEPTH_M / 255), MAX_DEPTH_M)
+
+
+SENSOR = Sensor()
+
+
+@pytest.fixture
+def depth_m() -> NDArray[np.float64]:
+    """Depths of a ball, cut at the press depth, in whole micrometres."""
+    v, u = np.mgrid[:9, :12]
+    ball = 0.05 * ((u - 5) ** 2 + (v - 4) ** 2)
+    return np.round(np.minimum(ball, 1.5), 3) * MM
+
+
+@pytest.fixture
+def touch(depth_m: NDArray[np.float64]) -> Touch:
+    shape = ContactShape(depth_m.astype(np.float32), PRESS_DEPTH_M)
+    return Touch(shape, SENSOR.geometry, "a", T_BASE_SENSOR, T_SENSOR_OBJECT)
+
+
+def save_png(path: Path, values: NDArray[Any], mode: str | None = None) -> Path:
+    image = Image.fromarray(values)
+    (image if mode is None else image.convert(mode)).save(path)
+    return path
+
+
+def save_npy(path: Path, values: Any, **kwargs: Any) -> Path:
+    np.save(path, values, **kwargs)
+    return path
+
+
+def save_npz(path: Path, **arrays: Any) -> Path:
+    np.savez(path, **arrays)
+    return path
+
+
+def test_a_written_touch_is_read_back_to_the_bit(tmp_path: Path, touch: Touch) -> None:
+    back = read_touch(write_touch(tmp_path / "a.npz", touch), SENSOR)
+    np.testing.assert_array_equal(back.contact_shape.depth_m, touch.contact_shape.depth_m)
+    np.testing.assert_array_equal(back.contact_shape.contact, touch.contact_shape.contact)
+    assert back.press_depth_m == PRESS_DEPTH_M
+    np.testing.assert_array_equal(back.T_sensor_object, T_SENSOR_OBJECT)
+    np.testing.assert_array_equal(back.T_base_sensor, T_BASE_SENSOR)
+    assert back.name == "a.npz"
+
+
+def test_poses_are_absent_when_unknown(tmp_path: Path, touch: Touch) -> None:
+    bare = Touch(touch.contact_shape, touch.geometry)
+    back = read_touch(write_touch(tmp_path / "a.npz", bare), SENSOR)
+    assert back.T_sensor_object is None
+    assert back.T_base_sensor is None
+
+
+def test_writing_the_same_touch_gives_the_same_bytes_and_nothing_else(tmp_path: Path, touch: Touch) -> None:
+    one, other = (write_touch(tmp_path / name, touch) for name in ("a.npz", "b.npz"))
+    write_touch(one, touch)
+    assert one.read_bytes() == other.read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npz", "b.npz"]
+
+
+def test_a_failed_write_keeps_the_old_touch(tmp_path: Path, touch: Touch, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_touch(tmp_path / "a.npz", touch)
+    before = path.read_bytes()
+
+    def fail(file: Any, **_: Any) -> None:
+        file.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", fail)
+    with pytest.raises(OutputError, match="No space left"):
+        write_touch(path, touch)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
+
+
+@pytest.mark.parametrize("name", ["missing/a.npz", "a.txt", "file/a.npz", "folder.npz"])
+def test_places_that_cannot_be_written_are_refused(tmp_path: Path, touch: Touch, name: str) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.npz").mkdir()
+    with pytest.raises(OutputError, match=Path(name).name):
+        write_touch(tmp_path / name, touch)
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("mm", 1e3), ("um", 1e6)])
+@pytest.mark.parametrize("kind", ["npy", "npz", "npz stating its unit"])
+def test_every_unit_gives_the_same_shape(
+    tmp_path: Path, depth_m: NDArray[np.float64], kind: str, unit: str, scale: float
+) -> None:
+    values = depth_m * scale
+    if kind == "npy":
+        shape = read_contact_shape(save_npy(tmp_path / "a.npy", values), MAX_DEPTH_M, unit)
+    elif kind == "npz":
+        shape = read_contact_shape(save_npz(tmp_path / "a.npz", height=values), MAX_DEPTH_M, unit)
+    else:
+        arrays = {"depth": values, "press_depth": PRESS_DEPTH_M * scale, "unit": unit}
+        shape = read_contact_shape(save_npz(tmp_path / "a.npz", **arrays), MAX_DEPTH_M)
+    np.testing.assert_allclose(shape.depth_m, depth_m, rtol=1e-6, atol=1e-10)
+    assert shape.press_depth_m == pytest.approx(PRESS_DEPTH_M)
+    np.testing.assert_array_equal(shape.contact, depth_m < PRESS_DEPTH_M)
+
+
+@pytest.mark.parametrize(("unit", "unit_m"), [("um", 1e-6), ("mm", 1e-3)])
+def test_a_png_keeps_depths_to_half_a_unit(tmp_path: Path, unit: str, unit_m: float) -> None:
+    true_m = np.random.default_rng(0).uniform(0, 40 * unit_m, (9, 12))
+    values = np.round(true_m / unit_m).astype(np.uint16)
+    values[0] = 65535
+    shape = read_contact_shape(save_png(tmp_path / "a.png", values), 60 * unit_m, unit, press_depth_m=50 * unit_m)
+    assert np.abs(shape.depth_m[1:] - true_m[1:]).max() <= 0.5001 * unit_m
+    assert not shape.contact[0].any()
+    assert shape.contact[1:].all()
+
+
+def test_a_png_without_press_depth_takes_its_deepest_step(tmp_path: Path) -> None:
+    values = np.array([[0, 700], [1300, 65535]], np.uint16)
+    shape = read_contact_shape(save_png(tmp_path / "a.png", values), MAX_DEPTH_M, "um")
+    assert shape.press_depth_m == pytest.approx(1.3 * MM, rel=1e-3)
+    np.testing.assert_array_equal(shape.contact, [[True, True], [True, False]])
+
+
+def test_the_largest_16_bit_number_is_no_contact_in_any_byte_order(tmp_path: Path) -> None:
+    values = np.array([[0, 150, 65535]], ">u2")
+    shape = read_contact_shape(save_npy(tmp_path / "a.npy", values), MAX_DEPTH_M, "mm", press_depth_m=1 * MM)
+    np.testing.assert_array_equal(shape.contact, [[True, False, False]])
+
+
+def test_a_lighter_press_can_be_asked_for(tmp_path: Path, touch: Touch) -> None:
+    path = write_touch(tmp_path / "a.npz", touch)
+    light = read_touch(path, SENSOR, press_depth_m=0.5 * MM)
+    assert light.press_depth_m == 0.5 * MM
+    np.testing.assert_array_equal(light.contact_shape.contact, touch.contact_shape.depth_m < np.float32(0.5 * MM))
+
+
+@pytest.mark.parametrize("press_depth_m", [1.6 * MM, 0.0, -1.0, float("nan")])
+def test_a_deeper_or_impossible_press_is_refused(tmp_path: Path, touch: Touch, press_depth_m: float) -> None:
+    path = write_touch(tmp_path / "a.npz", touch)
+    with pytest.raises(TouchError, match="press depth"):
+        read_touch(path, SENSOR, press_depth_m=press_depth_m)
+
+
+def test_a_calibrated_sensor_reads_colour_images(tmp_path: Path) -> None:
+    image = np.full((9, 12, 3), 255, np.uint8)
+    image[2:5, 3:7] = 51
+    np.save(tmp_path / "a.npy", image)
+    for path in (save_png(tmp_path / "a.png", image), tmp_path / "a.npy"):
+        touch = read_touch(path, Sensor(calibrated=True))
+        np.testing.assert_array_equal(touch.image, image)
+        assert touch.contact_shape.contact.sum() == 12
+        assert touch.contact_shape.depth_m.min() == pytest.approx(MAX_DEPTH_M / 5)
+
+
+def refused(path: Path, *words: str, unit: str | None = "mm") -> None:
+    """Both readers refuse the file in one sentence that names it."""
+    for read in (lambda: read_contact_shape(path, MAX_DEPTH_M, unit), lambda: read_touch(path, SENSOR, unit)):
+        with pytest.raises(TouchError) as caught:
+            read()
+        message = str(caught.value)
+        assert path.name in message
+        assert "\n" not in message
+        for word in words:
+            assert word in message
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    for name in ("a.npz", "a.npy", "a.png", "a.jpg", "x" * 300 + ".npz"):
+        with pytest.raises(TouchError, match=r"no file|cannot be read"):
+            read_touch(tmp_path / name, SENSOR, "mm")
+
+
+def test_a_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.npz").mkdir()
+    refused(tmp_path / "a.npz", "folder")
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".npy", ".png"])
+@pytest.mark.parametrize("content", [b"", b"depth,depth\n1,2\n", b"PK\x03\x04 no zip", b"\x93NUMPY no array"])
+def test_files_of_another_kind_are_refused(tmp_path: Path, suffix: str, content: bytes) -> None:
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(content)
+    refused(path, "cannot be read", suffix[1:])
+
+
+def test_truncated_files_are_refused(tmp_path: Path, depth_m: NDArray[np.float64], touch: Touch) -> None:
+    noise = np.random.default_rng(0).integers(0, 65535, (9, 12)).astype(np.uint16)
+    for path in (
+        write_touch(tmp_path / "a.npz", touch),
+        save_npy(tmp_path / "a.npy", depth_m),
+        save_png(tmp_path / "a.png", noise),
+    ):
+        whole = path.read_bytes()
+        for share in (0.3, 0.6, 0.9):
+            path.write_bytes(whole[: int(share * len(whole))])
+            refused(path, "cannot be read")
+
+
+def test_objects_are_never_unpickled(tmp_path: Path) -> None:
+    class Trap:
+        def __reduce__(self) -> Any:
+            return (Path.touch, (tmp_path / "unpickled",))
+
+    values = np.array([[Trap(), Trap()]], dtype=object)
+    refused(save_npy(tmp_path / "a.npy", values, allow_pickle=True), "Python objects")
+    refused(save_npz(tmp_path / "a.npz", depth=values), "Python objects")
+    assert not (tmp_path / "unpickled").exists()
+
+
+def test_other_array_shapes_and_types_are_refused(tmp_path: Path) -> None:
+    refused(save_npy(tmp_path / "a.npy", np.zeros((9, 12, 3))), "(9, 12, 3)")
+    refused(save_npz(tmp_path / "b.npz", depth=np.zeros((9, 12, 3))), "(9, 12, 3)")
+    refused(save_npy(tmp_path / "c.npy", np.zeros((9, 12), bool)), "bool")
+    refused(save_npy(tmp_path / "d.npy", np.array(["1", "2"])), "(2,)")
+    refused(save_npz(tmp_path / "e.npz", one=np.zeros((9, 12)), two=np.zeros((9, 12))), "one", "two", "depth")
+    refused(save_npz(tmp_path / "f.npz"), "nothing")
+    refused(save_npz(tmp_path / "g.npz", depth=np.zeros((9, 12)), press_depth=np.zeros(3)), "press_depth")
+    refused(save_npz(tmp_path / "h.npz", depth=np.zeros((9, 12)), press_depth="deep"), "press_depth")
+
+
+@pytest.mark.parametrize("dtype", [np.uint16, np.int32, np.float32])
+def test_a_unit_is_never_guessed(tmp_path: Path, dtype: Any) -> None:
+    values = np.arange(108).reshape(9, 12).astype(dtype)
+    refused(save_npy(tmp_path / "a.npy", values), "--touch-unit", unit=None)
+    refused(save_npz(tmp_path / "a.npz", depth=values), "--touch-unit", unit=None)
+    if dtype == np.uint16:
+        refused(save_png(tmp_path / "a.png", values), "--touch-unit", unit=None)
+
+
+def test_unknown_and_contradicting_units_are_refused(tmp_path: Path, touch: Touch) -> None:
+    refused(write_touch(tmp_path / "a.npz", touch), "m, not mm")
+    refused(save_npy(tmp_path / "a.npy", np.zeros((9, 12))), "inch", unit="inch")
+    refused(save_npz(tmp_path / "b.npz", depth=np.zeros((9, 12)), unit="furlong"), "furlong", unit=None)
+    assert read_touch(tmp_path / "a.npz", SENSOR, "m").press_depth_m == PRESS_DEPTH_M
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a.png", "grey.png"])
+def test_images_need_a_calibrated_sensor(tmp_path: Path, name: str) -> None:
+    image = np.zeros((9, 12) if name == "grey.png" else (9, 12, 3), np.uint8)
+    path = save_png(tmp_path / name, image)
+    with pytest.raises(TouchError, match="calibrat"):
+        read_touch(path, SENSOR, "mm")
+    with pytest.raises(TouchError, match="calibrated for images"):
+        read_contact_shape(path, MAX_DEPTH_M, "mm")
+
+
+def test_unknown_extensions_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("0,1")
+    refused(path, ".npz")
+
+
+def test_negative_depths_and_wrong_units_are_refused(tmp_path: Path, depth_m: NDArray[np.float64]) -> None:
+    refused(save_npy(tmp_path / "a.npy", depth_m * 1e3 - 0.5), "negative")
+    refused(save_npy(tmp_path / "b.npy", depth_m * 1e3), "unit", unit="m")
+    refused(save_npy(tmp_path / "c.npy", depth_m * 1e6), "unit", unit="mm")
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (np.full((9, 12), np.nan), "no contact"),
+        (np.full((9, 12), 3.0), "no contact"),
+        (np.zeros((9, 12)), "nothing but contact"),
+        (np.full((9, 12), 1.3), "nothing but contact"),
+        (np.linspace(0, 1, 12 * 9).reshape(12, 9), "12 x 9 pixels"),
+    ],
+)
+def test_touches_that_say_nothing_or_do_not_fit_are_refused(
+    tmp_path: Path, values: NDArray[np.float64], words: str
+) -> None:
+    with pytest.raises(TouchError, match=words) as caught:
+        read_touch(save_npy(tmp_path / "a.npy", values), SENSOR, "mm")
+    assert "a.npy" in str(caught.value)
+
+
+@pytest.mark.parametrize("T", [np.eye(3), 2 * np.eye(4), np.diag([1.0, 1, -1, 1]), np.full((4, 4), np.nan)])
+@pytest.mark.parametrize("name", ["T_sensor_object", "T_base_sensor"])
+def test_poses_must_be_rigid(tmp_path: Path, depth_m: NDArray[np.float64], name: str, T: NDArray[np.float64]) -> None:
+    refused(save_npz(tmp_path / "a.npz", **{"depth": depth_m, "unit": "m", name: T}), name, unit=None)

@@ -1,0 +1,99 @@
+"""Several touches of one object, by sensors at known poses."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import TactileLocError, TouchError
+from tactile_loc.core.geometry import invert, make_transform, rotation_about
+from tactile_loc.locate.contacts import localize_together
+from tactile_loc.locate.localizer import Localizer
+
+T_BASE_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.4, -0.2, 0.3])
+
+
+def placed(touch, T_base_object=T_BASE_OBJECT):
+    """The touch, with its sensor where it must have been for the object to lie at a pose in the base frame."""
+    return dataclasses.replace(touch, T_base_sensor=T_base_object @ invert(touch.T_sensor_object))
+
+
+@pytest.fixture(scope="module")
+def localizer(store) -> Localizer:
+    return Localizer.create("pin", store=store, grid={"name": "face", "spacing_mm": 6})
+
+
+@pytest.fixture(scope="module")
+def touches(localizer):
+    return [placed(touch) for touch in localizer.simulate(3, seed=7, noise="mild")]
+
+
+def together(localizer, touches, **more):
+    return localize_together([(localizer, touch) for touch in touches], **more)
+
+
+def error_m(localizer, found) -> float:
+    metric, T = localizer.model.grid.metric, found.best.refined.T_sensor_object[None]
+    return float(metric.symmetric_distance(T, found.touch.T_sensor_object[None])[0])
+
+
+def test_one_touch_is_localised_as_alone(localizer, touches):
+    alone, one = localizer.localize(touches[0]), together(localizer, touches[:1])
+    np.testing.assert_allclose(one.posterior.log_p, alone.posterior.log_p)
+    assert one.best.index == alone.best.index
+    assert error_m(localizer, one) == pytest.approx(error_m(localizer, alone), abs=2e-3)
+    assert one.others == ()
+
+
+def test_more_touches_know_more(localizer, touches):
+    one, three = together(localizer, touches[:1]), together(localizer, touches)
+    assert three.posterior.entropy < one.posterior.entropy
+    assert three.others == tuple(touches[1:])
+    assert error_m(localizer, three) < 2e-3
+    truth = three.posterior.grid.nearest(touches[0].T_sensor_object[None])[1][0]
+    assert three.posterior.probabilities[truth] > 0.05
+
+
+def test_where_the_base_is_does_not_matter(localizer, touches):
+    elsewhere = make_transform(rotation_about([0, 1, 0], 2.0), [1.0, 2.0, -3.0])
+    moved = [dataclasses.replace(t, T_base_sensor=elsewhere @ t.T_base_sensor) for t in touches]
+    a, b = together(localizer, touches), together(localizer, moved)
+    np.testing.assert_allclose(a.posterior.probabilities, b.posterior.probabilities, atol=1e-9)
+    np.testing.assert_allclose(a.best.refined.T_sensor_object, b.best.refined.T_sensor_object, atol=1e-6)
+
+
+def test_the_refined_pose_is_the_one_that_all_touches_like_best(localizer, touches):
+    found = together(localizer, touches, top=1).best
+    grid, refined = (
+        np.mean([
+            localizer.scene.explained((invert(t.T_base_sensor) @ touches[0].T_base_sensor @ T)[None], t)[0]
+            for t in touches
+        ])
+        for T in (found.T_sensor_object, found.refined.T_sensor_object)
+    )  # fmt: skip
+    assert refined >= grid
+    assert refined == pytest.approx(found.explained, abs=1e-6)
+
+
+def test_sensors_of_different_kinds_go_together(localizer, touches, store):
+    other = Localizer.create("pin", store=store, sensor="gelsight-mini", grid={"name": "face", "spacing_mm": 6})
+    small = placed(other.simulate(1, seed=6)[0])
+    found = localize_together([(localizer, touches[0]), (other, small)])
+    assert found.posterior.grid is localizer.model.grid
+    assert np.isfinite(found.posterior.log_p).any()
+
+
+def test_what_cannot_be_fused_is_refused(localizer, touches, store):
+    with pytest.raises(TouchError, match="no touch"):
+        localize_together([])
+    nowhere = dataclasses.replace(touches[1], T_base_sensor=None)
+    with pytest.raises(TactileLocError, match="T_base_sensor"):
+        together(localizer, [touches[0], nowhere])
+    hook = Localizer.create("head", store=store, grid={"name": "face", "spacing_mm": 8})
+    with pytest.raises(TouchError, match=r"several objects \(pin, head\)"):
+        localize_together([(localizer, touches[0]), (hook, touches[1])])
+    far = dataclasses.replace(touches[1], T_base_sensor=make_transform(np.eye(3), [5.0, 0, 0]))
+    with pytest.raises(TactileLocError):
+        together(localizer, [touches[0], far])

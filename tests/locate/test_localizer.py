@@ -1,0 +1,318 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_loc.core.errors import ConfigError, GridError, TouchError
+from tactile_loc.core.geometry import make_transform, rotation_about, transform_points
+from tactile_loc.core.interfaces import Capabilities
+from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.sensing import ContactShape, Touch
+from tactile_loc.io.meshes import load_object
+from tactile_loc.io.touches import write_touch
+from tactile_loc.locate.localizer import MOST_MATCHERS, Localizer
+from tactile_loc.locate.result import Localization
+from tactile_loc.store.store import StageStore
+
+SMALL = {"shape_px": 60, "sensor": {"name": "gelslim", "image_size_px": [100, 100]}}
+FINE = {**SMALL, "grid": {"name": "face", "spacing_mm": 3.0}}
+COARSE = {**SMALL, "grid": {"name": "face", "spacing_mm": 7.0}}
+
+
+@pytest.fixture(scope="module")
+def pin(store: StageStore) -> Localizer:
+    return Localizer.create("pin", store=store, **FINE)
+
+
+@pytest.fixture(scope="module")
+def coarse(store: StageStore) -> Localizer:
+    return Localizer.create("pin", store=store, **COARSE)
+
+
+@pytest.fixture(scope="module")
+def touches(pin: Localizer) -> list[Touch]:
+    return pin.simulate(12, seed=1)
+
+
+def errors_mm(localizer: Localizer, touch: Touch, found: Localization) -> np.ndarray:
+    refined = np.stack([h.refined.T_sensor_object for h in found.hypotheses])
+    true = np.broadcast_to(touch.T_sensor_object, refined.shape)
+    return 1e3 * PoseMetric(localizer.object).symmetric_distance(refined, true)
+
+
+def test_the_true_pose_is_among_the_hypotheses_and_refined_below_the_grid(pin, touches):
+    nearest = [errors_mm(pin, t, pin.localize(t)).min() for t in touches]
+    assert np.median(nearest) < 0.3, "a tenth of the grid's spacing"
+    assert np.mean(np.array(nearest) < 1.0) >= 0.8
+
+
+def test_a_certain_answer_is_right(pin, touches):
+    found = [(pin.localize(t), t) for t in touches]
+    best = [errors_mm(pin, t, f)[0] for f, t in found if f.certainty > 0.9]
+    assert len(best) >= 3
+    assert np.median(best) < 0.3
+    assert max(best) < 1.5
+
+
+def test_lighter_presses_are_located_too(pin):
+    for press_m in (0.001, 0.00113):
+        touches = pin.simulate(10, seed=1, press_depth_m=press_m)
+        nearest = [errors_mm(pin, t, pin.localize(t)).min() for t in touches]
+        assert np.median(nearest) < 0.6
+
+
+def test_the_answer_is_in_order_and_complete(pin, touches):
+    found = pin.localize(touches[0], top=4)
+    assert found.touch is touches[0]
+    assert found.posterior.probabilities.sum() == pytest.approx(1.0)
+    explained = [h.explained for h in found.hypotheses]
+    assert 1 <= len(explained) <= 4
+    assert explained == sorted(explained, reverse=True)
+    assert 0 < sum(h.probability for h in found.hypotheses) <= 1 + 1e-9
+    assert found.best is found.hypotheses[0]
+    assert 0 <= found.certainty <= 1
+    assert set(found.seconds) == {"encode", "match", "fuse", "modes", "refine", "choose"}
+    assert all(s >= 0 for s in found.seconds.values())
+    for h in found.hypotheses:
+        assert np.array_equal(h.T_sensor_object, pin.model.grid.T_sensor_object[h.index])
+        assert h.poses >= 1
+
+
+def test_best_pose_is_the_most_probable_refined(pin, touches):
+    touch = touches[1]
+    posterior = pin.posterior(touch)
+    expected = pin.refine(touch, posterior, int(posterior.log_p.argmax()))
+    assert np.array_equal(pin.best_pose(touch).T_sensor_object, expected.T_sensor_object)
+
+
+def test_many_touches_are_located_as_each_alone(pin, touches):
+    lighter = pin.simulate(2, seed=3, press_depth_m=0.0012)
+    mixed = [touches[0], lighter[0], touches[1], lighter[1]]
+    together = pin.localize_many(mixed, top=3)
+    for touch, found in zip(mixed, together, strict=True):
+        alone = pin.localize(touch, top=3)
+        assert found.touch is touch
+        np.testing.assert_allclose(found.posterior.log_p, alone.posterior.log_p, atol=1e-2)
+        np.testing.assert_allclose(found.best.refined.T_sensor_object, alone.best.refined.T_sensor_object, atol=1e-5)
+        assert set(found.seconds) == set(alone.seconds)
+    assert pin.localize_many([]) == []
+
+
+def test_a_touch_at_a_grid_pose_is_matched_to_it(pin):
+    for index in (10, pin.model.size // 2, pin.model.size - 5):
+        T = pin.model.grid.T_sensor_object[index]
+        touch = Touch(pin.scene.contact_shape(T, 0.002), pin.scene.geometry)
+        posterior = pin.posterior(touch)
+        assert posterior.probabilities[index] >= 0.3 * posterior.probabilities.max()
+
+
+def test_a_prior_on_a_region_keeps_the_answer_there(pin, touches):
+    metric, touch = pin.model.grid.metric, touches[0]
+    wrong = pin.model.grid.T_sensor_object[int(pin.posterior(touch).log_p.argmin())]
+
+    def near_wrong(T):
+        return np.where(metric.symmetric_distance(T, np.broadcast_to(wrong, T.shape), 1e-3) < 0.008, 0.0, -np.inf)
+
+    found = pin.localize(touch, prior=near_wrong)
+    excluded = near_wrong(found.posterior.grid.T_sensor_object) == -np.inf
+    assert 0 < (~excluded).sum() < 500
+    assert not found.posterior.probabilities[excluded].any()
+    assert found.posterior.probabilities.sum() == pytest.approx(1.0)
+    for h in found.hypotheses:
+        assert not excluded[h.index]
+
+
+def test_a_prior_that_excludes_everything_is_refused(pin, touches):
+    with pytest.raises(GridError, match="no pose of the grid explains the touch"):
+        pin.localize(touches[0], prior=lambda T: np.full(len(T), -np.inf))
+
+
+def test_a_prior_for_the_truth_decides_between_alike_poses(pin):
+    touches = pin.simulate(30, seed=5)
+    doubtful = [t for t in touches if pin.localize(t).best.probability < 0.95]
+    assert doubtful
+    for touch in doubtful[:5]:
+        true = touch.T_sensor_object
+        metric = pin.model.grid.metric
+
+        def near_true(T, true=true, metric=metric):
+            return np.where(metric.symmetric_distance(T, np.broadcast_to(true, T.shape), 1e-3) < 0.006, 0.0, -np.inf)
+
+        found = pin.localize(touch, prior=near_true)
+        assert errors_mm(pin, touch, found)[0] < 6.0
+
+
+def test_the_same_seed_gives_the_same_result(coarse, tmp_path):
+    other = Localizer.create("pin", store=StageStore(tmp_path / "own"), **COARSE)
+    for a, b in zip(coarse.simulate(2, seed=3), other.simulate(2, seed=3), strict=True):
+        assert np.array_equal(a.T_sensor_object, b.T_sensor_object)
+        first, second = coarse.localize(a), other.localize(b)
+        np.testing.assert_array_equal(first.posterior.log_p, second.posterior.log_p)
+        for h, k in zip(first.hypotheses, second.hypotheses, strict=True):
+            assert h.index == k.index
+            np.testing.assert_array_equal(h.refined.T_sensor_object, k.refined.T_sensor_object)
+    assert not np.allclose(coarse.simulate(1, seed=3)[0].T_sensor_object, coarse.simulate(1, seed=4)[0].T_sensor_object)
+
+
+@pytest.fixture(scope="module")
+def pin_files(tmp_path_factory):
+    """The demo pin in metres, in millimetres, and in metres in another frame."""
+    folder = tmp_path_factory.mktemp("pins")
+    mesh = load_object("pin").mesh
+    X = make_transform(rotation_about([1, 2, 0.5], 1.1), [0.03, -0.02, 0.01])
+    moved = transform_points(X, mesh.vertices_m)
+    for name, vertices in (("m", mesh.vertices_m), ("mm", mesh.vertices_m * 1e3), ("moved", moved)):
+        trimesh.Trimesh(vertices, mesh.faces, process=False).export(folder / f"{name}.off", digits=12)
+    return folder, X
+
+
+def test_metres_and_millimetres_give_the_same_poses(pin_files, store):
+    folder, _ = pin_files
+    metres, milli = (
+        Localizer.create(folder / f"{unit}.off", units=unit, symmetry="z2", store=store, **COARSE)
+        for unit in ("m", "mm")
+    )
+    np.testing.assert_allclose(metres.model.grid.T_sensor_object, milli.model.grid.T_sensor_object, atol=1e-8)
+    (touch,) = metres.simulate(1, seed=2)
+    a, b = metres.localize(touch), milli.localize(touch)
+    np.testing.assert_allclose(a.posterior.probabilities, b.posterior.probabilities, atol=1e-3)
+    assert a.best.index == b.best.index
+    np.testing.assert_allclose(a.best.refined.T_sensor_object, b.best.refined.T_sensor_object, atol=1e-4)
+
+
+def test_the_meshs_own_frame_does_not_matter(pin_files, store):
+    """The same touch: another drawing of the part is found in the same place."""
+    folder, X = pin_files
+    here, there = (
+        Localizer.create(folder / f"{name}.off", units="m", symmetry="none", store=store, **FINE)
+        for name in ("m", "moved")
+    )
+    metric = PoseMetric(load_object("pin"))
+    for localizer, frame in ((here, np.eye(4)), (there, X)):
+        gaps_mm = []
+        for touch in here.simulate(6, seed=1):
+            found = np.stack([h.refined.T_sensor_object @ frame for h in localizer.localize(touch).hypotheses])
+            true = np.broadcast_to(touch.T_sensor_object, found.shape)
+            gaps_mm.append(1e3 * metric.symmetric_distance(found, true).min())
+        assert np.median(gaps_mm) < 0.4
+
+
+def test_a_touch_from_a_file_is_the_same_touch(pin, touches, tmp_path):
+    again = pin.read_touch(write_touch(tmp_path / "touch.npz", touches[2]))
+    np.testing.assert_allclose(pin.posterior(again).log_p, pin.posterior(touches[2]).log_p, atol=1e-3)
+
+
+def test_banks_are_kept_by_press_depth(coarse):
+    assert coarse.matcher(0.001) is coarse.matcher(0.00109), "in steps of 0.1 mm"
+    assert coarse.matcher(0.001) is coarse.matcher(0.001 - 1e-12), "rounding does not count"
+    assert coarse.matcher(0.001) is not coarse.matcher(0.00112)
+
+
+def test_touch_and_bank_are_cut_at_the_same_press(coarse):
+    """A press between two of the banks' is compared at the lighter one."""
+    (touch,) = coarse.simulate(1, seed=6, press_depth_m=0.00114)
+    lighter = Touch(touch.contact_shape.pressed_to(0.0011), touch.geometry)
+    np.testing.assert_array_equal(coarse.posterior(touch).log_p, coarse.posterior(lighter).log_p)
+
+
+def test_a_press_a_rounding_error_below_a_step_is_as_good(coarse):
+    """Pixels without contact lie at the press depth exactly; the bank's must not make contact of them."""
+    exact = coarse.simulate(1, seed=6, press_depth_m=0.0005)[0]
+    below_m = 0.0005 * (1 - 9e-8)
+    shape = ContactShape(np.minimum(exact.contact_shape.depth_m, np.float32(below_m)), below_m)
+    assert np.float32(below_m) < np.float32(0.0005)
+    touch = Touch(shape, exact.geometry)
+    np.testing.assert_allclose(coarse.posterior(touch).log_p, coarse.posterior(exact).log_p, atol=1e-2)
+
+
+def test_an_encoder_that_does_not_follow_the_press_is_told_what_it_gets(coarse, store):
+    localizer = Localizer.create("pin", store=store, temperature=1e-3, **COARSE)
+    told: list[float] = []
+
+    class Fixed(type(localizer.encoder)):
+        capabilities = Capabilities(follows_press_depth=False)
+
+        def encode(self, depth_m, press_depth_m, geometry):
+            told.append(press_depth_m)
+            return super().encode(depth_m, press_depth_m, geometry)
+
+    localizer.encoder = Fixed(localizer.encoder.options)
+    (touch,) = localizer.simulate(1, seed=7, press_depth_m=0.001)
+    localizer.posterior(touch)
+    assert localizer.matcher(0.001) is localizer.matcher(0.002), "one bank for all presses"
+    assert told[-1] == pytest.approx(0.001)
+    assert set(told[:-1]) <= {0.002}
+
+
+def test_a_touch_of_another_sensors_size_still_has_its_own_geometry(pin, touches):
+    """The touch carries its geometry: half the pixels are the same touch."""
+    touch = touches[3]
+    half = Touch(touch.contact_shape.every(2), touch.geometry.every(2), T_sensor_object=touch.T_sensor_object)
+    a, b = pin.posterior(touch), pin.posterior(half)
+    assert b.probabilities[a.top(1)[0]] > 0.5 * b.probabilities.max()
+
+
+def test_a_touch_of_another_sensor_is_refused(pin, touches):
+    geometry = dataclasses.replace(touches[0].geometry, fx=0.9 * touches[0].geometry.fx)
+    with pytest.raises(TouchError, match="touch-0000 was taken by another sensor than gelslim"):
+        pin.best_pose(Touch(touches[0].contact_shape, geometry, "touch-0000"))
+
+
+@pytest.mark.parametrize("cells", [10, 100])
+def test_more_cells_than_the_banks_pixels_are_possible(store, cells):
+    localizer = Localizer.create("pin", store=store, **COARSE, encoder={"name": "pixel", "cells": cells})
+    (touch,) = localizer.simulate(1, seed=8)
+    assert localizer.posterior(touch).entropy >= 0
+
+
+def test_changing_refiner_or_matcher_builds_nothing(coarse, store):
+    coarse.localize(coarse.simulate(1, seed=9)[0])
+    before = len(store.built)
+    for change in (
+        {"refiner": "none"},
+        {"matcher": "faiss"},
+        {"matcher": {"name": "faiss", "kind": "hnsw"}},
+        {"top": 3},
+        {"temperature": 0.5},
+    ):
+        localizer = Localizer.create("pin", store=store, **COARSE, **change)
+        localizer.localize(localizer.simulate(1, seed=9)[0])
+    assert len(store.built) == before
+
+
+def test_a_touch_without_contact_cannot_be_made(pin):
+    g = pin.scene.geometry
+    with pytest.raises(TouchError, match="no contact"):
+        Touch(ContactShape(np.full(g.shape, 0.002, np.float32), 0.002), g)
+
+
+def test_bad_settings_are_refused():
+    with pytest.raises(ConfigError, match=r"Localizer\.create.*'refinr'"):
+        Localizer.create("pin", refinr="icp")
+    with pytest.raises(ConfigError, match="grid 'face' has no option 'spacing'"):
+        Localizer.create("pin", grid={"name": "face", "spacing": 3})
+    for component in ({"grid": {"name": "face", "spacing_mm": np.inf}}, {"refiner": {"name": "icp", "wide_mm": np.inf}},
+                      {"temperature": np.inf}):  # fmt: skip
+        with pytest.raises(ConfigError, match="finite"):
+            Localizer.create("pin", **component)
+
+
+def test_a_hotter_temperature_is_less_certain(store, coarse):
+    (touch,) = coarse.simulate(1, seed=10)
+    entropies = [
+        Localizer.create("pin", store=store, **COARSE, temperature=t).posterior(touch).entropy
+        for t in (1e-4, 1e-3, 1e-1)
+    ]
+    assert entropies == sorted(entropies)
+    assert entropies[0] < entropies[-1]
+
+
+def test_only_the_matchers_used_last_are_kept_in_memory(coarse):
+    kept = coarse.matcher(0.002)
+    for step in range(1, MOST_MATCHERS + 3):
+        coarse.matcher(step * 1e-4)
+        assert coarse.matcher(0.002) is kept
+    assert len(coarse._matchers) == MOST_MATCHERS

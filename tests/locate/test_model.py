@@ -1,0 +1,217 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.interfaces import Scene
+from tactile_loc.core.progress import Progress
+from tactile_loc.io.meshes import load_object
+from tactile_loc.locate import model as module
+from tactile_loc.locate.model import ObjectPoseModel, build_bank, build_model
+from tactile_loc.plugins.encoders.pixel import PixelEncoder
+from tactile_loc.plugins.grids.face import FaceGrid
+from tactile_loc.plugins.renderers.raycast import RaycastRenderer
+from tactile_loc.store.store import StageStore
+
+SHARD = 64
+
+
+class Counting(RaycastRenderer):
+    """Remembers how many poses each call rendered, may break off at one, and may be of another make."""
+
+    def __init__(self, stop_at: int | None = None, make: str = "counting") -> None:
+        super().__init__()
+        self.calls: list[int] = []
+        self.stop_at, self.make = stop_at, make
+
+    def describe(self):
+        return {**super().describe(), "class": self.make}
+
+    def render(self, mesh, T_sensor_object, geometry):
+        if len(self.calls) == self.stop_at:
+            raise KeyboardInterrupt
+        self.calls.append(len(T_sensor_object))
+        return super().render(mesh, T_sensor_object, geometry)
+
+
+@pytest.fixture(autouse=True)
+def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "SHARD", SHARD)
+
+
+@pytest.fixture
+def own_store(tmp_path) -> StageStore:
+    return StageStore(tmp_path / "store")
+
+
+@pytest.fixture(scope="module")
+def sampler() -> FaceGrid:
+    return FaceGrid(FaceGrid.Options(spacing_mm=8.0, min_contact_percent=4.0))
+
+
+@pytest.fixture(scope="module")
+def make_pin_scene(pinhole) -> Callable[..., Scene]:
+    pin = load_object("pin")
+    return lambda renderer=None: Scene(pin, pinhole, renderer or Counting())
+
+
+def stages(store: StageStore) -> list[str]:
+    return [key.stage for key in store.built]
+
+
+def build(scene: Scene, sampler: FaceGrid, store: StageStore) -> ObjectPoseModel:
+    return build_model(scene, sampler, store, Progress())
+
+
+def test_shapes_decode_to_what_was_rendered(make_pin_scene, sampler, own_store):
+    scene = make_pin_scene()
+    model = build(scene, sampler, own_store)
+    rendered = scene.grid_depths(model.grid.T_sensor_object)
+    decoded = np.concatenate(list(model.shapes.shards()))
+    assert decoded.dtype == np.float32
+    assert decoded.shape == (model.size, *scene.geometry.shape)
+    max_depth_m = scene.geometry.max_depth_m
+    assert np.abs(decoded - rendered).max() <= 0.51 * max_depth_m / 65535 + 3e-9  # of which float32 depths are
+    touching = rendered < np.float32(max_depth_m)
+    assert np.array_equal(decoded < np.float32(max_depth_m), touching)
+    for index in (0, 1, SHARD - 1, SHARD, model.size - 1):
+        assert np.array_equal(model.shapes.shape(index, max_depth_m), decoded[index])
+
+
+def test_a_pixel_that_just_touches_still_touches_when_stored():
+    max_depth_m = 0.002
+    depths = np.array([[[0.0, np.nextafter(np.float32(max_depth_m), np.float32(0)), max_depth_m, 0.00123]]], np.float32)
+    codes = module._encoded(depths, max_depth_m)
+    assert codes.dtype == np.uint16
+    assert codes[0, 0, :3].tolist() == [0, 65534, 65535]
+    assert codes[0, 0, 3] * max_depth_m / 65535 == pytest.approx(0.00123, abs=2e-8)
+    assert np.array_equal(
+        module.ShapeBank._decoded(module.ShapeBank(None, max_depth_m), codes, np.float32(max_depth_m))
+        < np.float32(max_depth_m),
+        depths < np.float32(max_depth_m),
+    )
+
+
+def test_lighter_presses_are_cuts_of_the_full_one(make_pin_scene, sampler, own_store):
+    scene = make_pin_scene()
+    model = build(scene, sampler, own_store)
+    press_m = 0.0007
+    cut = np.concatenate(list(model.shapes.shards(press_m)))
+    exact = scene.contact_depths(model.grid.T_sensor_object, press_m)
+    assert cut.max() == np.float32(press_m)
+    assert np.abs(cut - exact).max() < 2e-8
+    assert np.array_equal(model.shapes.shape(3, press_m), cut[3])
+
+
+def test_poses_with_too_little_contact_are_pruned(make_pin_scene, sampler, own_store):
+    scene = make_pin_scene()
+    contact = (scene.contact_depths(build(scene, sampler, own_store).grid.T_sensor_object) < np.float32(0.002)).mean(
+        axis=(1, 2)
+    )
+    assert contact.min() >= 0.04
+    everything = build(scene, FaceGrid(FaceGrid.Options(spacing_mm=8.0, min_contact_percent=0.0)), own_store)
+    assert everything.size > len(contact)
+
+
+def test_poses_and_shapes_stay_together(make_pin_scene, own_store):
+    """Even where whole shards are pruned."""
+    scene = make_pin_scene()
+    module.SHARD = 8
+    model = build(scene, FaceGrid(FaceGrid.Options(spacing_mm=8.0, min_contact_percent=9.0)), own_store)
+    assert 0 in model.shapes.artifact.json("sizes")
+    assert all(len(depths) for depths in model.shapes.shards()), "an encoder is not asked about nothing"
+    rendered = scene.grid_depths(model.grid.T_sensor_object)
+    np.testing.assert_allclose(np.concatenate(list(model.shapes.shards())), rendered, atol=1e-7)
+    for index in range(0, model.size, 7):
+        np.testing.assert_allclose(model.shapes.shape(index, 0.002), rendered[index], atol=1e-7)
+    bank = build_bank(model, scene, PixelEncoder(), 0.002, own_store, Progress())
+    np.testing.assert_allclose(bank, PixelEncoder().encode(rendered, 0.002, scene.geometry), atol=1e-6)
+
+
+def test_nothing_left_is_refused(make_pin_scene, own_store):
+    with pytest.raises(GridError, match=r"no pose of pin makes contact with 95 % of the sensor"):
+        build(make_pin_scene(), FaceGrid(FaceGrid.Options(spacing_mm=8.0, min_contact_percent=95.0)), own_store)
+
+
+def test_building_again_builds_nothing(make_pin_scene, sampler, own_store):
+    scene = make_pin_scene()
+    first = build(scene, sampler, own_store)
+    renders = len(scene.renderer.calls)
+    again = StageStore(own_store.root)
+    second = build(make_pin_scene(renderer := Counting()), sampler, again)
+    assert stages(own_store) == ["grid", "shapes"]
+    assert stages(again) == []
+    assert renders > 0
+    assert renderer.calls == []
+    assert np.array_equal(first.grid.T_sensor_object, second.grid.T_sensor_object)
+
+
+def test_what_is_built_again_depends_on_what_changed(make_pin_scene, sampler, own_store):
+    def built(
+        scene: Scene, sampler: FaceGrid = sampler, encoder: PixelEncoder | None = None, press_m: float = 0.002
+    ) -> list[str]:
+        before = len(own_store.built)
+        model = build(scene, sampler, own_store)
+        build_bank(model, scene, encoder or PixelEncoder(), press_m, own_store, Progress())
+        return stages(own_store)[before:]
+
+    assert built(make_pin_scene()) == ["grid", "shapes", "bank"]
+    assert built(make_pin_scene()) == []
+    assert built(make_pin_scene(), encoder=PixelEncoder(PixelEncoder.Options(cells=10))) == ["bank"]
+    assert built(make_pin_scene(), press_m=0.001) == ["bank"]
+    assert built(make_pin_scene(Counting(make="other"))) == ["shapes", "bank"]
+    finer = FaceGrid(FaceGrid.Options(spacing_mm=7.0, min_contact_percent=4.0))
+    assert built(make_pin_scene(), sampler=finer) == ["grid", "shapes", "bank"]
+    smaller = make_pin_scene().geometry.resized(32, 24)
+    assert built(Scene(make_pin_scene().object, smaller, Counting())) == ["grid", "shapes", "bank"]
+    other = load_object("pin", symmetry="none")
+    assert built(Scene(other, make_pin_scene().geometry, Counting())) == ["grid", "shapes", "bank"]
+    assert built(make_pin_scene()) == [], "all of it is kept"
+
+
+def test_an_interrupted_build_goes_on_where_it_stopped(make_pin_scene, sampler, own_store, tmp_path):
+    whole = build(make_pin_scene(uninterrupted := Counting()), sampler, StageStore(tmp_path / "other"))
+    assert len(uninterrupted.calls) >= 4, "several shards"
+    with pytest.raises(KeyboardInterrupt):
+        build(make_pin_scene(stopped := Counting(stop_at=2)), sampler, own_store)
+    assert stages(own_store) == ["grid"]
+    resumed = build(make_pin_scene(going_on := Counting()), sampler, own_store)
+    assert stopped.calls + going_on.calls == uninterrupted.calls, "no shard was rendered twice"
+    assert np.array_equal(resumed.grid.T_sensor_object, whole.grid.T_sensor_object)
+    assert np.array_equal(np.concatenate(list(resumed.shapes.shards())), np.concatenate(list(whole.shapes.shards())))
+    assert resumed.shapes.artifact.names == whole.shapes.artifact.names
+    assert all(resumed.shapes.artifact.files[n] == whole.shapes.artifact.files[n] for n in whole.shapes.artifact.names)
+
+
+def test_a_bank_has_a_row_a_pose_in_the_grids_order(make_pin_scene, sampler, own_store):
+    scene = make_pin_scene()
+    model = build(scene, sampler, own_store)
+    bank = build_bank(model, scene, PixelEncoder(), 0.001, own_store, Progress())
+    rendered = scene.contact_depths(model.grid.T_sensor_object, 0.001)
+    np.testing.assert_allclose(bank, PixelEncoder().encode(rendered, 0.001, scene.geometry), atol=1e-6)
+
+
+def test_progress_counts_every_pose(make_pin_scene, sampler, own_store):
+    from contextlib import contextmanager
+
+    done: dict[str, list[int]] = {}
+
+    class Watch(Progress):
+        @contextmanager
+        def task(self, description, total):
+            done[description] = [total, 0]
+
+            def advance(steps: int) -> None:
+                done[description][1] += steps
+
+            yield advance
+
+    scene = make_pin_scene()
+    model = build_model(scene, sampler, own_store, Watch())
+    build_bank(model, scene, PixelEncoder(), 0.002, own_store, Watch())
+    assert len(done) == 3
+    assert all(total == steps for total, steps in done.values())
+    assert done["encoding contact shapes"][0] == model.size

@@ -1,0 +1,63 @@
+"""Hypotheses that refinement brings together are one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.geometry import rotation_about, translation
+from tactile_loc.core.interfaces import RefinedPose
+from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.locate.result import SHARPNESS, Hypothesis, merge_hypotheses, ranked
+from tactile_loc.testing.shapes import box
+
+
+def hypothesis(probability: float, T: np.ndarray, converged: bool = True, explained: float = 1.0) -> Hypothesis:
+    return Hypothesis(probability, T, RefinedPose(T, 1.0, converged, 3), index=0, poses=5, explained=explained)
+
+
+@pytest.fixture
+def metric() -> PoseMetric:
+    mesh = box((-0.01, -0.005, -0.002), (0.01, 0.005, 0.002))
+    return PoseMetric(ObjectModel("box", mesh, SymmetryGroup.parse("z2", np.zeros(3))))
+
+
+def test_the_heavier_takes_the_mass_of_those_that_met_it(metric):
+    near, far = translation([2e-4, 0, 0]), translation([2e-3, 0, 0])
+    found = merge_hypotheses([hypothesis(p, T) for p, T in ((0.5, np.eye(4)), (0.3, far), (0.2, near))], metric, 5e-4)
+    assert [h.probability for h in found] == [pytest.approx(0.7), 0.3]
+    assert [h.poses for h in found] == [10, 5]
+    np.testing.assert_array_equal(found[0].refined.T_sensor_object, np.eye(4))
+
+
+def test_poses_that_look_the_same_by_symmetry_are_one(metric):
+    turned = np.eye(4)
+    turned[:3, :3] = rotation_about([0, 0, 1], np.pi)
+    assert len(merge_hypotheses([hypothesis(0.6, np.eye(4)), hypothesis(0.4, turned)], metric, 5e-4)) == 1
+
+
+def test_what_did_not_converge_is_not_merged(metric):
+    stuck = hypothesis(0.4, np.eye(4), converged=False)
+    assert len(merge_hypotheses([hypothesis(0.6, np.eye(4)), stuck], metric, 5e-4)) == 2
+
+
+def test_merging_may_change_the_order(metric):
+    a, b = np.eye(4), translation([5e-3, 0, 0])
+    found = merge_hypotheses([hypothesis(p, T) for p, T in ((0.4, a), (0.35, b), (0.25, b))], metric, 5e-4)
+    assert found[0].probability == pytest.approx(0.6)
+
+
+def test_what_explains_the_touch_best_comes_first():
+    three = [hypothesis(p, np.eye(4), explained=e) for p, e in ((0.6, 0.7), (0.3, 0.9), (0.1, 0.8))]
+    assert [h.explained for h in ranked(three)] == [0.9, 0.8, 0.7]
+    assert [h.probability for h in ranked([hypothesis(p, np.eye(4)) for p in (0.6, 0.3)])] == [0.6, 0.3]
+
+
+def test_a_prior_outweighs_a_better_explanation_when_it_is_sure():
+    two = [hypothesis(0.5, np.eye(4), explained=e) for e in (0.8, 0.9)]
+    doubt = SHARPNESS * 0.1
+    assert ranked(two, np.array([0.0, -0.9 * doubt]))[0].explained == 0.9
+    assert ranked(two, np.array([0.0, -1.1 * doubt]))[0].explained == 0.8
+    assert ranked(two, np.array([0.0, -np.inf]))[0].explained == 0.8

@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+from datetime import datetime
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from tactile_loc import __version__
+from tactile_loc.core.errors import ConfigError, OutputError
+from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.registry import SLOTS
+from tactile_loc.io.config import RunConfig
+from tactile_loc.locate.result_json import (
+    SCHEMA_VERSION,
+    ResultRecord,
+    pose_errors_m,
+    resolved,
+    result_record,
+    versions,
+    write_result,
+)
+
+
+@pytest.fixture(scope="module")
+def record(localizer, localization):
+    return result_record(localizer, localization, {"model": 1.5})
+
+
+def with_truth(localization, T):
+    return dataclasses.replace(localization, touch=dataclasses.replace(localization.touch, T_sensor_object=T))
+
+
+def test_the_file_is_the_record(record, tmp_path):
+    path = write_result(tmp_path / "deep" / "result.json", record)
+    assert ResultRecord.model_validate_json(path.read_text()) == record
+    assert json.loads(path.read_text())["schema_version"] == SCHEMA_VERSION
+
+
+def test_the_schema_refuses_what_it_does_not_know(record):
+    with pytest.raises(ValidationError):
+        ResultRecord.model_validate({**record.model_dump(), "mood": "good"})
+
+
+def test_hypotheses_are_those_of_the_localisation(record, localization):
+    assert [h.rank for h in record.hypotheses] == list(range(1, len(localization.hypotheses) + 1))
+    for written, found in zip(record.hypotheses, localization.hypotheses, strict=True):
+        assert np.array_equal(written.T_sensor_object, found.refined.T_sensor_object)
+        assert np.array_equal(written.T_sensor_object_grid, found.T_sensor_object)
+        assert written.probability == found.probability
+        assert (written.fitness, written.converged) == (found.refined.fitness, found.refined.converged)
+    assert record.grid_poses == len(localization.posterior.grid)
+
+
+def test_certainty_follows_from_the_entropy(record):
+    assert record.certainty == pytest.approx(1 - record.entropy_nats / np.log(record.grid_poses))
+
+
+def test_seconds_of_all_stages(record):
+    assert record.seconds["model"] == 1.5
+    assert {"encode", "match", "refine"} <= record.seconds.keys()
+
+
+def test_errors_are_the_distances_to_the_truth(record, localizer, localization):
+    metric, T_true = PoseMetric(localizer.object), localization.touch.T_sensor_object
+    expected = [
+        metric.symmetric_distance(np.array(h.T_sensor_object)[None], T_true[None])[0] for h in record.hypotheses
+    ]
+    assert [h.error_m for h in record.hypotheses] == pytest.approx(expected)
+    assert record.errors.best_m == pytest.approx(expected[0])
+    assert record.errors.best_listed_m == pytest.approx(min(expected))
+    grid = localization.posterior.grid.T_sensor_object
+    closest = metric.symmetric_distance(grid, np.broadcast_to(T_true, grid.shape)).min()
+    assert record.errors.closest_in_grid_m == pytest.approx(closest, abs=1e-6)
+
+
+def test_a_symmetric_twin_of_the_truth_is_no_error(localizer, localization):
+    T = localization.best.refined.T_sensor_object
+    half_turn = localizer.object.symmetry.elements()[1]
+    assert pose_errors_m(localizer.object, with_truth(localization, T @ half_turn))[0] == pytest.approx(0, abs=1e-9)
+    shifted = T.copy()
+    shifted[0, 3] += 0.003
+    assert pose_errors_m(localizer.object, with_truth(localization, shifted))[0] == pytest.approx(0.003)
+
+
+def test_without_a_true_pose_there_are_no_errors(localizer, localization):
+    unknown = with_truth(localization, None)
+    assert pose_errors_m(localizer.object, unknown) is None
+    record = result_record(localizer, unknown)
+    assert record.errors is None
+    assert record.touch.T_sensor_object is None
+    assert {h.error_m for h in record.hypotheses} == {None}
+
+
+def test_settings_are_complete_and_can_be_read_back(record):
+    again = RunConfig.from_dict(record.configuration)
+    assert resolved(again) == record.configuration
+    assert record.configuration["grid"]["options"]["spacing_mm"] == 8
+    assert record.configuration["grid"]["options"]["face"] == "auto"
+    assert record.distributions == dict.fromkeys(SLOTS, "tactile-loc")
+
+
+def test_settings_that_a_component_refuses():
+    with pytest.raises(ConfigError, match="spacing_mm"):
+        resolved(RunConfig.from_dict({"grid": {"name": "face", "spacing_mm": -1}}))
+
+
+def test_versions_and_time(record):
+    assert versions() == record.versions
+    assert record.versions["tactile-loc"] == __version__
+    assert record.versions["numpy"] == np.__version__
+    assert any(name.startswith("open3d") for name in record.versions)
+    assert datetime.fromisoformat(record.created).utcoffset().total_seconds() == 0
+
+
+def test_object(record, localizer):
+    assert record.object.symmetry == "z2"
+    assert record.object.size_m == pytest.approx(localizer.object.mesh.extents_m)
+
+
+def test_no_place_to_write(record, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(OutputError):
+        write_result(tmp_path / "file" / "result.json", record)

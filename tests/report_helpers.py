@@ -1,0 +1,152 @@
+"""Small results, and what is in a page."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import dataclasses
+import itertools
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tactile_loc.evaluation.belief import BELIEF
+from tactile_loc.evaluation.contact_protocol import ContactEvaluation
+from tactile_loc.evaluation.contact_tables import ContactRun, write_contact_tables
+from tactile_loc.evaluation.judge import LINES, METRICS, STAGES
+from tactile_loc.evaluation.protocol import Evaluation
+from tactile_loc.evaluation.tables import Run, write_tables
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result_arrays import gather
+from tactile_loc.locate.result_files import write_arrays
+from tactile_loc.locate.result_json import result_record, write_result
+from tactile_loc.reports.page import Page, render
+from tactile_loc.reports.report import page_of
+from tactile_loc.reports.source import find_source
+
+UNFRIENDLY = "<script>alert('x')</script>&amp;\"\u2028"
+SWEPT = ("none", "icp", "filterreg")
+EFFECT = {"none": 4.0, "icp": 1.0, "filterreg": 0.5}
+
+
+def write_run(folder: Path, localizer: Localizer, touch_name: str | None = None) -> Path:
+    """Locate a simulated touch and write result.json and result.npz."""
+    touch = localizer.simulate(1, seed=0)[0]
+    touch = dataclasses.replace(touch, name=touch_name or touch.name)
+    localization = localizer.localize(touch)
+    record = result_record(localizer, localization, {"model": 1.5})
+    write_arrays(folder / "result.npz", gather([(localizer, touch)], localization), record)
+    write_result(folder / "result.json", record)
+    return folder
+
+
+def write_evaluation(folder: Path, names: tuple[str, ...] = ("pin", "hook"), touches: int = 12) -> Path:
+    """Write the files of an evaluation whose errors are random numbers, and one gallery."""
+    from PIL import Image
+
+    runs = []
+    for seed, name in enumerate(names):
+        rng = np.random.default_rng(seed)
+        errors = rng.uniform(1e-4, 3e-2, (touches, len(LINES), len(METRICS)))
+        poses = np.broadcast_to(np.eye(4), (touches, len(LINES), 4, 4))
+        seconds, beliefs = rng.uniform(0, 0.01, (touches, len(STAGES))), rng.uniform(0, 1, (touches, len(BELIEF)))
+        found = Evaluation(errors, poses, seconds, beliefs)
+        runs.append(Run(name, "z2", "pixel", 500, found, {"grid": {"name": "face"}}))
+    write_tables(folder, runs, {"touches": touches, "noise": "mild", "seed": 1, "images": False}, "title")
+    Image.new("RGB", (2000, 300), "white").save(folder / "gallery-pin-pixel.png")
+    return folder
+
+
+def write_contacts(folder: Path) -> Path:
+    """Write the files of an evaluation from 1, 2 and 5 contacts."""
+    errors = 1e-3 * np.random.default_rng(0).uniform(1, 30, (9, 3, 3))
+    alone = np.zeros((9, 3, 2), bool)
+    alone[:4, 2] = True
+    run = ContactRun("pin", "none", "pixel", 100, ContactEvaluation((1, 2, 5), errors, alone))
+    write_contact_tables(folder, [run], {"examples": 9, "noise": "mild", "seed": 1}, "title")
+    return folder
+
+
+def sweep_rows() -> list[dict[str, Any]]:
+    """Twelve combinations: a refiner multiplies the error by EFFECT, whatever the object and the spacing."""
+    rows = []
+    for name, spacing, refiner in itertools.product(("pin", "hook"), ("4.0", "6.0"), SWEPT):
+        error_mm = EFFECT[refiner] * (3.0 if name == "pin" else 7.0) * float(spacing)
+        rows.append({
+            "object": name, "sensor": "gelslim", "renderer": "heightmap", "grid": "face", "encoder": "pixel",
+            "matcher": "dense", "refiner": refiner, "fuser": "product", "noise": "strong", "seed": 0, "count": 5,
+            "grid.spacing_mm": spacing, "grid_poses": 100, "best-1_median_mm": 2 * error_mm,
+            "chosen_median_mm": error_mm, "chosen_mean_mm": error_mm, "coverage_80": 0.8, "total_ms": 10 / error_mm,
+            "model_s": 1.0, "built": "[]", "error": "", "key": f"{len(rows):016x}",
+        })  # fmt: skip
+    return rows
+
+
+def write_sweep(folder: Path, rows: list[dict[str, Any]] | None = None) -> Path:
+    """Write sweep.csv and sweep.json."""
+    rows = sweep_rows() if rows is None else rows
+    with (folder / "sweep.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    document = {
+        "schema_version": 1, "created": "2026-01-01T00:00:00+00:00", "versions": {"numpy": "2"},
+        "plan": {"count": 5, "refiner": list(SWEPT)}, "built": {"grid": 2, "bank": 2},
+    }  # fmt: skip
+    (folder / "sweep.json").write_text(json.dumps(document))
+    return folder
+
+
+def page_in(folder: Path) -> Page:
+    return page_of(find_source(folder))
+
+
+def html_of(folder: Path) -> str:
+    return render(page_in(folder))
+
+
+def floats(packed: str) -> np.ndarray:
+    """The numbers of an array that scripts draw."""
+    return np.frombuffer(base64.b64decode(packed), "<f4")
+
+
+class Elements(HTMLParser):
+    """The elements of a page with their attributes, the text outside scripts and styles, and the cells of tables."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.rows: list[list[str]] = []
+        self._within = ""
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        self._within = tag
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self.rows[-1].append("")
+
+    def handle_data(self, data: str) -> None:
+        if self._within in ("script", "style"):
+            return
+        self.text += data
+        if self._within in ("td", "th"):
+            self.rows[-1][-1] += data
+
+    def handle_endtag(self, tag: str) -> None:
+        self._within = ""
+
+    def named(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.elements if name == tag]
+
+
+def numbers_in(text: str) -> list[float]:
+    """All numbers of a text."""
+    return [float(word) for word in re.findall(r"-?\d+(?:\.\d+)?", text)]

@@ -1,0 +1,134 @@
+from __future__ import annotations
+
+import json
+import logging
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from store_helpers import KEY, Five, contents, flip, folder_of
+
+from tactile_loc.core.errors import StoreError
+from tactile_loc.store import artifact as artifact_module
+from tactile_loc.store.store import StageKey, StageStore
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> StageStore:
+    return StageStore(tmp_path / "store")
+
+
+def truncate(folder: Path) -> None:
+    os.truncate(folder / "sum.npy", 200)
+
+
+def truncate_to_nothing(folder: Path) -> None:
+    (folder / "meta.json").write_bytes(b"")
+
+
+def drop_manifest(folder: Path) -> None:
+    (folder / "manifest.json").unlink()
+
+
+def truncate_manifest(folder: Path) -> None:
+    os.truncate(folder / "manifest.json", 50)
+
+
+def edit_manifest(folder: Path) -> None:
+    manifest = json.loads((folder / "manifest.json").read_text())
+    (folder / "manifest.json").write_text(json.dumps({**manifest, "created": "2001-01-01T00:00:00+00:00"}))
+
+
+def drop_file(folder: Path) -> None:
+    (folder / "sum.npy").unlink()
+
+
+def replace_by_file(folder: Path) -> None:
+    folder.rename(folder.with_name("elsewhere"))
+    folder.write_text("in the way")
+
+
+DAMAGES = [
+    truncate,
+    truncate_to_nothing,
+    flip("sum.npy", -1),
+    flip("piece0.npy", 3),
+    flip("manifest.json", 100),
+    drop_manifest,
+    truncate_manifest,
+    edit_manifest,
+    drop_file,
+    replace_by_file,
+]
+
+
+@pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
+@pytest.mark.parametrize("same_instance", [True, False])
+def test_damaged_is_removed_and_built_again(
+    store: StageStore, damage: Callable[[Path], None], same_instance: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    truth = contents(store.build(KEY, Five()).path)
+    damage(folder_of(store))
+    reader = store if same_instance else StageStore(store.root)
+    with caplog.at_level(logging.WARNING):
+        assert reader.get(KEY) is None
+    assert len(caplog.records) == 1
+    assert "bank" in caplog.text
+    assert not folder_of(store).exists()
+    five = Five()
+    assert contents(reader.build(KEY, five).path) == truth
+    assert five.computed == [0, 1, 2, 3, 4]
+
+
+def test_build_replaces_the_damaged(store: StageStore) -> None:
+    truth = contents(store.build(KEY, Five()).path)
+    truncate(folder_of(store))
+    assert contents(store.build(KEY, Five()).path) == truth
+    assert store.built == [KEY, KEY]
+
+
+def test_an_artifact_moved_to_another_key_is_not_read(store: StageStore) -> None:
+    other = StageKey("bank", 2, {})
+    store.build(KEY, Five()).path.rename(folder_of(store, other))
+    assert store.get(other) is None
+    assert not folder_of(store, other).exists()
+
+
+def test_checksums_are_read_once_while_the_files_are_unchanged(
+    store: StageStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    built = store.build(KEY, Five())
+    for path in built.path.iterdir():
+        os.utime(path, (1e9, 1e9))
+    hashed: list[str] = []
+    real = artifact_module.hash_file
+    monkeypatch.setattr(artifact_module, "hash_file", lambda path: hashed.append(path.name) or real(path))
+    for _ in range(3):
+        assert store.get(KEY) == built
+    assert sorted(hashed) == list(built.names)
+    os.utime(built.file("sum.npy"), (1e9, 1e9 + 1))
+    assert store.get(KEY) == built
+    assert len(hashed) == 2 * len(built.names)
+
+
+def test_pickled_arrays_are_refused(store: StageStore) -> None:
+    objects = np.array([{"a": 1}], dtype=object)
+    with pytest.raises(StoreError, match="Python objects"):
+        store.build(KEY, lambda workspace: workspace.save_array("x", objects))
+    artifact = store.build(
+        KEY, lambda workspace: workspace.save_file("x.npy", lambda path: np.save(path, objects, allow_pickle=True))
+    )
+    for mmap in (True, False):
+        with pytest.raises(StoreError, match=r"x\.npy"):
+            artifact.array("x", mmap=mmap)
+
+
+def test_a_change_within_one_tick_of_the_clock_is_seen(store: StageStore) -> None:
+    path = store.build(KEY, Five()).file("sum.npy")
+    assert store.get(KEY) is not None
+    stat = path.stat()
+    flip("sum.npy", -1)(path.parent)
+    os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    assert store.get(KEY) is None

@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+import hashlib
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import StoreError
+from tactile_loc.store.keys import StageKey, canonical_json, hash_arrays, hash_file
+
+
+def test_digest_is_that_of_the_canonical_json() -> None:
+    text = '{"inputs":{"a":[1,0.1,null,true],"b":{"x":"\\u00e9"}},"stage":"grid","version":3}'
+    key = StageKey("grid", 3, {"b": {"x": "é"}, "a": (1, 0.1, None, True)})
+    assert key.digest == hashlib.sha256(text.encode()).hexdigest()
+    assert key.short == key.digest[:16]
+
+
+def test_order_of_inputs_does_not_matter() -> None:
+    one = StageKey("grid", 1, {"a": 1, "b": {"c": 2.5, "d": [1, 2]}})
+    other = StageKey("grid", 1, {"b": {"d": [1, 2], "c": 2.5}, "a": 1})
+    assert one == other
+    assert hash(one) == hash(other)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        StageKey("bank", 1, {"a": 1, "b": [0.1, 2]}),
+        StageKey("grid", 2, {"a": 1, "b": [0.1, 2]}),
+        StageKey("grid", 1, {"a": 2, "b": [0.1, 2]}),
+        StageKey("grid", 1, {"a": 1, "b": [2, 0.1]}),
+        StageKey("grid", 1, {"a": 1, "b": [math.nextafter(0.1, 1), 2]}),
+        StageKey("grid", 1, {"a": "1", "b": [0.1, 2]}),
+        StageKey("grid", 1, {"a": True, "b": [0.1, 2]}),
+        StageKey("grid", 1, {"a": 1, "b": [0.1, 2], "c": None}),
+    ],
+)
+def test_any_change_changes_the_digest(other: StageKey) -> None:
+    assert StageKey("grid", 1, {"a": 1, "b": [0.1, 2]}) != other
+
+
+def test_key_does_not_follow_a_later_change_of_its_inputs() -> None:
+    options = {"steps": [1, 2]}
+    key = StageKey("grid", 1, options)
+    options["steps"].append(3)
+    assert key.inputs == {"steps": [1, 2]}
+    assert key == StageKey("grid", 1, {"steps": [1, 2]})
+
+
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        (math.nan, "nan"),
+        (math.inf, "inf"),
+        (np.float64("nan"), "nan"),
+        (np.int64(3), "numpy.int64"),
+        (np.zeros(2), "numpy.ndarray"),
+        (Path("x"), "Path"),
+        ({1: 2}, "keys are not all strings"),
+    ],
+)
+def test_refuses_what_has_no_canonical_form(value: object, says: str) -> None:
+    with pytest.raises(StoreError, match=rf"'grid'.*\['pose'\]\[1\].*{says}"):
+        StageKey("grid", 1, {"pose": [0, value]})  # type: ignore[list-item]
+
+
+@pytest.mark.parametrize("name", ["", "..", "a/b", "/etc", "grid\n"])
+def test_refuses_stage_names_that_leave_the_store(name: str) -> None:
+    with pytest.raises(StoreError, match="cannot name a stage"):
+        StageKey(name, 1, {})
+
+
+def test_numpy_float_is_a_float() -> None:
+    assert canonical_json({"a": np.float64(0.1)}) == canonical_json({"a": 0.1}) == '{"a":0.1}'
+
+
+def test_hash_arrays_sees_values_dtype_shape_and_name() -> None:
+    a = np.arange(6, dtype=np.float32).reshape(2, 3)
+    reference = hash_arrays(a=a)
+    changed = a.copy()
+    changed[1, 2] = np.nextafter(changed[1, 2], np.float32(9))
+    assert len(reference) == 64
+    assert reference == hash_arrays(a=a.copy())
+    others = [changed, a.reshape(3, 2), a.ravel(), a.astype(np.float64), a.view(np.int32), a.astype(">f4")]
+    assert len({reference, hash_arrays(b=a), *(hash_arrays(a=other) for other in others)}) == 2 + len(others)
+
+
+def test_hash_arrays_ignores_memory_layout_and_order_of_names() -> None:
+    a, b = np.arange(12.0).reshape(3, 4), np.arange(3)
+    assert hash_arrays(a=a, b=b) == hash_arrays(b=b, a=np.asfortranarray(a))
+    assert hash_arrays(a=a[:, ::2]) == hash_arrays(a=a[:, ::2].copy())
+    assert hash_arrays(a=a, b=b) != hash_arrays(a=b, b=a)
+
+
+def test_hash_arrays_of_odd_kinds() -> None:
+    kinds = [
+        np.zeros((0, 3)),
+        np.zeros((3, 0)),
+        np.array(1.0),
+        np.array([1.0]),
+        np.array(["1970"], "M8[s]"),
+        np.array(["a"]),
+    ]
+    assert len({hash_arrays(a=kind) for kind in kinds}) == len(kinds)
+    with pytest.raises(StoreError, match="'a' holds Python objects"):
+        hash_arrays(a=np.array([{}]))
+
+
+def test_hash_file(tmp_path: Path) -> None:
+    content = bytes(range(256)) * 5000
+    (tmp_path / "mesh.stl").write_bytes(content)
+    assert hash_file(tmp_path / "mesh.stl") == hashlib.sha256(content).hexdigest()
+    with pytest.raises(StoreError, match=r"none\.stl"):
+        hash_file(tmp_path / "none.stl")

@@ -1,0 +1,226 @@
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+from store_helpers import KEY, Five, folder_of, forbidden, run_python
+
+from tactile_loc.core.errors import StoreError
+from tactile_loc.store.store import StageKey, StageStore, Workspace, default_root
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> StageStore:
+    return StageStore(tmp_path / "store")
+
+
+def test_built_once_then_read(store: StageStore) -> None:
+    five = Five()
+    built = store.build(KEY, five)
+    again = store.build(StageKey("bank", 1, {"step_m": 0.002, "grid": "abc"}), forbidden)
+    assert five.computed == [0, 1, 2, 3, 4]
+    assert store.built == [KEY]
+    assert again == built
+    assert StageStore(store.root).get(KEY) == built
+
+
+def test_artifact_gives_back_what_was_saved(store: StageStore) -> None:
+    arrays = {
+        "f32": np.arange(6, dtype=np.float32).reshape(2, 3),
+        "empty": np.zeros((0, 4)),
+        "scalar": np.array(3),
+        "fortran": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+        "flags": np.array([True, False]),
+    }
+
+    def make(workspace: Workspace) -> None:
+        for name, array in arrays.items():
+            workspace.save_array(name, array)
+        workspace.save_file("both.npz", lambda path: np.savez(path, a=arrays["f32"]))
+
+    artifact = store.build(KEY, make)
+    for name, array in arrays.items():
+        for mmap in (True, False):
+            found = artifact.array(name, mmap=mmap)
+            assert found.dtype == array.dtype
+            np.testing.assert_array_equal(found, array)
+    assert isinstance(artifact.array("f32"), np.memmap)
+    assert not isinstance(artifact.array("f32", mmap=False), np.memmap)
+    with pytest.raises(ValueError, match="read-only"):
+        artifact.array("f32")[0, 0] = 1
+    np.testing.assert_array_equal(np.load(artifact.file("both.npz"))["a"], arrays["f32"])
+    assert artifact.names == ("both.npz", *sorted(f"{name}.npy" for name in arrays))
+    assert artifact.nbytes == sum(artifact.file(name).stat().st_size for name in artifact.names)
+
+
+def test_folder_holds_the_kept_pieces_and_the_manifest_only(store: StageStore) -> None:
+    def make(workspace: Workspace) -> None:
+        Five()(workspace)
+        (workspace.path / "scratch").mkdir()
+        (workspace.path / "scratch" / "notes.txt").write_text("x")
+
+    artifact = store.build(KEY, make)
+    assert artifact.names == ("meta.json", "piece0.npy", "piece1.npy", "piece2.npy", "sum.npy")
+    assert artifact.path == folder_of(store)
+    assert {path.name for path in artifact.path.iterdir()} == {*artifact.names, "manifest.json"}
+    assert (artifact.path / "meta.json").read_text() == '{\n "a": [\n  1.5,\n  null\n ],\n "n": 5\n}\n'
+    assert artifact.json("meta") == {"n": 5, "a": [1.5, None]}
+    manifest = json.loads((artifact.path / "manifest.json").read_text())
+    assert manifest["inputs"] == KEY.inputs
+    assert (manifest["stage"], manifest["version"]) == ("bank", 1)
+    assert set(manifest["files"]["sum.npy"]) == {"size", "sha256"}
+
+
+def test_other_inputs_are_another_artifact(store: StageStore) -> None:
+    other = StageKey("bank", 2, KEY.inputs)
+    store.build(KEY, lambda workspace: workspace.save_json("x", 1))
+    store.build(other, lambda workspace: workspace.save_json("x", 2))
+    found = [store.get(key) for key in (KEY, other)]
+    assert [artifact.json("x") for artifact in found if artifact] == [1, 2]
+
+
+def test_a_label_is_kept_and_is_no_part_of_the_key(store: StageStore) -> None:
+    named = StageKey(KEY.stage, KEY.version, KEY.inputs, label="pin")
+    assert named == KEY
+    assert store.build(named, Five()).key.label == "pin"
+    assert store.build(KEY, forbidden).key.label == "pin"
+
+
+def test_asking_for_what_is_not_there(store: StageStore) -> None:
+    artifact = store.build(KEY, Five())
+    with pytest.raises(StoreError, match=r"no 'nothing\.npy'; it holds meta\.json, piece0"):
+        artifact.array("nothing")
+    with pytest.raises(StoreError, match=r"manifest"):
+        artifact.json("manifest")
+
+
+@pytest.mark.parametrize("name", ["../up", "a/b", ".hidden", "", "manifest"])
+def test_names_stay_inside_the_folder(store: StageStore, name: str) -> None:
+    with pytest.raises(StoreError, match="cannot name a file"):
+        store.build(KEY, lambda workspace: workspace.save_json(name, 1))
+
+
+@pytest.mark.parametrize("value", [float("nan"), {"a": Path("x")}])
+def test_refuses_json_that_is_none(store: StageStore, value: object) -> None:
+    with pytest.raises(StoreError, match=r"'x' of stage bank .* not a finite JSON value"):
+        store.build(KEY, lambda workspace: workspace.save_json("x", value))
+
+
+# Two processes
+
+
+BUILDER = """
+import logging, os, sys, time
+from pathlib import Path
+import numpy as np
+from tactile_loc.store.store import StageKey, StageStore
+
+root, calls = Path(sys.argv[1]), Path(sys.argv[2])
+logging.basicConfig(level=logging.INFO, stream=sys.stdout)
+
+def compute():
+    with calls.open("a") as file:
+        file.write("made\\n")
+    deadline_s = time.monotonic() + 20
+    while not (calls.parent / "go").exists() and time.monotonic() < deadline_s:
+        time.sleep(0.01)
+    return np.random.default_rng(os.getpid()).normal(size=100)
+
+store = StageStore(root)
+artifact = store.build(StageKey("bank", 1, {}), lambda workspace: workspace.array("x", compute))
+print("RESULT", len(store.built), artifact.array("x").tobytes().hex())
+"""
+
+
+def test_two_processes_build_once(store: StageStore, tmp_path: Path) -> None:
+    processes = [run_python(BUILDER, store.root, tmp_path / "calls") for _ in range(2)]
+    first_lines = [process.stdout.readline() for process in processes if process.stdout]
+    assert sorted("waiting for it" in line for line in first_lines) == [False, True]
+    (tmp_path / "go").touch()
+    results = [process.communicate(timeout=60)[0].split("RESULT ")[1].split() for process in processes]
+    assert (tmp_path / "calls").read_text() == "made\n"
+    assert sorted(built for built, _ in results) == ["0", "1"]
+    assert results[0][1] == results[1][1]
+
+
+def test_what_is_being_built_is_neither_waited_for_by_get_nor_removed(store: StageStore) -> None:
+    def make(workspace: Workspace) -> None:
+        other = StageStore(store.root)
+        assert other.get(KEY) is None
+        with pytest.raises(StoreError, match="being built by another process"):
+            other.remove(KEY.digest)
+        (entry,) = other.entries()
+        assert other.is_being_built(entry)
+        workspace.save_json("x", 1)
+
+    assert store.build(KEY, make).json("x") == 1
+    (entry,) = store.entries()
+    assert not store.is_being_built(entry)
+
+
+def test_one_stage_may_build_another(store: StageStore) -> None:
+    grid = StageKey("grid", 1, {})
+
+    def make(workspace: Workspace) -> None:
+        inner = store.build(grid, lambda inside: inside.save_array("poses", np.arange(3)))
+        workspace.save_array("bank", inner.array("poses") * 2)
+
+    np.testing.assert_array_equal(store.build(KEY, make).array("bank"), [0, 2, 4])
+    assert store.built == [grid, KEY]
+
+
+# The store as a whole
+
+
+def test_entries_and_remove(store: StageStore) -> None:
+    assert store.entries() == []
+    grid = StageKey("grid", 1, {})
+    bank, poses = store.build(KEY, Five()), store.build(grid, Five())
+    with pytest.raises(KeyboardInterrupt):
+        store.build(StageKey("shapes", 1, {}), Five(stop_at=1))
+    (store.root / "grid" / "mine").mkdir()
+    entries = store.entries()
+    assert [(entry.stage, entry.complete) for entry in entries] == [("bank", True), ("grid", True), ("shapes", False)]
+    assert [entry.digest for entry in entries[:2]] == [KEY.short, grid.short]
+    assert entries[0].nbytes == bank.nbytes + (bank.path / "manifest.json").stat().st_size
+    assert abs((entries[0].created - bank.created).total_seconds()) < 60
+    assert store.remove(KEY.digest) == entries[0].nbytes
+    assert store.remove(entries[2].digest) == entries[2].nbytes > 0
+    assert store.remove("") == store.remove(KEY.digest) == 0
+    assert [entry.stage for entry in store.entries()] == ["grid"]
+    assert store.get(KEY) is None
+    assert store.get(grid) == poses
+    assert (store.root / "grid" / "mine").is_dir()
+
+
+def test_default_root(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in ("TACTILE_LOC_STORE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert default_root() == tmp_path / ".cache" / "tactile-loc"
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")
+    assert default_root() == tmp_path / ".cache" / "tactile-loc"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    assert default_root() == tmp_path / "xdg" / "tactile-loc"
+    monkeypatch.setenv("TACTILE_LOC_STORE", "~/mine")
+    assert StageStore().root == tmp_path / "mine"
+    assert StageStore(Path("~/other")).root == tmp_path / "other"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_reading_creates_nothing(store: StageStore) -> None:
+    assert store.get(KEY) is None
+    assert store.entries() == []
+    assert not store.root.exists()
+
+
+def test_says_what_it_does(store: StageStore, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO):
+        store.build(KEY, Five())
+    assert [record.getMessage().split(KEY.short)[1][:12] for record in caplog.records] == [
+        " is being bu",
+        " is built: 0",
+    ]

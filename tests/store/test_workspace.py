@@ -1,0 +1,236 @@
+from __future__ import annotations
+
+import errno
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from store_helpers import KEY, Five, contents, flip, folder_of, reference, run_python
+
+from tactile_loc.core.errors import StoreError
+from tactile_loc.store.store import Artifact, StageStore, Workspace
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> StageStore:
+    return StageStore(tmp_path / "store")
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("out of luck")])
+def test_interrupted_build_is_taken_up_again(store: StageStore, tmp_path: Path, error: BaseException) -> None:
+    with pytest.raises(type(error)):
+        store.build(KEY, Five(stop_at=2, error=error))
+    assert store.get(KEY) is None
+    assert not folder_of(store).exists()
+    assert store.built == []
+    five = Five()
+    artifact = StageStore(store.root).build(KEY, five)
+    assert five.computed == [2, 3, 4]
+    assert contents(artifact.path) == reference(tmp_path)
+    assert not artifact.path.with_suffix(".partial").exists()
+
+
+@pytest.mark.parametrize("damage", [lambda path: os.truncate(path, 300), Path.unlink, flip("", -1)])
+def test_damaged_piece_is_computed_again(store: StageStore, tmp_path: Path, damage: Callable[[Path], None]) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        store.build(KEY, Five(stop_at=4))
+    damage(folder_of(store).with_suffix(".partial") / "piece1.npy")
+    five = Five()
+    assert contents(store.build(KEY, five).path) == reference(tmp_path)
+    assert five.computed == [1, 4]
+
+
+def test_unreadable_record_of_pieces_costs_a_full_build_only(store: StageStore, tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        store.build(KEY, Five(stop_at=4))
+    os.truncate(folder_of(store).with_suffix(".partial") / ".pieces.json", 20)
+    five = Five()
+    assert contents(store.build(KEY, five).path) == reference(tmp_path)
+    assert five.computed == [0, 1, 2, 3, 4]
+
+
+def test_left_over_pieces_that_the_build_does_not_ask_for_are_dropped(store: StageStore) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        store.build(KEY, Five(stop_at=2))
+    assert store.build(KEY, lambda workspace: workspace.save_json("x", 1)).names == ("x.json",)
+    assert contents(folder_of(store)) == {"x.json": b"1\n"}
+
+
+def train(workspace: Workspace, stop_at: int | None, ran: list[int]) -> None:
+    """Count to five as a training would, with one checkpoint that every epoch replaces."""
+    state = workspace.load("checkpoint", keep=False)
+    state = np.zeros(2) if state is None else state
+    for epoch in range(int(state[0]), 5):
+        if epoch == stop_at:
+            raise KeyboardInterrupt
+        ran.append(epoch)
+        state = np.array([epoch + 1, state[1] + epoch])
+        workspace.save_array("checkpoint", state, keep=False)
+    workspace.save_array("weights", state)
+
+
+def test_a_checkpoint_may_be_replaced(store: StageStore) -> None:
+    ran: list[int] = []
+    with pytest.raises(KeyboardInterrupt):
+        store.build(KEY, lambda workspace: train(workspace, 3, ran))
+    artifact = store.build(KEY, lambda workspace: train(workspace, None, ran))
+    assert ran == [0, 1, 2, 3, 4]
+    assert artifact.names == ("weights.npy",)
+    np.testing.assert_array_equal(artifact.array("weights"), [5, 10])
+
+
+def test_a_kill_between_record_and_rename_keeps_the_earlier_checkpoint(
+    store: StageStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = os.replace
+
+    def killed(source: Path, target: Path) -> None:
+        if Path(target).name == "x.npy":
+            raise KeyboardInterrupt
+        real(source, target)
+
+    def make(workspace: Workspace) -> None:
+        workspace.save_array("x", np.array([1]))
+        monkeypatch.setattr(os, "replace", killed)
+        workspace.save_array("x", np.array([2]))
+
+    with pytest.raises(KeyboardInterrupt):
+        store.build(KEY, make)
+    monkeypatch.undo()
+    artifact = store.build(KEY, lambda workspace: workspace.array("x", lambda: np.array([3])))
+    np.testing.assert_array_equal(artifact.array("x"), [1])
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from store_helpers import KEY, Five
+from tactile_loc.store.store import StageStore
+
+class Killed(Five):
+    def piece(self, i):
+        if i == 3:
+            (self.path / "piece3.npy").write_bytes(b"half written")
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().piece(i)
+
+    def __call__(self, workspace):
+        self.path = workspace.path
+        super().__call__(workspace)
+
+StageStore(Path(sys.argv[1])).build(KEY, Killed())
+"""
+
+
+def test_killed_build_is_taken_up_again(store: StageStore, tmp_path: Path) -> None:
+    process = run_python(KILLED, store.root, Path(__file__).parent)
+    process.communicate(timeout=60)
+    assert process.returncode == -signal.SIGKILL
+    assert store.get(KEY) is None
+    five = Five()
+    assert contents(store.build(KEY, five).path) == reference(tmp_path)
+    assert five.computed == [3, 4]
+
+
+# A disk that refuses
+
+
+@pytest.mark.parametrize("call", ["fsync", "replace", "rename"])
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EACCES, errno.EROFS])
+def test_refusing_disk(
+    store: StageStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, code: int
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(os, call, refuse)
+    with pytest.raises(StoreError) as caught:
+        store.build(KEY, Five())
+    monkeypatch.undo()
+    message = str(caught.value)
+    assert str(store.root) in message
+    assert os.strerror(code) in message
+    assert "TACTILE_LOC_STORE" in message
+    assert "--store" in message
+    assert ("free some space" in message) == (code == errno.ENOSPC)
+    assert not folder_of(store).exists()
+    assert contents(store.build(KEY, Five()).path) == reference(tmp_path)
+
+
+def test_full_device(store: StageStore, tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match=r"weights\.bin of stage bank .*No space left on device; free some space"):
+        store.build(KEY, lambda ws: ws.save_file("weights.bin", lambda _: Path("/dev/full").write_bytes(b"x" * 9000)))
+    assert contents(store.build(KEY, Five()).path) == reference(tmp_path)
+
+
+LIMITED = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+from tactile_loc.core.errors import StoreError
+from tactile_loc.store.store import StageKey, StageStore
+
+resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))
+store, key = StageStore(Path(sys.argv[1])), StageKey("bank", 1, {})
+
+def make(workspace):
+    workspace.array("small", lambda: np.arange(100))
+    workspace.array("large", lambda: np.zeros(1_000_000))
+
+try:
+    store.build(key, make)
+except StoreError as error:
+    print(error)
+print(sorted(path.name for path in (store.root / "bank").iterdir() if path.suffix == ""))
+print(sorted(path.name for path in (store.root / "bank" / f"{key.short}.partial").iterdir()))
+resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+print(store.build(key, make).array("large").shape)
+"""
+
+
+def test_write_that_stops_short(store: StageStore) -> None:
+    lines = run_python(LIMITED, store.root).communicate(timeout=60)[0].splitlines()
+    assert lines[0].startswith("Cannot store large.npy of stage bank")
+    assert "; free some space there or choose another folder" in lines[0]
+    assert lines[1:] == ["[]", "['.pieces.json', 'small.npy']", "(1000000,)"]
+
+
+def test_pieces_survive_a_manifest_that_cannot_be_written(store: StageStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = os.replace
+
+    def refuse(source: Path, target: Path) -> None:
+        if Path(target).name == "manifest.json":
+            raise OSError(errno.ENOSPC, "full")
+        real(source, target)
+
+    monkeypatch.setattr(os, "replace", refuse)
+    with pytest.raises(StoreError):
+        store.build(KEY, Five())
+    monkeypatch.undo()
+    five = Five()
+    store.build(KEY, five)
+    assert five.computed == []
+
+
+@pytest.mark.parametrize("blocked", ["store", "store/bank", "store/bank/{short}.partial"])
+def test_file_in_the_place_of_a_folder(store: StageStore, blocked: str) -> None:
+    path = store.root.parent / blocked.format(short=KEY.short)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("in the way")
+    assert store.get(KEY) is None
+    with pytest.raises(StoreError, match="a file stands where a folder is needed; choose another folder"):
+        store.build(KEY, Five())
+    path.unlink()
+    assert isinstance(store.build(KEY, Five()), Artifact)
+
+
+def test_errors_of_make_pass_through(store: StageStore) -> None:
+    def make(workspace: Workspace) -> None:
+        workspace.array("x", lambda: np.load("/nowhere/x.npy"))
+
+    with pytest.raises(FileNotFoundError):
+        store.build(KEY, make)
