@@ -35,7 +35,7 @@ def measure(path: str, arguments: argparse.Namespace, store: Path) -> str:
     localizer = Localizer.create(name, units=units or "auto", grid=grid, store=StageStore(store))
     most = max(NUMBERS)
     touches = localizer.simulate(arguments.examples * most, arguments.seed, noise="strong")
-    posteriors = [localizer.single_posterior(touch) for touch in touches]
+    posteriors = [localizer.posteriors([touch])[0] for touch in touches]
     T_base_sensor = [invert(touch.T_sensor_object[None])[0] for touch in touches]
     cells = []
     for n in NUMBERS:

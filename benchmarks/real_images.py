@@ -92,7 +92,7 @@ def located(sensor: Path, shapes: Path, store: Path) -> list[str]:
     for press in PRESSES_MM:
         touch = localizer.read_touch(shapes / f"prism_{press}_real.png")
         localization = localizer.localize(touch)
-        turns = [_off(h.refined.T_sensor_object, _pose(poses, press), touch.geometry) for h in localization.hypotheses]
+        turns = [_off(h.T_sensor_object, _pose(poses, press), touch.geometry) for h in localization.hypotheses]
         x_mm, y_mm, yaw_deg = turns[0]
         apart = min((abs(abs(t[2] - turns[0][2]) - 180) for t in turns[1:]), default=np.inf)
         both = "yes" if apart < 5 else "no"

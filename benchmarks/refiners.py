@@ -65,7 +65,7 @@ LINES = ("reg-1", "chosen of 10", "oracle reg-10")
 TEN = 10
 RIGHT_MODE_MM = 6.0
 DISTINCTIVE = 0.1  # of the first mode's probability: a touch with a less probable second mode is distinctive
-TEMPERATURE = 1e-3  # fixed: which modes there are must not hang on touches that confidence was learned from
+TEMPERATURE = 1e-3  # fixed: which modes there are must not hang on touches that a temperature was fitted to
 LEAST_MM = 1e-3  # smaller differences are none
 
 

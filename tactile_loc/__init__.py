@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from tactile_loc.io.meshes import load_object as load_object
     from tactile_loc.io.touches import read_touch as read_touch
     from tactile_loc.io.touches import write_touch as write_touch
-    from tactile_loc.locate.contacts import localize_together as localize_together
     from tactile_loc.locate.localizer import Localizer as Localizer
-    from tactile_loc.locate.probabilities import Confidence as Confidence
+    from tactile_loc.locate.localizer import localize_together as localize_together
+    from tactile_loc.locate.probabilities import TemperatureScaling as TemperatureScaling
     from tactile_loc.locate.result import Hypothesis as Hypothesis
     from tactile_loc.locate.result import Localization as Localization
     from tactile_loc.store.store import StageStore as StageStore
@@ -47,9 +47,8 @@ _HOMES = {
     "io.config": ["RunConfig"],
     "io.meshes": ["load_object"],
     "io.touches": ["read_touch", "write_touch"],
-    "locate.contacts": ["localize_together"],
-    "locate.localizer": ["Localizer"],
-    "locate.probabilities": ["Confidence"],
+    "locate.localizer": ["Localizer", "localize_together"],
+    "locate.probabilities": ["TemperatureScaling"],
     "locate.result": ["Hypothesis", "Localization"],
     "store.store": ["StageStore"],
 }

@@ -15,7 +15,7 @@ from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.core.symmetry import SymmetryGroup
-from tactile_loc.locate import probabilities as confidence
+from tactile_loc.locate import probabilities
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
@@ -36,11 +36,12 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(autouse=True, scope="session")
-def few_touches_to_learn_confidence_from() -> Iterator[None]:
-    """A tenth of the touches from which a localizer learns how sure to be: most tests ask about something else."""
+def shipped_touches() -> Iterator[int]:
+    """How many touches a localizer fits its probabilities to; most tests ask about something else, and get a tenth."""
+    shipped = probabilities.TOUCHES
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(confidence, "TOUCHES", 15)
-        yield
+        patch.setattr(probabilities, "TOUCHES", shipped // 10)
+        yield shipped
 
 
 @pytest.fixture(scope="session")

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 
 def title(record: ResultRecord) -> str:
-    """Return the picture's title: object, sensor, certainty, error."""
-    text = f"{record.object.name} on {_sensor(record)}: certainty {record.certainty:.2f}"
+    """Return the picture's title: object, sensor, normalised entropy, error."""
+    text = f"{record.object.name} on {_sensor(record)}: normalised entropy {record.normalised_entropy:.2f}"
     return text if record.errors is None else f"{text}, error {_mm(record.errors.best_m)} mm"
 
 
@@ -30,7 +30,7 @@ def pose_table(record: ResultRecord) -> None:
         title=f"{record.object.name} in the frame of {_sensor(record)}, {touch}", title_justify="left", box=None
     )
     known = record.errors is not None
-    for name in ("rank", "prob. %", "x mm", "y mm", "z mm", "turn deg", "about axis", "fit %"):
+    for name in ("rank", "prob. %", "x mm", "y mm", "z mm", "turn deg", "about axis", "imprint IoU %"):
         table.add_column(name, justify="right", no_wrap=True)
     if known:
         table.add_column("error mm", justify="right", no_wrap=True)
@@ -42,7 +42,7 @@ def pose_table(record: ResultRecord) -> None:
 def summary(record: ResultRecord) -> Iterator[str]:
     """Yield the lines below the table."""
     yield (
-        f"certainty: {record.certainty:.2f} (1: one pose is certain, 0: nothing is known), "
+        f"normalised entropy: {record.normalised_entropy:.2f} (0: one pose is certain, 1: nothing is known), "
         f"{record.grid_poses} poses searched"
     )
     grid = record.configuration["grid"]
@@ -73,7 +73,7 @@ def _cells(h: HypothesisRecord) -> list[str]:
     angle_deg, axis = axis_angle(T[:3, :3])
     cells = [
         str(h.rank), f"{100 * h.probability:.1f}", *(f"{1e3 * v:.2f}" for v in T[:3, 3]), f"{angle_deg:.1f}",
-        "({:.3f}, {:.3f}, {:.3f})".format(*axis), f"{100 * h.explained:.0f}",
+        "({:.3f}, {:.3f}, {:.3f})".format(*axis), f"{100 * h.imprint_iou:.0f}",
     ]  # fmt: skip
     return cells if h.error_m is None else [*cells, _mm(h.error_m)]
 

@@ -25,6 +25,7 @@ Float64 = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 FAINTEST = 0.2  # of the least imprint that shows: the wandering threshold never falls below
+SHALLOWEST = 0.1  # of the true press: no measurement says less
 REACH = 4.0  # standard deviations of a Gaussian that count
 
 
@@ -158,9 +159,6 @@ def _field_weights(pixels_m: Float64, low_m: float, high_m: float, patch_m: floa
     weights = np.where(np.abs(z) < REACH, np.exp(-0.5 * z**2), 0.0)  # tiny numbers would be slow ones
     normalised: Float32 = (weights / np.linalg.norm(weights, axis=1, keepdims=True)).astype(np.float32)
     return normalised
-
-
-SHALLOWEST = 0.1  # of the true press: no measurement says less
 
 
 @dataclass(frozen=True)
@@ -308,7 +306,7 @@ NOISE = {
 }  # fmt: skip
 
 
-def noise(name: str) -> TouchNoise:
+def noise_level(name: str) -> TouchNoise:
     """Return the noise called none, mild or strong. Raises ConfigError for another name."""
     if name not in NOISE:
         raise ConfigError(f"there is no noise {name!r}; give one of {', '.join(NOISE)}.{did_you_mean(name, NOISE)}")

@@ -58,10 +58,11 @@ class PosePosterior:
         return np.exp(self.log_p)
 
     def top(self, count: int) -> NDArray[np.int64]:
-        """Return the grid indices (K,) of the `count` most probable poses, most probable first."""
+        """Return the grid indices (K,) of the `count` most probable poses, most probable first, ties by index."""
         count = min(count, len(self.log_p))
-        best = np.argpartition(-self.log_p, count - 1)[:count]
-        return best[np.lexsort((best, -self.log_p[best]))]
+        least = np.partition(self.log_p, -count)[-count]
+        best = np.flatnonzero(self.log_p >= least)  # more than `count` where several are as probable as the last
+        return best[np.argsort(-self.log_p[best], kind="stable")][:count]
 
     @property
     def entropy(self) -> float:

@@ -1,4 +1,4 @@
-"""Progress of long work: by default nobody watches."""
+"""Progress of long work, by default watched by nobody, and how long its stages take."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 
 class Progress:
@@ -21,14 +20,24 @@ class Progress:
         """Show one line about the running task, such as a loss; the next replaces it."""
 
 
+class StageTimes:
+    """How long each stage took: `seconds` by name, in the order in which they first ran."""
+
+    def __init__(self, seconds: dict[str, float] | None = None) -> None:
+        self.seconds: dict[str, float] = {} if seconds is None else seconds
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the block's duration to that of the stage called `name`."""
+        start_s = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start_s
+
+    def shared_among(self, count: int) -> StageTimes:
+        """Return new times, each a `count`-th: what one of so many that were worked on together took."""
+        return StageTimes({name: seconds / count for name, seconds in self.seconds.items()})
+
+
 def rank() -> int:
     """Return this process's number among those that torchrun started together; 0 when it did not."""
     return int(os.environ.get("RANK", "0"))
-
-
-def timed(seconds: dict[str, float], stage: str, work: Callable[[], Any]) -> Any:
-    """Return what `work` returns, and note in `seconds` how long the stage took, seconds."""
-    start = time.perf_counter()
-    result = work()
-    seconds[stage] = time.perf_counter() - start
-    return result

@@ -134,7 +134,7 @@ def _draw_photo(panel: SubFigure, localization: Localization, scene: Scene) -> N
     touch = localization.touch
     axes = panel.add_axes((0.125, 0.19, 0.85, 0.68))
     axes.imshow(np.asarray(touch.image), extent=extent_mm(touch.geometry), origin="upper")
-    made = scene.contact_shape(localization.best.refined.T_sensor_object, touch.press_depth_m)
+    made = scene.contact_shape(localization.best.T_sensor_object, touch.press_depth_m)
     draw_outline(axes, dataclasses.replace(touch, contact_shape=made), EXPECTED)
     axes.tick_params(labelsize=8, length=2.5)
     axes.set_xlabel("x (mm)", size=9, labelpad=2)
@@ -151,11 +151,11 @@ def _draw_candidates(
     for i, hypothesis in enumerate(localization.hypotheses[: 2 * columns]):
         left, bottom = 0.04 + (i % columns) * (width + 0.01), top - (i // columns) * 0.42
         axes = panel.add_axes((left, bottom, width - 0.01, 0.36))
-        shape = scene.contact_shape(hypothesis.refined.T_sensor_object, touch.press_depth_m)
+        shape = scene.contact_shape(hypothesis.T_sensor_object, touch.press_depth_m)
         draw_contact_shape(axes, shape, touch.geometry)
         draw_outline(axes, touch)
         axes.set(xticks=[], yticks=[])
-        axes.set_title(_caption(i, hypothesis.probability, hypothesis.explained, errors_m), size=8.5, pad=4)
+        axes.set_title(_caption(i, hypothesis.probability, hypothesis.imprint_iou, errors_m), size=8.5, pad=4)
     _heading(panel, "best explanations" if columns == 2 else "best")
     panel.text(0.5, 0.012, "red: observed outline", size=9, ha="center", va="bottom", color=OUTLINE)
 
@@ -164,8 +164,8 @@ def _heading(panel: SubFigure, text: str) -> None:
     panel.text(0.5, 0.893, text, size=11, ha="center", va="bottom")
 
 
-def _caption(i: int, probability: float, explained: float, errors_m: NDArray[np.float64] | None) -> str:
-    text = f"{i + 1}:  {percent(probability)},  fit {100 * explained:.0f} %"
+def _caption(i: int, probability: float, imprint_iou: float, errors_m: NDArray[np.float64] | None) -> str:
+    text = f"{i + 1}:  {percent(probability)},  imprint IoU {100 * imprint_iou:.0f} %"
     return text if errors_m is None else f"{text},  {millimetres(errors_m[i])} off"
 
 

@@ -113,12 +113,10 @@ class _Examples:
         """What each touch of each example says alone, and their true poses (M, 4, 4), metres."""
         most = self.contacts[-1]
         touches = [self.source.touch(self.localizer, MOST_CONTACTS * e + k) for e in numbers for k in range(most)]
-        found: dict[int, PosePosterior] = {}
-        for i in sorted(range(len(touches)), key=lambda i: touches[i].press_depth_m):  # those of one bank together
-            found[i] = self.localizer.single_posterior(touches[i])
+        found = self.localizer.posteriors(touches)
         starts = range(0, len(touches), most)
         poses = [np.stack([true_pose(touch) for touch in touches[i : i + most]]) for i in starts]
-        return [[found[i + k] for k in range(most)] for i in starts], poses
+        return [found[i : i + most] for i in starts], poses
 
     def _example(
         self, number: int, posteriors: Sequence[PosePosterior], truths: Poses

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.sensing import Touch
 from tactile_loc.evaluation.belief import belief
 from tactile_loc.evaluation.metrics import add_s, hull_corners, mssd, symmetric_adds
@@ -49,23 +50,23 @@ class Judge:
         one pose. Raises TouchError without a true pose.
         """
         truth = true_pose(touch)
-        seconds: dict[str, float] = {}
-        posterior = self.localizer.posterior(touch, seconds=seconds)
+        times = StageTimes()
+        posterior = self.localizer.posterior(touch, times=times)
         top = posterior.top(MOST)
         top = top[np.isfinite(posterior.log_p[top])]
         guesses = rng.integers(len(posterior.grid), size=FEW)
-        refined, seconds["refine"] = self._refine(touch, posterior, top[:FEW])
+        refined, times.seconds["refine"] = self._refine(touch, posterior, top[:FEW])
         chosen = int(self.localizer.scene.explained(refined, touch).argmax())
         poses = self._lines(truth, top, guesses, oracle, refined, chosen)
-        times = np.array([seconds[stage] for stage in STAGES])
-        return self._measure(poses, truth), poses, times, belief(posterior, truth, rng)
+        seconds = np.array([times.seconds[stage] for stage in STAGES])
+        return self._measure(poses, truth), poses, seconds, belief(posterior, truth, rng)
 
     def _refine(self, touch: Touch, posterior: PosePosterior, top: NDArray[np.int64]) -> tuple[Poses, float]:
         """Refine the grid poses `top` (K,), and say how long the first took, seconds."""
         start = time.perf_counter()
-        first = self.localizer.refine(touch, posterior, int(top[0]))
+        (first,) = self.localizer.refine(touch, posterior, [int(top[0])])
         seconds = time.perf_counter() - start
-        others = self.localizer.refine_many(touch, posterior, [int(index) for index in top[1:]])
+        others = self.localizer.refine(touch, posterior, [int(index) for index in top[1:]])
         return np.stack([pose.T_sensor_object for pose in (first, *others)]), seconds
 
     def _lines(

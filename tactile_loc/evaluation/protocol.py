@@ -85,7 +85,7 @@ def _localise(judge: Judge, numbers: Sequence[int], source: SimulatedTouches) ->
     touches = [source.touch(localizer, number) for number in numbers]
     for touch in touches:
         localizer.matcher(touch.press_depth_m)  # what is built once is no part of a touch's time
-    localizer.best_pose(touches[0])  # nor is loading libraries
+    localizer.most_probable_pose(touches[0])  # nor is loading libraries
     oracle = oracle_poses(localizer, touches)
     rows = []
     what = f"{localizer.object.name} ({localizer.config.encoder.name})"

@@ -46,6 +46,7 @@ def describe_located(localizer: Localizer, touches: SimulatedTouches, count: int
     """Return what decides the posteriors of `count` simulated touches, and those fused with them, as JSON values."""
     matcher = registry().create("matcher", localizer.config.matcher.name, localizer.config.matcher.options)
     return {
-        **localizer.describe_scores(), "confidence": asdict(localizer.confidence), "matcher": matcher.describe(),
+        **localizer.describe_scores(), "temperature_scaling": asdict(localizer.temperature_scaling),
+        "matcher": matcher.describe(),
         "fuser": localizer.fuser.describe(), **touches.describe(localizer), "count": count,
     }  # fmt: skip

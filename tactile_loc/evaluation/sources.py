@@ -11,7 +11,7 @@ import numpy as np
 
 from tactile_loc.calibration.folder import Calibration
 from tactile_loc.core.errors import ConfigError, TouchError
-from tactile_loc.core.noise import noise as noise_named
+from tactile_loc.core.noise import noise_level
 from tactile_loc.core.sensing import Touch
 from tactile_loc.imaging.simulate import touch_images
 from tactile_loc.locate.localizer import Localizer
@@ -71,7 +71,7 @@ class SimulatedTouches:
 
     def describe(self, localizer: Localizer) -> dict[str, Any]:
         """Return what identifies the touches of a localizer, as JSON values."""
-        described: dict[str, Any] = {"noise": noise_named(self.noise).describe(), "seed": self.seed}
+        described: dict[str, Any] = {"noise": noise_level(self.noise).describe(), "seed": self.seed}
         return described | ({"images": localizer.sensor.describe()} if self.images else {})
 
     def _drawn(self, localizer: Localizer, number: int, draw: int) -> Touch:

@@ -22,7 +22,7 @@ from tactile_loc.store.workspace import Workspace
 
 SHARD = 1024  # poses rendered, saved and resumed at once
 NO_CONTACT = 65535
-STAGE_VERSIONS = {"grid": 2, "shapes": 1, "bank": 1}
+STAGE_VERSIONS = {"grid": 2, "shapes": 1, "encoder": 2, "bank": 1}
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +157,6 @@ def _encoded(depths_m: NDArray[np.float32], max_depth_m: float) -> NDArray[np.ui
     return np.where(touching, np.minimum(codes, NO_CONTACT - 1), NO_CONTACT).astype(np.uint16)
 
 
-STAGE_VERSION = 2
 CHECKPOINT, WEIGHTS = "checkpoint.safetensors", "encoder.safetensors"
 
 
@@ -187,7 +186,7 @@ def train_encoder(
     """
     if not encoder.capabilities.needs_training:
         return ""
-    key = StageKey("encoder", STAGE_VERSION, {
+    key = StageKey("encoder", STAGE_VERSIONS["encoder"], {
         "shapes": model.key.digest, "encoder": encoder.describe(), "sampler": sampler.describe(),
     })  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""How sure a match makes us: from scores to probabilities that can be trusted, fitted on simulated touches.
+"""From scores to probabilities that can be trusted: a temperature, fitted to scores of touches whose pose is known.
 
 A temperature alone (Guo et al., ICML 2017) that is right for most touches is too sure of the few that look like
 another pose: their truth lies where it leaves nothing. So a share of the probability is spread TAIL_HEAT times as wide.
@@ -6,27 +6,20 @@ another pose: their truth lies where it leaves nothing. So a share of the probab
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.noise import noise
+from tactile_loc.core.noise import noise_level
 from tactile_loc.core.poses import PoseGrid
 from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.sensing import Touch
-from tactile_loc.store.keys import StageKey
-from tactile_loc.store.workspace import Workspace
 
-if TYPE_CHECKING:
-    from tactile_loc.locate.localizer import Localizer
-
-STAGE_VERSION = 2
-FIT = "confidence"
-TOUCHES, BATCH = 150, 25
+STAGE, STAGE_VERSION = "temperature", 1
+TOUCHES, BATCH = 150, 25  # simulated, of known pose
 NOISE = "strong"  # real touches are as far from renders as that, at least
 SEED = 0x5EED  # no evaluation's: its touches must not be those that were fitted
 
@@ -38,7 +31,7 @@ LEAST = 1e-12  # probability of the truth, lest one touch decide alone
 
 
 @dataclass(frozen=True)
-class Confidence:
+class TemperatureScaling:
     """How scores become probabilities: (1 - tail) softmax(s / T) + tail softmax(s / (TAIL_HEAT T)), all unitless."""
 
     temperature: float
@@ -65,8 +58,8 @@ class Confidence:
             return PosePosterior(grid, self.log_p(scores))
 
 
-def fit_confidence(scores: Sequence[NDArray[np.floating]], truth: NDArray[np.int64]) -> Confidence:
-    """Return the confidence that makes the true poses most probable: least mean negative log-likelihood.
+def fit_temperature_scaling(scores: Sequence[NDArray[np.floating]], truth: NDArray[np.int64]) -> TemperatureScaling:
+    """Return the scaling that makes the true poses most probable: least mean negative log-likelihood.
 
     `scores` holds (N,) for each of T touches, `truth` (T,) the index of the pose nearest to the true one.
     """
@@ -74,7 +67,7 @@ def fit_confidence(scores: Sequence[NDArray[np.floating]], truth: NDArray[np.int
     spread = float(np.median([np.ptp(row[np.isfinite(row)]) for row in rows]))
     hottest = np.log(max(spread, np.finfo(float).tiny))
     tried = [
-        Confidence(float(np.exp(t)), tail)
+        TemperatureScaling(float(np.exp(t)), tail)
         for t in np.linspace(hottest - REACH, hottest, REACH * STEPS_PER_E + 1)
         for tail in TAILS
     ]
@@ -82,42 +75,19 @@ def fit_confidence(scores: Sequence[NDArray[np.floating]], truth: NDArray[np.int
     return tried[int(np.argmin(losses))]
 
 
-def learn_confidence(localizer: Localizer) -> Confidence:
-    """Fit the confidence to TOUCHES simulated touches of a localizer's object, or find what was: a stage of its store.
-
-    Raises TouchError or GridError when no touch of the object can be simulated.
-    """
-
-    def learn(work: Workspace) -> None:
-        exact = localizer.with_matcher("dense")
-        scores: list[NDArray[np.float32]] = []
-        truth: list[int] = []
-        with localizer.progress.task("learning how sure to be", TOUCHES) as advance:
-            for start in range(0, TOUCHES, BATCH):
-                for touch in localizer.simulate(min(BATCH, TOUCHES - start), SEED + start, noise=NOISE):
-                    scores.append(exact.scores(touch))
-                    truth.append(_nearest(localizer.model.grid, touch))
-                    advance(1)
-        work.save_json(FIT, asdict(fit_confidence(scores, np.array(truth))))
-
-    return Confidence(**localizer.store.build(confidence_key(localizer), learn).json(FIT))
+def batches() -> Iterator[tuple[int, int]]:
+    """Yield seed and number of the touches to fit to, batch by batch."""
+    for start in range(0, TOUCHES, BATCH):
+        yield SEED + start, min(BATCH, TOUCHES - start)
 
 
-def confidence_key(localizer: Localizer) -> StageKey:
-    """Return the key under which a localizer's confidence is stored: everything that decides it."""
-    return StageKey(FIT, STAGE_VERSION, {
-        **localizer.describe_scores(), "sampler": localizer.sampler.describe(),
-        "noise": noise(NOISE).describe(), "touches": TOUCHES, "batch": BATCH, "seed": SEED,
-    })  # fmt: skip
+def describe_touches() -> dict[str, Any]:
+    """Return what decides which touches are fitted to, but for what draws them, as JSON values."""
+    return {"noise": noise_level(NOISE).describe(), "touches": TOUCHES, "batch": BATCH, "seed": SEED}
 
 
-def _nearest(grid: PoseGrid, touch: Touch) -> int:
-    """The index of the pose nearest to a simulated touch's true one."""
-    return int(grid.nearest(np.asarray(touch.T_sensor_object)[None])[1][0])
-
-
-def _losses(scores: NDArray[np.float64], index: int, tried: Sequence[Confidence]) -> NDArray[np.float64]:
-    """Negative log-likelihood (K,) of pose `index` of scores (N,) with each confidence, nats."""
+def _losses(scores: NDArray[np.float64], index: int, tried: Sequence[TemperatureScaling]) -> NDArray[np.float64]:
+    """Negative log-likelihood (K,) of pose `index` of scores (N,) with each scaling, nats."""
     temperatures = sorted({c.temperature for c in tried} | {TAIL_HEAT * c.temperature for c in tried})
     above = scores - scores.max()
     p = {t: np.exp(above[index] / t) / np.exp(above / t).sum() for t in temperatures}

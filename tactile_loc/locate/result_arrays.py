@@ -21,7 +21,7 @@ from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
 
 if TYPE_CHECKING:
     from tactile_loc.core.posterior import PosePosterior
-    from tactile_loc.locate.contacts import Contact
+    from tactile_loc.locate.localizer import Observation
     from tactile_loc.locate.result import Localization
 
 MOST_POSES = 20_000
@@ -72,9 +72,9 @@ class ResultArrays:
         return np.asarray(p / p.sum())
 
 
-def gather(contacts: Sequence[Contact], localization: Localization) -> ResultArrays:
+def gather(contacts: Sequence[Observation], localization: Localization) -> ResultArrays:
     """Gather the arrays of a localisation by `contacts`: each touch with its localizer, the first as in the result."""
-    poses = np.stack([h.refined.T_sensor_object for h in localization.hypotheses])
+    poses = np.stack([h.T_sensor_object for h in localization.hypotheses])
     first = contacts[0][1]
     touches = []
     for localizer, touch in contacts:

@@ -22,7 +22,7 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
 from tactile_loc.store.files import write_atomically
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 LIBRARIES = (
     "faiss-cpu", "numba", "numpy", "open3d", "open3d-cpu", "pluggy", "pydantic", "pyrender", "scipy", "torch", "trimesh"
 )  # fmt: skip
@@ -65,12 +65,12 @@ class HypothesisRecord(_Record):
     grid_poses: int = Field(description="how many poses of the grid it holds")
     T_sensor_object_grid: Matrix = Field(description="its most probable pose on the grid, (4, 4), m")
     T_sensor_object: Matrix = Field(description="that pose refined, (4, 4), m: the answer")
-    explained: float = Field(
-        description="how well the refined pose explains the touch in depth and outline, 0 to 1: hypotheses are in the "
-        "order of this, and of the prior if there is one"
+    imprint_iou: float = Field(
+        description="how well the refined pose explains the touch in depth and outline, 0 to 1: intersection over "
+        "union of imprints; hypotheses are in the order of this, and of the prior if there is one"
     )
     fitness: float = Field(
-        description="overlap of the observed contact and the refined pose's (intersection over union), 0 to 1"
+        description="what the refiner reached: intersection over union of the observed contact and the pose's, 0 to 1"
     )
     converged: bool = Field(description="whether the refinement converged")
     iterations: int = Field(description="iterations of the refinement")
@@ -101,7 +101,9 @@ class ResultRecord(_Record):
     touch: TouchRecord = Field(description="the touch; of several the first, in whose sensor's frame poses are")
     other_touches: list[TouchRecord] = Field(description="the other touches that were fused with it")
     grid_poses: int = Field(description="poses that were searched")
-    certainty: float = Field(description="1 - entropy / log(grid_poses): 1 one pose is certain, 0 nothing is known")
+    normalised_entropy: float = Field(
+        description="entropy / log(grid_poses): 0 one pose is certain, 1 nothing is known"
+    )
     entropy_nats: float = Field(description="Shannon entropy of the posterior, nats")
     hypotheses: list[HypothesisRecord] = Field(description="distinct explanations, the best first")
     errors: ErrorRecord | None = Field(description="where the true pose is known, else null")
@@ -123,7 +125,7 @@ def result_record(
         touch=_touch(localization.touch, config.touch),
         other_touches=[_touch(touch, config.touch) for touch in localization.others],
         grid_poses=len(posterior.grid),
-        certainty=float(localization.certainty),
+        normalised_entropy=localization.normalised_entropy,
         entropy_nats=posterior.entropy,
         hypotheses=_hypotheses(localization, errors_m),
         errors=_errors(localization, errors_m),
@@ -153,7 +155,7 @@ def pose_errors_m(obj: ObjectModel, localization: Localization) -> NDArray[np.fl
     T_true = localization.touch.T_sensor_object
     if T_true is None:
         return None
-    T = np.stack([h.refined.T_sensor_object for h in localization.hypotheses])
+    T = np.stack([h.T_sensor_object for h in localization.hypotheses])
     return PoseMetric(obj).symmetric_distance(T, np.broadcast_to(T_true, T.shape))
 
 
@@ -186,8 +188,9 @@ def _touch(touch: Touch, source: TouchConfig) -> TouchRecord:
 def _hypotheses(localization: Localization, errors_m: NDArray[np.float64] | None) -> list[HypothesisRecord]:
     return [
         HypothesisRecord(
-            rank=i + 1, probability=h.probability, grid_poses=h.poses, T_sensor_object_grid=h.T_sensor_object.tolist(),
-            T_sensor_object=h.refined.T_sensor_object.tolist(), explained=h.explained, fitness=h.refined.fitness,
+            rank=i + 1, probability=h.probability, grid_poses=h.grid_poses,
+            T_sensor_object_grid=h.T_sensor_object_grid.tolist(), T_sensor_object=h.T_sensor_object.tolist(),
+            imprint_iou=h.imprint_iou, fitness=h.refined.fitness,
             converged=h.refined.converged, iterations=h.refined.iterations,
             error_m=None if errors_m is None else float(errors_m[i]),
         )

@@ -51,7 +51,7 @@ def _card(h: HypothesisRecord, number: int, arrays: ResultArrays) -> str:
         apart = pictures.shape_svg(differs, touch.geometry, outline, f"difference of candidate {h.rank} to the touch")
         pairs.append(f'<div class="pair">{shown}{apart}</div>')
     off = "" if h.error_m is None else f", {millimetres(h.error_m)} off"
-    numbers = f"{percent(h.probability)}, fit {100 * h.explained:.0f} %{off}"
+    numbers = f"{percent(h.probability)}, imprint IoU {100 * h.imprint_iou:.0f} %{off}"
     return (
         f'<div class="card" data-number="{number}" aria-selected="{str(number == 0).lower()}">'
         f"<h4>{h.rank} <span>{escape(numbers)}</span></h4>{''.join(pairs)}</div>"

@@ -55,7 +55,7 @@ def side_sentence(side: dict[str, Any]) -> str:
 def _candidates(record: ResultRecord, poses: NDArray[np.float64]) -> list[dict[str, Any]]:
     return [
         {
-            "rank": h.rank, "probability": h.probability, "explained": h.explained, "T": scene3d.rows_mm(T),
+            "rank": h.rank, "probability": h.probability, "imprint_iou": h.imprint_iou, "T": scene3d.rows_mm(T),
             "error_mm": None if h.error_m is None else 1e3 * h.error_m,
         }
         for h, T in zip(record.hypotheses, poses, strict=True)

@@ -77,8 +77,12 @@ def _tiles(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
     x, y, z = 1e3 * T[:3, 3]
     turned = "turned {:.1f}° about ({:.3f}, {:.3f}, {:.3f})".format(angle_deg, *axis)
     yield "best pose: x, y, z", f"{x:.2f}, {y:.2f}, {z:.2f} mm", f"of the object in the sensor's frame, {turned}"
-    yield "certainty", f"{record.certainty:.2f}", "1: one pose is certain, 0: nothing is known"
-    yield "fit", f"{100 * best.explained:.0f} %", "how well the best pose explains the touch, in depth and outline"
+    yield "normalised entropy", f"{record.normalised_entropy:.2f}", "0: one pose is certain, 1: nothing is known"
+    yield (
+        "imprint IoU",
+        f"{100 * best.imprint_iou:.0f} %",
+        "how well the best pose explains the touch, in depth and outline",
+    )
     yield "probability", percent(best.probability), f"of the best candidate, {best.grid_poses} grid poses together"
     errors = record.errors
     if errors is not None:
@@ -119,7 +123,7 @@ def _cells(h: HypothesisRecord) -> list[str]:
     T = np.array(h.T_sensor_object)
     angle_deg, axis = axis_angle(T[:3, :3])
     cells = [
-        str(h.rank), f"{100 * h.probability:.1f}", f"{100 * h.explained:.0f}", *(f"{1e3 * v:.2f}" for v in T[:3, 3]),
+        str(h.rank), f"{100 * h.probability:.1f}", f"{100 * h.imprint_iou:.0f}", *(f"{1e3 * v:.2f}" for v in T[:3, 3]),
         f"{angle_deg:.1f}", "({:.3f}, {:.3f}, {:.3f})".format(*axis),
     ]  # fmt: skip
     return cells if h.error_m is None else [*cells, f"{1e3 * h.error_m:.2f}"]

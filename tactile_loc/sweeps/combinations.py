@@ -10,7 +10,7 @@ from typing import Any
 
 from tactile_loc import __version__
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.noise import noise as noise_called
+from tactile_loc.core.noise import noise_level
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.registry import SLOTS, registry
 from tactile_loc.evaluation.protocol import PROTOCOL_VERSION
@@ -72,7 +72,7 @@ def combination_key(config: RunConfig, obj: ObjectModel, count: int, components:
     text = canonical_json({
         "version": ROW_VERSION, "tactile-loc": __version__, "protocol": PROTOCOL_VERSION, "count": count,
         "object": {"name": obj.name, **obj.describe()}, "settings": settings, "components": components,
-        "noise": noise_called(config.touch.noise).describe(),
+        "noise": noise_level(config.touch.noise).describe(),
     })  # fmt: skip
     return hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
 

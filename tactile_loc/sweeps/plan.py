@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_loc.core.errors import ConfigError, did_you_mean
-from tactile_loc.core.noise import noise as noise_called
+from tactile_loc.core.noise import noise_level
 from tactile_loc.core.registry import SLOTS, validate_options
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, kind_of_sensor
@@ -113,7 +113,7 @@ def _sensor(chosen: SlotConfig) -> SlotConfig:
 
 def _noises(values: Sequence[Any]) -> tuple[str, ...]:
     for value in values:
-        noise_called(str(value))
+        noise_level(str(value))
     return tuple(dict.fromkeys(map(str, values)))
 
 

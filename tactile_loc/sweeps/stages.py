@@ -13,13 +13,12 @@ from tactile_loc.evaluation.protocol import evaluation_key
 from tactile_loc.evaluation.sources import SimulatedTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.model import SHARD, STAGE_VERSIONS
-from tactile_loc.locate.model import STAGE_VERSION as TRAINING_VERSION
-from tactile_loc.locate.probabilities import Confidence, confidence_key
+from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.combinations import Combination
 
-STAGES = ("grid", "shapes", "encoder", "bank", "confidence", "evaluation")
+STAGES = ("grid", "shapes", "encoder", "bank", "temperature", "evaluation")
 
 
 def stages_to_build(
@@ -62,7 +61,7 @@ class PlannedLocalizer(Localizer):
         """The key of the trained encoder, as `train_encoder` makes it; None for one that needs no training."""
         if not self.encoder.capabilities.needs_training:
             return None
-        return StageKey("encoder", TRAINING_VERSION, {
+        return StageKey("encoder", STAGE_VERSIONS["encoder"], {
             "shapes": self.shapes_key.digest, "encoder": self.encoder.describe(), "sampler": self.sampler.describe(),
         })  # fmt: skip
 
@@ -71,7 +70,7 @@ class PlannedLocalizer(Localizer):
         """The key of the bank at full press, as `build_bank` makes it."""
         return StageKey("bank", STAGE_VERSIONS["bank"], {
             "shapes": self.shapes_key.digest, "encoder": self.encoder.describe(), "trained": self._trained,
-            "press_depth_m": self._bank_press(self.scene.geometry.max_depth_m),
+            "press_depth_m": self.grid_scores.bank_press_m(self.scene.geometry.max_depth_m),
         })  # fmt: skip
 
     @cached_property
@@ -87,14 +86,14 @@ class PlannedLocalizer(Localizer):
         """Return the keys of all stages up to the evaluation."""
         keys = [self.grid_key, self.shapes_key, self.bank_key]
         keys += [] if self.encoder_key is None else [self.encoder_key]
-        return keys + ([confidence_key(self)] if self.config.temperature is None else [])
+        return keys + ([self.temperature_key()] if self.config.temperature is None else [])
 
     def evaluation_key(self, count: int) -> StageKey | None:
-        """Return the key of the evaluation; None when it depends on a confidence that is still to be learned."""
+        """Return the key of the evaluation; None when it depends on a temperature that is still to be fitted."""
         if self.config.temperature is None:
-            learned = self.store.get(confidence_key(self))
+            learned = self.store.get(self.temperature_key())
             if learned is None:
                 return None
-            self.__dict__["confidence"] = Confidence(**learned.json("confidence"))
+            self.__dict__["temperature_scaling"] = TemperatureScaling(**learned.json("temperature"))
         touches = SimulatedTouches(self.config.touch.noise, self.config.seed)
         return evaluation_key(self, count, touches)

@@ -44,9 +44,9 @@ def test_build_builds_once_and_reuses_what_the_change_does_not_touch(cli, tmp_pa
         cli("build", *TINY, "--store", store, *more) for more in ([], [], ["-o", "encoder.cells=10"])
     )
     assert first.exit_code == again.exit_code == other.exit_code == 0
-    assert stages(first.stdout) == {"grid": "built", "shapes": "built", "bank": "built", "confidence": "built"}
-    assert stages(again.stdout) == dict.fromkeys(("grid", "shapes", "bank", "confidence"), "reused")
-    assert stages(other.stdout) == {"grid": "reused", "shapes": "reused", "bank": "built", "confidence": "built"}
+    assert stages(first.stdout) == {"grid": "built", "shapes": "built", "bank": "built", "temperature": "built"}
+    assert stages(again.stdout) == dict.fromkeys(("grid", "shapes", "bank", "temperature"), "reused")
+    assert stages(other.stdout) == {"grid": "reused", "shapes": "reused", "bank": "built", "temperature": "built"}
     assert str(store) in first.stdout
     assert all(entry.complete for entry in StageStore(store).entries())
 

@@ -57,7 +57,7 @@ def test_the_table_shows_the_pose_in_mm_and_degrees(result):
 
 
 def test_it_says_how_certain_how_far_off_how_long_and_where(result):
-    for words in ("certainty: ", "error: ", "time: ", "out/result.json", "out/result.png"):
+    for words in ("normalised entropy: ", "error: ", "time: ", "out/result.json", "out/result.png"):
         assert words in result["stdout"]
     assert result["stderr"] == ""
 

@@ -103,7 +103,7 @@ def test_a_dry_run_lists_and_counts_and_runs_nothing(cli, plan, tmp_path):
         "do",
     ]
     assert "4 combinations of 2 touches each, 4 to do" in lines
-    assert "stages to be built: grid 2, shapes 2, encoder 0, bank 2, confidence 0, evaluation 4" in lines
+    assert "stages to be built: grid 2, shapes 2, encoder 0, bank 2, temperature 0, evaluation 4" in lines
     assert {path.name for path in tmp_path.iterdir()} == {"flat.toml", "sweep.toml"}
 
 

@@ -33,7 +33,7 @@ def build(cli, tmp_path):
 def test_info_says_what_is_being_done_with_the_time(build, before, after):
     lines = build(before, after)
     assert all(map(INFO.fullmatch, lines)), lines
-    for stage in ("grid", "shapes", "bank", "confidence"):
+    for stage in ("grid", "shapes", "bank", "temperature"):
         assert any(re.search(rf"Stage {stage} \w+ is being built", line) for line in lines)
         assert any(re.search(rf"Stage {stage} \w+ is built: .* MB in .* s", line) for line in lines)
     assert re.fullmatch(r"info: \[.*\] build took \d+\.\d s\.", lines[-1])

@@ -16,7 +16,7 @@ from tactile_loc_cli.flags import Noise
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry import is_rigid, rotation_about
-from tactile_loc.core.noise import NOISE, TouchNoise, noise
+from tactile_loc.core.noise import NOISE, TouchNoise, noise_level
 from tactile_loc.core.sensing import ContactShape, SensorGeometry
 from tactile_loc.io.config import TouchConfig
 
@@ -56,10 +56,10 @@ def shapes(make_scene, pinhole, box) -> np.ndarray:
 
 
 def test_the_levels_are_those_that_can_be_asked_for():
-    assert [noise(name) for name in NOISE] == list(NOISE.values())
+    assert [noise_level(name) for name in NOISE] == list(NOISE.values())
     assert list(get_args(TouchConfig.model_fields["noise"].annotation)) == list(Noise) == list(NOISE)
     with pytest.raises(ConfigError, match=r"'mlid'; give one of none, mild, strong. Did you mean 'mild'"):
-        noise("mlid")
+        noise_level("mlid")
 
 
 def test_the_description_is_json_that_makes_the_noise_again():

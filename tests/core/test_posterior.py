@@ -43,7 +43,7 @@ def test_what_is_no_distribution_is_refused(grid, log_p):
 def test_top_is_in_order_and_ties_go_to_the_first(grid):
     posterior = PosePosterior(grid, np.array([-2.0, -1, -3, -1, -np.inf, 0]))
     assert posterior.top(6).tolist() == [5, 1, 3, 0, 2, 4]
-    assert posterior.top(2).tolist() == [5, 1] or posterior.top(2).tolist() == [5, 3]
+    assert posterior.top(2).tolist() == [5, 1]
     assert posterior.top(3).tolist() == [5, 1, 3]
     assert posterior.top(100).tolist() == posterior.top(6).tolist()
     assert posterior.top(1).tolist() == [5]
@@ -67,8 +67,9 @@ def test_samples_come_as_often_as_they_are_probable(grid):
     frequency = np.bincount(np.rint(drawn[:, 0, 3] / 0.002).astype(int), minlength=6) / 20_000
     np.testing.assert_allclose(frequency, posterior.probabilities, atol=0.015)
     assert frequency[2] == frequency[5] == 0
-    again = posterior.sample(10, np.random.default_rng(0))
-    assert np.array_equal(again, drawn[:10]) or np.array_equal(again, posterior.sample(10, np.random.default_rng(0)))
+    again, other = (posterior.sample(20_000, np.random.default_rng(seed)) for seed in (0, 1))
+    assert np.array_equal(again, drawn)
+    assert not np.array_equal(other, drawn)
 
 
 def test_modes_are_the_clusters(box):

@@ -45,8 +45,8 @@ def test_everything_is_labelled_with_units(figure):
     assert any("(mm)" in text and "no contact" in text for text in shown)
 
 
-def test_each_candidate_has_its_probability_fit_and_error(figure, localization):
-    captions = [text for text in texts(figure) if "fit" in text]
+def test_each_candidate_has_its_probability_score_and_error(figure, localization):
+    captions = [text for text in texts(figure) if "imprint IoU" in text]
     assert len(captions) == min(4, len(localization.hypotheses))
     best = localization.best
     assert captions[0].startswith(f"1:  {percent(best.probability)}")
@@ -67,7 +67,7 @@ def test_a_photo_is_shown_with_the_outline_that_the_best_pose_makes(localizer, l
     assert {"image", "observed contact shape"} <= set(texts(figure))
     axes = next(a for a in figure.findobj(Axes) if a.images and a.images[0].get_array().shape == photo.shape)
     contours = [c for c in axes.collections if len(c.get_paths())]
-    made = localizer.scene.contact_shape(seen.best.refined.T_sensor_object, seen.touch.press_depth_m)
+    made = localizer.scene.contact_shape(seen.best.T_sensor_object, seen.touch.press_depth_m)
     x_mm = np.concatenate([path.vertices for c in contours for path in c.get_paths()])[:, 0]
     columns = np.flatnonzero(made.contact.any(axis=0)) + 0.5
     geometry = seen.touch.geometry
@@ -78,7 +78,7 @@ def test_a_photo_is_shown_with_the_outline_that_the_best_pose_makes(localizer, l
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_few_candidates(localizer, localization, count):
     few = dataclasses.replace(localization, hypotheses=(localization.best,) * count)
-    captions = [text for text in texts(draw_result(few, localizer.scene, "pin")) if "fit" in text]
+    captions = [text for text in texts(draw_result(few, localizer.scene, "pin")) if "imprint IoU" in text]
     assert len(captions) == count
 
 

@@ -70,7 +70,7 @@ def test_one_contact_is_the_single_touch(evaluation, pipe):
     points_m = pipe.object.mesh.sample(20_000, np.random.default_rng(9))
     for example in range(COUNT):
         touch = SOURCE.touch(pipe, MOST_CONTACTS * example)
-        best = int(pipe.single_posterior(touch).log_p.argmax())
+        best = int(pipe.posteriors([touch])[0].log_p.argmax())
         error_m = symmetric_add(
             pipe.object, points_m, pipe.model.grid.T_sensor_object[best], touch.T_sensor_object
         )  # fmt: skip
@@ -83,7 +83,7 @@ def test_several_contacts_are_what_the_fuser_makes_of_them(evaluation, pipe):
 
     points_m = pipe.object.mesh.sample(20_000, np.random.default_rng(9))
     touches = [SOURCE.touch(pipe, MOST_CONTACTS * 2 + k) for k in range(4)]
-    fused = pipe.fuser.fuse([pipe.single_posterior(t) for t in touches], [invert(t.T_sensor_object) for t in touches])
+    fused = pipe.fuser.fuse([pipe.posteriors([t])[0] for t in touches], [invert(t.T_sensor_object) for t in touches])
     T = pipe.model.grid.T_sensor_object[int(fused.log_p.argmax())]
     error_m = symmetric_add(pipe.object, points_m, T, touches[0].T_sensor_object)
     assert evaluation.errors("best-1", 4)[2] == pytest.approx(error_m, rel=0.03)
@@ -97,7 +97,7 @@ def test_more_contacts_are_nearer_and_contact_alone_is_far(pipe):
 
 
 def test_touches_that_are_certain_find_the_truth(monkeypatch, store):
-    monkeypatch.setattr(Localizer, "single_posterior", certain)
+    monkeypatch.setattr(Localizer, "posteriors", lambda self, touches: [certain(self, touch) for touch in touches])
     localizer = fresh(store, temperature=0.1)  # nobody else's: what is found here is stored
     found = evaluate_contacts(localizer, (1, 3), 4, SOURCE)
     assert (found.normalised("best-1", 1) < 0.2).all()
@@ -107,12 +107,11 @@ def test_touches_that_are_certain_find_the_truth(monkeypatch, store):
 def test_a_first_touch_that_tells_nothing_is_made_up_for(monkeypatch, store):
     localizer = fresh(store, temperature=0.2)
 
-    def first_knows_nothing(self, touch):
-        if int(touch.name[-4:]) % MOST_CONTACTS == 0:
-            return PosePosterior(self.model.grid, np.zeros(len(self.model.grid)))
-        return certain(self, touch)
+    def first_knows_nothing(self, touches):
+        nothing = PosePosterior(self.model.grid, np.zeros(len(self.model.grid)))
+        return [certain(self, t) if int(t.name[-4:]) % MOST_CONTACTS else nothing for t in touches]
 
-    monkeypatch.setattr(Localizer, "single_posterior", first_knows_nothing)
+    monkeypatch.setattr(Localizer, "posteriors", first_knows_nothing)
     found = evaluate_contacts(localizer, (1, 4), 6, SOURCE)
     assert np.median(found.normalised("best-1", 4)) < 0.25 < np.median(found.normalised("best-1", 1))
 

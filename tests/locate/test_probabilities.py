@@ -11,33 +11,33 @@ from tactile_loc.core.geometry import make_transform
 from tactile_loc.core.poses import PoseGrid, PoseMetric
 from tactile_loc.locate import probabilities as module
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.probabilities import TAIL_HEAT, TAILS, Confidence, confidence_key, fit_confidence
+from tactile_loc.locate.probabilities import TAIL_HEAT, TAILS, TemperatureScaling, fit_temperature_scaling
 from tactile_loc.store.store import StageStore
 
 COARSE = {"grid": {"name": "face", "spacing_mm": 8}, "refiner": "none"}
 SCORES = np.array([0.1, 0.5, 0.2, 0.0, -3.0, 0.5], np.float32)
 
 
-def drawn(confidence: Confidence, touches: int, rng: np.random.Generator, poses: int = 60):
-    """Scores of touches, and truths that are as probable as the confidence says."""
+def drawn(scaling: TemperatureScaling, touches: int, rng: np.random.Generator, poses: int = 60):
+    """Scores of touches, and truths that are as probable as the scaling says."""
     scores = rng.normal(size=(touches, poses))
-    p = np.exp(confidence.log_p(scores))
+    p = np.exp(scaling.log_p(scores))
     return list(scores), np.array([rng.choice(poses, p=row) for row in p])
 
 
 def test_scores_become_a_softmax():
     expected = np.exp(SCORES.astype(float) / 0.05)
-    np.testing.assert_allclose(np.exp(Confidence(0.05).log_p(SCORES)), expected / expected.sum(), rtol=1e-5)
+    np.testing.assert_allclose(np.exp(TemperatureScaling(0.05).log_p(SCORES)), expected / expected.sum(), rtol=1e-5)
 
 
 def test_a_tail_is_a_share_of_a_hotter_softmax():
-    sharp, wide = (np.exp(Confidence(t).log_p(SCORES)) for t in (0.05, TAIL_HEAT * 0.05))
-    np.testing.assert_allclose(np.exp(Confidence(0.05, 0.3).log_p(SCORES)), 0.7 * sharp + 0.3 * wide, rtol=1e-9)
+    sharp, wide = (np.exp(TemperatureScaling(t).log_p(SCORES)) for t in (0.05, TAIL_HEAT * 0.05))
+    np.testing.assert_allclose(np.exp(TemperatureScaling(0.05, 0.3).log_p(SCORES)), 0.7 * sharp + 0.3 * wide, rtol=1e-9)
 
 
 def test_probabilities_sum_to_one_and_excluded_poses_stay_so():
     with_gap = np.where(np.arange(6) == 2, -np.inf, SCORES)
-    log_p = Confidence(0.01, 0.1).log_p(np.stack([with_gap, with_gap + 7]))
+    log_p = TemperatureScaling(0.01, 0.1).log_p(np.stack([with_gap, with_gap + 7]))
     np.testing.assert_allclose(np.exp(log_p).sum(axis=1), 1)
     np.testing.assert_allclose(log_p[0], log_p[1], atol=1e-5)  # what all scores have in common says nothing
     assert (log_p[:, 2] == -np.inf).all()
@@ -47,34 +47,36 @@ def test_a_posterior_is_over_the_grid(make_object):
     part = make_object(trimesh.creation.box((0.02, 0.01, 0.01)))
     poses = make_transform(np.eye(3), np.column_stack([np.arange(6) * 1e-3, np.zeros((6, 2))]))
     grid = PoseGrid(poses, PoseMetric(part))
-    np.testing.assert_allclose(Confidence(0.1, 0.2).posterior(grid, SCORES).log_p, Confidence(0.1, 0.2).log_p(SCORES))
+    np.testing.assert_allclose(
+        TemperatureScaling(0.1, 0.2).posterior(grid, SCORES).log_p, TemperatureScaling(0.1, 0.2).log_p(SCORES)
+    )
     with pytest.raises(GridError, match="no pose"):
-        Confidence(0.1).posterior(grid, np.full(6, -np.inf))
+        TemperatureScaling(0.1).posterior(grid, np.full(6, -np.inf))
 
 
 @pytest.mark.parametrize("temperature", [0.15, 0.6])
 def test_the_temperature_that_made_the_truth_is_found(temperature):
-    made = Confidence(temperature, 0.1)
-    found = fit_confidence(*drawn(made, 3000, np.random.default_rng(1)))
+    made = TemperatureScaling(temperature, 0.1)
+    found = fit_temperature_scaling(*drawn(made, 3000, np.random.default_rng(1)))
     assert found.temperature == pytest.approx(temperature, rel=0.3)
     assert found.tail in (0.05, 0.1, 0.2)
 
 
 def test_touches_that_look_like_another_pose_widen_the_tail():
     rng = np.random.default_rng(2)
-    scores, truth = drawn(Confidence(0.15), 1000, rng)
+    scores, truth = drawn(TemperatureScaling(0.15), 1000, rng)
     lost = rng.random(1000) < 0.25
-    wide = np.exp(Confidence(0.15 * TAIL_HEAT).log_p(np.array(scores)))
+    wide = np.exp(TemperatureScaling(0.15 * TAIL_HEAT).log_p(np.array(scores)))
     truth[lost] = [rng.choice(60, p=p) for p in wide[lost]]
-    clean = fit_confidence(*drawn(Confidence(0.15), 1000, rng))
+    clean = fit_temperature_scaling(*drawn(TemperatureScaling(0.15), 1000, rng))
     assert clean.tail == TAILS[0]
-    assert fit_confidence(scores, truth).tail > clean.tail
+    assert fit_temperature_scaling(scores, truth).tail > clean.tail
 
 
 def test_what_is_said_to_be_95_percent_sure_is_true_as_often():
     rng = np.random.default_rng(3)
-    made = Confidence(0.25, 0.1)
-    fitted = fit_confidence(*drawn(made, 150, rng))
+    made = TemperatureScaling(0.25, 0.1)
+    fitted = fit_temperature_scaling(*drawn(made, 150, rng))
     scores, truth = drawn(made, 4000, rng)
     p = np.exp(fitted.log_p(np.array(scores)))
     rank = np.where(p > p[np.arange(4000), truth][:, None], p, 0).sum(axis=1)  # mass of what is more probable
@@ -83,31 +85,56 @@ def test_what_is_said_to_be_95_percent_sure_is_true_as_often():
 
 
 def test_one_impossible_truth_does_not_decide_alone():
-    scores, truth = drawn(Confidence(0.1), 500, np.random.default_rng(4))
+    scores, truth = drawn(TemperatureScaling(0.1), 500, np.random.default_rng(4))
     scores[0] = np.where(np.arange(60) == truth[0], -np.inf, scores[0])
-    assert fit_confidence(scores, truth).temperature == pytest.approx(0.1, rel=0.5)
+    assert fit_temperature_scaling(scores, truth).temperature == pytest.approx(0.1, rel=0.5)
 
 
 @pytest.mark.parametrize("values", [(0.0,), (-1.0,), (np.inf,), (np.nan,), (1.0, 1.0), (1.0, -0.1)])
 def test_what_gives_no_probabilities_is_refused(values):
     with pytest.raises(ConfigError, match="give no probabilities"):
-        Confidence(*values)
+        TemperatureScaling(*values)
 
 
 def test_a_localizer_learns_once_and_with_another_encoder_anew(tmp_path, monkeypatch):
     store = StageStore(tmp_path)
-    first = Localizer.create("pin", store=store, **COARSE).confidence
+    first = Localizer.create("pin", store=store, **COARSE).temperature_scaling
     assert first.tail in TAILS
     other = Localizer.create("pin", store=store, encoder={"name": "pixel", "cells": 8}, **COARSE)
-    assert other.confidence != first
-    monkeypatch.setattr(module, "fit_confidence", None)
+    assert other.temperature_scaling != first
+    monkeypatch.setattr("tactile_loc.locate.localizer.fit_temperature_scaling", None)
     again = Localizer.create("pin", store=store, **COARSE)
-    assert again.confidence == first
-    keys = {confidence_key(localizer).digest for localizer in (again, other)}
+    assert again.temperature_scaling == first
+    keys = {localizer.temperature_key().digest for localizer in (again, other)}
     monkeypatch.setattr(module, "SEED", 1)
-    assert len({*keys, confidence_key(again).digest}) == 3
+    assert len({*keys, again.temperature_key().digest}) == 3
 
 
 def test_a_temperature_that_is_asked_for_is_taken(tmp_path, monkeypatch):
-    monkeypatch.setattr("tactile_loc.locate.localizer.learn_confidence", None)
-    assert Localizer.create("pin", store=StageStore(tmp_path), temperature=0.5, **COARSE).confidence == Confidence(0.5)
+    monkeypatch.setattr("tactile_loc.locate.localizer.fit_temperature_scaling", None)
+    assert Localizer.create(
+        "pin", store=StageStore(tmp_path), temperature=0.5, **COARSE
+    ).temperature_scaling == TemperatureScaling(0.5)
+
+
+@pytest.mark.slow
+def test_what_is_shipped_is_fitted_to_as_many_touches_as_it_says(tmp_path, monkeypatch, shipped_touches):
+    """The one localizer of the suite that simulates all touches."""
+    monkeypatch.setattr(module, "TOUCHES", shipped_touches)
+    localizer = Localizer.create("pin", store=StageStore(tmp_path), **COARSE)
+    fitted_to: list[int] = []
+
+    def fit(scores, truth):
+        fitted_to.append(len(scores))
+        return fit_temperature_scaling(scores, truth)
+
+    monkeypatch.setattr("tactile_loc.locate.localizer.fit_temperature_scaling", fit)
+    scaling = localizer.temperature_scaling
+    assert fitted_to == [shipped_touches]
+    held = 0
+    for touch in localizer.simulate(60, seed=99, noise="strong"):  # a seed that was not fitted to
+        posterior = localizer.posterior(touch)
+        p, truth = posterior.probabilities, localizer.model.grid.nearest(touch.T_sensor_object[None])[1][0]
+        held += p[p > p[truth]].sum() < 0.95
+    assert 0.85 <= held / 60 <= 1.0
+    assert scaling.temperature > 0

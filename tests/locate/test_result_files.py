@@ -100,7 +100,7 @@ def test_of_several_touches_each_sees_the_hypotheses_from_its_own_sensor(localiz
     import dataclasses
 
     from tactile_loc.core.geometry import invert
-    from tactile_loc.locate.contacts import localize_together
+    from tactile_loc.locate.localizer import localize_together
 
     touches = localizer.simulate(2, seed=3)
     contacts = [
@@ -108,7 +108,7 @@ def test_of_several_touches_each_sees_the_hypotheses_from_its_own_sensor(localiz
     ]
     localization = localize_together(contacts)
     arrays = gather(contacts, localization)
-    T = arrays.touches[1].T_sensor_first @ localization.best.refined.T_sensor_object
+    T = arrays.touches[1].T_sensor_first @ localization.best.T_sensor_object
     expected = localizer.scene.contact_shape(T, touches[1].press_depth_m)
     assert np.abs(arrays.touches[1].made(0).depth_m - expected.depth_m).max() < 1e-6
     assert (arrays.touches[0].T_sensor_first == np.eye(4)).all()
@@ -172,7 +172,7 @@ def test_pickled_objects_are_not_read(copy):
 
 def test_the_two_files_must_be_of_one_result(copy):
     document = json.loads((copy / "result.json").read_text())
-    document["certainty"] += 0.01
+    document["normalised_entropy"] += 0.01
     (copy / "result.json").write_text(json.dumps(document))
     with pytest.raises(ResultError, match="belongs to another result"):
         read(copy)
@@ -184,7 +184,7 @@ def test_the_fingerprint_survives_another_layout_of_the_json(copy):
     assert fingerprint(read_record(find_source(copy))) == fingerprint(record)
 
 
-@pytest.mark.parametrize(("key", "value"), [("hypotheses", None), ("certainty", "much"), ("unknown", 1)])
+@pytest.mark.parametrize(("key", "value"), [("hypotheses", None), ("normalised_entropy", "much"), ("unknown", 1)])
 def test_a_damaged_record_is_one_sentence(copy, key, value):
     document = json.loads((copy / "result.json").read_text())
     document[key] = value

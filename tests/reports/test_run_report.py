@@ -39,7 +39,7 @@ def test_the_list_of_candidates_is_that_of_the_result(result, page):
     for row, h in zip(rows, result["hypotheses"], strict=True):
         T = np.array(h["T_sensor_object"])
         shown = [float(cell) for cell in row[:7]]
-        assert shown[:3] == pytest.approx([h["rank"], 100 * h["probability"], 100 * h["explained"]], abs=0.51)
+        assert shown[:3] == pytest.approx([h["rank"], 100 * h["probability"], 100 * h["imprint_iou"]], abs=0.51)
         assert shown[1] == pytest.approx(100 * h["probability"], abs=0.051)
         assert shown[3:6] == pytest.approx(1e3 * T[:3, 3], abs=0.0051)
         R = rotation_about(numbers_in(row[7]), np.radians(shown[6]))
@@ -49,7 +49,7 @@ def test_the_list_of_candidates_is_that_of_the_result(result, page):
 
 def test_the_head_says_who_where_how_sure_and_how_far_off(result, page):
     assert "pin on gelslim" in page.text
-    assert f"{result['certainty']:.2f}" in page.text
+    assert f"{result['normalised_entropy']:.2f}" in page.text
     x, y, z = (1e3 * row[3] for row in result["hypotheses"][0]["T_sensor_object"][:3])
     assert f"{x:.2f}, {y:.2f}, {z:.2f} mm" in page.text
     assert f"{result['grid_poses']} poses searched" in page.text

@@ -45,5 +45,5 @@ def test_stages_that_combinations_share_count_once(tmp_path, tiny):
     values = {**tiny, "object": ["pin", "head"], "renderer": ["raycast", "heightmap"], "refiner": ["none", "icp"]}
     combinations, objects = combine(Plan.from_values({**values, "temperature": 0.1}))
     assert stages_to_build(combinations, objects, tmp_path) == {
-        "grid": 2, "shapes": 4, "encoder": 0, "bank": 4, "confidence": 0, "evaluation": 8,
+        "grid": 2, "shapes": 4, "encoder": 0, "bank": 4, "temperature": 0, "evaluation": 8,
     }  # fmt: skip

@@ -37,7 +37,7 @@ def build(
     localizer = flags.open_localizer(flags.run_config(asked), store)
     start = time.perf_counter()
     localizer.matcher(_press_depth_m(localizer))
-    _ = localizer.confidence  # learned now, not at the first touch
+    _ = localizer.temperature_scaling  # fitted now, not at the first touch
     return _report(localizer, time.perf_counter() - start)
 
 
@@ -76,8 +76,8 @@ def _stages(localizer: Localizer) -> dict[str, str]:
     """Whether each stage was built or reused."""
     built = [key.stage for key in localizer.store.built]
     learned = ("encoder",) if localizer.encoder.capabilities.needs_training else ()
-    sure = ("confidence",) if localizer.config.temperature is None else ()
-    return {stage: "built" if stage in built else "reused" for stage in ("grid", "shapes", *learned, "bank", *sure)}
+    fitted = ("temperature",) if localizer.config.temperature is None else ()
+    return {stage: "built" if stage in built else "reused" for stage in ("grid", "shapes", *learned, "bank", *fitted)}
 
 
 def _spacing_m(grid: PoseGrid) -> float | None:

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from tactile_loc.core import sensing
     from tactile_loc.core.interfaces import Prior
     from tactile_loc.io.config import RunConfig
-    from tactile_loc.locate.contacts import Contact
-    from tactile_loc.locate.localizer import Localizer
+    from tactile_loc.locate.localizer import Localizer, Observation
     from tactile_loc.locate.result import Localization
 
 DEFAULT_OUT = Path("tactile-loc-result")
@@ -93,7 +92,7 @@ def run(
         _require_no_prior(prior)
         _require_no_report(report)
         return run_folder(localizer, Path(settings.touch.path), flags.press_depth_m(settings), out, pictures)
-    from tactile_loc.locate.contacts import localize_together
+    from tactile_loc.locate.localizer import localize_together
 
     contacts = _contacts(localizer)
     known = _prior(localizer, contacts[0][1], prior)
@@ -137,7 +136,7 @@ def _prior(localizer: Localizer, touch: sensing.Touch, path: Path | None) -> Pri
     return None if path is None else read_prior(path, localizer.object).seen_from(touch.T_base_sensor)
 
 
-def _contacts(localizer: Localizer) -> list[Contact]:
+def _contacts(localizer: Localizer) -> list[Observation]:
     """The touches that were asked for, each with its localizer."""
     from tactile_loc_cli.commands.run_list import is_list, read_contacts
 
@@ -157,7 +156,7 @@ def _touch(localizer: Localizer) -> sensing.Touch:
 
 
 def _report(
-    contacts: list[Contact], localization: Localization, seconds: dict[str, float], out: Path, page: bool
+    contacts: list[Observation], localization: Localization, seconds: dict[str, float], out: Path, page: bool
 ) -> dict[str, Any]:
     """Show the result, write it (result.json, .npz, .png and, if asked for, the page), and return it and the paths."""
     from tactile_loc.drawing.pictures import draw_result, save_figure

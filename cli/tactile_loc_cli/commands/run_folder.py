@@ -101,12 +101,12 @@ def _located(
 
 def _row(path: Path, localization: Localization) -> dict[str, Any]:
     best = localization.best
-    T = best.refined.T_sensor_object
+    T = best.T_sensor_object
     angle_deg, axis = axis_angle(T[:3, :3])
     places = zip(("x_mm", "y_mm", "z_mm"), 1e3 * T[:3, 3], strict=True)
     axes = zip(("axis_x", "axis_y", "axis_z"), axis, strict=True)
     return {
-        "touch": path.name, "probability": f"{best.probability:.4f}", "fit": f"{best.explained:.3f}",
+        "touch": path.name, "probability": f"{best.probability:.4f}", "imprint_iou": f"{best.imprint_iou:.3f}",
         **{name: f"{value:.3f}" for name, value in places}, "turn_deg": f"{angle_deg:.2f}",
         **{name: f"{value:.4f}" for name, value in axes}, "says": "",
     }  # fmt: skip
@@ -119,8 +119,8 @@ def _result(row: dict[str, Any], localization: Localization | None, out: Path) -
     best = localization.best
     return {
         "touch": row["touch"], "result": str(out / Path(row["touch"]).stem / "result.json"),
-        "probability": best.probability, "explained": best.explained,
-        "T_sensor_object": best.refined.T_sensor_object.tolist(),
+        "probability": best.probability, "imprint_iou": best.imprint_iou,
+        "T_sensor_object": best.T_sensor_object.tolist(),
     }  # fmt: skip
 
 

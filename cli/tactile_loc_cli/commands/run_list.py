@@ -10,8 +10,7 @@ from tactile_loc_cli import flags
 
 if TYPE_CHECKING:
     from tactile_loc.io.touch_lists import ListedTouch
-    from tactile_loc.locate.contacts import Contact
-    from tactile_loc.locate.localizer import Localizer
+    from tactile_loc.locate.localizer import Localizer, Observation
 
 
 def is_list(path: Path) -> bool:
@@ -19,12 +18,12 @@ def is_list(path: Path) -> bool:
     return path.suffix.lower() == ".toml"
 
 
-def read_contacts(localizer: Localizer, path: Path) -> list[Contact]:
+def read_contacts(localizer: Localizer, path: Path) -> list[Observation]:
     """Read every touch of a list, each with the localizer of its sensor. Raises TactileLocError for bad input."""
     from tactile_loc.io.touch_lists import read_touch_list
 
     of_sensor = {None: localizer, localizer.config.sensor.name: localizer}
-    contacts: list[Contact] = []
+    contacts: list[Observation] = []
     for listed in read_touch_list(path):
         if listed.sensor not in of_sensor:
             of_sensor[listed.sensor] = _with_sensor(localizer, str(listed.sensor))
@@ -42,7 +41,7 @@ def _with_sensor(localizer: Localizer, sensor: str) -> Localizer:
     return Localizer(config, localizer.object, localizer.store, localizer.progress)
 
 
-def _contact(localizer: Localizer, listed: ListedTouch) -> Contact:
+def _contact(localizer: Localizer, listed: ListedTouch) -> Observation:
     touch = localizer.read_touch(listed.path, listed.unit, listed.press_depth_m)
     if listed.T_base_sensor is not None:
         touch = dataclasses.replace(touch, T_base_sensor=listed.T_base_sensor)

@@ -18,7 +18,7 @@ from torch import nn
 
 from tactile_loc.core.errors import TrainingError
 from tactile_loc.core.interfaces import Float32, TrainingProblem
-from tactile_loc.core.noise import noise
+from tactile_loc.core.noise import noise_level
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.plugins.encoders.moco_crew import Crew
 from tactile_loc.plugins.encoders.moco_log import TrainingLog
@@ -131,7 +131,7 @@ class Trainer:
         self.key_network = copy.deepcopy(self.network).requires_grad_(False)
         self.optimizer = _optimizer(recipe, self.network)
         count = self.crew.share(recipe.queries)
-        self.source = QuerySource(problem, noise(recipe.noise), count, recipe.seed, self.crew.rank)
+        self.source = QuerySource(problem, noise_level(recipe.noise), count, recipe.seed, self.crew.rank)
         self.batch = min(count, self.crew.share(recipe.batch))
         self.steps = recipe.repeats * max(1, recipe.queries // recipe.batch)
         self.epoch, self.best, self.stale = 0, math.inf, 0

@@ -132,7 +132,7 @@
     });
     const fit = (share) => `${Math.round(100 * share)} %`;
     const traces = [
-      bars("probability", "probability", c.accent, percent), bars("explained (fit)", "explained", c.second, fit),
+      bars("probability", "probability", c.accent, percent), bars("imprint IoU", "imprint_iou", c.second, fit),
     ];
     const yaxis = axis(c, { autorange: "reversed", dtick: 1, title: { text: "candidate" } });
     const xaxis = axis(c, { range: [0, 112], tickvals: [0, 20, 40, 60, 80, 100], title: { text: "%" } });
@@ -153,10 +153,10 @@
   const picks = [...document.querySelectorAll("tr.pick, .card")];
 
   function mark() {
-    const { rank, probability, explained, error_mm: error } = candidates[chosen];
+    const { rank, probability, imprint_iou, error_mm: error } = candidates[chosen];
     for (const one of picks) one.setAttribute("aria-selected", String(Number(one.dataset.number) === chosen));
     const off = error === null ? "" : `, ${mm(error)} mm off`;
-    const text = `Candidate ${rank}: ${percent(probability)}, fit ${Math.round(100 * explained)} %${off}`;
+    const text = `Candidate ${rank}: ${percent(probability)}, imprint IoU ${Math.round(100 * imprint_iou)} %${off}`;
     document.getElementById("chosen").textContent = text;
   }
 

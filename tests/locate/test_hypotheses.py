@@ -10,12 +10,15 @@ from tactile_loc.core.interfaces import RefinedPose
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.symmetry import SymmetryGroup
-from tactile_loc.locate.result import SHARPNESS, Hypothesis, merge_hypotheses, ranked
+from tactile_loc.locate.hypotheses import SHARPNESS, merge_hypotheses, ranked
+from tactile_loc.locate.result import Hypothesis
 from tactile_loc.testing.shapes import box
 
 
-def hypothesis(probability: float, T: np.ndarray, converged: bool = True, explained: float = 1.0) -> Hypothesis:
-    return Hypothesis(probability, T, RefinedPose(T, 1.0, converged, 3), index=0, poses=5, explained=explained)
+def hypothesis(probability: float, T: np.ndarray, converged: bool = True, imprint_iou: float = 1.0) -> Hypothesis:
+    return Hypothesis(
+        probability, T, RefinedPose(T, 1.0, converged, 3), grid_index=0, grid_poses=5, imprint_iou=imprint_iou
+    )
 
 
 @pytest.fixture
@@ -28,7 +31,7 @@ def test_the_heavier_takes_the_mass_of_those_that_met_it(metric):
     near, far = translation([2e-4, 0, 0]), translation([2e-3, 0, 0])
     found = merge_hypotheses([hypothesis(p, T) for p, T in ((0.5, np.eye(4)), (0.3, far), (0.2, near))], metric, 5e-4)
     assert [h.probability for h in found] == [pytest.approx(0.7), 0.3]
-    assert [h.poses for h in found] == [10, 5]
+    assert [h.grid_poses for h in found] == [10, 5]
     np.testing.assert_array_equal(found[0].refined.T_sensor_object, np.eye(4))
 
 
@@ -50,14 +53,14 @@ def test_merging_may_change_the_order(metric):
 
 
 def test_what_explains_the_touch_best_comes_first():
-    three = [hypothesis(p, np.eye(4), explained=e) for p, e in ((0.6, 0.7), (0.3, 0.9), (0.1, 0.8))]
-    assert [h.explained for h in ranked(three)] == [0.9, 0.8, 0.7]
+    three = [hypothesis(p, np.eye(4), imprint_iou=e) for p, e in ((0.6, 0.7), (0.3, 0.9), (0.1, 0.8))]
+    assert [h.imprint_iou for h in ranked(three)] == [0.9, 0.8, 0.7]
     assert [h.probability for h in ranked([hypothesis(p, np.eye(4)) for p in (0.6, 0.3)])] == [0.6, 0.3]
 
 
 def test_a_prior_outweighs_a_better_explanation_when_it_is_sure():
-    two = [hypothesis(0.5, np.eye(4), explained=e) for e in (0.8, 0.9)]
+    two = [hypothesis(0.5, np.eye(4), imprint_iou=e) for e in (0.8, 0.9)]
     doubt = SHARPNESS * 0.1
-    assert ranked(two, np.array([0.0, -0.9 * doubt]))[0].explained == 0.9
-    assert ranked(two, np.array([0.0, -1.1 * doubt]))[0].explained == 0.8
-    assert ranked(two, np.array([0.0, -np.inf]))[0].explained == 0.8
+    assert ranked(two, np.array([0.0, -0.9 * doubt]))[0].imprint_iou == 0.9
+    assert ranked(two, np.array([0.0, -1.1 * doubt]))[0].imprint_iou == 0.8
+    assert ranked(two, np.array([0.0, -np.inf]))[0].imprint_iou == 0.8

@@ -9,8 +9,7 @@ import pytest
 
 from tactile_loc.core.errors import TactileLocError, TouchError
 from tactile_loc.core.geometry import invert, make_transform, rotation_about
-from tactile_loc.locate.contacts import localize_together
-from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.localizer import Localizer, localize_together
 
 T_BASE_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.4, -0.2, 0.3])
 
@@ -35,14 +34,14 @@ def together(localizer, touches, **more):
 
 
 def error_m(localizer, found) -> float:
-    metric, T = localizer.model.grid.metric, found.best.refined.T_sensor_object[None]
+    metric, T = localizer.model.grid.metric, found.best.T_sensor_object[None]
     return float(metric.symmetric_distance(T, found.touch.T_sensor_object[None])[0])
 
 
 def test_one_touch_is_localised_as_alone(localizer, touches):
     alone, one = localizer.localize(touches[0]), together(localizer, touches[:1])
     np.testing.assert_allclose(one.posterior.log_p, alone.posterior.log_p)
-    assert one.best.index == alone.best.index
+    assert one.best.grid_index == alone.best.grid_index
     assert error_m(localizer, one) == pytest.approx(error_m(localizer, alone), abs=2e-3)
     assert one.others == ()
 
@@ -61,7 +60,7 @@ def test_where_the_base_is_does_not_matter(localizer, touches):
     moved = [dataclasses.replace(t, T_base_sensor=elsewhere @ t.T_base_sensor) for t in touches]
     a, b = together(localizer, touches), together(localizer, moved)
     np.testing.assert_allclose(a.posterior.probabilities, b.posterior.probabilities, atol=1e-9)
-    np.testing.assert_allclose(a.best.refined.T_sensor_object, b.best.refined.T_sensor_object, atol=1e-6)
+    np.testing.assert_allclose(a.best.T_sensor_object, b.best.T_sensor_object, atol=1e-6)
 
 
 def test_the_refined_pose_is_the_one_that_all_touches_like_best(localizer, touches):
@@ -71,10 +70,10 @@ def test_the_refined_pose_is_the_one_that_all_touches_like_best(localizer, touch
             localizer.scene.explained((invert(t.T_base_sensor) @ touches[0].T_base_sensor @ T)[None], t)[0]
             for t in touches
         ])
-        for T in (found.T_sensor_object, found.refined.T_sensor_object)
+        for T in (found.T_sensor_object_grid, found.T_sensor_object)
     )  # fmt: skip
     assert refined >= grid
-    assert refined == pytest.approx(found.explained, abs=1e-6)
+    assert refined == pytest.approx(found.imprint_iou, abs=1e-6)
 
 
 def test_sensors_of_different_kinds_go_together(localizer, touches, store):

@@ -1,0 +1,77 @@
+"""How alike a touch and each pose of the grid are: both encoded, and matched."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.interfaces import Encoder, Matcher
+from tactile_loc.core.progress import StageTimes
+from tactile_loc.core.sensing import Touch
+
+Scores = NDArray[np.float32]
+
+PRESS_STEP_M = 1e-4  # banks are made for press depths in these steps
+MOST_MATCHERS = 8  # as many are kept in memory, the last used
+
+
+class GridScores:
+    """Scores touches against the banks of a grid, one bank for each press depth that occurs.
+
+    `bank` returns the bank (N, D) of a press depth in metres, `new_matcher` an empty matcher; a sensor presses at most
+    `max_depth_m` metres deep.
+    """
+
+    def __init__(
+        self, encoder: Encoder, new_matcher: Callable[[], Matcher], bank: Callable[[float], Any], max_depth_m: float
+    ) -> None:
+        self.encoder, self.new_matcher, self.bank, self.max_depth_m = encoder, new_matcher, bank, max_depth_m
+        self._matchers: dict[float, Matcher] = {}
+
+    def scores(self, touches: Sequence[Touch], times: StageTimes) -> list[Scores]:
+        """Return how alike (N,) each touch and each pose of the grid are, unitless, higher is more alike.
+
+        Touches of one press depth are matched together. Building banks is no part of the `times`.
+        """
+        press_m = [self.bank_press_m(touch.press_depth_m) for touch in touches]
+        found: dict[int, Scores] = {}
+        for pressed_m in sorted(set(press_m)):
+            numbers = [number for number, m in enumerate(press_m) if m == pressed_m]
+            matcher = self.matcher(pressed_m)
+            with times.stage("encode"):
+                queries = np.concatenate([self._encoded(touches[number], pressed_m) for number in numbers])
+            with times.stage("match"):
+                rows = matcher.scores(queries)
+            found |= dict(zip(numbers, rows, strict=True))
+        return [found[number] for number in range(len(touches))]
+
+    def matcher(self, press_depth_m: float) -> Matcher:
+        """Return the matcher whose bank was cut at this press depth (metres), built at first use."""
+        press_m = self.bank_press_m(press_depth_m)
+        matcher = self._matchers.pop(press_m, None) or self._indexed(press_m)
+        self._matchers[press_m] = matcher  # the last used comes last
+        while len(self._matchers) > MOST_MATCHERS:
+            del self._matchers[next(iter(self._matchers))]
+        return matcher
+
+    def bank_press_m(self, press_depth_m: float) -> float:
+        """Return the press depth, rounded down to a step, at which touch and bank are compared; metres."""
+        if not self.encoder.capabilities.follows_press_depth:
+            return self.max_depth_m
+        return round(max(1, int(press_depth_m / PRESS_STEP_M + 1e-6)) * PRESS_STEP_M, 9)
+
+    def _indexed(self, press_m: float) -> Matcher:
+        matcher = self.new_matcher()
+        matcher.index(self.bank(press_m))
+        return matcher
+
+    def _encoded(self, touch: Touch, press_depth_m: float) -> Scores:
+        """The embedding (1, D) of a touch."""
+        shape = touch.contact_shape.pressed_to(press_depth_m)
+        # The press the shape is really cut at: below the bank's, its pixels without contact would count as contact.
+        press_m = shape.press_depth_m
+        embedding: Scores = self.encoder.encode(shape.depth_m[None], press_m, touch.geometry)
+        return embedding
