@@ -23,9 +23,8 @@ from tactile_loc.core.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.figures import draw_violins
-from tactile_loc.evaluation.judge import STAGES
-from tactile_loc.evaluation.protocol import evaluate
-from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.evaluation.protocol import STAGES, evaluate
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.tables import Run
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes import load_object

@@ -38,10 +38,10 @@ from tactile_loc.core.registration import Cloud, CloudRefiner, Registration
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import Touch
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.judge import SURFACE_POINTS
 from tactile_loc.evaluation.metrics import symmetric_adds
 from tactile_loc.evaluation.oracle import true_pose
-from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.evaluation.protocol import SURFACE_POINTS
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import MODE_RADIUS, Localizer

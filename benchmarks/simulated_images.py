@@ -29,7 +29,7 @@ from tactile_loc.core.errors import TouchError
 from tactile_loc.core.sensing import Touch
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.protocol import evaluate
-from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.tabular import mm
 from tactile_loc.imaging.gel import contact_indentation, gel_surface
 from tactile_loc.imaging.optics import Optics

@@ -18,9 +18,8 @@ import numpy as np
 
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.judge import STAGES
-from tactile_loc.evaluation.protocol import evaluate
-from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.evaluation.protocol import STAGES, evaluate
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer

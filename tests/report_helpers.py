@@ -14,11 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.evaluation.belief import BELIEF
-from tactile_loc.evaluation.contact_protocol import ContactEvaluation
-from tactile_loc.evaluation.contact_tables import ContactRun, write_contact_tables
-from tactile_loc.evaluation.judge import LINES, METRICS, STAGES
-from tactile_loc.evaluation.protocol import Evaluation
+from tactile_loc.evaluation.fusion import FusionEvaluation
+from tactile_loc.evaluation.fusion_tables import FusionRun, write_fusion_tables
+from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
+from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.evaluation.tables import Run, write_tables
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result_arrays import gather
@@ -53,8 +52,11 @@ def write_evaluation(folder: Path, names: tuple[str, ...] = ("pin", "hook"), tou
         rng = np.random.default_rng(seed)
         errors = rng.uniform(1e-4, 3e-2, (touches, len(LINES), len(METRICS)))
         poses = np.broadcast_to(np.eye(4), (touches, len(LINES), 4, 4))
-        seconds, beliefs = rng.uniform(0, 0.01, (touches, len(STAGES))), rng.uniform(0, 1, (touches, len(BELIEF)))
-        found = Evaluation(errors, poses, seconds, beliefs)
+        seconds, posterior_metrics = (
+            rng.uniform(0, 0.01, (touches, len(STAGES))),
+            rng.uniform(0, 1, (touches, len(POSTERIOR_METRICS))),
+        )
+        found = Evaluation(errors, poses, seconds, posterior_metrics)
         runs.append(Run(name, "z2", "pixel", 500, found, {"grid": {"name": "face"}}))
     write_tables(folder, runs, {"touches": touches, "noise": "mild", "seed": 1, "images": False}, "title")
     Image.new("RGB", (2000, 300), "white").save(folder / "gallery-pin-pixel.png")
@@ -66,8 +68,8 @@ def write_contacts(folder: Path) -> Path:
     errors = 1e-3 * np.random.default_rng(0).uniform(1, 30, (9, 3, 3))
     alone = np.zeros((9, 3, 2), bool)
     alone[:4, 2] = True
-    run = ContactRun("pin", "none", "pixel", 100, ContactEvaluation((1, 2, 5), errors, alone))
-    write_contact_tables(folder, [run], {"examples": 9, "noise": "mild", "seed": 1}, "title")
+    run = FusionRun("pin", "none", "pixel", 100, FusionEvaluation((1, 2, 5), errors, alone))
+    write_fusion_tables(folder, [run], {"examples": 9, "noise": "mild", "seed": 1}, "title")
     return folder
 
 

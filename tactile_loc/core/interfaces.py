@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.poses import PoseGrid, Poses
 from tactile_loc.core.posterior import PosePosterior
@@ -108,6 +109,16 @@ class SensorModel(Component):
 
         Raises TouchError when the observation does not fit.
         """
+
+    def simulated_image(self, shape: ContactShape, rng: np.random.Generator) -> NDArray[np.uint8]:
+        """Return the image (H, W, 3) that the sensor's camera would take of a contact shape, with its noise.
+
+        Raises ConfigError unless the sensor reads images, CalibrationError when none can be made for it.
+        """
+        raise ConfigError(
+            f"the sensor {type(self).__name__} reads no images; make one that does with tactile-loc calibrate "
+            "--simulated and give its folder as --sensor"
+        )
 
 
 class Renderer(Component):

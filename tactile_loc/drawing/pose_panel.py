@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry import transform_points
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.drawing.views import Buffers, Tracer, View, box, shade, shrink
+from tactile_loc.drawing.raytracing import Buffers, Tracer, View, box, shade, shrink
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

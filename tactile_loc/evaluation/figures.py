@@ -1,4 +1,4 @@
-"""Pictures of evaluations: violins of the errors, and the best, median and worst touches."""
+"""Pictures of evaluations: violins of errors, best and worst touches, credible sets, errors by number of touches."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.drawing.pictures import OUTLINE, draw_contact_shape, draw_outline, make_figure, millimetres
+from tactile_loc.evaluation.fusion_tables import FusionRun
+from tactile_loc.evaluation.posterior_metrics import LEVELS, POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import Evaluation
-from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.tables import Run
 from tactile_loc.locate.localizer import Localizer
 
@@ -26,6 +28,11 @@ FLOOR = 1e-4  # errors below this share of a random pose's are drawn here
 ROOM = 0.82  # of the distance between lines, for their violins
 GALLERY_LINE = "reg-1"
 EACH = 2  # touches of each kind in a gallery
+MARKERS = "os^Dv<>pP*X"
+LEAST_MM = 1e-2  # errors below are drawn here: the axis is logarithmic
+FUSION_FLOOR = 1e-3  # errors below this share of a random pose's are drawn here: the axis is logarithmic
+KINEMATIC = "#718096"
+TICKS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 
 
 def draw_violins(runs: Sequence[Run], title: str) -> Figure:
@@ -153,3 +160,107 @@ def _best_median_worst(errors_m: NDArray[np.float64]) -> list[tuple[str, int]]:
         for number in order[start : start + each]:
             found.setdefault(int(number), kind)
     return [(kind, number) for number, kind in found.items()]
+
+
+def draw_reliability(runs: Sequence[Run], title: str) -> Figure:
+    """Draw, a curve for each run, how often the truth lies in credible sets against how often it should; and the error
+    of the most probable pose, refined, against the posterior's entropy, a dot a touch.
+    """
+    figure = make_figure(11.5, 5.4, constrained=True)
+    figure.suptitle(textwrap.fill(title, 100), size=13, weight="bold")
+    coverage, entropy = figure.subplots(1, 2)
+    for number, run in enumerate(runs):
+        colour, marker = COLOURS[number % len(COLOURS)], MARKERS[number // len(COLOURS) % len(MARKERS)]
+        _draw_coverage(coverage, run, colour, marker)
+        posterior_metrics = run.evaluation.posterior_metrics[:, POSTERIOR_METRICS.index("entropy")]
+        errors_mm = np.maximum(1e3 * run.evaluation.errors("reg-1"), LEAST_MM)
+        entropy.plot(posterior_metrics, errors_mm, marker, ms=4, alpha=0.6, color=colour, mec="none")
+    coverage.plot([0, 100], [0, 100], color="#1a202c", lw=1, ls=(0, (5, 3)), label="as it should be")
+    coverage.set(xlim=(0, 100), ylim=(0, 100), aspect="equal")
+    coverage.set_xlabel("probability of the credible set (%)")
+    coverage.set_ylabel("touches whose true pose is in it (%)")
+    entropy.set_yscale("log")
+    entropy.set_xlabel("entropy of the posterior (nats)")
+    entropy.set_ylabel("ADD of the most probable pose, refined (mm)")
+    for axes in (coverage, entropy):
+        axes.grid(color="#e2e8f0", lw=0.8)
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside right center", frameon=False, fontsize=9)
+    return figure
+
+
+def _draw_coverage(axes: Axes, run: Run, colour: str, marker: str) -> None:
+    levels = np.sort(run.evaluation.posterior_metrics[:, POSTERIOR_METRICS.index("credible_level")])
+    sure = np.linspace(0, 1, 101)
+    held = np.searchsorted(levels, sure, side="right") / len(levels)
+    axes.plot(100 * sure, 100 * held, color=colour, lw=1.6, label=f"{run.object}, {run.encoder}")
+    axes.plot(100 * np.array(LEVELS), 100 * np.array(run.posterior_summary().coverage), marker, color=colour, ms=6)
+
+
+def draw_fusion(runs: Sequence[FusionRun], title: str) -> Figure:
+    """Draw a panel for each object: median and quartiles of the normalised error against the number of contacts.
+
+    Best-1 of each encoder, and kinematic, of the first one; logarithmic, with mm on the right.
+    """
+    objects, encoders = (
+        list(dict.fromkeys(names)) for names in zip(*((r.object, r.encoder) for r in runs), strict=True)
+    )
+    colours = dict(zip(encoders, COLOURS * (1 + len(encoders) // len(COLOURS)), strict=False))
+    columns = min(3, len(objects))
+    rows = -(-len(objects) // columns)
+    figure = make_figure(max(6.4, 4.4 * columns), 3.4 * rows + 1.1, constrained=True)
+    figure.suptitle(textwrap.fill(title, int(8.5 * figure.get_figwidth())), size=13, weight="bold")
+    panels: NDArray[Any] = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    for axes, name in zip(panels.flat, objects, strict=False):
+        _draw_fused_object(axes, [run for run in runs if run.object == name], colours)
+    for axes in panels.flat[len(objects) :]:
+        axes.set_axis_off()
+    for axes in panels[:, 0]:
+        axes.set_ylabel("ADD / mean ADD of a random pose")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    columns = min(len(labels), int(figure.get_figwidth() / 2))
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
+    return figure
+
+
+def _draw_fused_object(axes: Axes, runs: Sequence[FusionRun], colours: dict[str, str]) -> None:
+    _draw_line(axes, runs[0], "kinematic", KINEMATIC, "s", "kinematic")
+    for run in runs:
+        _draw_line(axes, run, "best-1", colours[run.encoder], "o", f"best-1, {run.encoder}")
+    axes.axhline(1.0, color=RANDOM, lw=1, ls=(0, (5, 3)), label="random pose, mean")
+    axes.set_yscale("log")
+    axes.set_yticks(TICKS, [f"{tick:g}" for tick in TICKS])
+    axes.minorticks_off()
+    axes.set_xticks(runs[0].evaluation.contacts)
+    axes.set_xlabel("number of contacts")
+    random_mm = 1e3 * runs[0].evaluation.scale_m()
+    axes.set_title(f"{runs[0].object} (random: {random_mm:.1f} mm)", size=11)
+    right = axes.secondary_yaxis("right", functions=_scaling(random_mm))
+    right.set_yticks([1, 2, 5, 10, 20, 50], ["1", "2", "5", "10", "20", "50"])
+    right.minorticks_off()
+    right.set_ylabel("ADD (mm)")
+    axes.grid(color="#e2e8f0", lw=0.8)
+    axes.set_axisbelow(True)
+    axes.spines[["top"]].set_visible(False)
+
+
+def _scaling(factor: float) -> Any:
+    """Multiplication by a factor, and its inverse, as an axis takes them."""
+
+    def there(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(values) * factor
+
+    def back(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(values) / factor
+
+    return there, back
+
+
+def _draw_line(axes: Axes, run: FusionRun, line: str, colour: str, marker: str, label: str) -> None:
+    """Medians as a line, the quartiles as a band."""
+    contacts = run.evaluation.contacts
+    found = [run.statistics(line, n, normalised=True) for n in contacts]
+    low, median, high = np.maximum([(s.q25, s.median, s.q75) for s in found], FUSION_FLOOR).T
+    axes.fill_between(contacts, low, high, color=colour, alpha=0.2, lw=0)
+    axes.plot(contacts, median, marker=marker, ms=5, lw=1.8, color=colour, label=f"{label}: median, quartiles")

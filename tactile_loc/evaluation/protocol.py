@@ -2,25 +2,131 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import Poses
-from tactile_loc.evaluation.judge import LINES, METRICS, STAGES, Judge
-from tactile_loc.evaluation.oracle import oracle_poses
-from tactile_loc.evaluation.shards import describe_located, save_in_shards
-from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.progress import StageTimes
+from tactile_loc.core.registry import registry
+from tactile_loc.core.sensing import Touch
+from tactile_loc.evaluation.metrics import add_s, hull_corners, mssd, symmetric_adds
+from tactile_loc.evaluation.oracle import oracle_poses, true_pose
+from tactile_loc.evaluation.posterior_metrics import posterior_metrics
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import Artifact, Workspace
 
+Arrays = Sequence[NDArray[Any]]
+
 PROTOCOL_VERSION = 2  # raised when the same localizer would get other numbers
+LINES = ("best-1", "best-10", "best-50", "reg-1", "chosen", "reg-10", "closest", "oracle", "random", "random-10")
+METRICS = ("add", "mssd", "add-s")
+STAGES = ("encode", "match", "fuse", "refine")
+SURFACE_POINTS = 10_000
+ASKED_EVERY = 10  # of the surface points, for ADD-S
+MOST, FEW = 50, 10  # poses that best-50, and that best-10, chosen, reg-10 and random-10 choose from
+NEAR = 32  # nearest grid poses by root mean square distance, among which the nearest by ADD is looked for
+NEAR_STEP_M = 1e-3  # of a continuous symmetry, in looking for them
 SHARD = 25  # touches localised, saved and resumed at once
-ARRAYS = ("errors_m", "T_sensor_object", "seconds", "beliefs")
+ARRAYS = ("errors_m", "T_sensor_object", "seconds", "posterior_metrics")
+
+
+def surface_points(obj: ObjectModel) -> NDArray[np.float64]:
+    """Return the points (SURFACE_POINTS, 3) of an object, metres, over which ADD is taken: always the same."""
+    return obj.mesh.sample(SURFACE_POINTS, np.random.default_rng(0))
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredTouch:
+    """One touch's row of an `Evaluation`: errors (L, M) and poses (L, 4, 4), metres, seconds (S,), metrics (B,)."""
+
+    errors_m: NDArray[np.float64]
+    T_sensor_object: Poses
+    seconds: NDArray[np.float64]
+    posterior_metrics: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class TouchEvaluator:
+    """Localises touches of known pose on a localizer's object, and measures every line of the protocol."""
+
+    localizer: Localizer
+
+    def measure(self, touch: Touch, oracle: int, rng: np.random.Generator) -> MeasuredTouch:
+        """Localise a touch of known pose and measure it.
+
+        `oracle` is the grid index of the oracle's pose; `rng` draws the random poses. The refinement's time is that of
+        one pose. Raises TouchError without a true pose.
+        """
+        truth = true_pose(touch)
+        times = StageTimes()
+        posterior = self.localizer.posterior(touch, times=times)
+        top = posterior.top(MOST)
+        top = top[np.isfinite(posterior.log_p[top])]
+        guesses = rng.integers(len(posterior.grid), size=FEW)
+        refined, times.seconds["refine"] = self._refine(touch, posterior, top[:FEW])
+        chosen = int(self.localizer.scene.explained(refined, touch).argmax())
+        poses = self._lines(truth, top, guesses, oracle, refined, chosen)
+        seconds = np.array([times.seconds[stage] for stage in STAGES])
+        return MeasuredTouch(self._errors_m(poses, truth), poses, seconds, posterior_metrics(posterior, truth, rng))
+
+    def _refine(self, touch: Touch, posterior: PosePosterior, top: NDArray[np.int64]) -> tuple[Poses, float]:
+        """Refine the grid poses `top` (K,), and say how long the first took, seconds."""
+        start = time.perf_counter()
+        (first,) = self.localizer.refine(touch, posterior, [int(top[0])])
+        seconds = time.perf_counter() - start
+        others = self.localizer.refine(touch, posterior, [int(index) for index in top[1:]])
+        return np.stack([pose.T_sensor_object for pose in (first, *others)]), seconds
+
+    def _lines(
+        self, T_true: Poses, top: NDArray[np.int64], guesses: NDArray[np.int64], oracle: int, refined: Poses,
+        chosen: int,
+    ) -> Poses:  # fmt: skip
+        """The pose (L, 4, 4) of each line: of those it may choose from, the one nearest to the truth by ADD."""
+        on_grid = np.concatenate([top, guesses, [oracle], self._near(T_true)])
+        poses = np.concatenate([self.localizer.model.grid.T_sensor_object[on_grid], refined])
+        errors = symmetric_adds(self.localizer.object, self._points_m, poses, T_true)
+        k, n = len(top), len(on_grid)
+        choices = {
+            "best-1": (0, 1), "best-10": (0, min(FEW, k)), "best-50": (0, k), "reg-1": (n, n + 1),
+            "chosen": (n + chosen, n + chosen + 1), "reg-10": (n, len(poses)), "closest": (0, n),
+            "oracle": (k + FEW, k + FEW + 1), "random": (k, k + 1), "random-10": (k, k + FEW),
+        }  # fmt: skip
+        return np.stack([poses[a + errors[a:b].argmin()] for a, b in (choices[line] for line in LINES)])
+
+    def _near(self, T_true: Poses) -> NDArray[np.int64]:
+        """Indices of the grid poses with the least root mean square distance to the truth, symmetry regarded."""
+        distances = self.localizer.model.grid.distances(T_true, NEAR_STEP_M)
+        return np.argsort(distances, kind="stable")[:NEAR]
+
+    def _errors_m(self, poses: Poses, T_true: Poses) -> NDArray[np.float64]:
+        """Errors (L, M) in metres of poses (L, 4, 4); equal poses are measured once."""
+        obj = self.localizer.object
+        distinct, where = np.unique(poses.reshape(len(poses), 16), axis=0, return_inverse=True)
+        distinct = distinct.reshape(-1, 4, 4)
+        errors = (
+            symmetric_adds(obj, self._points_m, distinct, T_true),
+            mssd(obj, self._corners_m, distinct, T_true),
+            add_s(self._points_m, distinct, T_true, ASKED_EVERY),
+        )
+        return np.stack(errors, axis=1)[where.ravel()]
+
+    @cached_property
+    def _points_m(self) -> NDArray[np.float64]:
+        return surface_points(self.localizer.object)
+
+    @cached_property
+    def _corners_m(self) -> NDArray[np.float64]:
+        return hull_corners(self.localizer.object.mesh)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,14 +134,14 @@ class Evaluation:
     """How far off T simulated touches were localised.
 
     `errors_m` (T, L, M) in metres of every line of LINES by every metric of METRICS; `T_sensor_object` (T, L, 4, 4) the
-    pose that a line ended with, metres; `seconds` (T, S) of every stage of STAGES, refining one pose; `beliefs` (T, B)
-    what BELIEF says of each posterior, metres and nats.
+    pose that a line ended with, metres; `seconds` (T, S) of every stage of STAGES, refining one pose;
+    `posterior_metrics` (T, B) what POSTERIOR_METRICS names, of each posterior, metres and nats.
     """
 
     errors_m: NDArray[np.float64]
     T_sensor_object: Poses
     seconds: NDArray[np.float64]
-    beliefs: NDArray[np.float64]
+    posterior_metrics: NDArray[np.float64]
 
     def errors(self, line: str, metric: str = "add") -> NDArray[np.float64]:
         """Return the errors (T,) of a line, metres."""
@@ -67,8 +173,8 @@ def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> Eva
     """
 
     def run(work: Workspace) -> None:
-        judge = Judge(localizer)
-        save_in_shards(work, ARRAYS, count, SHARD, lambda numbers: _localise(judge, numbers, touches))
+        evaluator = TouchEvaluator(localizer)
+        save_in_shards(work, ARRAYS, count, SHARD, lambda numbers: _localise(evaluator, numbers, touches))
 
     return _read(localizer.store.build(evaluation_key(localizer, count, touches), run))
 
@@ -79,9 +185,9 @@ def evaluation_key(localizer: Localizer, count: int, touches: SimulatedTouches) 
     return StageKey("evaluation", PROTOCOL_VERSION, {**describe_located(localizer, touches, count), **refiner})
 
 
-def _localise(judge: Judge, numbers: Sequence[int], source: SimulatedTouches) -> list[NDArray[Any]]:
+def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: SimulatedTouches) -> list[NDArray[Any]]:
     """The ARRAYS of some touches."""
-    localizer = judge.localizer
+    localizer = evaluator.localizer
     touches = [source.touch(localizer, number) for number in numbers]
     for touch in touches:
         localizer.matcher(touch.press_depth_m)  # what is built once is no part of a touch's time
@@ -92,10 +198,45 @@ def _localise(judge: Judge, numbers: Sequence[int], source: SimulatedTouches) ->
     task = f"locating {what}, touches {numbers[0] + 1} to {numbers[-1] + 1}"
     with localizer.progress.task(task, len(touches)) as advance:
         for number, touch, index in zip(numbers, touches, oracle, strict=True):
-            rows.append(judge.judge(touch, int(index), np.random.default_rng(source.random(number, 1))))
+            rows.append(evaluator.measure(touch, int(index), np.random.default_rng(source.random(number, 1))))
             advance(1)
-    return [np.stack(column) for column in zip(*rows, strict=True)]
+    return [np.stack([getattr(row, name) for row in rows]) for name in ARRAYS]
 
 
 def _read(artifact: Artifact) -> Evaluation:
     return Evaluation(*(artifact.array(name, mmap=False) for name in ARRAYS))
+
+
+def save_in_shards(
+    work: Workspace, names: Sequence[str], count: int, size: int, make: Callable[[range], Arrays]
+) -> None:
+    """Save the arrays called `names`, a row for each of `count` numbers, made `size` numbers at once by `make`.
+
+    `make` takes a range of numbers and returns an array of their rows for each name. What an interrupted run has made
+    is not made again.
+    """
+    every = range(count)
+    shards = [_shard(work, names, every[start : start + size], make) for start in every[::size]]
+    for name, columns in zip(names, zip(*shards, strict=True), strict=True):
+        work.save_array(name, np.concatenate(columns))
+
+
+def _shard(work: Workspace, names: Sequence[str], numbers: range, make: Callable[[range], Arrays]) -> Arrays:
+    """The arrays of some numbers: made now, or loaded if an interrupted run got that far."""
+    own = [f"{name}-{numbers.start:06d}" for name in names]
+    found: Arrays = [array for array in (work.load(name, keep=False) for name in own) if array is not None]
+    if len(found) < len(own):
+        found = make(numbers)
+        for name, array in zip(own, found, strict=True):
+            work.save_array(name, array, keep=False)
+    return found
+
+
+def describe_located(localizer: Localizer, touches: SimulatedTouches, count: int) -> dict[str, Any]:
+    """Return what decides the posteriors of `count` simulated touches, and those fused with them, as JSON values."""
+    matcher = registry().create("matcher", localizer.config.matcher.name, localizer.config.matcher.options)
+    return {
+        **localizer.describe_scores(), "temperature_scaling": asdict(localizer.temperature_scaling),
+        "matcher": matcher.describe(),
+        "fuser": localizer.fuser.describe(), **touches.describe(localizer), "count": count,
+    }  # fmt: skip

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.evaluation.belief import BELIEF, LEVELS, Trust
-from tactile_loc.evaluation.judge import LINES, METRICS, STAGES
-from tactile_loc.evaluation.protocol import PROTOCOL_VERSION, Evaluation
+from tactile_loc.evaluation.posterior_metrics import LEVELS, POSTERIOR_METRICS, PosteriorSummary
+from tactile_loc.evaluation.protocol import LINES, METRICS, PROTOCOL_VERSION, STAGES, Evaluation
 from tactile_loc.evaluation.tabular import (
     Statistics,
     bracketed,
@@ -23,10 +22,10 @@ from tactile_loc.evaluation.tabular import (
     write_all,
 )
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 SHOWN = tuple(line for line in LINES if line != "random-10")  # in the summary
-TRUST_NOTE = (
-    "Whether the probabilities can be trusted: how many true poses lie in the smallest sets of poses that hold 50, 80 "
+COVERAGE_NOTE = (
+    "Coverage: how many true poses lie in the smallest sets of poses that hold 50, 80 "
     "and 95 % of the probability, the mean negative log-likelihood of the grid pose nearest to the truth beside that "
     "of knowing nothing, the entropy, and how far poses drawn from the posterior are from the truth (expected error) "
     "and from its most probable pose (spread):"
@@ -49,9 +48,9 @@ class Run:
         values = self.evaluation.errors(line, metric)
         return Statistics.of(values / self.evaluation.scale_m(metric) if normalised else values)
 
-    def trust(self) -> Trust:
-        """Return what the posteriors come to: whether their probabilities can be trusted."""
-        return Trust.of(self.evaluation.beliefs, self.grid_poses)
+    def posterior_summary(self) -> PosteriorSummary:
+        """Return the metrics of the posteriors, summed up."""
+        return PosteriorSummary.of(self.evaluation.posterior_metrics, self.grid_poses)
 
     def median_seconds(self) -> dict[str, float]:
         """Return the median duration of each stage, seconds."""
@@ -84,19 +83,19 @@ def time_rows(runs: Sequence[Run]) -> list[list[str]]:
     return [[run.object, run.encoder, *(f"{1e3 * s:.1f}" for s in run.median_seconds().values())] for run in runs]
 
 
-def trust_rows(runs: Sequence[Run]) -> list[list[str]]:
-    """Return a row of cells for each run: the means of its beliefs, lengths in mm, and how often each LEVEL holds."""
+def posterior_rows(runs: Sequence[Run]) -> list[list[str]]:
+    """Return a row of cells for each run: how often each of LEVELS holds, and mean metrics, lengths in mm."""
     rows = []
     for run in runs:
-        trust = run.trust()
-        held = [f"{100 * share:.0f} %" for share in trust.coverage]
-        nats = [f"{value:.2f}" for value in (trust.nll, trust.uniform_nll, trust.entropy)]
-        rows.append([run.object, run.encoder, *held, *nats, mm(trust.expected_m), mm(trust.spread_m)])
+        summary = run.posterior_summary()
+        held = [f"{100 * share:.0f} %" for share in summary.coverage]
+        nats = [f"{value:.2f}" for value in (summary.nll, summary.uniform_nll, summary.entropy)]
+        rows.append([run.object, run.encoder, *held, *nats, mm(summary.expected_error_m), mm(summary.spread_m)])
     return rows
 
 
-def trust_header() -> list[str]:
-    """Return the heads of the columns of `trust_rows`."""
+def posterior_header() -> list[str]:
+    """Return the heads of the columns of `posterior_rows`."""
     sets = [f"in the {100 * level:.0f} % set" for level in LEVELS]
     return ["object", "encoder", *sets, "NLL, nats", "uniform", "entropy", "expected error, mm", "spread, mm"]
 
@@ -106,7 +105,7 @@ def markdown(runs: Sequence[Run], heading: str) -> str:
     note = "Median ADD in mm and, in brackets, divided by the mean error of a random pose; symmetry regarded."
     parts = [f"# {heading}\n", f"{note}\n", markdown_table(summary_header(), summary_rows(runs))]
     parts += ["Median time of each stage, ms:\n", markdown_table(["object", "encoder", *STAGES], time_rows(runs))]
-    parts += [f"{TRUST_NOTE}\n", markdown_table(trust_header(), trust_rows(runs))]
+    parts += [f"{COVERAGE_NOTE}\n", markdown_table(posterior_header(), posterior_rows(runs))]
     for run in runs:
         parts.append(
             f"## {run.object}, {run.encoder}\n\n{run.grid_poses} grid poses, symmetry {run.symmetry}; ADD, mm:\n"
@@ -150,8 +149,10 @@ def _run_record(run: Run) -> dict[str, Any]:
             }
             for line in LINES
         },
-        "trust": {**asdict(run.trust()), "levels": list(LEVELS)},
-        "beliefs": {name: evaluation.beliefs[:, i].tolist() for i, name in enumerate(BELIEF)},
+        "posterior": {**asdict(run.posterior_summary()), "levels": list(LEVELS)},
+        "posterior_metrics": {
+            name: evaluation.posterior_metrics[:, i].tolist() for i, name in enumerate(POSTERIOR_METRICS)
+        },
         "errors_m": {line: {m: evaluation.errors(line, m).tolist() for m in METRICS} for line in LINES},
         "configuration": dict(run.configuration),
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from tactile_loc.evaluation.contact_tables import SCHEMA_VERSION
+from tactile_loc.evaluation.fusion_tables import SCHEMA_VERSION
 from tactile_loc.evaluation.tabular import mm
 from tactile_loc.reports.documents import guarded, named_runs, require_version, settings_details
 from tactile_loc.reports.markup import choice, figure, table, tiles

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.evaluation.belief import LEVELS
+from tactile_loc.evaluation.posterior_metrics import LEVELS
 from tactile_loc.evaluation.tables import SCHEMA_VERSION, SHOWN
 from tactile_loc.evaluation.tabular import mm
 from tactile_loc.reports.documents import guarded, named_runs, require_version, settings_details
@@ -68,13 +68,13 @@ def _tiles(document: dict[str, Any]) -> list[tuple[str, str, str]]:
     medians = [run["lines"][line]["add"] for run in runs]
     middle_mm = mm(float(np.median([m["metres"]["median"] for m in medians])))
     share = float(np.median([m["normalised"]["median"] for m in medians]))
-    covered = np.mean([run["trust"]["coverage"] for run in runs], axis=0)
+    covered = np.mean([run["posterior"]["coverage"] for run in runs], axis=0)
     of_all = f"the median of {len(runs)} medians" if len(runs) > 1 else f"of {runs[0]['object']}"
     found = [
         (f"median ADD, {line}", f"{middle_mm} mm", of_all),
         ("of a random pose's mean", f"{share:.3f}", "the same, as a share"),
     ]
-    levels = runs[0]["trust"].get("levels", LEVELS)
+    levels = runs[0]["posterior"].get("levels", LEVELS)
     return found + [
         (
             f"in the {100 * level:.0f} % set",
@@ -126,15 +126,15 @@ def _errors(runs: Sequence[dict[str, Any]], names: Sequence[str], lines: Sequenc
 
 
 def _trust(runs: Sequence[dict[str, Any]], names: Sequence[str]) -> str:
-    levels = runs[0]["trust"].get("levels", LEVELS)
+    levels = runs[0]["posterior"].get("levels", LEVELS)
     header = ["object", *(f"in the {100 * level:.0f} % set" for level in levels), "NLL (nats)", "of knowing nothing",
               "entropy (nats)", "expected error (mm)", "spread (mm)"]  # fmt: skip
     rows = []
     for run, name in zip(runs, names, strict=True):
-        trust = run["trust"]
+        trust = run["posterior"]
         held = [f"{100 * share:.0f} %" for share in trust["coverage"]]
         nats = [f"{trust[key]:.2f}" for key in ("nll", "uniform_nll", "entropy")]
-        rows.append([name, *held, *nats, mm(trust["expected_m"]), mm(trust["spread_m"])])
+        rows.append([name, *held, *nats, mm(trust["expected_error_m"]), mm(trust["spread_m"])])
     covered = figure("coverage", "How often the truth lies in the smallest set of poses with so much probability. On "
                      "the dashed line the probabilities are true; below it, too sure.")  # fmt: skip
     entropy = figure("entropy", "Error against the posterior's entropy: where it is low, errors should be small.")
@@ -168,8 +168,8 @@ def _run(run: dict[str, Any], name: str) -> dict[str, Any]:
     }
     return {
         "name": name, "errors_mm": errors, "random_mm": {m: 1e3 * v for m, v in run["random_mean_m"].items()},
-        **{name: [_short(v) for v in run["beliefs"][name]] for name in ("level", "entropy")},
-        "levels": run["trust"].get("levels", list(LEVELS)), "coverage": run["trust"]["coverage"],
+        **{name: [_short(v) for v in run["posterior_metrics"][name]] for name in ("credible_level", "entropy")},
+        "levels": run["posterior"].get("levels", list(LEVELS)), "coverage": run["posterior"]["coverage"],
         "times": [[stage, 1e3 * s] for stage, s in run["median_seconds"].items()],
     }  # fmt: skip
 

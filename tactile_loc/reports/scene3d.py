@@ -15,7 +15,7 @@ from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import ContactShape, SensorGeometry
 from tactile_loc.drawing.pictures import extent_mm
 from tactile_loc.drawing.pose_panel import GEL_MM, RIM_MM
-from tactile_loc.drawing.views import CREASE_DEG, View, box
+from tactile_loc.drawing.raytracing import CREASE_DEG, View, box
 from tactile_loc.locate.result_arrays import TouchArrays
 
 Array = NDArray[np.float64]

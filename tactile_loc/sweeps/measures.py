@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tactile_loc.evaluation.belief import LEVELS, Trust
-from tactile_loc.evaluation.judge import LINES, STAGES
-from tactile_loc.evaluation.protocol import Evaluation
+from tactile_loc.evaluation.posterior_metrics import LEVELS, PosteriorSummary
+from tactile_loc.evaluation.protocol import LINES, STAGES, Evaluation
 
 ERRORS = tuple(f"{line}_{what}" for line in LINES for what in ("median_mm", "mean_mm", "median_share"))
 TRUST = (*(f"coverage_{100 * level:.0f}" for level in LEVELS), "nll_nats")
@@ -23,7 +22,7 @@ def measures(evaluation: Evaluation, grid_poses: int) -> dict[str, float | None]
         metres = evaluation.errors(line)
         shares = evaluation.normalised(line)
         errors += [1e3 * np.median(metres), 1e3 * metres.mean(), np.median(shares)]
-    trust = Trust.of(evaluation.beliefs, grid_poses)
+    trust = PosteriorSummary.of(evaluation.posterior_metrics, grid_poses)
     times = 1e3 * np.median(evaluation.seconds, axis=0)
     values = {
         **dict(zip(ERRORS, errors, strict=True)),

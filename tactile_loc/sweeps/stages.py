@@ -10,7 +10,7 @@ from typing import Any
 
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.evaluation.protocol import evaluation_key
-from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.model import SHARD, STAGE_VERSIONS
 from tactile_loc.locate.probabilities import TemperatureScaling

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.registry import SLOTS
-from tactile_loc.evaluation.judge import LINES
+from tactile_loc.evaluation.protocol import LINES
 from tactile_loc.io.config import SlotConfig
 from tactile_loc.sweeps.choices import label, varied_options
 from tactile_loc.sweeps.plan import Plan

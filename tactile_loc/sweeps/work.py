@@ -64,7 +64,7 @@ def work(job: Job, obj: ObjectModel) -> Outcome:
 
 def _measured(job: Job, obj: ObjectModel, store: StageStore) -> dict[str, Any]:
     from tactile_loc.evaluation.protocol import evaluate
-    from tactile_loc.evaluation.sources import SimulatedTouches
+    from tactile_loc.evaluation.simulated_touches import SimulatedTouches
     from tactile_loc.sweeps.measures import measures
 
     config = job.config

@@ -10,7 +10,7 @@ from cli_helpers import TINY, assert_refused, write_box
 from PIL import Image
 
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 
 FEW = ["--count", 3, "--refiner", "none", *TINY]
 
@@ -37,7 +37,7 @@ def test_several_objects_are_evaluated_and_written(cli, tmp_path):
     in_mm, shares, trust = [line for line in lines if line[:2] == ["pin", "pixel"]]
     assert float(in_mm[2]) == pytest.approx(1e3 * median_m, rel=0.01)
     assert float(shares[2]) == pytest.approx(median_m / record["runs"][0]["random_mean_m"]["add"], abs=1e-3)
-    assert trust[2::2][:3] == [f"{100 * share:.0f}" for share in record["runs"][0]["trust"]["coverage"]]
+    assert trust[2::2][:3] == [f"{100 * share:.0f}" for share in record["runs"][0]["posterior"]["coverage"]]
     assert max(map(len, done.stdout.splitlines()[:4])) <= 80
     for name in ("results.json", *pictures):
         assert name in done.stdout
@@ -66,14 +66,14 @@ def test_the_same_command_finds_what_was_done(cli, tmp_path):
 
 
 def test_an_interruption_is_one_line_and_resumes(cli, tmp_path, monkeypatch):
-    from tactile_loc.evaluation.judge import Judge
+    from tactile_loc.evaluation.protocol import TouchEvaluator
 
     def interrupt(*arguments):
         raise KeyboardInterrupt
 
     line = ["evaluate", "--object", "pin", *FEW, "--noise", "none", "--seed", 77]
     with monkeypatch.context() as patched:
-        patched.setattr(Judge, "judge", interrupt)
+        patched.setattr(TouchEvaluator, "measure", interrupt)
         stopped = cli(*line)
     assert stopped.exit_code == 130
     assert stopped.stderr.startswith("interrupted: ")

@@ -36,14 +36,14 @@ def test_objects_are_evaluated_by_number_of_contacts_and_written(cli, tmp_path):
 
 
 def test_an_interruption_is_one_line_and_resumes(cli, tmp_path, monkeypatch):
-    from tactile_loc.evaluation import contact_protocol
+    from tactile_loc.evaluation import fusion
 
     def interrupt(*arguments):
         raise KeyboardInterrupt
 
     line = ["evaluate", "--contacts", "2", "--object", "pin", *FEW, "--seed", 77]
     with monkeypatch.context() as patched:
-        patched.setattr(contact_protocol._Examples, "_example", interrupt)
+        patched.setattr(fusion._Examples, "_example", interrupt)
         stopped = cli(*line)
     assert stopped.exit_code == 130
     assert stopped.stderr.startswith("interrupted: ")

@@ -109,7 +109,7 @@ def test_evaluate_is_what_is_in_its_file_but_for_the_single_touches(document):
     assert run["lines"] == stored_run["lines"]
     assert run["lines"]["best-1"]["add"]["metres"]["median"] < 0.1
     assert "errors_m" in stored_run
-    assert not {"errors_m", "beliefs"} & run.keys()
+    assert not {"errors_m", "posterior_metrics"} & run.keys()
 
 
 def test_calibrate_is_in_radians(document):

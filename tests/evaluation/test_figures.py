@@ -1,4 +1,4 @@
-"""The pictures of an evaluation carry what is needed to read them."""
+"""Pictures of evaluations."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import dataclasses
 
 import numpy as np
 import pytest
+from test_fusion_tables import CONTACTS, make_contact_run
 from test_tables import make_run
 
 from tactile_loc.drawing.pictures import save_figure
-from tactile_loc.evaluation.figures import DRAWN, FLOOR, draw_gallery, draw_violins
+from tactile_loc.evaluation.figures import DRAWN, FLOOR, draw_fusion, draw_gallery, draw_reliability, draw_violins
+from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import Evaluation, evaluate
-from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.tables import Run
 
 
@@ -68,7 +70,9 @@ def test_violins_of_a_single_exact_touch(tmp_path):
 @pytest.mark.parametrize(("count", "columns"), [(6, 6), (3, 3), (1, 1)])
 def test_a_gallery_shows_the_best_the_median_and_the_worst_touch(localizer, tmp_path, count, columns):
     six = evaluate(localizer, 6, SimulatedTouches("strong", 3))
-    evaluation = Evaluation(*(a[:count] for a in (six.errors_m, six.T_sensor_object, six.seconds, six.beliefs)))
+    evaluation = Evaluation(
+        *(a[:count] for a in (six.errors_m, six.T_sensor_object, six.seconds, six.posterior_metrics))
+    )
     figure = draw_gallery(localizer, evaluation, SimulatedTouches("strong", 3), "pin")
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
     assert len(titles) == columns
@@ -81,3 +85,70 @@ def test_a_gallery_shows_the_best_the_median_and_the_worst_touch(localizer, tmp_
     for word in ("x (mm)", "y (mm)", "observed", "estimated", "depth from full penetration (mm)"):
         assert word in labels
     assert save_figure(tmp_path / "gallery.png", figure, dpi=40).exists()
+
+
+def test_the_curve_says_how_many_true_poses_a_set_holds(tmp_path):
+    run = make_run("pin", "pixel", 0)
+    figure = draw_reliability([run], "title")
+    trusted, entropy = figure.axes
+    curve = next(line for line in trusted.lines if line.get_label() == "pin, pixel")
+    held = (run.evaluation.posterior_metrics[:, POSTERIOR_METRICS.index("credible_level")] <= 0.5).mean()
+    assert np.interp(50, *curve.get_data()) == 100 * held
+    (dots,) = entropy.lines
+    np.testing.assert_allclose(
+        dots.get_xdata(), run.evaluation.posterior_metrics[:, POSTERIOR_METRICS.index("entropy")]
+    )
+    assert dots.get_ydata().max() == 1e3 * run.evaluation.errors("reg-1").max()
+    assert all("(" in text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()))  # units
+    assert save_figure(tmp_path / "a.png", figure, dpi=40).exists()
+
+
+def test_many_runs_are_told_apart(tmp_path):
+    runs = [make_run(f"part {i}", "pixel", i) for i in range(8)]
+    figure = draw_reliability(runs, "title")
+    styles = {(line.get_color(), line.get_marker()) for line in figure.axes[1].lines}
+    assert len(styles) == 8
+
+
+def panels(figure):
+    return [axes for axes in figure.axes if axes.axison]
+
+
+def test_each_object_has_a_panel_with_medians_and_quartiles(tmp_path):
+    runs = [make_contact_run(name, "pixel", i) for i, name in enumerate(("pin", "hook"))]
+    figure = draw_fusion(runs, "the title")
+    assert [axes.get_title().split()[0] for axes in panels(figure)] == ["pin", "hook"]
+    for axes, run in zip(panels(figure), runs, strict=True):
+        for label, line in (("best-1", "best-1"), ("kinematic", "kinematic")):
+            curve = next(c for c in axes.lines if c.get_label().startswith(label))
+            assert tuple(curve.get_xdata()) == CONTACTS
+            np.testing.assert_allclose(
+                curve.get_ydata(), [np.median(run.evaluation.normalised(line, n)) for n in CONTACTS]
+            )
+        assert len(axes.collections) == 2
+        assert axes.get_yscale() == "log"
+        assert axes.get_xlabel() == "number of contacts"
+        assert "mm" in axes.get_title()
+    assert "ADD" in panels(figure)[0].get_ylabel()
+    assert figure._suptitle.get_text() == "the title"
+    assert save_figure(tmp_path / "a.png", figure, dpi=40).stat().st_size > 1000
+
+
+def test_encoders_are_told_apart_and_kinematic_is_drawn_once():
+    runs = [make_contact_run("pin", encoder, i) for i, encoder in enumerate(("pixel", "other"))]
+    figure = draw_fusion(runs, "t")
+    (axes,) = panels(figure)
+    curves = [c for c in axes.lines if tuple(c.get_xdata()) == CONTACTS]
+    assert len(curves) == 3
+    assert len({c.get_color() for c in curves}) == 3
+    words = " ".join(text.get_text() for text in figure.legends[0].get_texts())
+    for word in ("pixel", "other", "kinematic", "random"):
+        assert word in words
+
+
+def test_errors_of_zero_are_drawn_on_the_floor():
+    run = make_contact_run("pin", "pixel", 0)
+    run.evaluation.errors_m[:, :, 0] = 0.0
+    (axes,) = panels(draw_fusion([run], "t"))
+    best = next(c for c in axes.lines if c.get_label().startswith("best-1"))
+    assert np.isfinite(np.log(best.get_ydata())).all()

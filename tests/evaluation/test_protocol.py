@@ -7,10 +7,9 @@ import pytest
 
 from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.evaluation import protocol
-from tactile_loc.evaluation.judge import LINES, METRICS, STAGES, Judge
 from tactile_loc.evaluation.oracle import oracle_poses
-from tactile_loc.evaluation.protocol import Evaluation, evaluate, evaluation_key
-from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation, TouchEvaluator, evaluate, evaluation_key
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
 
@@ -124,27 +123,27 @@ def test_encoders_are_asked_about_the_same_touches(plain, localizer):
 
 def test_an_interrupted_evaluation_resumes_and_ends_the_same(plain, localizer, tmp_path, monkeypatch):
     monkeypatch.setattr(protocol, "SHARD", 2)
-    store, judged = StageStore(tmp_path), []
-    judge = Judge.judge
+    store, measured = StageStore(tmp_path), []
+    measure = TouchEvaluator.measure
 
     def interrupted(self, touch, *others):
-        if touch.name == "touch-0003" and len(judged) == 3:
+        if touch.name == "touch-0003" and len(measured) == 3:
             raise KeyboardInterrupt
-        judged.append(touch.name)
-        return judge(self, touch, *others)
+        measured.append(touch.name)
+        return measure(self, touch, *others)
 
-    monkeypatch.setattr(Judge, "judge", interrupted)
+    monkeypatch.setattr(TouchEvaluator, "measure", interrupted)
     with pytest.raises(KeyboardInterrupt):
         evaluate(fresh(store, refiner="none"), COUNT, SimulatedTouches("strong", 3))
-    judged.append("interrupted")
+    measured.append("interrupted")
     resumed = evaluate(fresh(store, refiner="none"), COUNT, SimulatedTouches("strong", 3))
-    after = judged[judged.index("interrupted") + 1 :]
+    after = measured[measured.index("interrupted") + 1 :]
     assert after == [f"touch-{i:04d}" for i in (2, 3, 4, 5)]  # the first shard stayed
     assert_same(plain, resumed)
 
 
 def test_what_is_finished_is_not_done_again(evaluation, localizer, monkeypatch):
-    monkeypatch.setattr(Judge, "judge", lambda *others: pytest.fail("localised again"))
+    monkeypatch.setattr(TouchEvaluator, "measure", lambda *others: pytest.fail("localised again"))
     again = evaluate(fresh(localizer.store), COUNT, SimulatedTouches("strong", 3))
     assert (again.errors_m == evaluation.errors_m).all()
     assert (again.seconds == evaluation.seconds).all()
@@ -164,12 +163,12 @@ def test_the_key_holds_whatever_changes_the_errors(localizer):
 
 def test_a_symmetric_object_may_be_found_at_any_equivalent(localizer):
     """The pin turned by half about its axis looks the same: such an estimate is as good."""
-    judge = Judge(localizer)
+    evaluator = TouchEvaluator(localizer)
     touch = SimulatedTouches("none", 0).touch(localizer, 0)
     truth = touch.T_sensor_object
     same = localizer.model.grid.metric.equivalents(truth[None], 2e-4)[:, 0]
     assert len(same) == 2
-    errors = judge._measure(same, truth)
+    errors = evaluator._errors_m(same, truth)
     assert errors[:, :2] == pytest.approx(0, abs=1e-9)
 
 
@@ -180,6 +179,6 @@ def test_touches_without_a_true_pose_and_unknown_noise_are_refused(localizer):
     with pytest.raises(TouchError, match="no true pose"):
         oracle_poses(localizer, [touch])
     with pytest.raises(TouchError, match="no true pose"):
-        Judge(localizer).judge(touch, 0, np.random.default_rng(0))
+        TouchEvaluator(localizer).measure(touch, 0, np.random.default_rng(0))
     with pytest.raises(ConfigError, match="noise"):
         evaluate(localizer, 1, SimulatedTouches("loud"))

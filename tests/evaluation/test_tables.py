@@ -10,18 +10,17 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import OutputError
-from tactile_loc.evaluation.belief import BELIEF
-from tactile_loc.evaluation.judge import LINES, METRICS, STAGES
-from tactile_loc.evaluation.protocol import Evaluation
+from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
+from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.evaluation.tables import (
     Run,
     csv_text,
     markdown,
+    posterior_header,
+    posterior_rows,
     record,
     summary_header,
     summary_rows,
-    trust_header,
-    trust_rows,
     write_tables,
 )
 from tactile_loc.evaluation.tabular import mm
@@ -33,20 +32,23 @@ def make_run(name: str, encoder: str, seed: int) -> Run:
     rng = np.random.default_rng(seed)
     errors = rng.uniform(1e-4, 3e-2, (12, len(LINES), len(METRICS)))
     poses = np.broadcast_to(np.eye(4), (12, len(LINES), 4, 4))
-    seconds, beliefs = rng.uniform(0, 0.01, (12, len(STAGES))), rng.uniform(0, 1, (12, len(BELIEF)))
-    return Run(name, "z2", encoder, 500, Evaluation(errors, poses, seconds, beliefs))
+    seconds, posterior_metrics = (
+        rng.uniform(0, 0.01, (12, len(STAGES))),
+        rng.uniform(0, 1, (12, len(POSTERIOR_METRICS))),
+    )
+    return Run(name, "z2", encoder, 500, Evaluation(errors, poses, seconds, posterior_metrics))
 
 
 def test_trust_is_said_in_table_json_and_mm(runs):
-    trust, (row, *_) = runs[0].trust(), trust_rows(runs)
-    held = runs[0].evaluation.beliefs[:, BELIEF.index("level")] <= 0.8
+    trust, (row, *_) = runs[0].posterior_summary(), posterior_rows(runs)
+    held = runs[0].evaluation.posterior_metrics[:, POSTERIOR_METRICS.index("credible_level")] <= 0.8
     assert trust.coverage[1] == held.mean()
     assert row[3] == f"{100 * held.mean():.0f} %"
     assert float(row[-1]) == pytest.approx(1e3 * trust.spread_m, rel=0.01)
-    assert dict(zip(trust_header(), row, strict=True))["uniform"] == f"{np.log(500):.2f}"
+    assert dict(zip(posterior_header(), row, strict=True))["uniform"] == f"{np.log(500):.2f}"
     found = record(runs, PROTOCOL)["runs"][0]
-    assert found["trust"]["coverage"] == trust.coverage
-    assert found["beliefs"]["nll"] == runs[0].evaluation.beliefs[:, 0].tolist()
+    assert found["posterior"]["coverage"] == trust.coverage
+    assert found["posterior_metrics"]["nll"] == runs[0].evaluation.posterior_metrics[:, 0].tolist()
     assert " | ".join(row) in markdown(runs, "title")
 
 

@@ -36,8 +36,8 @@ def test_medians_are_those_of_the_file(document, page):
 def test_trust_and_times_are_those_of_the_file(document, page):
     run = document["runs"][0]
     rows = [row for row in page.rows if row and row[0] == run["object"]]
-    held = [f"{100 * share:.0f} %" for share in run["trust"]["coverage"]]
-    assert any(row[1:4] == held and row[4] == f"{run['trust']['nll']:.2f}" for row in rows)
+    held = [f"{100 * share:.0f} %" for share in run["posterior"]["coverage"]]
+    assert any(row[1:4] == held and row[4] == f"{run['posterior']['nll']:.2f}" for row in rows)
     times = [f"{1e3 * s:.2f}" for s in run["median_seconds"].values()]
     assert any(row[1:] == times for row in rows)
 
@@ -48,7 +48,7 @@ def test_scripts_draw_every_touch_s_errors_in_mm(document, evaluation_folder):
         for line, by_metric in run["errors_m"].items():
             for metric, errors in by_metric.items():
                 assert drawn["errors_mm"][line][metric] == pytest.approx([1e3 * e for e in errors], rel=1e-5)
-        assert drawn["entropy"] == pytest.approx(run["beliefs"]["entropy"], rel=1e-5)
+        assert drawn["entropy"] == pytest.approx(run["posterior_metrics"]["entropy"], rel=1e-5)
         assert drawn["random_mm"]["add"] == pytest.approx(1e3 * run["random_mean_m"]["add"])
 
 

@@ -13,7 +13,7 @@ from report_helpers import UNFRIENDLY, floats
 
 from tactile_loc.core.geometry import make_transform
 from tactile_loc.core.sensing import ContactShape
-from tactile_loc.drawing.views import View
+from tactile_loc.drawing.raytracing import View
 from tactile_loc.reports import scene3d
 from tactile_loc.reports.shape_pictures import difference_png, outline_path, shape_png, shape_svg
 

@@ -5,19 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.evaluation.belief import BELIEF
-from tactile_loc.evaluation.judge import LINES, METRICS, STAGES
-from tactile_loc.evaluation.protocol import Evaluation
+from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
+from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.sweeps.measures import ERRORS, TIMES, TRUST, measures
 
 
-def evaluation(**beliefs: float) -> Evaluation:
+def evaluation(**posterior_metrics: float) -> Evaluation:
     """Three touches: line l is l + 1 mm off, twice and four times as much; random poses 20 mm on average."""
     errors_m = 1e-3 * np.arange(1, len(LINES) + 1)[None, :, None] * np.array([1, 2, 4])[:, None, None]
     errors_m = np.repeat(errors_m, len(METRICS), axis=2)
     errors_m[:, LINES.index("random")] = np.array([10e-3, 20e-3, 30e-3])[:, None]
     seconds = np.array([[1, 2, 3, 4], [1, 2, 3, 40], [9, 2, 3, 5]]) * 1e-3
-    rows = [[beliefs.get(name, 0.4) for name in BELIEF]] * 3
+    rows = [[posterior_metrics.get(name, 0.4) for name in POSTERIOR_METRICS]] * 3
     return Evaluation(errors_m, np.zeros((3, len(LINES), 4, 4)), seconds, np.array(rows))
 
 

@@ -15,7 +15,7 @@ import pytest
 from tactile_loc.core.errors import OutputError
 from tactile_loc.core.progress import Progress
 from tactile_loc.evaluation.protocol import evaluate
-from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore

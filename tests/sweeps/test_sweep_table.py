@@ -9,7 +9,7 @@ import pytest
 
 from tactile_loc.core.errors import MissingLibraryError
 from tactile_loc.core.registry import SLOTS
-from tactile_loc.evaluation.judge import LINES
+from tactile_loc.evaluation.protocol import LINES
 from tactile_loc.sweeps.table import (
     MOMENTARY,
     columns_of,

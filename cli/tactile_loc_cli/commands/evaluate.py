@@ -17,7 +17,7 @@ from tactile_loc_cli.console import progress, say, say_table
 
 if TYPE_CHECKING:
     from tactile_loc.core.objects import ObjectModel
-    from tactile_loc.evaluation.sources import SimulatedTouches
+    from tactile_loc.evaluation.simulated_touches import SimulatedTouches
     from tactile_loc.evaluation.tables import Run
     from tactile_loc.io.config import RunConfig
     from tactile_loc.locate.localizer import Localizer
@@ -189,7 +189,7 @@ def _jobs(asked: dict[str, Any], seed: int) -> tuple[list[tuple[RunConfig, Objec
 
 
 def _touches(asked: dict[str, Any], in_file: dict[str, Any], seed: int) -> SimulatedTouches:
-    from tactile_loc.evaluation.sources import SimulatedTouches
+    from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 
     images = asked["touches"] is TouchKind.IMAGES
     default = "none" if images else DEFAULT_NOISE
@@ -259,15 +259,14 @@ def _gallery(name: str, encoder: str) -> str:
 
 def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
     from tactile_loc.drawing.pictures import save_figure
-    from tactile_loc.evaluation.figures import draw_violins
-    from tactile_loc.evaluation.reliability import draw_reliability
+    from tactile_loc.evaluation.figures import draw_reliability, draw_violins
     from tactile_loc.evaluation.tables import (
         medians_mm,
         medians_normalised,
+        posterior_header,
+        posterior_rows,
         record,
         summary_header,
-        trust_header,
-        trust_rows,
         write_tables,
     )
 
@@ -280,7 +279,7 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
     say_table([summary_header(), *medians_mm(runs)])
     say("\nmedian ADD as a share of a random pose's mean")
     say_table([summary_header(), *medians_normalised(runs)])
-    say("\ncan the probabilities be trusted: true poses in the sets that hold so much of the probability, and means")
-    say_table([trust_header(), *trust_rows(runs)])
+    say("\ncoverage: true poses in the sets that hold so much of the probability, and means")
+    say_table([posterior_header(), *posterior_rows(runs)])
     say(f"\nwritten: {', '.join(map(str, written))}")
     return several.summarised(record(runs, protocol), written)

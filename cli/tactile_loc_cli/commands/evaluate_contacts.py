@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 from tactile_loc_cli.console import say, say_table
 
 if TYPE_CHECKING:
-    from tactile_loc.evaluation.contact_tables import ContactRun
-    from tactile_loc.evaluation.sources import SimulatedTouches
+    from tactile_loc.evaluation.fusion_tables import FusionRun
+    from tactile_loc.evaluation.simulated_touches import SimulatedTouches
     from tactile_loc.io.config import RunConfig
     from tactile_loc.locate.localizer import Localizer
 
 DEFAULT_COUNT = 100
-OF_EACH_TOUCH = ("errors_m", "beliefs")  # keys of the files whose lists are as long as there are touches
+OF_EACH_TOUCH = ("errors_m", "posterior_metrics")  # keys of the files whose lists are as long as there are touches
 
 _PART = re.compile(r"(\d+)(?:\.\.(\d+))?")
 
@@ -25,15 +25,15 @@ _PART = re.compile(r"(\d+)(?:\.\.(\d+))?")
 def parse_contacts(text: str) -> tuple[int, ...]:
     """Return the numbers of contacts that a text such as "1..7" or "1,2,5..7" names, rising. Raises ConfigError."""
     from tactile_loc.core.errors import ConfigError
-    from tactile_loc.evaluation.contact_protocol import MOST_CONTACTS
+    from tactile_loc.evaluation.fusion import MOST_FUSED
 
     numbers: set[int] = set()
     for part in text.replace(" ", "").split(","):
         match = _PART.fullmatch(part)
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
-        if not 1 <= first <= last <= MOST_CONTACTS:
+        if not 1 <= first <= last <= MOST_FUSED:
             raise ConfigError(
-                f"--contacts {text!r} names no numbers of contacts; write a range or a list from 1 to {MOST_CONTACTS}, "
+                f"--contacts {text!r} names no numbers of contacts; write a range or a list from 1 to {MOST_FUSED}, "
                 "such as 1..7 or 1,2,3"
             )
         numbers.update(range(first, last + 1))
@@ -56,23 +56,23 @@ def evaluate_contacts(
 
 def _run(
     settings: RunConfig, localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches
-) -> ContactRun:
-    from tactile_loc.evaluation.contact_protocol import evaluate_contacts as run_protocol
-    from tactile_loc.evaluation.contact_tables import ContactRun
+) -> FusionRun:
+    from tactile_loc.evaluation.fusion import evaluate_fusion
+    from tactile_loc.evaluation.fusion_tables import FusionRun
     from tactile_loc.locate.result_json import resolved
 
-    evaluation = run_protocol(localizer, contacts, count, touches)
+    evaluation = evaluate_fusion(localizer, contacts, count, touches)
     obj, poses = localizer.object, len(localizer.model.grid)
-    return ContactRun(obj.name, str(obj.symmetry), settings.encoder.name, poses, evaluation, resolved(settings))
+    return FusionRun(obj.name, str(obj.symmetry), settings.encoder.name, poses, evaluation, resolved(settings))
 
 
-def _report(runs: Sequence[ContactRun], protocol: dict[str, object], heading: str, out: Path) -> dict[str, Any]:
+def _report(runs: Sequence[FusionRun], protocol: dict[str, object], heading: str, out: Path) -> dict[str, Any]:
     from tactile_loc.drawing.pictures import save_figure
-    from tactile_loc.evaluation.contact_figure import draw_contacts
-    from tactile_loc.evaluation.contact_tables import median_header, median_rows, record, write_contact_tables
+    from tactile_loc.evaluation.figures import draw_fusion
+    from tactile_loc.evaluation.fusion_tables import median_header, median_rows, record, write_fusion_tables
 
-    written = write_contact_tables(out, runs, protocol, heading)
-    written.append(save_figure(out / "contacts.png", draw_contacts(runs, heading)))
+    written = write_fusion_tables(out, runs, protocol, heading)
+    written.append(save_figure(out / "contacts.png", draw_fusion(runs, heading)))
     header = [head.split()[0] for head in median_header(runs)]
     say("median ADD by number of contacts, mm")
     say_table([header, *median_rows(runs, normalised=False)], left=3)
@@ -95,7 +95,7 @@ def _without_touches(value: Any) -> Any:
     return [_without_touches(item) for item in value] if isinstance(value, list) else value
 
 
-def _say_without_common(run: ContactRun) -> None:
+def _say_without_common(run: FusionRun) -> None:
     """Say how often no pose touched all sensors, if it happened."""
     found = run.evaluation
     counts = {n: found.without_common("best-1", n) for n in found.contacts}

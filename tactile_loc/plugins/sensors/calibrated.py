@@ -44,6 +44,17 @@ class CalibratedSensor(DepthSensor):
         image = require_image(image, self.calibration.background, self.calibration.camera_px)
         return self.calibration.estimator.indentation(image)
 
+    def simulated_image(self, shape: ContactShape, rng: np.random.Generator) -> NDArray[np.uint8]:
+        """Return the image (H, W, 3) of a contact shape, by the lamps of the simulated images it was calibrated on.
+
+        Raises CalibrationError for a sensor that was calibrated on others.
+        """
+        from tactile_loc.imaging.simulate import touch_images
+
+        press_m, background = np.array([shape.press_depth_m]), self.calibration.background
+        optics = self.calibration.optics
+        return touch_images(shape.depth_m[None], press_m, self.geometry, optics, rng, background=background)[0]
+
     def _make_geometry(self) -> SensorGeometry:
         self.calibration: Calibration = read_calibration(Path(self.options.path).expanduser())
         return self.calibration.geometry

@@ -1,4 +1,4 @@
-"""Can the probabilities be trusted: numbers that are known of posteriors that are known."""
+"""Numbers that are known of posteriors that are known."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import trimesh
 from tactile_loc.core.geometry import make_transform, rotation_about
 from tactile_loc.core.poses import PoseGrid, PoseMetric
 from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.evaluation.belief import BELIEF, LEVELS, Trust, belief
+from tactile_loc.evaluation.posterior_metrics import LEVELS, POSTERIOR_METRICS, PosteriorSummary, posterior_metrics
 
 P = np.array([0.1, 0.4, 0.2, 0.3])
 STEP_M = 2e-3
@@ -24,16 +24,16 @@ def posterior(make_object) -> PosePosterior:
 
 
 def asked(posterior: PosePosterior, T: np.ndarray, seed: int = 0) -> dict[str, float]:
-    return dict(zip(BELIEF, belief(posterior, T, np.random.default_rng(seed)), strict=True))
+    return dict(zip(POSTERIOR_METRICS, posterior_metrics(posterior, T, np.random.default_rng(seed)), strict=True))
 
 
 def test_numbers_of_a_posterior_that_is_known(posterior):
     found = asked(posterior, posterior.grid.T_sensor_object[2])
     assert found["nll"] == pytest.approx(-np.log(0.2))
     assert found["entropy"] == pytest.approx(-(P * np.log(P)).sum())
-    assert found["expected"] == pytest.approx(STEP_M * (0.1 * 2 + 0.4 * 1 + 0.3 * 1))
+    assert found["expected_error"] == pytest.approx(STEP_M * (0.1 * 2 + 0.4 * 1 + 0.3 * 1))
     assert found["spread"] == pytest.approx(STEP_M * (0.1 * 1 + 0.2 * 1 + 0.3 * 2))
-    levels = [asked(posterior, posterior.grid.T_sensor_object[2], seed)["level"] for seed in range(400)]
+    levels = [asked(posterior, posterior.grid.T_sensor_object[2], seed)["credible_level"] for seed in range(400)]
     assert (min(levels), max(levels)) == (pytest.approx(0.7, abs=5e-3), pytest.approx(0.9, abs=5e-3))
     assert np.mean(levels) == pytest.approx(0.8, abs=0.01)
 
@@ -42,25 +42,30 @@ def test_the_truth_between_poses_is_that_of_the_nearest(posterior):
     T = posterior.grid.T_sensor_object[1].copy()
     T[0, 3] += 0.4 * STEP_M
     assert asked(posterior, T)["nll"] == pytest.approx(-np.log(0.4))
-    assert asked(posterior, T)["expected"] == pytest.approx(STEP_M * (0.1 * 1.4 + 0.4 * 0.4 + 0.2 * 0.6 + 0.3 * 1.6))
+    assert asked(posterior, T)["expected_error"] == pytest.approx(
+        STEP_M * (0.1 * 1.4 + 0.4 * 0.4 + 0.2 * 0.6 + 0.3 * 1.6)
+    )
 
 
 def test_symmetry_is_regarded(make_object):
     part = make_object(trimesh.creation.box((0.02, 0.01, 0.01)), "z2")
     grid = PoseGrid(make_transform(np.eye(3), np.zeros((1, 3))), PoseMetric(part))
     turned = make_transform(rotation_about([0, 0, 1], np.pi), np.zeros(3))
-    assert asked(PosePosterior(grid, np.zeros(1)), turned)["expected"] == pytest.approx(0, abs=1e-9)
+    assert asked(PosePosterior(grid, np.zeros(1)), turned)["expected_error"] == pytest.approx(0, abs=1e-9)
 
 
 def test_levels_of_true_probabilities_are_uniform(posterior):
     rng = np.random.default_rng(5)
     truths = rng.choice(4, size=4000, p=P)
-    levels = [belief(posterior, posterior.grid.T_sensor_object[i], rng)[BELIEF.index("level")] for i in truths]
+    levels = [
+        posterior_metrics(posterior, posterior.grid.T_sensor_object[i], rng)[POSTERIOR_METRICS.index("credible_level")]
+        for i in truths
+    ]
     held = [(np.array(levels) <= sure).mean() for sure in (0.25, *LEVELS)]
     assert held == pytest.approx((0.25, *LEVELS), abs=0.025)
 
 
 def test_many_touches_are_summed_up():
-    beliefs = np.array([[1.0, 0.4, 2.0, 1e-3, 2e-3], [3.0, 0.9, 4.0, 3e-3, 4e-3]])
-    trust = Trust.of(beliefs, 100)
-    assert trust == Trust(2.0, pytest.approx(np.log(100)), (0.5, 0.5, 1.0), 3.0, pytest.approx(2e-3), 3e-3)
+    metrics = np.array([[1.0, 0.4, 2.0, 1e-3, 2e-3], [3.0, 0.9, 4.0, 3e-3, 4e-3]])
+    summary = PosteriorSummary.of(metrics, 100)
+    assert summary == PosteriorSummary(2.0, pytest.approx(np.log(100)), (0.5, 0.5, 1.0), 3.0, pytest.approx(2e-3), 3e-3)

@@ -9,31 +9,31 @@ import json
 import numpy as np
 import pytest
 
-from tactile_loc.evaluation.contact_protocol import CONTACT_LINES, ContactEvaluation
-from tactile_loc.evaluation.contact_tables import (
-    ContactRun,
+from tactile_loc.evaluation.fusion import FUSION_LINES, FusionEvaluation
+from tactile_loc.evaluation.fusion_tables import (
+    FusionRun,
     csv_text,
     markdown,
     median_header,
     median_rows,
-    write_contact_tables,
+    write_fusion_tables,
 )
 
 CONTACTS = (1, 2, 5)
 
 
-def make_contact_run(name: str, encoder: str, seed: int) -> ContactRun:
+def make_contact_run(name: str, encoder: str, seed: int) -> FusionRun:
     """A run of 40 examples whose errors fall with the number of contacts."""
     rng = np.random.default_rng(seed)
     scales = 1e-3 * np.array([[20, 40, 40], [5, 30, 40], [2, 15, 40]])
     alone = np.zeros((40, 3, 2), bool)
     alone[:4, 2] = True
-    found = ContactEvaluation(CONTACTS, scales * rng.uniform(0.5, 1.5, (40, 3, 3)), alone)
-    return ContactRun(name, "none", encoder, 1000, found, {"grid": {"name": "face"}})
+    found = FusionEvaluation(CONTACTS, scales * rng.uniform(0.5, 1.5, (40, 3, 3)), alone)
+    return FusionRun(name, "none", encoder, 1000, found, {"grid": {"name": "face"}})
 
 
 @pytest.fixture(scope="module")
-def run() -> ContactRun:
+def run() -> FusionRun:
     return make_contact_run("pin", "pixel", 0)
 
 
@@ -59,12 +59,12 @@ def test_csv_has_mean_median_and_spread_in_mm_and_normalised(run):
 
 
 def test_files_are_written(run, tmp_path):
-    written = write_contact_tables(tmp_path, [run, make_contact_run("hook", "pixel", 1)], {"examples": 40}, "Title")
+    written = write_fusion_tables(tmp_path, [run, make_contact_run("hook", "pixel", 1)], {"examples": 40}, "Title")
     assert [path.name for path in written] == ["contacts.json", "contacts.csv", "contacts.md"]
     record = json.loads(written[0].read_text())
     assert record["protocol"]["contacts"] == [1, 2, 5]
     first = record["runs"][0]
-    assert set(first["lines"]) == set(CONTACT_LINES)
+    assert set(first["lines"]) == set(FUSION_LINES)
     best = first["lines"]["best-1"][2]
     assert (best["contacts"], best["without_common"]) == (5, 4)
     assert np.median(best["errors_m"]) == pytest.approx(best["metres"]["median"])

@@ -8,16 +8,16 @@ import pytest
 from tactile_loc.core.errors import ConfigError, GridError
 from tactile_loc.core.geometry import invert
 from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.evaluation import contact_protocol
-from tactile_loc.evaluation.contact_protocol import (
-    CONTACT_LINES,
+from tactile_loc.evaluation import fusion
+from tactile_loc.evaluation.fusion import (
     FUSED_LINES,
-    MOST_CONTACTS,
-    ContactEvaluation,
-    contact_key,
-    evaluate_contacts,
+    FUSION_LINES,
+    MOST_FUSED,
+    FusionEvaluation,
+    evaluate_fusion,
+    fusion_key,
 )
-from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.plugins.fusers.kinematic import KinematicFuser
 from tactile_loc.plugins.fusers.product import ProductFuser
@@ -39,8 +39,8 @@ def pipe(store: StageStore) -> Localizer:
 
 
 @pytest.fixture(scope="module")
-def evaluation(pipe: Localizer) -> ContactEvaluation:
-    return evaluate_contacts(pipe, CONTACTS, COUNT, SOURCE)
+def evaluation(pipe: Localizer) -> FusionEvaluation:
+    return evaluate_fusion(pipe, CONTACTS, COUNT, SOURCE)
 
 
 def nearest(localizer: Localizer, touch) -> int:
@@ -56,7 +56,7 @@ def certain(localizer: Localizer, touch) -> PosePosterior:
 
 
 def test_every_example_has_every_number_of_contacts_and_line(evaluation):
-    assert evaluation.errors_m.shape == (COUNT, len(CONTACTS), len(CONTACT_LINES))
+    assert evaluation.errors_m.shape == (COUNT, len(CONTACTS), len(FUSION_LINES))
     assert evaluation.alone.shape == (COUNT, len(CONTACTS), len(FUSED_LINES))
     assert (evaluation.errors_m >= 0).all()
     shares = [evaluation.normalised("random", n) for n in CONTACTS]
@@ -69,7 +69,7 @@ def test_one_contact_is_the_single_touch(evaluation, pipe):
 
     points_m = pipe.object.mesh.sample(20_000, np.random.default_rng(9))
     for example in range(COUNT):
-        touch = SOURCE.touch(pipe, MOST_CONTACTS * example)
+        touch = SOURCE.touch(pipe, MOST_FUSED * example)
         best = int(pipe.posteriors([touch])[0].log_p.argmax())
         error_m = symmetric_add(
             pipe.object, points_m, pipe.model.grid.T_sensor_object[best], touch.T_sensor_object
@@ -82,7 +82,7 @@ def test_several_contacts_are_what_the_fuser_makes_of_them(evaluation, pipe):
     from tactile_loc.evaluation.metrics import symmetric_add
 
     points_m = pipe.object.mesh.sample(20_000, np.random.default_rng(9))
-    touches = [SOURCE.touch(pipe, MOST_CONTACTS * 2 + k) for k in range(4)]
+    touches = [SOURCE.touch(pipe, MOST_FUSED * 2 + k) for k in range(4)]
     fused = pipe.fuser.fuse([pipe.posteriors([t])[0] for t in touches], [invert(t.T_sensor_object) for t in touches])
     T = pipe.model.grid.T_sensor_object[int(fused.log_p.argmax())]
     error_m = symmetric_add(pipe.object, points_m, T, touches[0].T_sensor_object)
@@ -90,7 +90,7 @@ def test_several_contacts_are_what_the_fuser_makes_of_them(evaluation, pipe):
 
 
 def test_more_contacts_are_nearer_and_contact_alone_is_far(pipe):
-    found = evaluate_contacts(pipe, (1, 5), 9, SOURCE)
+    found = evaluate_fusion(pipe, (1, 5), 9, SOURCE)
     assert found.errors("best-1", 5).mean() < found.errors("best-1", 1).mean()
     assert found.errors("kinematic", 5).mean() > 1.5 * found.errors("best-1", 5).mean()
     assert found.normalised("kinematic", 1).mean() == pytest.approx(1, abs=0.4)  # one contact excludes nothing
@@ -99,7 +99,7 @@ def test_more_contacts_are_nearer_and_contact_alone_is_far(pipe):
 def test_touches_that_are_certain_find_the_truth(monkeypatch, store):
     monkeypatch.setattr(Localizer, "posteriors", lambda self, touches: [certain(self, touch) for touch in touches])
     localizer = fresh(store, temperature=0.1)  # nobody else's: what is found here is stored
-    found = evaluate_contacts(localizer, (1, 3), 4, SOURCE)
+    found = evaluate_fusion(localizer, (1, 3), 4, SOURCE)
     assert (found.normalised("best-1", 1) < 0.2).all()
     assert found.errors("best-1", 3).max() <= 2 * localizer.model.grid.spacing_m
 
@@ -109,10 +109,10 @@ def test_a_first_touch_that_tells_nothing_is_made_up_for(monkeypatch, store):
 
     def first_knows_nothing(self, touches):
         nothing = PosePosterior(self.model.grid, np.zeros(len(self.model.grid)))
-        return [certain(self, t) if int(t.name[-4:]) % MOST_CONTACTS else nothing for t in touches]
+        return [certain(self, t) if int(t.name[-4:]) % MOST_FUSED else nothing for t in touches]
 
     monkeypatch.setattr(Localizer, "posteriors", first_knows_nothing)
-    found = evaluate_contacts(localizer, (1, 4), 6, SOURCE)
+    found = evaluate_fusion(localizer, (1, 4), 6, SOURCE)
     assert np.median(found.normalised("best-1", 4)) < 0.25 < np.median(found.normalised("best-1", 1))
 
 
@@ -126,7 +126,7 @@ def test_contacts_without_a_common_pose_are_counted_and_located_from_the_first(
 
     for fuser in (ProductFuser, KinematicFuser):
         monkeypatch.setattr(fuser, "fuse", lambda *a, f=fuser.fuse, **k: refuse(*a, **k, fuse=f))
-    found = evaluate_contacts(pipe, CONTACTS, 3, SOURCE)
+    found = evaluate_fusion(pipe, CONTACTS, 3, SOURCE)
     assert [found.without_common("best-1", n) for n in CONTACTS] == [0, 0, 3]
     assert found.without_common("kinematic", 4) == 3
     assert (found.errors("best-1", 4) == evaluation.errors("best-1", 1)[:3]).all()
@@ -134,23 +134,23 @@ def test_contacts_without_a_common_pose_are_counted_and_located_from_the_first(
 
 
 def test_a_seed_always_gives_the_same_and_another_others(evaluation, pipe):
-    again = evaluate_contacts(fresh(pipe.store), CONTACTS, 2, SOURCE)
+    again = evaluate_fusion(fresh(pipe.store), CONTACTS, 2, SOURCE)
     assert (again.errors_m == evaluation.errors_m[:2]).all()
-    other = evaluate_contacts(pipe, CONTACTS, 2, SimulatedTouches("strong", 4))
+    other = evaluate_fusion(pipe, CONTACTS, 2, SimulatedTouches("strong", 4))
     assert not np.allclose(other.errors_m, evaluation.errors_m[:2])
 
 
 def test_which_numbers_are_asked_for_does_not_change_a_number(evaluation, pipe):
-    found = evaluate_contacts(pipe, (2,), 2, SOURCE)
-    for line in CONTACT_LINES:
+    found = evaluate_fusion(pipe, (2,), 2, SOURCE)
+    for line in FUSION_LINES:
         assert (found.errors(line, 2) == evaluation.errors(line, 2)[:2]).all()
 
 
 def test_an_interrupted_evaluation_resumes_and_ends_the_same(evaluation, pipe, monkeypatch):
-    pipe.store.remove(contact_key(pipe, CONTACTS, COUNT, SOURCE).digest)
-    monkeypatch.setattr(contact_protocol, "SHARD", 2)
+    pipe.store.remove(fusion_key(pipe, CONTACTS, COUNT, SOURCE).digest)
+    monkeypatch.setattr(fusion, "SHARD", 2)
     located: list[int] = []
-    example = contact_protocol._Examples._example
+    example = fusion._Examples._example
 
     def interrupted(self, number, *others):
         located.append(number)
@@ -158,24 +158,24 @@ def test_an_interrupted_evaluation_resumes_and_ends_the_same(evaluation, pipe, m
             raise KeyboardInterrupt
         return example(self, number, *others)
 
-    monkeypatch.setattr(contact_protocol._Examples, "_example", interrupted)
+    monkeypatch.setattr(fusion._Examples, "_example", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        evaluate_contacts(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
-    resumed = evaluate_contacts(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
+        evaluate_fusion(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
+    resumed = evaluate_fusion(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
     assert located == [0, 1, 2, 3, 2, 3]  # the first shard stayed
     assert (resumed.errors_m == evaluation.errors_m).all()
 
 
 def test_what_is_finished_is_not_done_again(evaluation, pipe, monkeypatch):
-    monkeypatch.setattr(contact_protocol._Examples, "locate", lambda *others: pytest.fail("located again"))
-    again = evaluate_contacts(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
+    monkeypatch.setattr(fusion._Examples, "locate", lambda *others: pytest.fail("located again"))
+    again = evaluate_fusion(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
     assert (again.errors_m == evaluation.errors_m).all()
     assert (again.alone == evaluation.alone).all()
 
 
 def test_the_key_holds_whatever_changes_the_errors(pipe):
     def digest(local=pipe, contacts=CONTACTS, count=COUNT, source=SOURCE):
-        return contact_key(local, contacts, count, source).digest
+        return fusion_key(local, contacts, count, source).digest
 
     others = [digest(contacts=(1, 2)), digest(count=7), digest(source=SimulatedTouches("mild", 3))]
     for settings in ({"fuser": {"name": "product", "doubt": 0.1}}, {"encoder": {"name": "pixel", "cells": 10}}):
@@ -184,7 +184,7 @@ def test_the_key_holds_whatever_changes_the_errors(pipe):
     assert len({digest(), *others}) == 6
 
 
-@pytest.mark.parametrize("contacts", [(), (0, 1), (1, MOST_CONTACTS + 1), (-2,)])
+@pytest.mark.parametrize("contacts", [(), (0, 1), (1, MOST_FUSED + 1), (-2,)])
 def test_numbers_of_contacts_that_cannot_be_are_refused(pipe, contacts):
     with pytest.raises(ConfigError, match="contacts"):
-        evaluate_contacts(pipe, contacts, 1, SOURCE)
+        evaluate_fusion(pipe, contacts, 1, SOURCE)

@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.calibration.folder import Calibration
 from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.noise import noise_level
-from tactile_loc.core.sensing import Touch
-from tactile_loc.imaging.simulate import touch_images
+from tactile_loc.core.sensing import ContactShape, Touch
 from tactile_loc.locate.localizer import Localizer
 
 log = logging.getLogger(__name__)
@@ -59,7 +57,9 @@ class SimulatedTouches:
     def require_readable(self, localizer: Localizer) -> None:
         """Refuse a localizer whose sensor cannot read these touches. Raises CalibrationError, ConfigError."""
         if self.images:
-            calibration_of(localizer)
+            geometry = localizer.scene.geometry
+            untouched = np.full(geometry.shape, geometry.max_depth_m, np.float32)
+            localizer.sensor.simulated_image(ContactShape(untouched, geometry.max_depth_m), np.random.default_rng(0))
 
     def in_words(self) -> str:
         """Return what kind of touches these are, for titles."""
@@ -80,26 +80,8 @@ class SimulatedTouches:
         return dataclasses.replace(localizer.simulate(1, seed, noise=self.noise)[0], name=f"touch-{number:04d}")
 
 
-def calibration_of(localizer: Localizer) -> Calibration:
-    """Return the calibration by which a localizer's sensor reads images, one made on simulated images.
-
-    Raises CalibrationError or ConfigError when no image can be made for the sensor.
-    """
-    chosen = localizer.config.sensor
-    if chosen.name != "calibrated":
-        raise ConfigError(
-            f"sensor {chosen.name!r} reads no images; make one that does with tactile-loc calibrate --simulated and "
-            "give its folder as --sensor"
-        )
-    calibration: Calibration = localizer.sensor.calibration
-    _ = calibration.optics
-    return calibration
-
-
 def _seen(localizer: Localizer, touch: Touch, rng: np.random.Generator) -> Touch:
     """The touch as the sensor reads it from an image. Raises TouchError when it shows no contact."""
-    depth_m, geometry, press_m = touch.contact_shape.depth_m[None], touch.geometry, np.array([touch.press_depth_m])
-    calibration = calibration_of(localizer)
-    image = touch_images(depth_m, press_m, geometry, calibration.optics, rng, background=calibration.background)[0]
+    image = localizer.sensor.simulated_image(touch.contact_shape, rng)
     shape = localizer.sensor.contact_shape(image)
-    return Touch(shape, geometry, touch.name, T_sensor_object=touch.T_sensor_object, image=image)
+    return Touch(shape, touch.geometry, touch.name, T_sensor_object=touch.T_sensor_object, image=image)

@@ -16,28 +16,27 @@ from tactile_loc.core.interfaces import Fuser
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.registry import registry
-from tactile_loc.evaluation.judge import surface_points
 from tactile_loc.evaluation.metrics import symmetric_adds
 from tactile_loc.evaluation.oracle import true_pose
-from tactile_loc.evaluation.shards import describe_located, save_in_shards
-from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.evaluation.protocol import describe_located, save_in_shards, surface_points
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import Artifact, Workspace
 
-CONTACT_VERSION = 1  # raised when the same localizer would get other numbers
-CONTACT_LINES = ("best-1", "kinematic", "random")
-FUSED_LINES = CONTACT_LINES[:2]
-MOST_CONTACTS = 20
+FUSION_VERSION = 1  # raised when the same localizer would get other numbers
+FUSION_LINES = ("best-1", "kinematic", "random")
+FUSED_LINES = FUSION_LINES[:2]
+MOST_FUSED = 20
 SHARD = 10  # examples located, saved and resumed at once
 ARRAYS = ("errors_m", "alone")
 
 
 @dataclass(frozen=True, eq=False)
-class ContactEvaluation:
+class FusionEvaluation:
     """How far off E examples were located from each of C numbers of contacts.
 
-    `errors_m` (E, C, L) is the ADD in metres of every line of CONTACT_LINES, symmetry regarded; `alone` (E, C, 2) says
+    `errors_m` (E, C, L) is the ADD in metres of every line of FUSION_LINES, symmetry regarded; `alone` (E, C, 2) says
     where a line of FUSED_LINES found no pose common to all contacts, and its pose is that of the first contact alone.
     """
 
@@ -47,11 +46,11 @@ class ContactEvaluation:
 
     def errors(self, line: str, contacts: int) -> NDArray[np.float64]:
         """Return the errors (E,) of a line with so many contacts, metres."""
-        return self.errors_m[:, self.contacts.index(contacts), CONTACT_LINES.index(line)]
+        return self.errors_m[:, self.contacts.index(contacts), FUSION_LINES.index(line)]
 
     def scale_m(self) -> float:
         """Return the mean error of a random pose of the grid, metres, by which the paper normalises."""
-        return float(self.errors_m[:, :, CONTACT_LINES.index("random")].mean())
+        return float(self.errors_m[:, :, FUSION_LINES.index("random")].mean())
 
     def normalised(self, line: str, contacts: int) -> NDArray[np.float64]:
         """Return the errors (E,) of a line as shares of the mean error of a random pose (unitless)."""
@@ -62,31 +61,31 @@ class ContactEvaluation:
         return int(self.alone[:, self.contacts.index(contacts), FUSED_LINES.index(line)].sum())
 
 
-def evaluate_contacts(
+def evaluate_fusion(
     localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches
-) -> ContactEvaluation:
+) -> FusionEvaluation:
     """Locate `count` examples from each number of `contacts` by the localizer's fuser and by the kinematic one.
 
-    Example e has the touches MOST_CONTACTS e, MOST_CONTACTS e + 1, ... of the source, so that more contacts only add
+    Example e has the touches MOST_FUSED e, MOST_FUSED e + 1, ... of the source, so that more contacts only add
     touches; the object lies still, each sensor where its touch's true pose has it. The result is kept in the
     localizer's store, by shards of SHARD examples, and an interrupted evaluation resumes. Raises ConfigError for no
-    number of contacts or one that is not from 1 to MOST_CONTACTS, TactileLocError when a touch cannot be located.
+    number of contacts or one that is not from 1 to MOST_FUSED, TactileLocError when a touch cannot be located.
     """
     numbers = tuple(sorted(set(contacts)))
-    if not numbers or not 1 <= numbers[0] <= numbers[-1] <= MOST_CONTACTS:
-        raise ConfigError(f"contacts {list(contacts)} cannot be evaluated; give numbers from 1 to {MOST_CONTACTS}")
+    if not numbers or not 1 <= numbers[0] <= numbers[-1] <= MOST_FUSED:
+        raise ConfigError(f"contacts {list(contacts)} cannot be evaluated; give numbers from 1 to {MOST_FUSED}")
 
     def run(work: Workspace) -> None:
         examples = _Examples(localizer, numbers, touches)
         save_in_shards(work, ARRAYS, count, SHARD, examples.locate)
 
-    return _read(numbers, localizer.store.build(contact_key(localizer, numbers, count, touches), run))
+    return _read(numbers, localizer.store.build(fusion_key(localizer, numbers, count, touches), run))
 
 
-def contact_key(localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches) -> StageKey:
+def fusion_key(localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches) -> StageKey:
     """Return the key under which an evaluation is stored: everything that decides its errors."""
     own: dict[str, Any] = {"kinematic": _kinematic().describe(), "contacts": list(contacts)}
-    return StageKey("contact-evaluation", CONTACT_VERSION, {**describe_located(localizer, touches, count), **own})
+    return StageKey("contact-evaluation", FUSION_VERSION, {**describe_located(localizer, touches, count), **own})
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,20 +111,22 @@ class _Examples:
     def _touched(self, numbers: range) -> tuple[list[list[PosePosterior]], list[Poses]]:
         """What each touch of each example says alone, and their true poses (M, 4, 4), metres."""
         most = self.contacts[-1]
-        touches = [self.source.touch(self.localizer, MOST_CONTACTS * e + k) for e in numbers for k in range(most)]
-        found = self.localizer.posteriors(touches)
+        touches = [self.source.touch(self.localizer, MOST_FUSED * e + k) for e in numbers for k in range(most)]
+        found: dict[int, PosePosterior] = {}
+        for i in sorted(range(len(touches)), key=lambda i: touches[i].press_depth_m):  # those of one bank together
+            found[i] = self.localizer.posteriors([touches[i]])[0]
         starts = range(0, len(touches), most)
         poses = [np.stack([true_pose(touch) for touch in touches[i : i + most]]) for i in starts]
-        return [found[i : i + most] for i in starts], poses
+        return [[found[i + k] for k in range(most)] for i in starts], poses
 
     def _example(
         self, number: int, posteriors: Sequence[PosePosterior], truths: Poses
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Errors (C, L) in metres and (C, 2) where a fuser found no common pose, of one example."""
         grid = self.localizer.model.grid
-        rng = np.random.default_rng(self.source.random(MOST_CONTACTS * number, 1))
-        guesses = rng.integers(len(grid), size=MOST_CONTACTS)
-        lots = rng.random((MOST_CONTACTS, len(FUSED_LINES)))
+        rng = np.random.default_rng(self.source.random(MOST_FUSED * number, 1))
+        guesses = rng.integers(len(grid), size=MOST_FUSED)
+        lots = rng.random((MOST_FUSED, len(FUSED_LINES)))
         chosen, alone = [], []
         for n in self.contacts:
             fused = [_fuse(fuser, posteriors[:n], invert(truths[:n])) for fuser in self._fusers]
@@ -133,7 +134,7 @@ class _Examples:
             chosen.append(int(guesses[n - 1]))
             alone.append([without for _, without in fused])
         errors = symmetric_adds(self.localizer.object, self._points_m, grid.T_sensor_object[chosen], truths[0])
-        return errors.reshape(len(self.contacts), len(CONTACT_LINES)), np.array(alone)
+        return errors.reshape(len(self.contacts), len(FUSION_LINES)), np.array(alone)
 
     @cached_property
     def _fusers(self) -> tuple[Fuser, Fuser]:
@@ -163,5 +164,5 @@ def _draw(posterior: PosePosterior, lot: float) -> int:
     return int(most[int(lot * len(most))])
 
 
-def _read(contacts: tuple[int, ...], artifact: Artifact) -> ContactEvaluation:
-    return ContactEvaluation(contacts, *(artifact.array(name, mmap=False) for name in ARRAYS))
+def _read(contacts: tuple[int, ...], artifact: Artifact) -> FusionEvaluation:
+    return FusionEvaluation(contacts, *(artifact.array(name, mmap=False) for name in ARRAYS))

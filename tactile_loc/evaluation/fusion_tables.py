@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.evaluation.contact_protocol import CONTACT_LINES, CONTACT_VERSION, FUSED_LINES, ContactEvaluation
+from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES, FUSION_VERSION, FusionEvaluation
 from tactile_loc.evaluation.tabular import (
     Statistics,
     bracketed,
@@ -28,14 +28,14 @@ NOTE = (
 
 
 @dataclass(frozen=True, eq=False)
-class ContactRun:
+class FusionRun:
     """One object evaluated with one encoder. `configuration` holds every setting as JSON values."""
 
     object: str
     symmetry: str
     encoder: str
     grid_poses: int
-    evaluation: ContactEvaluation
+    evaluation: FusionEvaluation
     configuration: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def statistics(self, line: str, contacts: int, normalised: bool = False) -> Statistics:
@@ -44,12 +44,12 @@ class ContactRun:
         return Statistics.of(found.normalised(line, contacts) if normalised else found.errors(line, contacts))
 
 
-def median_header(runs: Sequence[ContactRun]) -> list[str]:
+def median_header(runs: Sequence[FusionRun]) -> list[str]:
     """Return the heads of the columns of `median_rows`; all runs have the same numbers of contacts."""
     return ["object", "encoder", "line", *(f"{n} {_contacts(n)}" for n in runs[0].evaluation.contacts)]
 
 
-def median_rows(runs: Sequence[ContactRun], normalised: bool) -> list[list[str]]:
+def median_rows(runs: Sequence[FusionRun], normalised: bool) -> list[list[str]]:
     """Return a row of cells for each run and line of FUSED_LINES: the median error by number of contacts.
 
     In mm, or as a share of a random pose's mean error if `normalised`.
@@ -63,7 +63,7 @@ def median_rows(runs: Sequence[ContactRun], normalised: bool) -> list[list[str]]
     return rows
 
 
-def markdown(runs: Sequence[ContactRun], heading: str) -> str:
+def markdown(runs: Sequence[FusionRun], heading: str) -> str:
     """Return all tables as Markdown, the lengths in mm."""
     medians = bracketed(median_rows(runs, False), median_rows(runs, True), names=3)
     parts = [f"# {heading}\n", f"{NOTE}\n", "Medians:\n", markdown_table(median_header(runs), medians)]
@@ -75,19 +75,19 @@ def markdown(runs: Sequence[ContactRun], heading: str) -> str:
     return "\n".join(parts)
 
 
-def csv_text(runs: Sequence[ContactRun]) -> str:
+def csv_text(runs: Sequence[FusionRun]) -> str:
     """Return one row for each object, encoder, line and number of contacts as CSV, lengths in mm."""
     return csv_table(list(_long_rows(runs)))
 
 
-def record(runs: Sequence[ContactRun], protocol: Mapping[str, Any]) -> dict[str, Any]:
+def record(runs: Sequence[FusionRun], protocol: Mapping[str, Any]) -> dict[str, Any]:
     """Return everything as JSON values in SI units; `protocol` says how many examples, which noise and seed."""
-    asked = {"version": CONTACT_VERSION, "contacts": list(runs[0].evaluation.contacts), **protocol}
+    asked = {"version": FUSION_VERSION, "contacts": list(runs[0].evaluation.contacts), **protocol}
     return document(SCHEMA_VERSION, asked, [_run_record(run) for run in runs])
 
 
-def write_contact_tables(
-    folder: Path, runs: Sequence[ContactRun], protocol: Mapping[str, Any], heading: str
+def write_fusion_tables(
+    folder: Path, runs: Sequence[FusionRun], protocol: Mapping[str, Any], heading: str
 ) -> list[Path]:
     """Write contacts.json, contacts.csv and contacts.md and return their paths. Raises OutputError."""
     return write_all(folder, "contacts", record(runs, protocol), csv_text(runs), markdown(runs, heading))
@@ -97,7 +97,7 @@ def _contacts(count: int) -> str:
     return "contact" if count == 1 else "contacts"
 
 
-def _run_record(run: ContactRun) -> dict[str, Any]:
+def _run_record(run: FusionRun) -> dict[str, Any]:
     found = run.evaluation
     lines = {
         line: [
@@ -110,14 +110,14 @@ def _run_record(run: ContactRun) -> dict[str, Any]:
             }
             for n in found.contacts
         ]
-        for line in CONTACT_LINES
+        for line in FUSION_LINES
     }
     named = {"object": run.object, "symmetry": run.symmetry, "encoder": run.encoder, "grid_poses": run.grid_poses}
     numbers = {"examples": len(found.errors_m), "random_mean_m": found.scale_m()}
     return {**named, **numbers, "lines": lines, "configuration": dict(run.configuration)}
 
 
-def _long_rows(runs: Sequence[ContactRun]) -> Iterator[dict[str, Any]]:
+def _long_rows(runs: Sequence[FusionRun]) -> Iterator[dict[str, Any]]:
     for run in runs:
         for line in FUSED_LINES:
             for n in run.evaluation.contacts:
@@ -133,7 +133,7 @@ _DETAILS = [
 ]  # fmt: skip
 
 
-def _detail_rows(run: ContactRun) -> Iterator[list[str]]:
+def _detail_rows(run: FusionRun) -> Iterator[list[str]]:
     for line in FUSED_LINES:
         for n in run.evaluation.contacts:
             s, share = run.statistics(line, n), run.statistics(line, n, normalised=True)

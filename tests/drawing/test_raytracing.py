@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.drawing.views import LIGHT, Tracer, View, box, shade, shrink
+from tactile_loc.drawing.raytracing import LIGHT, Tracer, View, box, shade, shrink
 
 FRONT = View(azimuth_deg=0.0, elevation_deg=0.0)
 BLOCK = box((-2, 2), (-1, 1), (0, 3))

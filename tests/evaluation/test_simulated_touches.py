@@ -16,7 +16,7 @@ from tactile_loc.calibration.simulated import calibrate_simulated
 from tactile_loc.core.errors import CalibrationError, ConfigError, TouchError
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.evaluation.protocol import evaluate, evaluation_key
-from tactile_loc.evaluation.sources import SimulatedTouches
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.locate.localizer import Localizer
 
@@ -109,7 +109,7 @@ def write_altered(folder: Path, to: Path) -> Path:
 
 
 def test_sensors_that_cannot_read_their_own_images_are_refused(folder, store, tmp_path):
-    with pytest.raises(ConfigError, match="'gelslim' reads no images; make one that does"):
+    with pytest.raises(ConfigError, match="sensor GelSlim reads no images; make one that does"):
         IMAGES.require_readable(Localizer.create("pin", store=store, sensor="gelslim"))
     real = write_altered(folder, tmp_path / "real")
     record = json.loads((real / "calibration.json").read_text())

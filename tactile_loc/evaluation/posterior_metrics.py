@@ -1,0 +1,54 @@
+"""What is measured of a posterior when the truth is known: likelihood, credible level, entropy, spread; coverage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.poses import Poses
+from tactile_loc.core.posterior import PosePosterior
+
+POSTERIOR_METRICS = ("nll", "credible_level", "entropy", "expected_error", "spread")
+LEVELS = (0.5, 0.8, 0.95)
+STEP_M = 1e-3  # of a continuous symmetry, in measuring distances
+
+
+def posterior_metrics(posterior: PosePosterior, T_true: Poses, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return the numbers (5,) of POSTERIOR_METRICS of a posterior whose true pose (4, 4), metres, is known.
+
+    `nll`, nats: of the grid pose nearest to the truth. `credible_level`: the probability of the smallest credible set
+    that holds that pose, drawn at random within its own share, so that it is uniform if probabilities are true (a
+    randomised probability integral transform). `entropy`, nats. `expected_error` and `spread`, metres: the mean
+    distance from the truth, and from the most probable pose, of poses drawn from the posterior; symmetry regarded.
+    """
+    p = posterior.probabilities
+    truth = int(posterior.grid.nearest(T_true[None])[1][0])
+    level = p[p > p[truth]].sum() + rng.random() * p[p == p[truth]].sum()
+    best = posterior.grid.T_sensor_object[int(posterior.log_p.argmax())]
+    expected, spread = (float(p @ posterior.grid.distances(T, STEP_M)) for T in (T_true, best))
+    return np.array([-posterior.log_p[truth], min(level, 1.0), posterior.entropy, expected, spread])
+
+
+@dataclass(frozen=True)
+class PosteriorSummary:
+    """The metrics of many touches' posteriors, summed up: means over touches, lengths in metres, nll in nats.
+
+    `coverage` are the shares of touches whose truth is in the credible set of each of LEVELS.
+    """
+
+    nll: float
+    uniform_nll: float
+    coverage: tuple[float, ...]
+    entropy: float
+    expected_error_m: float
+    spread_m: float
+
+    @classmethod
+    def of(cls, metrics: NDArray[np.float64], grid_poses: int) -> PosteriorSummary:
+        """Sum up metrics (T, 5) of posteriors over a grid of so many poses."""
+        nll, level, entropy, expected_error_m, spread_m = metrics.T
+        coverage = tuple(float((level <= sure).mean()) for sure in LEVELS)
+        means = (float(v.mean()) for v in (entropy, expected_error_m, spread_m))
+        return cls(float(nll.mean()), float(np.log(grid_poses)), coverage, *means)
