@@ -34,7 +34,9 @@ def test_the_python_example_runs(monkeypatch, tmp_path, capsys):
     exec(compile(example, "README.md", "exec"), {})
     lines = capsys.readouterr().out.splitlines()
     assert lines
-    assert all(re.fullmatch(r" *[\d.]+%  at -?[\d.]+, -?[\d.]+, -?[\d.]+ mm  \(fit \d+%\)", line) for line in lines)
+    assert all(
+        re.fullmatch(r" *[\d.]+%  at -?[\d.]+, -?[\d.]+, -?[\d.]+ mm  \(imprint IoU \d+%\)", line) for line in lines
+    )
 
 
 @pytest.mark.parametrize("words", commands("tactile-loc"), ids=" ".join)
