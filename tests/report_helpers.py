@@ -20,12 +20,11 @@ from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.evaluation.tables import Run, write_tables
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result_arrays import gather
-from tactile_loc.locate.result_files import write_arrays
+from tactile_loc.locate.result_files import gather, write_arrays
 from tactile_loc.locate.result_json import result_record, write_result
+from tactile_loc.reports import find_source
 from tactile_loc.reports.page import Page, render
 from tactile_loc.reports.report import page_of
-from tactile_loc.reports.source import find_source
 
 UNFRIENDLY = "<script>alert('x')</script>&amp;\"\u2028"
 SWEPT = ("none", "icp", "filterreg")

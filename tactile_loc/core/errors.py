@@ -46,6 +46,10 @@ class OutputError(TactileLocError):
     """Results cannot be written where they were asked to go."""
 
 
+class ResultError(TactileLocError):
+    """A result cannot be shown: no such file, damaged, or written by another version."""
+
+
 class StoreError(TactileLocError):
     """The stage store cannot be read or written, for instance because the disk is full."""
 

@@ -1,25 +1,149 @@
-"""Writing and reading `result.npz`, the arrays beside `result.json`."""
+"""A result's files read back, and `result.npz`: what `result.json` beside it lacks and a report draws. SI units.
+
+That is the posterior, the surface, the contact shapes: plain arrays and JSON texts, nothing pickled.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
+import json
 import zipfile
 import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
-from tactile_loc.core.errors import TactileLocError
-from tactile_loc.locate.result_arrays import ResultArrays, as_arrays, from_arrays
+from tactile_loc.core.errors import ResultError, TactileLocError
+from tactile_loc.core.geometry import invert
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.poses import Poses
+from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.locate import result_json
 from tactile_loc.locate.result_json import ResultRecord
-from tactile_loc.reports.source import ResultError
 from tactile_loc.store.files import write_atomically
 
-SCHEMA_VERSION = 1
+if TYPE_CHECKING:
+    from tactile_loc.core.posterior import PosePosterior
+    from tactile_loc.locate.localizer import Observation
+    from tactile_loc.locate.result import Localization
+
 NAME = "result.npz"
+SCHEMA_VERSION = 1
+MOST_POSES = 20_000
+MOST_FACES = 50_000
 AGAIN = "run tactile-loc again, which writes both files"
+
+
+@dataclass(frozen=True, eq=False)
+class TouchArrays:
+    """One touch and what the hypotheses look like to its sensor.
+
+    `T_sensor_first` (4, 4), metres, leads from the first touch's sensor frame to this one's; `made_m` (K, H, W) are
+    the hypotheses' contact depths at the touch's press, metres; `image` (H, W, 3) is the photo, if there was one.
+    """
+
+    shape: ContactShape
+    geometry: SensorGeometry
+    T_sensor_first: NDArray[np.float64]
+    made_m: NDArray[np.float32]
+    image: NDArray[np.uint8] | None = None
+
+    def made(self, number: int) -> ContactShape:
+        """Return the contact shape that hypothesis `number` (from 0) makes."""
+        return ContactShape(self.made_m[number], self.shape.press_depth_m)
+
+
+@dataclass(frozen=True, eq=False)
+class ResultArrays:
+    """The posterior, the surface and the touches of one result.
+
+    `T_sensor_object` (N, 4, 4), metres, are grid poses and `log_p` (N,) their log-probabilities, the most probable
+    first; of more than MOST_POSES only those. `mesh` is the surface, decimated if it had more than MOST_FACES faces.
+    """
+
+    mesh: TriangleMesh
+    T_sensor_object: Poses
+    log_p: NDArray[np.float64]
+    touches: tuple[TouchArrays, ...]
+
+    @property
+    def mass(self) -> float:
+        """The probability of all kept poses together, 0 to 1."""
+        return float(np.exp(self.log_p).sum())
+
+    @property
+    def weights(self) -> NDArray[np.float64]:
+        """Probabilities (N,) of the kept poses, as if there were no others: they sum to one."""
+        p = np.exp(self.log_p - self.log_p.max())
+        return np.asarray(p / p.sum())
+
+
+def gather(contacts: Sequence[Observation], localization: Localization) -> ResultArrays:
+    """Gather the arrays of a localisation by `contacts`: each touch with its localizer, the first as in the result."""
+    poses = np.stack([h.T_sensor_object for h in localization.hypotheses])
+    first = contacts[0][1]
+    touches = []
+    for localizer, touch in contacts:
+        T = _sensor_first(first, touch)
+        made_m = localizer.scene.contact_depths(localizer.scene.in_contact(T @ poses)[0], touch.press_depth_m)
+        touches.append(TouchArrays(touch.contact_shape, touch.geometry, T, made_m, touch.image))
+    kept = most_probable(localization.posterior)
+    posterior = localization.posterior
+    mesh = decimated(contacts[0][0].object.mesh)
+    return ResultArrays(mesh, posterior.grid.T_sensor_object[kept], posterior.log_p[kept], tuple(touches))
+
+
+def most_probable(posterior: PosePosterior, most: int = MOST_POSES) -> NDArray[np.int64]:
+    """Return the indices (K,) of the most probable poses, at most `most`, without those of no probability at all."""
+    top = posterior.top(most)
+    return top[np.isfinite(posterior.log_p[top])]
+
+
+def decimated(mesh: TriangleMesh, most: int = MOST_FACES) -> TriangleMesh:
+    """Return the surface with at most about `most` faces (quadric decimation); a smaller one as it is."""
+    if len(mesh.faces) <= most:
+        return mesh
+    import open3d as o3d
+
+    full = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(mesh.vertices_m), o3d.utility.Vector3iVector(mesh.faces.astype(np.int32))
+    )
+    fewer: Any = full.simplify_quadric_decimation(most)
+    return TriangleMesh(np.asarray(fewer.vertices, float), np.asarray(fewer.triangles, np.int64))
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Return the table of keys that a result's JSON file holds. Raises ResultError when it holds none."""
+    try:
+        found = json.loads(path.read_bytes())
+    except OSError as error:
+        raise ResultError(f"{path} cannot be read ({error.strerror or error})") from error
+    except ValueError as error:
+        raise ResultError(f"{path} is damaged: it is no JSON ({error}); make the result again") from error
+    if not isinstance(found, dict):
+        raise ResultError(f"{path} is no result: it holds a {type(found).__name__}, not a table of keys")
+    return found
+
+
+def read_record(path: Path) -> ResultRecord:
+    """Read result.json. Raises ResultError, in one sentence, when it cannot be used."""
+    document = read_document(path)
+    version = document.get("schema_version")
+    if version != result_json.SCHEMA_VERSION:
+        reads = f"this tactile-loc reads version {result_json.SCHEMA_VERSION}"
+        raise ResultError(f"{path} is of version {version}, and {reads}; run it again")
+    try:
+        return ResultRecord.model_validate(document)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise ResultError(f"{path} is damaged: {where}: {first['msg']}; run tactile-loc again") from error
 
 
 def write_arrays(path: Path, arrays: ResultArrays, record: ResultRecord) -> Path:
@@ -53,6 +177,63 @@ def read_arrays(path: Path, record: ResultRecord) -> ResultArrays:
 def fingerprint(record: ResultRecord) -> str:
     """Return the SHA-256 (hex) of a record's content: what ties the two files together."""
     return hashlib.sha256(record.model_dump_json().encode()).hexdigest()
+
+
+def as_arrays(result: ResultArrays) -> dict[str, NDArray[Any]]:
+    """Return the arrays as they are stored; docs/reports.md has the table."""
+    arrays: dict[str, Any] = {
+        "vertices_m": result.mesh.vertices_m.astype(np.float32), "faces": result.mesh.faces.astype(np.int32),
+        "T_sensor_object": result.T_sensor_object.astype(np.float32), "log_p": result.log_p.astype(np.float32),
+    }  # fmt: skip
+    for number, touch in enumerate(result.touches):
+        arrays |= {f"touch_{number}_{name}": value for name, value in _touch_arrays(touch).items()}
+    return arrays
+
+
+def from_arrays(arrays: dict[str, NDArray[Any]]) -> ResultArrays:
+    """Return the result that stored arrays hold. Raises KeyError, ValueError or TypeError when they hold none."""
+    mesh = TriangleMesh(arrays["vertices_m"].astype(float), arrays["faces"].astype(np.int64))
+    count = sum(name.startswith("touch_") and name.endswith("_geometry") for name in arrays)
+    touches = []
+    for number in range(count):
+        head = f"touch_{number}_"
+        touches.append(_touch({k.removeprefix(head): v for k, v in arrays.items() if k.startswith(head)}))
+    if not touches or mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices_m):
+        raise ValueError("it holds no touch, or no surface")
+    T, log_p = arrays["T_sensor_object"].astype(float), arrays["log_p"].astype(float)
+    if T.shape != (len(log_p), 4, 4) or len(log_p) == 0:
+        raise ValueError("its poses and log-probabilities do not belong together")
+    return ResultArrays(mesh, T, log_p, tuple(touches))
+
+
+def _touch_arrays(touch: TouchArrays) -> dict[str, NDArray[Any]]:
+    camera = {f.name: getattr(touch.geometry, f.name) for f in dataclasses.fields(touch.geometry)}
+    observed = camera.pop("observed")
+    optional = {"observed": observed, "image": touch.image}
+    return {
+        "depth_m": touch.shape.depth_m, "press_depth_m": np.array(touch.shape.press_depth_m),
+        "geometry": np.array(json.dumps(camera)), "T_sensor_first": touch.T_sensor_first, "made_m": touch.made_m,
+        **{name: value for name, value in optional.items() if value is not None},
+    }  # fmt: skip
+
+
+def _touch(arrays: dict[str, NDArray[Any]]) -> TouchArrays:
+    camera = json.loads(str(arrays["geometry"]))
+    if camera["rectangle_m"] is not None:
+        camera["rectangle_m"] = tuple(camera["rectangle_m"])
+    geometry = SensorGeometry(**camera, observed=arrays.get("observed"))
+    shape = ContactShape(arrays["depth_m"], float(arrays["press_depth_m"]))
+    made_m = arrays["made_m"]
+    if shape.depth_m.shape != geometry.shape or made_m.shape[1:] != geometry.shape:
+        raise ValueError("its contact shapes do not have the sensor's size")
+    return TouchArrays(shape, geometry, arrays["T_sensor_first"], made_m, arrays.get("image"))
+
+
+def _sensor_first(first: Touch, touch: Touch) -> NDArray[np.float64]:
+    if touch is first:
+        return np.eye(4)
+    T: NDArray[np.float64] = invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
+    return T
 
 
 def _stored(path: Path) -> dict[str, NDArray[Any]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from tactile_loc.reports.report import write_report
-from tactile_loc.reports.source import Source, find_source
+from tactile_loc.reports.report import Source, find_source, write_report
 
 __all__ = ["Source", "find_source", "write_report"]

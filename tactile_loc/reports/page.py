@@ -4,33 +4,40 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cache
 from importlib import resources
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from tactile_loc.reports.markup import escape, script_json
+from tactile_loc.core.errors import ResultError
 
-# What the browser may load: nothing. Scripts run only if they are the ones that were put here.
-POLICY = (
-    "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; font-src data:; "
-    "base-uri 'none'; form-action 'none'; script-src {hashes}"
-)
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+JSON_OPTIONS: dict[str, Any] = {"separators": (",", ":"), "allow_nan": False}
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: its anchor, its heading, and what is in it, as HTML."""
+    """A part of a page. `name` is that of its anchor and of its macro in the page's template; that takes `values`."""
 
     name: str
     heading: str
-    body: str
+    values: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Page:
-    """A report. `title` and `about` are plain text; `data` are JSON values for `scripts`, names of assets."""
+    """A report. `title` and `about` are plain text; `data` are JSON values for `scripts`, names of assets.
 
+    `template`, templates/NAME.html.j2, has a macro for each section.
+    """
+
+    template: str
     title: str
     about: str
     sections: Sequence[Section]
@@ -39,37 +46,42 @@ class Page:
 
 
 def render(page: Page) -> str:
-    """Return the page as HTML."""
+    """Return the page as HTML. Raises ValueError when a number of its data is not finite."""
     from plotly.offline import get_plotlyjs
 
     scripts = [get_plotlyjs(), *(asset(name) for name in ("page.js", *page.scripts))]
-    hashes = " ".join(_hash(script) for script in scripts)
-    links = "".join(f'<a href="#part-{escape(s.name)}">{escape(s.heading)}</a>' for s in page.sections if s.heading)
-    sections = "".join(_section(section) for section in page.sections)
-    return "".join([
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">',
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY.format(hashes=hashes)}">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f'<title>{escape(page.title)}</title><link rel="icon" href="data:,"><style>{asset("page.css")}</style></head>',
-        f'<body><header><div class="bar"><h1>{escape(page.title)}</h1>',
-        '<button type="button" id="theme" aria-label="switch between light and dark">◐</button></div>',
-        f'<p class="about">{escape(page.about)}</p><nav>{links}</nav></header><main>{sections}</main>',
-        "<footer>made by tactile-loc; lengths in mm, angles in degrees</footer>",
-        f'<script type="application/json" id="data">{script_json(page.data)}</script>',
-        *(f"<script>{script}</script>\n" for script in scripts),
-        "</body></html>\n",
-    ])  # fmt: skip
+    hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
+    template = templates().get_template("page.html.j2")
+    return template.render(page=page, style=asset("page.css"), scripts=scripts, hashes=hashes)
+
+
+@cache
+def templates() -> Environment:
+    """Return the templates that come with the package. Whatever comes from a file or a user is shown as it is."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    loader = PackageLoader("tactile_loc.reports")
+    found = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, keep_trailing_newline=True)
+    found.policies["json.dumps_kwargs"] = JSON_OPTIONS
+    return found
 
 
 def asset(name: str) -> str:
-    """Return the text of a file that comes with the package."""
+    """Return the text of a script or style sheet that comes with the package."""
     return resources.files("tactile_loc.reports").joinpath("assets", name).read_text(encoding="utf-8")
 
 
-def _section(section: Section) -> str:
-    heading = f"<h2>{escape(section.heading)}</h2>" if section.heading else ""
-    return f'<section id="part-{escape(section.name)}">{heading}{section.body}</section>'
+def require_finite(page: Page) -> Page:
+    """Return the page. Raises ValueError when a number of its data is not finite, which JSON cannot say."""
+    json.dumps(page.data, **JSON_OPTIONS)
+    return page
 
 
-def _hash(script: str) -> str:
-    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
+@contextmanager
+def damage_named(path: Path) -> Iterator[None]:
+    """Say in one sentence what a result's document lacks, or holds that it should not. Raises ResultError."""
+    try:
+        yield
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, StopIteration) as error:
+        reason = f"it has no {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
+        raise ResultError(f"{path} is damaged or incomplete: {reason}; make the result again") from error

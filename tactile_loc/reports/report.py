@@ -1,35 +1,55 @@
-"""A report of any result: find out what it is, make its page, write it."""
+"""A report of any result: find out what a path names, make its page, write it."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
+from tactile_loc.core.errors import ResultError
 from tactile_loc.reports.page import Page, render
-from tactile_loc.reports.source import Source
 from tactile_loc.store.files import write_atomically
 
+KINDS = {"result": "run", "results": "evaluation", "contacts": "contacts", "sweep": "sweep"}
+SUFFIXES = (".json", ".npz", ".csv", ".md", ".png")
 DEFAULT_NAME = "report.html"
 
 
+@dataclass(frozen=True)
+class Source:
+    """A result on disk: its kind, one of KINDS' values, and its JSON file."""
+
+    kind: str
+    path: Path
+
+    @property
+    def folder(self) -> Path:
+        """The folder that holds the result."""
+        return self.path.parent
+
+
+def find_source(path: Path) -> Source:
+    """Return the result that a path names: its folder, or one of its files. Raises ResultError if it names none."""
+    if path.is_dir():
+        return _in_folder(path)
+    kind = KINDS.get(path.stem) if path.suffix in SUFFIXES else None
+    if kind is None:
+        what = "is no result" if path.exists() else "does not exist"
+        raise ResultError(f"{path} {what}; give the folder that run, evaluate or sweep wrote, or its {_names()}")
+    document = path.with_suffix(".json")
+    if not document.is_file():
+        raise ResultError(f"there is no {document}; give the folder that run, evaluate or sweep wrote")
+    return Source(kind, document)
+
+
 def page_of(source: Source) -> Page:
-    """Return the page of a result. Raises ResultError when it cannot be read."""
-    if source.kind == "run":
-        from tactile_loc.locate.result_files import NAME, read_arrays
-        from tactile_loc.reports.run_report import read_record, run_page
+    """Return the page of a result. Raises ResultError when its files cannot be used."""
+    from tactile_loc.reports import evaluation, run, sweep
 
-        record = read_record(source)
-        return run_page(record, read_arrays(source.folder / NAME, record))
-    if source.kind == "sweep":
-        from tactile_loc.reports.sweep_report import sweep_page
-
-        return sweep_page(source)
-    if source.kind == "contacts":
-        from tactile_loc.reports.contact_report import contact_page
-
-        return contact_page(source)
-    from tactile_loc.reports.evaluation_report import evaluation_page
-
-    return evaluation_page(source)
+    kinds = {
+        "run": run.run_page, "evaluation": evaluation.evaluation_page, "contacts": evaluation.contacts_page,
+        "sweep": sweep.sweep_page,
+    }  # fmt: skip
+    return kinds[source.kind](source.path)
 
 
 def write_report(source: Source, out: Path | None = None) -> Path:
@@ -40,3 +60,21 @@ def write_report(source: Source, out: Path | None = None) -> Path:
     path = source.folder / DEFAULT_NAME if out is None else out
     html = render(page_of(source))
     return write_atomically(path, lambda temporary: temporary.write_text(html, encoding="utf-8"))
+
+
+def _in_folder(folder: Path) -> Source:
+    found = [Source(kind, folder / f"{name}.json") for name, kind in KINDS.items()]
+    found = [source for source in found if source.path.is_file()]
+    if not found:
+        hint = ""
+        if (folder / "results.csv").is_file():
+            hint = "; of a folder of touches, give the folder of one"
+        raise ResultError(f"{folder} holds no result: none of {_names()}{hint}")
+    if len(found) > 1:
+        names = " and ".join(source.path.name for source in found)
+        raise ResultError(f"{folder} holds several results, {names}; give one of these files")
+    return found[0]
+
+
+def _names() -> str:
+    return ", ".join(f"{name}.json" for name in KINDS)

@@ -1,4 +1,4 @@
-"""`result.npz`: what is written is what is read, and what cannot be read is one sentence."""
+"""A result's files: what is written is what is read, and what cannot be read is one sentence."""
 
 from __future__ import annotations
 
@@ -10,15 +10,24 @@ import numpy as np
 import pytest
 import trimesh
 
+from tactile_loc.core.errors import ResultError
 from tactile_loc.core.geometry import make_transform
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import PoseGrid, PoseMetric
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.sensing import ContactShape, SensorGeometry
-from tactile_loc.locate.result_arrays import ResultArrays, TouchArrays, decimated, gather, most_probable
-from tactile_loc.locate.result_files import fingerprint, read_arrays, write_arrays
-from tactile_loc.reports.run_report import read_record
-from tactile_loc.reports.source import ResultError, find_source
+from tactile_loc.locate.result_files import (
+    ResultArrays,
+    TouchArrays,
+    decimated,
+    fingerprint,
+    gather,
+    most_probable,
+    read_arrays,
+    read_document,
+    read_record,
+    write_arrays,
+)
 
 
 @pytest.fixture
@@ -28,11 +37,11 @@ def copy(run_folder: Path, tmp_path: Path) -> Path:
 
 
 def read(folder: Path) -> ResultArrays:
-    return read_arrays(folder / "result.npz", read_record(find_source(folder)))
+    return read_arrays(folder / "result.npz", read_record(folder / "result.json"))
 
 
 def test_what_is_written_is_what_is_read(tmp_path, run_folder):
-    record = read_record(find_source(run_folder))
+    record = read_record(run_folder / "result.json")
     rng = np.random.default_rng(0)
     observed = rng.random((6, 8)) > 0.2
     geometry = SensorGeometry(
@@ -63,7 +72,7 @@ def test_what_is_written_is_what_is_read(tmp_path, run_folder):
 
 
 def test_a_run_s_arrays_are_the_posterior_and_the_rendered_shapes(run_folder, localizer):
-    record, arrays = read_record(find_source(run_folder)), read(run_folder)
+    record, arrays = read_record(run_folder / "result.json"), read(run_folder)
     (touch,) = arrays.touches
     assert len(arrays.log_p) <= record.grid_poses
     assert arrays.mass == pytest.approx(1.0, abs=1e-4)
@@ -179,9 +188,9 @@ def test_the_two_files_must_be_of_one_result(copy):
 
 
 def test_the_fingerprint_survives_another_layout_of_the_json(copy):
-    record = read_record(find_source(copy))
+    record = read_record(copy / "result.json")
     (copy / "result.json").write_text(json.dumps(json.loads((copy / "result.json").read_text()), indent=4))
-    assert fingerprint(read_record(find_source(copy))) == fingerprint(record)
+    assert fingerprint(read_record(copy / "result.json")) == fingerprint(record)
 
 
 @pytest.mark.parametrize(("key", "value"), [("hypotheses", None), ("normalised_entropy", "much"), ("unknown", 1)])
@@ -190,10 +199,17 @@ def test_a_damaged_record_is_one_sentence(copy, key, value):
     document[key] = value
     (copy / "result.json").write_text(json.dumps(document))
     with pytest.raises(ResultError, match=rf"result\.json is damaged: {key}"):
-        read_record(find_source(copy))
+        read_record(copy / "result.json")
 
 
 def test_a_record_of_another_version_is_one_sentence(copy):
     (copy / "result.json").write_text('{"schema_version": 7}')
     with pytest.raises(ResultError, match="is of version 7"):
-        read_record(find_source(copy))
+        read_record(copy / "result.json")
+
+
+@pytest.mark.parametrize(("text", "says"), [("{", "is no JSON"), ("[1]", "holds a list")])
+def test_a_damaged_document_is_one_sentence(tmp_path, text, says):
+    (tmp_path / "result.json").write_text(text)
+    with pytest.raises(ResultError, match=says):
+        read_document(tmp_path / "result.json")

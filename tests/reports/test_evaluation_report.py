@@ -9,9 +9,9 @@ import shutil
 import pytest
 from report_helpers import Elements, html_of, page_in, write_evaluation
 
+from tactile_loc.core.errors import ResultError
 from tactile_loc.evaluation.tables import SHOWN
 from tactile_loc.evaluation.tabular import mm
-from tactile_loc.reports.source import ResultError
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,7 @@ import pytest
 from PIL import Image
 from report_helpers import UNFRIENDLY, write_sweep
 
-from tactile_loc.reports.report import write_report
-from tactile_loc.reports.source import find_source
+from tactile_loc.reports import find_source, write_report
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import pytest
 from report_helpers import UNFRIENDLY, Elements, html_of, write_evaluation, write_sweep
 
 from tactile_loc.core.errors import OutputError
-from tactile_loc.reports.markup import script_json, table, tiles
-from tactile_loc.reports.page import Page, Section, render
-from tactile_loc.reports.report import write_report
-from tactile_loc.reports.source import find_source
+from tactile_loc.reports import find_source, write_report
+from tactile_loc.reports.page import Page, Section, render, templates
 
 
 @pytest.fixture(params=["run_folder", "evaluation_folder", "contacts_folder", "sweep_folder"])
@@ -60,18 +59,22 @@ def test_what_users_named_is_text(unfriendly_run, tmp_path):
 
 
 def test_data_cannot_end_its_script():
-    assert "</script" not in script_json({"a": "</script><!--"})
+    html = render(Page("run", "t", "a", [], {"a": "</script><!--"}, []))
+    (data,) = re.findall(r'id="data">(.*)</script>', html)
+    assert "</script" not in data
+    assert json.loads(data) == {"a": "</script><!--"}
     with pytest.raises(ValueError, match="JSON"):
-        script_json([float("nan")])
+        render(Page("run", "t", "a", [], [float("nan")], []))
 
 
 def test_tables_and_tiles_are_text():
-    assert "&lt;b&gt;" in table(["<b>"], [["<b>"]])
-    assert "<b>" not in table(["<b>"], [["<b>"]], label='"<b>') + tiles([("<b>", "<b>", "<b>")])
+    macros = templates().get_template("macros.html.j2").module
+    assert "&lt;b&gt;" in macros.table(["<b>"], [["<b>"]])
+    assert "<b>" not in macros.table(["<b>"], [["<b>"]], label='"<b>') + macros.tiles([("<b>", "<b>", "<b>")])
 
 
 def test_scripts_run_only_if_they_are_ours():
-    html = render(Page("t", "a", [Section("s", "S", "")], {}, []))
+    html = render(Page("run", "t", "a", [Section("times", "S", {"built": ""})], {}, []))
     (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', html)
     assert policy.count("'sha256-") == 2
     assert "unsafe-inline" not in policy.split("script-src")[1]

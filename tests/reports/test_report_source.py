@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tactile_loc.reports.source import ResultError, find_source
+from tactile_loc.core.errors import ResultError
+from tactile_loc.reports import find_source
 
 
 @pytest.fixture
@@ -50,10 +51,3 @@ def test_what_is_no_result_is_one_sentence(tmp_path):
     (tmp_path / "results.csv").touch()
     with pytest.raises(ResultError, match="give the folder of one"):
         find_source(tmp_path)
-
-
-@pytest.mark.parametrize(("text", "says"), [("{", "is no JSON"), ("[1]", "holds a list")])
-def test_a_damaged_document_is_one_sentence(folder, text, says):
-    (folder / "result.json").write_text(text)
-    with pytest.raises(ResultError, match=says):
-        find_source(folder).document()

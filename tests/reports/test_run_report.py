@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from report_helpers import Elements, floats, html_of, numbers_in, page_in
 
+from tactile_loc.core.errors import ResultError
 from tactile_loc.core.geometry import rotation_about
-from tactile_loc.locate.result_files import read_arrays
-from tactile_loc.reports.contact_section import contact_section
-from tactile_loc.reports.run_data import surface_of
-from tactile_loc.reports.run_report import read_record
-from tactile_loc.reports.source import ResultError, find_source
+from tactile_loc.locate.result_files import read_arrays, read_record
+from tactile_loc.reports.page import render
+from tactile_loc.reports.run import page_of_result, surface_of
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +76,7 @@ def test_scripts_draw_the_poses_of_the_result(result, data):
 
 
 def test_the_marginals_sum_to_one(run_folder, data):
-    record = read_record(find_source(run_folder))
+    record = read_record(run_folder / "result.json")
     found = surface_of(record, read_arrays(run_folder / "result.npz", record))
     assert found.mass.sum() == pytest.approx(1.0, abs=1e-9)
     assert (found.density * found.area_m2).sum() == pytest.approx(1.0, abs=1e-9)
@@ -129,11 +128,11 @@ def test_without_the_truth_no_error_is_claimed(run_folder, tmp_path, monkeypatch
 
 
 def test_a_touch_from_an_image_shows_the_image(run_folder):
-    record = read_record(find_source(run_folder))
+    record = read_record(run_folder / "result.json")
     arrays = read_arrays(run_folder / "result.npz", record)
     photo = np.full((30, 40, 3), 200, np.uint8)
     seen = dataclasses.replace(arrays, touches=(dataclasses.replace(arrays.touches[0], image=photo),))
-    plain, found = (Elements(contact_section(record, one)) for one in (arrays, seen))
+    plain, found = (Elements(render(page_of_result(record, one))) for one in (arrays, seen))
     assert len(found.named("image")) == len(plain.named("image")) + 1
     assert "image that it was estimated from" in found.text
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 from report_helpers import Elements, html_of, page_in, sweep_rows, write_sweep
 
-from tactile_loc.reports.source import ResultError, find_source
-from tactile_loc.reports.sweep_rows import components, is_factor, measured_lines, read_rows, varying
+from tactile_loc.core.errors import ResultError
+from tactile_loc.reports.sweep import components, is_factor, measured_lines, read_rows, varying
 
 
 def test_what_varies_is_found(sweep_folder):
-    rows = read_rows(find_source(sweep_folder))
+    rows = read_rows(sweep_folder / "sweep.csv")
     assert varying(rows) == ["object", "refiner", "grid.spacing_mm"]
     assert components(rows) == ["refiner", "grid.spacing_mm"]
     assert measured_lines(rows) == ["chosen", "best-1"]

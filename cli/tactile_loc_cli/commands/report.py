@@ -24,8 +24,7 @@ def report(result: Result, out: Out = None) -> dict[str, Any]:
 
     The file holds everything, works offline and can be sent to somebody else.
     """
-    from tactile_loc.reports.report import write_report
-    from tactile_loc.reports.source import find_source
+    from tactile_loc.reports import find_source, write_report
 
     source = find_source(result)
     written = write_report(source, out)

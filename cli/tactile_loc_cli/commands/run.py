@@ -160,8 +160,7 @@ def _report(
 ) -> dict[str, Any]:
     """Show the result, write it (result.json, .npz, .png and, if asked for, the page), and return it and the paths."""
     from tactile_loc.drawing.pictures import draw_result, save_figure
-    from tactile_loc.locate.result_arrays import gather
-    from tactile_loc.locate.result_files import NAME, write_arrays
+    from tactile_loc.locate.result_files import NAME, gather, write_arrays
     from tactile_loc.locate.result_json import pose_errors_m, result_record, write_result
     from tactile_loc_cli.tables import pose_table, summary, title
 
@@ -177,8 +176,7 @@ def _report(
         save_figure(out / "result.png", figure),
     ]
     if page:
-        from tactile_loc.reports.report import write_report
-        from tactile_loc.reports.source import find_source
+        from tactile_loc.reports import find_source, write_report
 
         written.append(write_report(find_source(out / "result.json")))
     say(f"written: {', '.join(map(str, written))}")

@@ -51,6 +51,7 @@ LIBRARIES = (
     _needed("faiss", "faiss-cpu", "faiss-gpu", serves="the matcher faiss"),
     _needed("matplotlib"),
     _needed("PIL", "pillow"),
+    _needed("jinja2", serves="reports"),
     _needed("plotly", serves="reports"),
     _needed("open3d", "open3d-cpu", "open3d", trial="open3d", serves="the renderer raycast, the refiner icp, pictures"),
     Library("pyrender", ("pyrender",), "the renderer pyrender", "pip install pyrender", trial="egl",

@@ -65,7 +65,8 @@
     const name = plain(run.name), hovertemplate = `${name}: %{y:.0f} % in the %{x} % set<extra></extra>`;
     const shared = { type: "scatter", name, legendgroup: name, hovertemplate };
     const x = Array.from({ length: 101 }, (_, n) => n);
-    const held = x.map((p) => (100 * run.credible_level.filter((level) => level <= p / 100).length) / run.credible_level.length);
+    const levels = run.credible_level;
+    const held = x.map((p) => (100 * levels.filter((level) => level <= p / 100).length) / levels.length);
     const percent = (shares) => shares.map((share) => 100 * share);
     const marker = { color: colour(k), size: 8, symbol: symbol(k) };
     return [

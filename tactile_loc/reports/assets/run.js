@@ -130,9 +130,9 @@
       constraintext: "none", textfont: { size: 11 }, cliponaxis: false,
       hovertemplate: `candidate %{y}: ${name} %{x:.2f} %<extra></extra>`,
     });
-    const fit = (share) => `${Math.round(100 * share)} %`;
+    const whole = (share) => `${Math.round(100 * share)} %`;
     const traces = [
-      bars("probability", "probability", c.accent, percent), bars("imprint IoU", "imprint_iou", c.second, fit),
+      bars("probability", "probability", c.accent, percent), bars("imprint IoU", "imprint_iou", c.second, whole),
     ];
     const yaxis = axis(c, { autorange: "reversed", dtick: 1, title: { text: "candidate" } });
     const xaxis = axis(c, { range: [0, 112], tickvals: [0, 20, 40, 60, 80, 100], title: { text: "%" } });

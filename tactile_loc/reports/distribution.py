@@ -1,8 +1,13 @@
-"""Where on the object the sensor may be: a distribution over poses as one over the object's surface."""
+"""A distribution over poses, as pictures show it: over the object's surface, and over rotations.
+
+Over the surface: where the sensor's centre touches. Over rotations: the turn about the sensor's axis (yaw), and the
+side of the object that faces the sensor.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +17,15 @@ from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import SensorGeometry
 
+Array = NDArray[np.float64]
+
 PATCHES = 1500  # edges are split until so many squares of their length cover the surface
 MOST_SPLITS = 40
 REACH = 3.0  # standard deviations to which a pose's probability is spread
+YAW_BINS, MOST_YAWS = 36, 120
+AZIMUTHS, HEIGHTS = 36, 18
+LEANS = 15
+SAME_SIDE_DEG, CAP_DEG = 0.5, 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,12 +36,12 @@ class SurfaceDistribution:
     """
 
     mesh: TriangleMesh
-    mass: NDArray[np.float64]
-    area_m2: NDArray[np.float64]
+    mass: Array
+    area_m2: Array
     spread_m: float
 
     @property
-    def density(self) -> NDArray[np.float64]:
+    def density(self) -> Array:
         """Probability per area (V,), 1/m^2."""
         return self.mass / np.maximum(self.area_m2, 1e-15)
 
@@ -43,14 +54,14 @@ def touched_points(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorG
     return np.asarray(cKDTree(mesh.vertices_m).query(centres_m)[1], np.int64)
 
 
-def sensor_centre(geometry: SensorGeometry) -> NDArray[np.float64]:
+def sensor_centre(geometry: SensorGeometry) -> Array:
     """Return the centre (3,) of the sensing rectangle on the undeformed gel, metres of the sensor frame."""
     x0, x1, y0, y1 = geometry.rectangle
     return np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), geometry.standoff_m])
 
 
 def surface_distribution(
-    mesh: TriangleMesh, T_sensor_object: Poses, weights: NDArray[np.float64], geometry: SensorGeometry, spread_m: float
+    mesh: TriangleMesh, T_sensor_object: Poses, weights: Array, geometry: SensorGeometry, spread_m: float
 ) -> SurfaceDistribution:
     """Return where on the surface the sensor's centre touches, given poses (N, 4, 4) and their weights (N,), sum one.
 
@@ -63,9 +74,7 @@ def surface_distribution(
     return SurfaceDistribution(fine, _spread(fine, mass, area, spread_m), area, spread_m)
 
 
-def _spread(
-    mesh: TriangleMesh, mass: NDArray[np.float64], area_m2: NDArray[np.float64], spread_m: float
-) -> NDArray[np.float64]:
+def _spread(mesh: TriangleMesh, mass: Array, area_m2: Array, spread_m: float) -> Array:
     """Spread masses (V,) to the vertices around; what it sums to stays the same."""
     from scipy.spatial import cKDTree
 
@@ -99,8 +108,8 @@ def refined(mesh: TriangleMesh, longest_m: float) -> TriangleMesh:
 
 
 def _split_longest(
-    vertices_m: NDArray[np.float64], faces: NDArray[np.int64], longest_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
+    vertices_m: Array, faces: NDArray[np.int64], longest_m: float
+) -> tuple[Array, NDArray[np.int64]] | None:
     """Halve the longest edge of every face that is too long; None when there is none."""
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], -1)
     lengths = np.linalg.norm(vertices_m[ends[..., 0]] - vertices_m[ends[..., 1]], axis=-1)
@@ -117,16 +126,100 @@ def _split_longest(
     return np.concatenate([vertices_m, vertices_m[edges].mean(axis=1)]), np.concatenate([faces[~long], *halves])
 
 
-def vertex_areas(mesh: TriangleMesh) -> NDArray[np.float64]:
+def vertex_areas(mesh: TriangleMesh) -> Array:
     """Return a third of the area of the faces around each vertex (V,), square metres."""
     areas = np.repeat(mesh.face_areas / 3.0, 3)
     return np.bincount(mesh.faces.ravel(), areas, len(mesh.vertices_m)).astype(float)
 
 
-def vertex_normals(mesh: TriangleMesh) -> NDArray[np.float64]:
+def vertex_normals(mesh: TriangleMesh) -> Array:
     """Return unit normals (V, 3), the mean of the faces around, weighted by their areas; zero where there are none."""
     a, b, c = np.moveaxis(mesh.triangles_m, 1, 0)
     normals = np.zeros_like(mesh.vertices_m)
     for corner in range(3):
         np.add.at(normals, mesh.faces[:, corner], np.cross(b - a, c - a))
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
+
+
+@dataclass(frozen=True, eq=False)
+class YawHistogram:
+    """Probability by turn about the sensor's +z: `yaw_deg` (B,) are the bars' middles, `mass` (B,) sums to one."""
+
+    yaw_deg: Array
+    mass: Array
+    width_deg: float
+
+
+@dataclass(frozen=True, eq=False)
+class SideMap:
+    """Probability `mass` (Y, X), which sums to one, of which side of the object faces the sensor.
+
+    "one": a single side, `normal` (3,) in the object frame; "lean": how far that side leans towards the sensor's x and
+    y, degrees; "globe": the side's azimuth and elevation in the object frame, degrees, in bins of equal area. `x` and
+    `y` are the bins' edges.
+    """
+
+    kind: Literal["one", "lean", "globe"]
+    normal: Array
+    x: Array
+    y: Array
+    mass: Array
+
+
+def yaw_rad(R: Array) -> Array:
+    """Return the turn (N,) about the sensor's z of rotations R_sensor_object (N, 3, 3), radians, -pi to pi.
+
+    R = Rz(yaw) A, with A the smallest rotation that brings the side that faces the sensor there (`align_to_z`).
+    """
+    v = R[:, 2, :]  # what the sensor's +z is in the object frame
+    x = np.zeros_like(v)
+    x[:, 0] = 1.0
+    below = v[:, 2] > -1 + 1e-9
+    swing = np.where(below, v[:, 0] / np.maximum(1 + v[:, 2], 1e-12), 0.0)
+    x -= swing[:, None] * (v + np.array([0.0, 0.0, 1.0]))
+    turned = np.einsum("nij,nj->ni", R, x)
+    return np.arctan2(turned[:, 1], turned[:, 0])
+
+
+def yaw_histogram(R: Array, weights: Array) -> YawHistogram:
+    """Sum weights (N,) of rotations R_sensor_object (N, 3, 3) by yaw: a bar a yaw of a lattice, or of ten degrees."""
+    yaw_deg = np.degrees(yaw_rad(R)) % 360.0
+    values, which = np.unique(np.round(yaw_deg, 2) % 360.0, return_inverse=True)
+    step_deg = float(np.diff(values).min()) if len(values) > 1 else 360.0 / YAW_BINS
+    if len(values) <= MOST_YAWS and step_deg >= 1.0:
+        return YawHistogram(values, np.bincount(which.ravel(), weights, len(values)).astype(float), min(step_deg, 30.0))
+    width_deg = 360.0 / YAW_BINS
+    bins = np.minimum((yaw_deg / width_deg).astype(int), YAW_BINS - 1)
+    middles = np.linspace(0.5, YAW_BINS - 0.5, YAW_BINS) * width_deg
+    return YawHistogram(middles, np.bincount(bins, weights, YAW_BINS).astype(float), width_deg)
+
+
+def side_map(R: Array, weights: Array) -> SideMap:
+    """Sum weights (N,) of rotations R_sensor_object (N, 3, 3) by the side of the object that faces the sensor."""
+    facing = -R[:, 2, :]
+    mean = facing.mean(axis=0)
+    if np.linalg.norm(mean) < 1e-6:
+        return _globe(facing, weights)
+    normal = mean / np.linalg.norm(mean)
+    widest_deg = float(np.degrees(np.arccos(np.clip(facing @ normal, -1, 1))).max())
+    if widest_deg > CAP_DEG:
+        return _globe(facing, weights)
+    return _lean(R, weights, normal, widest_deg)
+
+
+def _globe(facing: Array, weights: Array) -> SideMap:
+    azimuth_deg = np.degrees(np.arctan2(facing[:, 1], facing[:, 0]))
+    x, heights = np.linspace(-180, 180, AZIMUTHS + 1), np.linspace(-1, 1, HEIGHTS + 1)
+    mass, _, _ = np.histogram2d(np.clip(facing[:, 2], -1, 1), azimuth_deg, (heights, x), weights=weights)
+    best = facing[weights.argmax()]
+    return SideMap("globe", best, x, np.degrees(np.arcsin(heights)), mass)
+
+
+def _lean(R: Array, weights: Array, normal: Array, widest_deg: float) -> SideMap:
+    if widest_deg < SAME_SIDE_DEG:
+        return SideMap("one", normal, np.zeros(0), np.zeros(0), np.ones((1, 1)))
+    side = R @ normal
+    lean_deg = np.degrees(np.arctan2(side[:, :2], -side[:, 2:]))
+    edges = np.linspace(-1, 1, LEANS + 1) * (float(np.abs(lean_deg).max()) * (1 + 1 / LEANS))
+    mass, _, _ = np.histogram2d(lean_deg[:, 1], lean_deg[:, 0], (edges, edges), weights=weights)
+    return SideMap("lean", normal, edges, edges, mass)

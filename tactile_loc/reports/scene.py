@@ -1,9 +1,12 @@
-"""The object and the sensors' pads as surfaces that a browser draws; mm, in the first touch's sensor frame."""
+"""What a browser draws in space: the object on the sensors' pads, and the distribution over the object's surface.
+
+Values for scripts, in mm; on the pads in the first touch's sensor frame, on the surface in the object's.
+"""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +19,8 @@ from tactile_loc.core.sensing import ContactShape, SensorGeometry
 from tactile_loc.drawing.pictures import extent_mm
 from tactile_loc.drawing.pose_panel import GEL_MM, RIM_MM
 from tactile_loc.drawing.raytracing import CREASE_DEG, View, box
-from tactile_loc.locate.result_arrays import TouchArrays
+from tactile_loc.locate.result_files import ResultArrays, TouchArrays
+from tactile_loc.reports.distribution import SurfaceDistribution, touched_points, vertex_normals
 
 Array = NDArray[np.float64]
 
@@ -27,6 +31,65 @@ FIELD_DEG = 45.0
 ROOM = 1.12  # around what is seen
 MOST_CREASES = 20_000
 MARGIN_MM = 16.0  # for numbers around the pads
+DECADES = 3  # shown of the density over the surface
+NAMED = 5  # candidates marked on the surface
+LIFT_MM, TOGETHER_MM = 1.5, 4.0  # marks are so far above the surface, and those so near to one another are one
+AROUND_MM, AXES_MM = 14.0, 10.0
+
+
+def sensor_scene(arrays: ResultArrays, poses: Poses, truth: Array | None) -> dict[str, Any]:
+    """Return the object and the sensors under it, and from where both are seen at the candidates' poses (K, 4, 4)."""
+    pads = [pad(touch) for touch in arrays.touches]
+    bounds = bounds_mm(arrays.mesh, [*poses, *([] if truth is None else [truth])], pads)
+    view = view_of(arrays.mesh, poses[0])
+    best_mm = 1e3 * transform_points(poses[0], arrays.mesh.vertices_m)
+    seen_mm = np.concatenate([best_mm, *(_points(one["housing"]) for one in pads)])
+    return {
+        "mesh": packed_mesh(arrays.mesh),
+        "creases": [] if truth is None else creases(arrays.mesh),
+        "truth": None if truth is None else rows_mm(truth),
+        "pads": pads,
+        "bounds": bounds,
+        "camera": camera_on(seen_mm, bounds, view),
+        "ticks": pad_ticks(arrays.touches[0].geometry, view),
+    }
+
+
+def surface_scene(
+    found: SurfaceDistribution, poses: Poses, truth: Array | None, geometry: SensorGeometry
+) -> dict[str, Any]:
+    """Return the object painted with the density, and where candidates (K, 4, 4) and the truth touch it."""
+    density = np.log10(np.maximum(100 * 1e-6 * found.density, 1e-30))  # per cent per square millimetre
+    high = float(density.max())
+    points_mm = 1e3 * found.mesh.vertices_m
+    box_mm = np.stack([points_mm.min(axis=0), points_mm.max(axis=0)], axis=1)
+    bounds = (box_mm + np.array([-AROUND_MM, AROUND_MM])).round(2).tolist()
+    view = view_on(found.mesh.vertices_m[int(found.density.argmax())], found.mesh.centroid_m)
+    axes = triad(box_mm, view, AXES_MM)
+    return {
+        "mesh": packed_mesh(found.mesh),
+        "log_density": packed(np.maximum(density, high - DECADES), "<f4"),
+        "range": [high - DECADES, high],
+        "marks": _marks(found.mesh, poses, truth, geometry),
+        "spread_mm": 1e3 * found.spread_m,
+        "bounds": bounds,
+        "camera": camera_on(np.concatenate([points_mm, _points(axes["names"])]), bounds, view),
+        "triad": axes,
+    }
+
+
+def _marks(mesh: TriangleMesh, poses: Poses, truth: Array | None, geometry: SensorGeometry) -> dict[str, Any]:
+    """Where the first candidates and the truth are, a little above the surface; those that are near share a mark."""
+    names = [*map(str, range(1, 1 + min(NAMED, len(poses)))), *([] if truth is None else ["true"])]
+    named = np.stack([*poses[:NAMED], *([] if truth is None else [truth])])
+    vertices = touched_points(mesh, named, geometry)
+    places = 1e3 * mesh.vertices_m[vertices] + LIFT_MM * vertex_normals(mesh)[vertices]
+    groups: list[list[int]] = []
+    for i, place in enumerate(places):
+        near = next((g for g in groups if np.linalg.norm(places[g[0]] - place) < TOGETHER_MM), None)
+        groups.append([i]) if near is None else near.append(i)
+    at = np.stack([places[group].mean(axis=0) for group in groups])
+    return {**_columns(at), "text": [", ".join(names[i] for i in group) for group in groups]}
 
 
 def packed(values: NDArray[Any], kind: str) -> str:
@@ -92,7 +155,7 @@ def creases(mesh: TriangleMesh) -> list[list[int]]:
 def bounds_mm(mesh: TriangleMesh, poses: Sequence[Array], pads: Iterable[dict[str, Any]]) -> list[list[float]]:
     """Return the range (low, high) along x, y, z, mm, that holds the object at all poses (4, 4) and the pads."""
     clouds = [1e3 * transform_points(T, mesh.vertices_m) for T in poses]
-    clouds += [np.stack([one["housing"][k] for k in "xyz"], axis=1) for one in pads]
+    clouds += [_points(one["housing"]) for one in pads]
     low = np.min([cloud.min(axis=0) for cloud in clouds], axis=0)
     high = np.max([cloud.max(axis=0) for cloud in clouds], axis=0)
     return [[round(float(a - MARGIN_MM), 2), round(float(b + MARGIN_MM), 2)] for a, b in zip(low, high, strict=True)]
@@ -161,14 +224,14 @@ def round_values(low: float, high: float, most: int = 6) -> list[float]:
     return [float(k * step) for k in range(int(np.ceil(low / step - 1e-6)), int(np.floor(high / step + 1e-6)) + 1)]
 
 
-def candidate_poses(records: Iterable[Any]) -> Poses:
-    """Return the refined poses (K, 4, 4) of hypothesis records, metres."""
-    return np.array([record.T_sensor_object for record in records], float)
-
-
 def number(value: float) -> str:
     """Write a number shortly, with a true minus."""
     return f"{value:g}".replace("-", "\N{MINUS SIGN}")
+
+
+def _points(columns: Mapping[str, Any]) -> Array:
+    """Points (P, 3) of their coordinates."""
+    return np.stack([columns[k] for k in "xyz"], axis=1)
 
 
 def _columns(points: Array) -> dict[str, list[float]]:

@@ -1,0 +1,144 @@
+"""Pictures of a page, as data URIs: contact shapes and their differences, photos, files that lie beside a result."""
+
+from __future__ import annotations
+
+import base64
+import io
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.sensing import ContactShape, SensorGeometry
+from tactile_loc.drawing.pictures import extent_mm
+from tactile_loc.reports.scene import number, outlines_mm, round_values
+
+log = logging.getLogger(__name__)
+
+DEPTHS, DIFFERENCES = "viridis", "RdBu_r"
+EMPTY, UNSEEN, FIRST = 0, 1, 2  # places in the palette: transparent, dim, and the first colour
+UNSEEN_RGBA = (128, 136, 148, 90)
+MOST_APART = 0.25  # of the press depth: where the colours of differences end
+EQUAL = 0.04  # of that: differences below are drawn as none
+WIDEST_PX, COLOURS = 1400, 255  # of a picture of the gallery
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The borders of a sensor's image on the sensing surface, mm; y runs down."""
+
+    left: float
+    right: float
+    bottom: float
+    top: float
+
+    @classmethod
+    def of(cls, geometry: SensorGeometry) -> Frame:
+        """Return the frame of a sensor's images."""
+        return cls(*extent_mm(geometry))
+
+    @property
+    def width(self) -> float:
+        """From left to right, mm."""
+        return self.right - self.left
+
+    @property
+    def height(self) -> float:
+        """From top to bottom, mm."""
+        return self.bottom - self.top
+
+    @property
+    def ticks_x(self) -> list[tuple[float, str]]:
+        """Round numbers along the lower border, and how they are written."""
+        return [(x, number(x)) for x in round_values(self.left, self.right)]
+
+    @property
+    def ticks_y(self) -> list[tuple[float, str]]:
+        """Round numbers along the left border, and how they are written."""
+        return [(y, number(y)) for y in round_values(self.top, self.bottom)]
+
+    @property
+    def bar_mm(self) -> float:
+        """The longest round length, 1, 2 or 5 times a power of ten, of at most a quarter of the width."""
+        power = 10.0 ** np.floor(np.log10(self.width / 4))
+        return float(max(k * power for k in (1, 2, 5) if k * power <= self.width / 4 * 1.0001))
+
+
+def shape_png(shape: ContactShape, geometry: SensorGeometry) -> str:
+    """Return a contact shape (H, W) as a data URI: depth from full penetration, transparent without contact."""
+    share = shape.depth_m / np.float32(shape.press_depth_m)
+    return _png(share, shape.contact, geometry.observed_mask, DEPTHS)
+
+
+def difference_png(made: ContactShape, observed: ContactShape, geometry: SensorGeometry) -> str:
+    """Return by how much deeper `made` presses than `observed` (H, W) as a data URI: red deeper, blue less deep.
+
+    The colours end at MOST_APART of the press depth; where both agree it is transparent.
+    """
+    deeper = (observed.depth_m - made.depth_m) / np.float32(MOST_APART * observed.press_depth_m)
+    return _png(0.5 + 0.5 * deeper, np.abs(deeper) > EQUAL, geometry.observed_mask, DIFFERENCES)
+
+
+def outline_path(shape: ContactShape, geometry: SensorGeometry) -> str:
+    """Return the border of a contact (H, W) as an SVG path in mm on the sensing surface."""
+    lines = outlines_mm(shape, geometry)
+    return "".join("M" + "L".join(f"{x:.2f} {y:.2f}" for x, y, _ in line) for line in lines)
+
+
+def photo_png(image: NDArray[np.uint8]) -> str:
+    """Return a photo (H, W, 3) as a data URI."""
+    from PIL import Image
+
+    return _data_uri(Image.fromarray(image))
+
+
+def gallery_picture(path: Path) -> str | None:
+    """Return a PNG as a data URI, at most WIDEST_PX wide and with at most COLOURS colours; None if there is none.
+
+    A picture that cannot be read is left out with a warning.
+    """
+    if not path.is_file():
+        return None
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            small = image.convert("RGB")
+    except OSError:
+        log.warning(f"{path} cannot be read as a picture and is left out of the report")
+        return None
+    if small.width > WIDEST_PX:
+        small = small.resize((WIDEST_PX, round(small.height * WIDEST_PX / small.width)), Image.Resampling.LANCZOS)
+    return _data_uri(small.quantize(COLOURS))
+
+
+def gradient(name: str, steps: int = 9) -> str:
+    """Return a colour scale as CSS, from its low end on the left to its high end on the right."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    return f"linear-gradient(to right, {', '.join(to_hex(c) for c in colormaps[name](np.linspace(0, 1, steps)))})"
+
+
+def _png(share: NDArray[np.floating], shown: NDArray[np.bool_], observed: NDArray[np.bool_], colours: str) -> str:
+    """Shares (H, W), 0 to 1, in colours where they are shown."""
+    from matplotlib import colormaps
+    from PIL import Image
+
+    steps = 256 - FIRST
+    index = FIRST + np.clip(share * (steps - 1), 0, steps - 1).round().astype(np.uint8)
+    index = np.where(observed, np.where(shown, index, EMPTY), UNSEEN).astype(np.uint8)
+    palette = (255 * colormaps[colours](np.linspace(0, 1, steps))[:, :3]).round().astype(np.uint8)
+    image = Image.fromarray(index)
+    image.putpalette([0, 0, 0, *UNSEEN_RGBA[:3], *palette.ravel().tolist()])
+    return _data_uri(image, transparency=bytes([0, UNSEEN_RGBA[3], *[255] * steps]))
+
+
+def _data_uri(image: Any, **options: Any) -> str:
+    """A PIL image as a PNG data URI."""
+    buffer = io.BytesIO()
+    image.save(buffer, "PNG", optimize=True, **options)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

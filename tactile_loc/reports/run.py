@@ -1,0 +1,224 @@
+"""The report of a run: one touch, or several at once, and where the object is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.geometry import axis_angle
+from tactile_loc.drawing.pictures import millimetres, percent
+from tactile_loc.io.toml import toml_text
+from tactile_loc.locate.result_files import NAME, ResultArrays, TouchArrays, read_arrays, read_record
+from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord
+from tactile_loc.reports import pictures, scene
+from tactile_loc.reports.distribution import SurfaceDistribution, side_map, surface_distribution, yaw_histogram
+from tactile_loc.reports.page import Page, Section
+
+ALL = 0.999999  # of the probability: what is missing is rounding
+COLUMNS = ("rank", "prob. (%)", "imprint IoU (%)", "x (mm)", "y (mm)", "z (mm)", "turn (°)", "about the axis")
+SPACING_MM = 4.0  # of the grid, if its options do not say
+SPREAD = 0.5  # of the grid's spacing: what is between its poses
+LEAST_SPREAD_MM = 0.5
+BEFORE = ("model",)  # stages that are no part of a localisation
+
+
+def run_page(path: Path) -> Page:
+    """Return the page of a result, given its result.json. Raises ResultError when its files cannot be used."""
+    record = read_record(path)
+    return page_of_result(record, read_arrays(path.with_name(NAME), record))
+
+
+def page_of_result(record: ResultRecord, arrays: ResultArrays) -> Page:
+    """Return the page of a result that has been read."""
+    data = run_data(record, arrays)
+    truth = record.touch.T_sensor_object is not None
+    sections = [
+        Section("summary", "", {"numbers": list(_numbers(record)), "notes": record.object.notes}),
+        Section("candidates", "Candidates", {"header": _header(record), "rows": _rows(record), "truth": truth}),
+        Section("contact", "Contact shapes", _contact(record, arrays)),
+        Section("distribution", "Distribution", _distribution(record, arrays, data)),
+        Section("times", "Times", {"built": _built(record)}),
+        Section("made", "Made with", _made(record)),
+    ]
+    title = f"{record.object.name} on {_sensor_name(record)}"
+    return Page("run", title, _about(record), sections, data, ["run.js"])
+
+
+def run_data(record: ResultRecord, arrays: ResultArrays) -> dict[str, Any]:
+    """Return what the scripts of a run's page draw, as JSON values; millimetres, degrees, per cent."""
+    poses = np.array([h.T_sensor_object for h in record.hypotheses], float)
+    T_true = record.touch.T_sensor_object
+    truth = None if T_true is None else np.array(T_true, float)
+    surface = surface_of(record, arrays)
+    return {
+        "candidates": [_drawn(h, T) for h, T in zip(record.hypotheses, poses, strict=True)],
+        **scene.sensor_scene(arrays, poses, truth),
+        "surface": scene.surface_scene(surface, poses, truth, arrays.touches[0].geometry),
+        **_rotations(arrays),
+        "times": [[stage, 1e3 * s] for stage, s in record.seconds.items() if stage not in BEFORE],
+    }
+
+
+def surface_of(record: ResultRecord, arrays: ResultArrays) -> SurfaceDistribution:
+    """Return where on the surface the first touch's sensor may be."""
+    options = record.configuration.get("grid", {}).get("options", {})
+    spacing_mm = options.get("spacing_mm")
+    spread_mm = max(SPREAD * float(spacing_mm if isinstance(spacing_mm, (int, float)) else SPACING_MM), LEAST_SPREAD_MM)
+    geometry = arrays.touches[0].geometry
+    return surface_distribution(arrays.mesh, arrays.T_sensor_object, arrays.weights, geometry, 1e-3 * spread_mm)
+
+
+def _drawn(h: HypothesisRecord, T: NDArray[np.float64]) -> dict[str, Any]:
+    error_mm = None if h.error_m is None else 1e3 * h.error_m
+    return {
+        "rank": h.rank, "probability": h.probability, "imprint_iou": h.imprint_iou, "T": scene.rows_mm(T),
+        "error_mm": error_mm,
+    }  # fmt: skip
+
+
+def _rotations(arrays: ResultArrays) -> dict[str, Any]:
+    R, weights = arrays.T_sensor_object[:, :3, :3], arrays.weights
+    yaw, side = yaw_histogram(R, weights), side_map(R, weights)
+    return {
+        "yaw": {"deg": yaw.yaw_deg.round(3).tolist(), "percent": (100 * yaw.mass).tolist(), "width": yaw.width_deg},
+        "side": {
+            "kind": side.kind, "normal": side.normal.tolist(), "x": side.x.tolist(), "y": side.y.tolist(),
+            "percent": (100 * side.mass).tolist(),
+        },
+    }  # fmt: skip
+
+
+def _sensor_name(record: ResultRecord) -> str:
+    """The sensor's name, or that of its file."""
+    sensor = record.configuration.get("sensor", {})
+    path = sensor.get("options", {}).get("path")
+    return Path(path).stem if path else str(sensor.get("name", "a sensor"))
+
+
+def _about(record: ResultRecord) -> str:
+    touch = record.touch
+    what = f"touch {touch.name}" if touch.path is not None else f"simulated touch, noise {touch.noise}"
+    if record.other_touches:
+        what = f"{1 + len(record.other_touches)} touches at once, the first: {touch.name}"
+    pressed = f"pressed {1e3 * touch.press_depth_m:.2f} mm deep"
+    return f"{what}, {pressed}; {record.grid_poses} poses searched; {record.created}"
+
+
+def _numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
+    best = record.hypotheses[0]
+    x, y, z, angle_deg, axis = _pose(best)
+    turned = f"of the object in the sensor's frame, turned {angle_deg}° about {axis}"
+    yield "best pose: x, y, z", f"{x}, {y}, {z} mm", turned
+    yield "normalised entropy", f"{record.normalised_entropy:.2f}", "0: one pose is certain, 1: nothing is known"
+    explains = "how well the best pose explains the touch, in depth and outline"
+    yield "imprint IoU", f"{100 * best.imprint_iou:.0f} %", explains
+    yield "probability", percent(best.probability), f"of the best candidate, {best.grid_poses} grid poses together"
+    errors = record.errors
+    if errors is not None:
+        closest = f"RMS of surface; the nearest grid pose: {millimetres(errors.closest_in_grid_m)}"
+        yield "error", millimetres(errors.best_m), closest
+
+
+def _pose(h: HypothesisRecord) -> list[str]:
+    """The refined pose: x, y, z in mm, the turn in degrees, and about which axis."""
+    T = np.array(h.T_sensor_object)
+    angle_deg, axis = axis_angle(T[:3, :3])
+    return [*(f"{1e3 * v:.2f}" for v in T[:3, 3]), f"{angle_deg:.1f}", "({:.3f}, {:.3f}, {:.3f})".format(*axis)]
+
+
+def _header(record: ResultRecord) -> list[str]:
+    return [*COLUMNS, *([] if record.errors is None else ["error (mm)"])]
+
+
+def _rows(record: ResultRecord) -> list[list[str]]:
+    return [
+        [
+            str(h.rank), f"{100 * h.probability:.1f}", f"{100 * h.imprint_iou:.0f}", *_pose(h),
+            *([] if h.error_m is None else [f"{1e3 * h.error_m:.2f}"]),
+        ]
+        for h in record.hypotheses
+    ]  # fmt: skip
+
+
+def _contact(record: ResultRecord, arrays: ResultArrays) -> dict[str, Any]:
+    """The touches, what each candidate would show instead, and the differences."""
+    names = [record.touch.name, *(touch.name for touch in record.other_touches)]
+    press_mm = 1e3 * max(touch.shape.press_depth_m for touch in arrays.touches)
+    apart = f"{pictures.MOST_APART * press_mm:.2f}"
+    words = (f"\N{MINUS SIGN}{apart} and less", "pressed in less … more than the touch (mm)", f"+{apart} and more")
+    return {
+        "touches": [_observed(name, touch) for name, touch in zip(names, arrays.touches, strict=True)],
+        "depths": (pictures.gradient(pictures.DEPTHS), ("0", "depth from full penetration (mm)", f"{press_mm:.2f}")),
+        "differences": (pictures.gradient(pictures.DIFFERENCES), words),
+        "cards": [(h.rank, _card(h), _shown(i, arrays.touches)) for i, h in enumerate(record.hypotheses)],
+    }
+
+
+def _observed(name: str, touch: TouchArrays) -> dict[str, Any]:
+    return {
+        "name": name,
+        "frame": pictures.Frame.of(touch.geometry),
+        "outline": pictures.outline_path(touch.shape, touch.geometry),
+        "picture": pictures.shape_png(touch.shape, touch.geometry),
+        "photo": None if touch.image is None else pictures.photo_png(touch.image),
+    }
+
+
+def _card(h: HypothesisRecord) -> str:
+    off = "" if h.error_m is None else f", {millimetres(h.error_m)} off"
+    return f"{percent(h.probability)}, imprint IoU {100 * h.imprint_iou:.0f} %{off}"
+
+
+def _shown(number: int, touches: Sequence[TouchArrays]) -> list[tuple[str, str]]:
+    """What candidate `number` would show to each touch's sensor, and how that differs from the touch."""
+    return [
+        (
+            pictures.shape_png(touch.made(number), touch.geometry),
+            pictures.difference_png(touch.made(number), touch.shape, touch.geometry),
+        )
+        for touch in touches
+    ]
+
+
+def _distribution(record: ResultRecord, arrays: ResultArrays, data: dict[str, Any]) -> dict[str, Any]:
+    held = f"they hold {100 * arrays.mass:.3g} % of the probability"
+    return {
+        "kept": len(arrays.log_p),
+        "searched": record.grid_poses,
+        "others": "the others have no probability" if arrays.mass > ALL else held,
+        "spread_mm": data["surface"]["spread_mm"],
+        "side": _side_sentence(data["side"]),
+        "one_side": data["side"]["kind"] == "one",
+    }
+
+
+def _side_sentence(side: dict[str, Any]) -> str:
+    """Which sides of the object can face the sensor, in words."""
+    normal = "({:.2f}, {:.2f}, {:.2f})".format(*side["normal"])
+    if side["kind"] == "one":
+        return f"All poses of the grid lie on one side of the object, {normal} in its own frame."
+    if side["kind"] == "lean":
+        return f"Around the side {normal} of the object's own frame:"
+    return f"Any side can face the sensor; most probable is {normal} in the object's own frame."
+
+
+def _built(record: ResultRecord) -> str:
+    seconds = record.seconds.get("model")
+    return "" if seconds is None else f"{seconds:.3g}"
+
+
+def _made(record: ResultRecord) -> dict[str, Any]:
+    obj = record.object
+    size = " x ".join(f"{1e3 * v:.1f}" for v in obj.size_m)
+    components = [(slot, record.configuration.get(slot, {}).get("name", ""), package)
+                  for slot, package in record.distributions.items()]  # fmt: skip
+    return {
+        "object": f"{obj.name}: {size} mm, {obj.triangles} triangles, symmetry {obj.symmetry}, read from {obj.source}.",
+        "components": components,
+        "configuration": toml_text(record.configuration),
+        "versions": list(record.versions.items()),
+    }

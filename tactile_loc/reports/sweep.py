@@ -1,0 +1,187 @@
+"""The report of a sweep: every combination, error against time, what each component does, and what failed."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tactile_loc.core.errors import ResultError
+from tactile_loc.core.registry import SLOTS
+from tactile_loc.io.toml import toml_text
+from tactile_loc.locate.result_files import read_document
+from tactile_loc.reports.page import Page, Section, damage_named, require_finite
+
+FACTORS = ("object", *SLOTS, "noise", "seed", "count")  # and every "slot.option": what a combination is made of
+NOT_COMPONENTS = ("object", "noise", "seed", "count")
+SHOWN_FACTORS = ("object", "encoder", "refiner")  # if none varies
+MEDIAN = "_median_mm"
+LINES = ("chosen", "reg-1", "best-1", "reg-10", "best-10", "best-50", "closest")  # in the order of what is asked for
+TABLE_LINES = ("best-1", "reg-1", "chosen", "closest")
+OTHERS = ("coverage_80", "nll_nats", "total_ms", "model_s", "grid_poses")
+TIMES = {"total_ms": "time a touch, one pose refined (ms)", "encode_ms": "encode (ms)", "match_ms": "match (ms)",
+         "refine_ms": "refine (ms)", "model_s": "building the model (s)"}  # fmt: skip
+UNITS = {"_mm": "mm", "_ms": "ms", "_s": "s", "_nats": "nats", "_share": "share"}
+MOST_BEST = 4  # objects whose best combination is named
+
+Row = Mapping[str, Any]
+
+
+def sweep_page(path: Path) -> Page:
+    """Return the page of a sweep, given its sweep.json. Raises ResultError when its files cannot be used."""
+    document = read_document(path)
+    rows = read_rows(path.with_suffix(".csv"))
+    with damage_named(path):
+        return require_finite(_page(document, rows))
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Read sweep.csv: texts of FACTORS and of options, numbers of all else; None where there is nothing.
+
+    Raises ResultError when it is missing, empty, or has no row of its own.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows: list[Row] = [{str(k): _value(str(k), v) for k, v in row.items()} for row in csv.DictReader(file)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise ResultError(f"{path} cannot be read ({reason}); run the sweep again") from error
+    if not rows:
+        raise ResultError(f"{path} holds no combination; run the sweep again")
+    return rows
+
+
+def is_factor(column: str) -> bool:
+    """Whether a column says what a combination is made of, rather than what came of it."""
+    return column in FACTORS or (column.partition(".")[0] in SLOTS and "." in column)
+
+
+def varying(rows: Sequence[Row]) -> list[str]:
+    """Return the factors that do not have the same value in all rows."""
+    return [column for column in rows[0] if is_factor(column) and len({row[column] for row in rows}) > 1]
+
+
+def components(rows: Sequence[Row]) -> list[str]:
+    """Return the factors that vary and are of the method's making: components and their options."""
+    return [factor for factor in varying(rows) if factor not in NOT_COMPONENTS]
+
+
+def measured_lines(rows: Sequence[Row]) -> list[str]:
+    """Return the lines whose median error is known of any row."""
+    columns = [c.removesuffix(MEDIAN) for c in rows[0] if c.endswith(MEDIAN)]
+    known = [line for line in columns if any(isinstance(row[line + MEDIAN], float) for row in rows)]
+    return sorted(known, key=lambda line: LINES.index(line) if line in LINES else len(LINES))
+
+
+def _value(column: str, text: str | None) -> Any:
+    if text is None or text == "":
+        return None
+    if is_factor(column):
+        return text
+    try:
+        number = float(text)
+    except ValueError:
+        return text
+    return number if math.isfinite(number) else None
+
+
+def _page(document: Mapping[str, Any], rows: Sequence[Row]) -> Page:
+    lines = measured_lines(rows)
+    failed = [row for row in rows if row.get("error")]
+    good = [row for row in rows if not row.get("error")]
+    factors = varying(rows) or [factor for factor in SHOWN_FACTORS if factor in rows[0]]
+    kinds = components(rows) if lines else []
+    times = {column: name for column, name in TIMES.items() if column in rows[0]}
+    summary = {"numbers": list(_numbers(rows, len(failed), lines)), "count": len(good), "lines": lines}
+    sections = [
+        Section("summary", "", summary),
+        *([Section("time", "Error against time", _time(rows, times))] if lines and times else []),
+        *([Section("effects", "What each component does", {"factors": kinds})] if kinds else []),
+        Section("rows", "Combinations", _table(good, factors, lines)),
+        *([Section("failed", "What failed", _failed(failed, factors))] if failed else []),
+        Section("made", "Made with", _made(document, rows)),
+    ]
+    others = [column for column in dict.fromkeys([*TIMES, *OTHERS]) if column in rows[0]]
+    columns = [*factors, *(line + MEDIAN for line in lines), *others]
+    drawn = [{column: row.get(column) for column in columns} for row in good]
+    data = {"factors": factors, "components": kinds, "rows": drawn}
+    title = f"Sweep: {len(rows)} combinations"
+    return Page("sweep", title, _about(document, rows), sections, data, ["errors.js", "sweep.js"])
+
+
+def _about(document: Mapping[str, Any], rows: Sequence[Row]) -> str:
+    objects = list(dict.fromkeys(str(row.get("object")) for row in rows))
+    touches = {str(row.get("count")) for row in rows} - {"None"}
+    count = f"{touches.pop()} simulated touches a combination; " if len(touches) == 1 else ""
+    noises = ", ".join(dict.fromkeys(str(row.get("noise")) for row in rows if row.get("noise")))
+    noise = f"noise {noises}; " if noises else ""
+    return f"objects {', '.join(objects)}; {count}{noise}{document.get('created', '')}"
+
+
+def _numbers(rows: Sequence[Row], failed: int, lines: Sequence[str]) -> Iterator[tuple[str, str, str]]:
+    factors = varying(rows)
+    yield "combinations", str(len(rows)), f"that differ in {', '.join(factors) or 'nothing'}"
+    yield "failed", str(failed), "combinations that ended with an error"
+    if not lines:
+        return
+    column = lines[0] + MEDIAN
+    for name in list(dict.fromkeys(row["object"] for row in rows))[:MOST_BEST]:
+        known = [row for row in rows if row["object"] == name and isinstance(row[column], float)]
+        if known:
+            best = min(known, key=lambda row: float(row[column]))
+            made = ", ".join(str(best[f]) for f in factors if f != "object" and best[f])
+            yield f"best of {name}", f"{best[column]:.3g} mm", f"median of {lines[0]}: {made}"
+
+
+def _time(rows: Sequence[Row], times: Mapping[str, str]) -> dict[str, Any]:
+    factors = varying(rows) or ["object"]
+    return {"times": times, "factors": factors, "first": "refiner" if "refiner" in factors else factors[0]}
+
+
+def _table(rows: Sequence[Row], factors: Sequence[str], lines: Sequence[str]) -> dict[str, Any]:
+    """The headings, (text, whether it is a factor's), and the cells, (text, number to sort by or None, the same)."""
+    measures = [line + MEDIAN for line in TABLE_LINES if line in lines]
+    columns = [*factors, *measures, *(column for column in OTHERS if rows and column in rows[0])]
+    return {
+        "header": [(_heading(column), is_factor(column)) for column in columns],
+        "rows": [[_cell(column, row.get(column)) for column in columns] for row in rows],
+    }
+
+
+def _cell(column: str, value: Any) -> tuple[str, str | None, bool]:
+    number = isinstance(value, float)
+    text = f"{value:.4g}" if number else "" if value is None else str(value)
+    return text, repr(value) if number else None, is_factor(column)
+
+
+def _heading(column: str) -> str:
+    """A column's name; a measure's with its unit in brackets."""
+    if is_factor(column):
+        return column
+    name = column.replace("_median", "")
+    for suffix, unit in UNITS.items():
+        if name.endswith(suffix):
+            return f"{name.removesuffix(suffix).replace('_', ' ')} ({unit})"
+    return name.replace("_", " ")
+
+
+def _failed(rows: Sequence[Row], factors: Sequence[str]) -> dict[str, Any]:
+    return {"factors": list(factors), "rows": [[*(row[f] or "" for f in factors), row["error"]] for row in rows]}
+
+
+def _made(document: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
+    factors, first = varying(rows), rows[0]
+    built, plan, versions = (_mapping(document, key) for key in ("built", "plan", "versions"))
+    return {
+        "same": [(c, str(first[c])) for c in first if is_factor(c) and c not in factors and first[c] is not None],
+        "built": [(stage, count) for stage, count in built.items() if isinstance(count, int)],
+        "plan": toml_text(plan),
+        "versions": list(versions.items()),
+    }
+
+
+def _mapping(document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    found = document.get(key)
+    return found if isinstance(found, Mapping) else {}

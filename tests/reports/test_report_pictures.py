@@ -1,0 +1,76 @@
+"""The small pictures of a run's page."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+from report_helpers import UNFRIENDLY
+
+from tactile_loc.core.sensing import ContactShape
+from tactile_loc.reports.page import templates
+from tactile_loc.reports.pictures import Frame, difference_png, outline_path, shape_png
+
+
+def pixels(uri: str) -> np.ndarray:
+    """RGBA of a data URI."""
+    head, data = uri.split(",")
+    assert head == "data:image/png;base64"
+    return np.array(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGBA"))
+
+
+@pytest.fixture
+def shapes(flat_camera) -> tuple[ContactShape, ContactShape]:
+    """A square imprint of half the press, and one that lies five columns further and is as deep as it goes."""
+    found = []
+    for start, depth_m in ((20, 0.001), (25, 0.0)):
+        depth = np.full(flat_camera.shape, 0.002, np.float32)
+        depth[10:30, start : start + 20] = depth_m
+        found.append(ContactShape(depth, 0.002))
+    return found[0], found[1]
+
+
+def test_a_shape_s_picture_shows_contact_only(shapes, flat_camera):
+    image = pixels(shape_png(shapes[0], flat_camera))
+    assert image.shape[:2] == flat_camera.shape
+    assert (image[..., 3] > 0).sum() == 20 * 20
+    assert image[15, 25, :3].astype(int) == pytest.approx([33, 145, 140], abs=3)  # the middle of viridis
+
+
+def test_a_difference_is_red_where_pressed_deeper_and_blue_where_less(shapes, flat_camera):
+    observed, made = shapes
+    image = pixels(difference_png(made, observed, flat_camera)).astype(int)
+    (r0, _, b0), (r1, _, b1), (r2, _, b2) = (image[15, column, :3] for column in (22, 30, 42))
+    assert b0 > r0  # only observed
+    assert r1 > b1  # deeper than observed
+    assert r2 > b2  # not observed
+    assert image[5, 5, 3] == 0
+    assert not pixels(difference_png(observed, observed, flat_camera))[..., 3].any()
+
+
+def test_an_outline_encloses_the_contact_in_mm(shapes, flat_camera):
+    path = outline_path(shapes[0], flat_camera)
+    x, y = np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", path), float).T
+    sx, sy = flat_camera.scale_at_surface
+    expected = [1e3 * (20 - flat_camera.cx) / sx, 1e3 * (40 - flat_camera.cx) / sx]
+    assert [x.min(), x.max()] == pytest.approx(expected, abs=0.01)
+    assert [y.min(), y.max()] == pytest.approx([1e3 * (v - flat_camera.cy) / sy for v in (10, 30)], abs=0.01)
+
+
+def test_an_outline_at_the_border_is_closed(flat_camera):
+    shape = ContactShape(np.zeros(flat_camera.shape, np.float32), 0.002)
+    path = outline_path(shape, flat_camera)
+    points = re.findall(r"(-?[\d.]+) (-?[\d.]+)", path)
+    assert points[0] == points[-1]
+
+
+def test_pictures_name_what_they_show_and_nothing_of_it_is_markup(shapes, flat_camera):
+    shape, frame = templates().get_template("shapes.html.j2").module.shape, Frame.of(flat_camera)
+    svg = shape("data:image/png;base64,", frame, "", UNFRIENDLY)
+    assert "<script" not in svg
+    assert "10 mm" in shape("", frame, "", "x") or "5 mm" in shape("", frame, "", "x")
+    assert "x (mm)" in shape("", frame, "", "x", ticks=True)
