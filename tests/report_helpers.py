@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import csv
 import dataclasses
 import itertools
 import json
@@ -75,8 +74,8 @@ def write_contacts(folder: Path) -> Path:
 def sweep_rows() -> list[dict[str, Any]]:
     """Twelve combinations: a refiner multiplies the error by EFFECT, whatever the object and the spacing."""
     rows = []
-    for name, spacing, refiner in itertools.product(("pin", "hook"), ("4.0", "6.0"), SWEPT):
-        error_mm = EFFECT[refiner] * (3.0 if name == "pin" else 7.0) * float(spacing)
+    for name, spacing, refiner in itertools.product(("pin", "hook"), (4.0, 6.0), SWEPT):
+        error_mm = EFFECT[refiner] * (3.0 if name == "pin" else 7.0) * spacing
         rows.append({
             "object": name, "sensor": "gelslim", "renderer": "heightmap", "grid": "face", "encoder": "pixel",
             "matcher": "dense", "refiner": refiner, "fuser": "product", "noise": "strong", "seed": 0, "count": 5,
@@ -88,15 +87,11 @@ def sweep_rows() -> list[dict[str, Any]]:
 
 
 def write_sweep(folder: Path, rows: list[dict[str, Any]] | None = None) -> Path:
-    """Write sweep.csv and sweep.json."""
-    rows = sweep_rows() if rows is None else rows
-    with (folder / "sweep.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    """Write sweep.json."""
     document = {
         "schema_version": 1, "created": "2026-01-01T00:00:00+00:00", "versions": {"numpy": "2"},
         "plan": {"count": 5, "refiner": list(SWEPT)}, "built": {"grid": 2, "bank": 2},
+        "rows": sweep_rows() if rows is None else rows,
     }  # fmt: skip
     (folder / "sweep.json").write_text(json.dumps(document))
     return folder

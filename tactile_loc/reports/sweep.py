@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.core.errors import ResultError
 from tactile_loc.core.registry import SLOTS
 from tactile_loc.io.toml import toml_text
 from tactile_loc.locate.result_files import read_document
@@ -26,30 +25,24 @@ TIMES = {"total_ms": "time a touch, one pose refined (ms)", "encode_ms": "encode
 UNITS = {"_mm": "mm", "_ms": "ms", "_s": "s", "_nats": "nats", "_share": "share"}
 MOST_BEST = 4  # objects whose best combination is named
 
-Row = Mapping[str, Any]
+Row = dict[str, Any]
 
 
 def sweep_page(path: Path) -> Page:
     """Return the page of a sweep, given its sweep.json. Raises ResultError when its files cannot be used."""
     document = read_document(path)
-    rows = read_rows(path.with_suffix(".csv"))
     with damage_named(path):
-        return require_finite(_page(document, rows))
+        return require_finite(_page(document, rows_of(document)))
 
 
-def read_rows(path: Path) -> list[Row]:
-    """Read sweep.csv: texts of FACTORS and of options, numbers of all else; None where there is nothing.
+def rows_of(document: Mapping[str, Any]) -> list[Row]:
+    """Return a sweep's rows: texts of what it is made of, numbers of what came of it, None where there is none.
 
-    Raises ResultError when it is missing, empty, or has no row of its own.
+    Raises ValueError when there is no row.
     """
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows: list[Row] = [{str(k): _value(str(k), v) for k, v in row.items()} for row in csv.DictReader(file)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise ResultError(f"{path} cannot be read ({reason}); run the sweep again") from error
+    rows = [{column: _value(column, value) for column, value in row.items()} for row in document["rows"]]
     if not rows:
-        raise ResultError(f"{path} holds no combination; run the sweep again")
+        raise ValueError("it holds no combination")
     return rows
 
 
@@ -75,16 +68,14 @@ def measured_lines(rows: Sequence[Row]) -> list[str]:
     return sorted(known, key=lambda line: LINES.index(line) if line in LINES else len(LINES))
 
 
-def _value(column: str, text: str | None) -> Any:
-    if text is None or text == "":
+def _value(column: str, value: Any) -> Any:
+    if value is None or value == "":
         return None
     if is_factor(column):
-        return text
-    try:
-        number = float(text)
-    except ValueError:
-        return text
-    return number if math.isfinite(number) else None
+        return value if isinstance(value, str) else json.dumps(value)
+    if isinstance(value, int | float):
+        return float(value) if math.isfinite(value) else None
+    return value
 
 
 def _page(document: Mapping[str, Any], rows: Sequence[Row]) -> Page:

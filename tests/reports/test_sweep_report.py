@@ -1,16 +1,18 @@
-"""The page of a sweep says what is in its CSV, whatever columns that has."""
+"""The page of a sweep says what is in its rows, whatever columns they have."""
 
 from __future__ import annotations
+
+import json
 
 import pytest
 from report_helpers import Elements, html_of, page_in, sweep_rows, write_sweep
 
 from tactile_loc.core.errors import ResultError
-from tactile_loc.reports.sweep import components, is_factor, measured_lines, read_rows, varying
+from tactile_loc.reports.sweep import components, is_factor, measured_lines, rows_of, varying
 
 
-def test_what_varies_is_found(sweep_folder):
-    rows = read_rows(sweep_folder / "sweep.csv")
+def test_what_varies_is_found():
+    rows = rows_of({"rows": sweep_rows()})
     assert varying(rows) == ["object", "refiner", "grid.spacing_mm"]
     assert components(rows) == ["refiner", "grid.spacing_mm"]
     assert measured_lines(rows) == ["chosen", "best-1"]
@@ -48,7 +50,7 @@ def test_the_best_of_each_object_is_named(sweep_folder):
 
 def test_what_failed_is_listed_with_its_error_and_not_drawn(tmp_path):
     rows = sweep_rows()
-    rows[1] |= {"error": "the grid is empty", "chosen_median_mm": "", "best-1_median_mm": "", "total_ms": ""}
+    rows[1] |= {"error": "the grid is empty", "chosen_median_mm": None, "best-1_median_mm": None, "total_ms": None}
     folder = write_sweep(tmp_path, rows)
     assert len(page_in(folder).data["rows"]) == len(rows) - 1
     found = Elements(html_of(folder))
@@ -64,20 +66,37 @@ def test_missing_columns_are_done_without(tmp_path):
 
 
 def test_a_sweep_in_which_all_failed_has_a_page(tmp_path):
-    rows = [{"object": "pin", "refiner": name, "chosen_median_mm": "", "error": "no"} for name in ("a", "b")]
+    rows = [{"object": "pin", "refiner": name, "chosen_median_mm": None, "error": "no"} for name in ("a", "b")]
     page = page_in(write_sweep(tmp_path, rows))
     assert page.data["rows"] == []
     assert [section.name for section in page.sections] == ["summary", "rows", "failed", "made"]
 
 
-def test_a_missing_or_empty_table_is_one_sentence(tmp_path):
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [([], "holds no combination"), (None, "damaged or incomplete"), ([1], "damaged or incomplete")],
+)
+def test_missing_or_damaged_rows_are_one_sentence(tmp_path, rows, says):
     write_sweep(tmp_path)
-    (tmp_path / "sweep.csv").write_text("object,refiner\n")
-    with pytest.raises(ResultError, match=r"sweep\.csv holds no combination"):
+    document = json.loads((tmp_path / "sweep.json").read_text())
+    (tmp_path / "sweep.json").write_text(json.dumps({**document, "rows": rows}))
+    with pytest.raises(ResultError, match=rf"sweep\.json.*{says}"):
         page_in(tmp_path)
-    (tmp_path / "sweep.csv").write_bytes(b"object\n\xff\xfe\n")
-    with pytest.raises(ResultError, match=r"sweep\.csv cannot be read"):
+
+
+def test_a_sweep_without_rows_or_readable_text_is_one_sentence(tmp_path):
+    (tmp_path / "sweep.json").write_text("{}")
+    with pytest.raises(ResultError, match=r"sweep\.json is damaged or incomplete: it has no 'rows'"):
         page_in(tmp_path)
-    (tmp_path / "sweep.csv").unlink()
-    with pytest.raises(ResultError, match=r"sweep\.csv cannot be read"):
+    (tmp_path / "sweep.json").write_bytes(b"object\n\xff\xfe\n")
+    with pytest.raises(ResultError, match=r"sweep\.json is damaged"):
         page_in(tmp_path)
+
+
+def test_options_are_texts_and_what_is_not_finite_is_missing():
+    row = {"object": "pin", "count": 5, "grid.spacing_mm": 4.0, "refiner.steps": [1, 2], "refiner.robust": True,
+           "chosen_median_mm": float("nan"), "grid_poses": 7, "error": ""}  # fmt: skip
+    assert rows_of({"rows": [row]}) == [
+        {"object": "pin", "count": "5", "grid.spacing_mm": "4.0", "refiner.steps": "[1, 2]", "refiner.robust": "true",
+         "chosen_median_mm": None, "grid_poses": 7.0, "error": None}
+    ]  # fmt: skip
