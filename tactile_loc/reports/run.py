@@ -170,7 +170,7 @@ def _observed(name: str, touch: TouchArrays) -> dict[str, Any]:
 
 def _card(h: HypothesisRecord) -> str:
     off = "" if h.error_m is None else f", {millimetres(h.error_m)} off"
-    return f"{percent(h.probability)}, imprint IoU {100 * h.imprint_iou:.0f} %{off}"
+    return f"{percent(h.probability)}, IoU {100 * h.imprint_iou:.0f} %{off}"
 
 
 def _shown(number: int, touches: Sequence[TouchArrays]) -> list[tuple[str, str]]:
