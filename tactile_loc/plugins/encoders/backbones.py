@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 from torch import nn
 
-from tactile_loc.core.errors import ConfigError, MissingLibraryError, WeightsError, did_you_mean
+from tactile_loc.plugin import ConfigError, MissingLibraryError, WeightsError, did_you_mean
 from tactile_loc.plugins.encoders.resnet import RESNET_DEPTHS, Backbone, Norm, ResNet, norm_layer
 
 BACKBONES = ("small", *RESNET_DEPTHS)

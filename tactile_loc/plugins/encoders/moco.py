@@ -16,9 +16,17 @@ import torch
 from pydantic import Field, JsonValue
 from torch import nn
 
-from tactile_loc.core.errors import ConfigError, GridError, WeightsError
-from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Encoder, Float32, TrainingProblem
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugin import (
+    Capabilities,
+    ComponentOptions,
+    ConfigError,
+    Encoder,
+    Float32,
+    GridError,
+    SensorGeometry,
+    TrainingProblem,
+    WeightsError,
+)
 from tactile_loc.plugins.encoders.backbones import load_pretrained, make_backbone
 from tactile_loc.plugins.encoders.moco_crew import local_cuda
 from tactile_loc.plugins.encoders.moco_training import Recipe, Signal, Trainer

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import torch
 import torch.distributed as dist
 
-from tactile_loc.core.progress import rank
+from tactile_loc.plugin import rank
 
 T = TypeVar("T")
 

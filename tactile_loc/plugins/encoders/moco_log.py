@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tactile_loc.core.errors import MissingLibraryError
+from tactile_loc.plugin import MissingLibraryError
 
 
 class TrainingLog:

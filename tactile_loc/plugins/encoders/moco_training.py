@@ -16,10 +16,7 @@ import torch.nn.functional as F  # noqa: N812 - torch's own abbreviation
 from numpy.typing import NDArray
 from torch import nn
 
-from tactile_loc.core.errors import TrainingError
-from tactile_loc.core.interfaces import Float32, TrainingProblem
-from tactile_loc.core.noise import noise_level
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugin import Float32, SensorGeometry, TrainingError, TrainingProblem, noise_level
 from tactile_loc.plugins.encoders.moco_crew import Crew
 from tactile_loc.plugins.encoders.moco_log import TrainingLog
 from tactile_loc.plugins.encoders.moco_queries import Queries, QuerySource

@@ -8,7 +8,7 @@ from typing import Literal
 import torch
 from torch import nn
 
-from tactile_loc.core.errors import ConfigError
+from tactile_loc.plugin import ConfigError
 
 Norm = Literal["batch", "group"]
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.registration import Cloud, CloudRefiner, Registration
+from tactile_loc.plugin import Cloud, CloudRefiner, Registration
 from tactile_loc.plugins.refiners import filterreg_kernels as kernels
 from tactile_loc.plugins.refiners.filterreg_mixture import Mixture, Mixtures
 from tactile_loc.plugins.refiners.filterreg_twists import solved, turned_about

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from tactile_loc.core.compiled import njit, prange
+from tactile_loc.plugin import njit, prange
 
 FAST = {"cache": True, "error_model": "numpy", "fastmath": {"nsz", "arcp", "contract"}}
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.registration import Cloud
+from tactile_loc.plugin import Cloud
 from tactile_loc.plugins.refiners import filterreg_kernels as kernels
 
 REACH = 2.5  # standard deviations at which a Gaussian is cut off

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from tactile_loc.core.compiled import njit
+from tactile_loc.plugin import njit
 
 RIDGE = 1e-3  # of the equations' mean diagonal: damps steps in directions that a contact hardly fixes
 SMALL = 1e-3  # rad: below, the series' next terms are lost in rounding

@@ -6,8 +6,7 @@ import numpy as np
 import open3d as o3d
 from pydantic import Field
 
-from tactile_loc.core.interfaces import Capabilities
-from tactile_loc.core.registration import Cloud, CloudRefiner, Registration
+from tactile_loc.plugin import Capabilities, Cloud, CloudRefiner, Registration
 
 BURST = 8  # iterations between looks at whether the pose still moves
 SETTLED_WIDE, SETTLED = 0.03, 1e-4  # a pose that moves less in a burst has settled: radians and mm, each pass

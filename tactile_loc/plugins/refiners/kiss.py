@@ -16,8 +16,7 @@ from kiss_icp.registration import Registration as KissRegistration
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.geometry import transform_points
-from tactile_loc.core.registration import Cloud, CloudRefiner, Registration, orthonormal
+from tactile_loc.plugin import Cloud, CloudRefiner, Registration, orthonormal, transform_points
 
 Floats = NDArray[np.float64]
 

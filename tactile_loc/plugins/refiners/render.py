@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat
 
-from tactile_loc.core.interfaces import Candidate, ComponentOptions, RefinedPose, Refiner, Scene
-from tactile_loc.core.poses import PoseMetric, Poses
-from tactile_loc.core.sensing import Touch
+from tactile_loc.plugin import Candidate, ComponentOptions, PoseMetric, Poses, RefinedPose, Refiner, Scene, Touch
 from tactile_loc.plugins.refiners.render_descent import Descent
 from tactile_loc.plugins.refiners.render_pictures import Pictures, within_reach
 

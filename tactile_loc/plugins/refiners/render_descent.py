@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.poses import PoseMetric, Poses
+from tactile_loc.plugin import PoseMetric, Poses
 from tactile_loc.plugins.refiners.render_pictures import Float32, Floats, Pictures
 
 DAMPINGS = np.array([0.1, 1.0, 10.0])  # that are tried, times the last that was good

@@ -15,12 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.contact import group_rotations
-from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Float32, Renderer
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.zbuffer import nearest_depths
+from tactile_loc.plugin import (
+    Capabilities,
+    ComponentOptions,
+    Float32,
+    Poses,
+    Renderer,
+    SensorGeometry,
+    TriangleMesh,
+    group_rotations,
+    nearest_depths,
+)
 from tactile_loc.plugins.renderers import heightmap_kernels as kernels
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from tactile_loc.core.compiled import njit, prange
+from tactile_loc.plugin import njit, prange
 
 # numbers are never NaN here, but infinite ones mean "no surface": inf must keep its meaning
 FAST = {"cache": True, "error_model": "numpy", "fastmath": {"nnan", "nsz", "arcp", "contract"}}

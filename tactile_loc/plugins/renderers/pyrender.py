@@ -7,11 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile_loc.core.errors import RenderError
-from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Float32, Renderer
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugin import (
+    Capabilities,
+    ComponentOptions,
+    Float32,
+    Poses,
+    Renderer,
+    RenderError,
+    SensorGeometry,
+    TriangleMesh,
+)
 
 if TYPE_CHECKING:
     from tactile_loc.plugins.renderers.pyrender_gl import DepthScene, Offscreen
