@@ -40,7 +40,7 @@ def tactile_loc_components() -> list[ComponentSpec]:
         ComponentSpec(
             "renderer",
             "pyrender",
-            f"{_HERE}.renderers.pyrender:PyrenderRenderer",
+            f"{_HERE}.renderers.pyrender.renderer:PyrenderRenderer",
             "OpenGL through EGL, headless, as in the paper",
         ),
         ComponentSpec("grid", "face", f"{_HERE}.grids.face:FaceGrid", "x, y and yaw on one face, optional small tilts"),
@@ -54,7 +54,7 @@ def tactile_loc_components() -> list[ComponentSpec]:
         ComponentSpec(
             "encoder",
             "moco",
-            f"{_HERE}.encoders.moco:MocoEncoder",
+            f"{_HERE}.encoders.moco.encoder:MocoEncoder",
             "learned by contrast in simulation, for one object",
             requires="tactile-loc[learned]",
         ),
@@ -65,7 +65,7 @@ def tactile_loc_components() -> list[ComponentSpec]:
         ComponentSpec(
             "refiner",
             "filterreg",
-            f"{_HERE}.refiners.filterreg:FilterRegRefiner",
+            f"{_HERE}.refiners.filterreg.refiner:FilterRegRefiner",
             "point-to-plane EM with a Gaussian mixture, as in the paper; many candidates at once",
         ),
         ComponentSpec(
@@ -78,7 +78,7 @@ def tactile_loc_components() -> list[ComponentSpec]:
         ComponentSpec(
             "refiner",
             "render",
-            f"{_HERE}.refiners.render:RenderRefiner",
+            f"{_HERE}.refiners.render.refiner:RenderRefiner",
             "renders the pose and compares every pixel; the most accurate on clean touches, slower",
         ),
         ComponentSpec(

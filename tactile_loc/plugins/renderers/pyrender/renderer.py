@@ -19,7 +19,7 @@ from tactile_loc.plugin import (
 )
 
 if TYPE_CHECKING:
-    from tactile_loc.plugins.renderers.pyrender_gl import DepthScene, Offscreen
+    from tactile_loc.plugins.renderers.pyrender.gl import DepthScene, Offscreen
 
 
 class PyrenderRenderer(Renderer):
@@ -58,7 +58,7 @@ class PyrenderRenderer(Renderer):
 
     def _scene_of(self, mesh: TriangleMesh, geometry: SensorGeometry) -> DepthScene:
         """Return a scene of the mesh before the camera: the last one when it is of the very same two."""
-        from tactile_loc.plugins.renderers.pyrender_gl import DepthScene
+        from tactile_loc.plugins.renderers.pyrender.gl import DepthScene
 
         if self._scene is None or self._scene.mesh is not mesh or self._scene.geometry is not geometry:
             self._scene = DepthScene(mesh, geometry)
@@ -75,7 +75,7 @@ def _open(geometry: SensorGeometry) -> Offscreen:
     """Make an OpenGL context. Raises RenderError, which says what to install, when there is none to be had."""
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")  # PyOpenGL reads it when it is imported
     try:
-        from tactile_loc.plugins.renderers.pyrender_gl import Offscreen
+        from tactile_loc.plugins.renderers.pyrender.gl import Offscreen
 
         return Offscreen(geometry.width_px, geometry.height_px)
     except Exception as error:  # a missing library, driver or device shows as one of many kinds of error
