@@ -14,8 +14,7 @@ from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.plugins.refiners.render.pictures import Pictures, within_reach
 from tactile_loc.plugins.refiners.render.refiner import RenderRefiner
-from tactile_loc.testing.problems import CAMERAS, planar_pose, pressed_block, touch_at, with_depth
-from tactile_loc.testing.shapes import ReferenceRenderer
+from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, planar_pose, pressed_block, touch_at, with_depth
 
 TILT = make_transform(rotation_about([1.0, 0.4, 0.0], np.radians(2.0)), np.zeros(3))
 
