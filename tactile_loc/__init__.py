@@ -38,4 +38,4 @@ if TYPE_CHECKING:
     from tactile_loc.store.store import StageStore as StageStore
 
 __version__ = version("tactile-loc")
-__all__, __getattr__, __dir__ = lazy_names(__name__, __file__)
+__all__, __getattr__, __dir__ = lazy_names(__name__)

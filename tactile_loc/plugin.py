@@ -113,4 +113,4 @@ if TYPE_CHECKING:
     from tactile_loc.core.common_poses import common_poses as common_poses
     from tactile_loc.core.common_poses import prior_weights as prior_weights
 
-__all__, __getattr__, __dir__ = lazy_names(__name__, __file__)
+__all__, __getattr__, __dir__ = lazy_names(__name__)

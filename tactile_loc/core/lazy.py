@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import ast
 import importlib
+import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 
-def lazy_names(module: str, file: str) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
-    """Return `__all__`, `__getattr__` and `__dir__` of a module in a file: the names under its `if TYPE_CHECKING:`.
+def lazy_names(module: str) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
+    """Return `__all__`, `__getattr__` and `__dir__` of a module: the names under its `if TYPE_CHECKING:`.
 
     Type checkers read that block, and so does this, so that each name and its home stand once.
     """
-    homes = _imports_for_type_checkers(Path(file).read_text(encoding="utf-8"))
+    loader: Any = vars(sys.modules[module])["__spec__"].loader
+    homes = _imports_for_type_checkers(loader.get_source(module))
 
     def attribute(name: str) -> Any:
         if name in homes:
