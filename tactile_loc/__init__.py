@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from tactile_loc.core.priors import GaussianPrior as GaussianPrior
     from tactile_loc.core.priors import PosteriorPrior as PosteriorPrior
     from tactile_loc.core.priors import RegionPrior as RegionPrior
-    from tactile_loc.core.registry import ComponentSpec as ComponentSpec
-    from tactile_loc.core.registry import hookimpl as hookimpl
     from tactile_loc.core.sensing import ContactShape as ContactShape
     from tactile_loc.core.sensing import SensorGeometry as SensorGeometry
     from tactile_loc.core.sensing import Touch as Touch
