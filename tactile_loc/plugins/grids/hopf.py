@@ -22,15 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.plugin import (
-    AllRotationsGrid,
-    ObjectModel,
-    SensorGeometry,
-    align_to_z,
-    centroid_range,
-    lattice_shape,
-    quaternion_to_rotation,
-)
+from tactile_loc.plugin import AllRotationsGrid, ObjectModel, SensorGeometry, align_to_z, quaternion_to_rotation
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]
@@ -70,8 +62,8 @@ class HopfGrid(AllRotationsGrid):
         rotations = rotation_grid(obj, spacing_m, self.options.level)
         total = len(rotations)
         some = np.arange(total) if total <= _SAMPLE else np.random.default_rng(0).integers(total, size=_SAMPLE)
-        low, high = centroid_range(obj, rotations.representatives(some), geometry)
-        return round(float(lattice_shape(low, high, spacing_m).prod(axis=-1).sum()) * total / len(some))
+        counts = self.places(obj, rotations.representatives(some), geometry, spacing_m)
+        return round(float(counts.sum()) * total / len(some))
 
     def advice(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> str:
         """Name a spacing, in millimetres of two digits, that keeps the limit: any of a dozen poses can be kept."""

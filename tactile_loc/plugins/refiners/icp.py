@@ -24,10 +24,8 @@ class IcpRefiner(CloudRefiner):
     class Options(CloudRefiner.Options):
         """Distances in mm between points that may correspond, and how long to iterate."""
 
-        wide_mm: float = Field(
-            default=3.0, gt=0, description="largest distance of corresponding points, first pass, mm"
-        )
-        narrow_mm: float = Field(default=0.5, gt=0, description="the same for the second pass, mm")
+        wide_mm: float = Field(default=3.0, gt=0, description="largest distance of corresponding points at first, mm")
+        narrow_mm: float = Field(default=0.5, gt=0, description="the same in the second pass, mm")
         max_iterations: int = Field(default=20, ge=1, description="iterations a pass")
 
     def register(self, source: Cloud, target: Cloud) -> Registration:

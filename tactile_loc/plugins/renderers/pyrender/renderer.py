@@ -7,16 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile_loc.plugin import (
-    Capabilities,
-    ComponentOptions,
-    Float32,
-    Poses,
-    Renderer,
-    RenderError,
-    SensorGeometry,
-    TriangleMesh,
-)
+from tactile_loc.plugin import Capabilities, Float32, Poses, Renderer, RenderError, SensorGeometry, TriangleMesh
 
 if TYPE_CHECKING:
     from tactile_loc.plugins.renderers.pyrender.gl import DepthScene, Offscreen
@@ -30,10 +21,8 @@ class PyrenderRenderer(Renderer):
 
     capabilities = Capabilities(exact_undercuts=True, device="opengl")
 
-    def __init__(self, options: ComponentOptions | None = None) -> None:
-        super().__init__(options)
-        self._offscreen: Offscreen | None = None
-        self._scene: DepthScene | None = None
+    _offscreen: Offscreen | None = None
+    _scene: DepthScene | None = None
 
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
         """Return camera depth z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
