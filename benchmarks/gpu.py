@@ -26,9 +26,9 @@ from torch import nn
 from tactile_loc.core.interfaces import TrainingProblem
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.plugins.encoders.backbones import make_backbone
-from tactile_loc.plugins.encoders.moco import PRESETS
-from tactile_loc.plugins.encoders.moco_training import Recipe, Trainer
+from tactile_loc.plugins.encoders.moco.backbones import make_backbone
+from tactile_loc.plugins.encoders.moco.recipe import PRESETS, Recipe
+from tactile_loc.plugins.encoders.moco.training import Trainer
 from tactile_loc.store.store import StageStore
 
 BATCHES = (1, 256)

@@ -32,7 +32,7 @@ from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.data import demo_object_path
 from tactile_loc.io.meshes import load_object
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
-from tactile_loc.plugins.renderers.pyrender import PyrenderRenderer
+from tactile_loc.plugins.renderers.pyrender.renderer import PyrenderRenderer
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 
 CAMERAS = {

@@ -5,9 +5,10 @@ The public API. Names are imported when they are first used, so that `import tac
 
 from __future__ import annotations
 
-import importlib
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from tactile_loc.core.lazy import lazy_names
 
 if TYPE_CHECKING:
     from tactile_loc.core.errors import TactileLocError as TactileLocError
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from tactile_loc.core.priors import GaussianPrior as GaussianPrior
     from tactile_loc.core.priors import PosteriorPrior as PosteriorPrior
     from tactile_loc.core.priors import RegionPrior as RegionPrior
-    from tactile_loc.core.registry import ComponentSpec as ComponentSpec
-    from tactile_loc.core.registry import hookimpl as hookimpl
     from tactile_loc.core.sensing import ContactShape as ContactShape
     from tactile_loc.core.sensing import SensorGeometry as SensorGeometry
     from tactile_loc.core.sensing import Touch as Touch
@@ -36,33 +35,5 @@ if TYPE_CHECKING:
     from tactile_loc.locate.result import Localization as Localization
     from tactile_loc.store.store import StageStore as StageStore
 
-_HOMES = {
-    "core.errors": ["TactileLocError"],
-    "core.objects": ["ObjectModel", "TriangleMesh"],
-    "core.poses": ["PoseGrid", "PoseMetric"],
-    "core.posterior": ["Mode", "PosePosterior"],
-    "core.priors": ["GaussianPrior", "PosteriorPrior", "RegionPrior"],
-    "core.registry": ["ComponentSpec", "hookimpl"],
-    "core.sensing": ["ContactShape", "SensorGeometry", "Touch"],
-    "io.config": ["RunConfig"],
-    "io.meshes": ["load_object"],
-    "io.touches": ["read_touch", "write_touch"],
-    "locate.localizer": ["Localizer", "localize_together"],
-    "locate.probabilities": ["TemperatureScaling"],
-    "locate.result": ["Hypothesis", "Localization"],
-    "store.store": ["StageStore"],
-}
-_MODULE_OF = {name: f"tactile_loc.{module}" for module, names in _HOMES.items() for name in names}
-
 __version__ = version("tactile-loc")
-__all__ = sorted(_MODULE_OF)
-
-
-def __getattr__(name: str) -> Any:
-    if name in _MODULE_OF:
-        return getattr(importlib.import_module(_MODULE_OF[name]), name)
-    raise AttributeError(f"module 'tactile_loc' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *_MODULE_OF])
+__all__, __getattr__, __dir__ = lazy_names(__name__)

@@ -1,9 +1,11 @@
-"""The poses that touch every sensor, and where each sensor's grid has them: what both fusers begin with."""
+"""The poses that touch every sensor, where each sensor's grid has them, and fusers of what touches say of them."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +13,7 @@ from pydantic import Field
 
 from tactile_loc.core.errors import ConfigError, GridError
 from tactile_loc.core.geometry import invert, is_rigid
-from tactile_loc.core.interfaces import ComponentOptions, Prior
+from tactile_loc.core.interfaces import ComponentOptions, Fuser, Prior
 from tactile_loc.core.poses import PoseGrid, Poses
 from tactile_loc.core.posterior import PosePosterior
 
@@ -20,14 +22,48 @@ Indices = NDArray[np.int64]
 SAMPLE = 200  # poses that tell which contact excludes most
 
 
-class ContactOptions(ComponentOptions):
-    """When a pose of the first grid counts as one of another sensor's."""
+class CommonPosesFuser(Fuser):
+    """Over the poses of the first grid that touch all sensors: a subclass says what a touch tells of them, `evidence`.
 
-    reach: float = Field(
-        default=1.5,
-        gt=0,
-        description="a pose touches a sensor if its grid has one within so many mean spacings of the coarser grid",
-    )
+    Options of a subclass derive from this class's; `if_contradictory` is what a message advises where no pose is left.
+    """
+
+    if_contradictory: ClassVar[str] = "let the matcher score all poses"
+
+    class Options(ComponentOptions):
+        """When a pose of the first grid counts as one that touches another sensor."""
+
+        reach: float = Field(
+            default=1.5,
+            gt=0,
+            description="a pose touches a sensor if its grid has one within so many mean spacings of the coarser grid",
+        )
+
+    @abstractmethod
+    def evidence(self, posterior: PosePosterior, index: Indices | slice) -> NDArray[np.float64]:
+        """Return what a touch says of its own grid's poses `index` (K,): log-weights (K,), in nats."""
+
+    def fuse(
+        self, posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None], prior: Prior | None = None
+    ) -> PosePosterior:
+        """Return the posterior over the first touch's grid; poses in metres.
+
+        Raises ConfigError for several touches without the pose of each sensor, touches of different objects, or a
+        prior that does not return one log-weight a pose, none of them NaN or +inf; GridError when no pose is left.
+        """
+        check_contacts(posteriors, T_base_sensor)
+        first = posteriors[0].grid
+        log_p = prior_weights(prior, first) + self.evidence(posteriors[0], slice(None))
+        if len(posteriors) > 1:
+            common = common_poses([p.grid for p in posteriors], T_base_sensor, self.options.reach, np.isfinite(log_p))
+            total = log_p[common.first]
+            for posterior, index in zip(posteriors[1:], common.found[1:], strict=True):
+                total = total + self.evidence(posterior, index)
+            if len(total) and not np.isfinite(total).any():
+                raise GridError(_contradiction(len(posteriors), len(total), self.if_contradictory))
+            log_p = np.full(len(first), -np.inf)
+            log_p[common.first] = total
+        return PosePosterior(first, log_p)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,4 +187,11 @@ def _explain(number: int, dropped: int, poses: int, count: int) -> str:
         f"no pose touches all {count} sensors: contact {number + 1} drops the last {dropped:,} of the first grid's "
         f"{poses:,} poses; check each T_base_sensor (metres, from sensor to base), or search a grid that covers "
         "all faces, hopf"
+    )
+
+
+def _contradiction(touches: int, poses: int, advice: str) -> str:
+    return (
+        f"the {touches} touches contradict one another: each of the {poses:,} poses that touch all sensors has no "
+        f"probability for one of them; {advice}"
     )

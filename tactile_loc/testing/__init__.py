@@ -19,7 +19,7 @@ from typing import Any
 
 from tactile_loc.core.interfaces import Component
 from tactile_loc.core.registry import SLOTS
-from tactile_loc.testing import common
+from tactile_loc.testing import contract
 from tactile_loc.testing.contract import Check, ContractError
 
 __all__ = ["Check", "ContractError", "checks_for", "parametrize_with_checks"]
@@ -33,9 +33,9 @@ def checks_for(component: Component) -> list[Check]:
     if not isinstance(component, Component):
         raise TypeError(f"checks are for an instance of a component, not {component!r}")
     if component.slot not in SLOTS:
-        return common.checks(component.capabilities)
+        return contract.checks(component.capabilities)
     of_slot = importlib.import_module(f"tactile_loc.testing.{component.slot}s")
-    return [*common.checks(component.capabilities), *of_slot.checks(component.capabilities)]
+    return [*contract.checks(component.capabilities), *of_slot.checks(component.capabilities)]
 
 
 def parametrize_with_checks(components: Iterable[Component]) -> Any:

@@ -1,12 +1,21 @@
-"""What a check is: a function of one component that returns nothing, or raises ContractError."""
+"""What a check is, a function of one component that raises ContractError or returns nothing; and those of every slot:
+options, and what identifies a component.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+import json
+from collections.abc import Callable, Iterator
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
+
+from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.interfaces import Capabilities, Component, ComponentOptions
+from tactile_loc.core.registry import SLOTS
 
 Check = Callable[[Any], None]
 
@@ -48,3 +57,88 @@ class Untouched:
         for name, array in self._arrays.items():
             same = np.array_equal(array, self._copies[name], equal_nan=array.dtype.kind == "f")
             require(same, f"inputs belong to the caller, but {name} was written to; work on a copy")
+
+
+def checks(capabilities: Capabilities) -> list[Check]:
+    """Return the checks that apply to every component."""
+    return [check_declaration, check_options_are_strict, check_options_are_described,
+            check_describe_is_json, check_describe_names_every_option]  # fmt: skip
+
+
+def check_declaration(component: Component) -> None:
+    """The slot is one of the seven, the version a positive whole number, the capabilities declared."""
+    require(component.slot in SLOTS, f"slot must be one of {', '.join(SLOTS)}, not {component.slot!r}")
+    version = component.version
+    good = isinstance(version, int) and not isinstance(version, bool) and version >= 1
+    require(good, f"version must be a whole number from 1 on, not {version!r}")
+    declared = component.capabilities
+    require(isinstance(declared, Capabilities), f"capabilities must be a Capabilities, not {declared!r}")
+    options = component.options
+    require(isinstance(options, type(component).Options), f"options must be an instance of Options, not {options!r}")
+
+
+def check_options_are_strict(component: Component) -> None:
+    """Options derive from ComponentOptions, are frozen and refuse unknown names."""
+    options = component.options
+    require(isinstance(options, ComponentOptions), "Options must derive from ComponentOptions")
+    require(options.model_config.get("frozen"), "Options must be frozen: a run's settings do not change under way")
+    refuses = options.model_config.get("extra") == "forbid"
+    require(refuses, 'Options must have extra="forbid": a misspelt option must be an error, not be ignored')
+
+
+def check_options_are_described(component: Component) -> None:
+    """Every option has a description: it is the option's help text."""
+    for name, field in type(component.options).model_fields.items():
+        require(field.description, f"every option needs Field(description=...) with its unit; {name} has none")
+
+
+def check_describe_is_json(component: Component) -> None:
+    """`describe` returns the same JSON values every time, and survives a round trip."""
+    described = component.describe()
+    try:
+        text = json.dumps(described, sort_keys=True, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        require(False, f"describe() must return JSON values, since it is part of the store's keys: {error}")
+    require(json.loads(text) == described, "describe() must survive JSON: use lists and text keys")
+    twin = type(component)(component.options).describe()
+    require(twin == described, "describe() must be the same for a second component of the same options")
+
+
+def check_describe_names_every_option(component: Component) -> None:
+    """Another value of an option gives another description: otherwise the store returns stale results."""
+    for name, changed in _changed_options(component.options):
+        try:
+            other = type(component)(changed).describe()
+        except TactileLocError:
+            continue
+        told = other != component.describe()
+        require(
+            told, f"describe() must tell options apart, but {name} = {getattr(changed, name)!r} changes nothing; an "
+            'option that cannot change any result says so with Field(json_schema_extra={"neutral": True})',
+        )  # fmt: skip
+
+
+def _changed_options(options: Any) -> Iterator[tuple[str, Any]]:
+    """Yield (name, options with another valid value of that one) for options that are numbers, switches or choices."""
+    for name, field in type(options).model_fields.items():
+        if name in options.neutral():
+            continue
+        for value in _other_values(field, getattr(options, name)):
+            try:
+                changed = type(options).model_validate({**options.model_dump(), name: value})
+            except ValidationError:
+                continue
+            yield name, changed
+            break
+
+
+def _other_values(field: FieldInfo, value: Any) -> list[Any]:
+    if isinstance(value, bool):
+        return [not value]
+    if isinstance(value, str):  # a choice between names; free text, a path for instance, has no other value known
+        return [choice for choice in get_args(field.annotation) if isinstance(choice, str) and choice != value]
+    if isinstance(value, int):
+        return [value + 1, value - 1]
+    if isinstance(value, float):
+        return [value + 0.1, 0.9 * value if value else 0.01]
+    return [1, 0.5] if value is None else []

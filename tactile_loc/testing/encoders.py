@@ -10,8 +10,7 @@ from tactile_loc.core.geometry import translation
 from tactile_loc.core.interfaces import Capabilities, Encoder, Float32
 from tactile_loc.core.sensing import SensorGeometry, contact_depth
 from tactile_loc.testing.contract import Check, Untouched, require, require_close
-from tactile_loc.testing.problems import LOPSIDED_CAMERAS, block_scene, contact_poses
-from tactile_loc.testing.shapes import ReferenceRenderer, stepped_block
+from tactile_loc.testing.problems import LOPSIDED_CAMERAS, ReferenceRenderer, block_scene, contact_poses, stepped_block
 
 CAMERA = LOPSIDED_CAMERAS["orthographic"]
 PRESS_M = CAMERA.max_depth_m

@@ -11,8 +11,7 @@ from tactile_loc.core.geometry import is_rigid
 from tactile_loc.core.interfaces import Capabilities, GridSampler
 from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
 from tactile_loc.testing.contract import Check, Untouched, require, require_array
-from tactile_loc.testing.problems import CAMERAS, block, larger
-from tactile_loc.testing.shapes import copied
+from tactile_loc.testing.problems import CAMERAS, block, copied, larger
 
 SPACING_M = 0.008
 LEAST_TOUCHING = 0.3  # share of the poses: bounding boxes overlap more often than objects touch

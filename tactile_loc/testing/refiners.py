@@ -13,8 +13,7 @@ from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.symmetry import SymmetryGroup
 from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_array
-from tactile_loc.testing.problems import CAMERAS, OFFSETS, PressedBlock, pressed_block, with_depth
-from tactile_loc.testing.shapes import copied
+from tactile_loc.testing.problems import CAMERAS, OFFSETS, PressedBlock, copied, pressed_block, with_depth
 
 # Answers to the same question, asked in another way, may differ by this many pixels of the sensing surface.
 TOLERANCE_PX = 0.25

@@ -12,8 +12,19 @@ from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import SensorGeometry, contact_depth
 from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
-from tactile_loc.testing.problems import CAMERAS, LOPSIDED_CAMERAS, larger, planar_pose
-from tactile_loc.testing.shapes import ReferenceRenderer, ball, copied, overhang, plate, scaled, stepped_block
+from tactile_loc.testing.problems import (
+    CAMERAS,
+    LOPSIDED_CAMERAS,
+    ReferenceRenderer,
+    ball,
+    copied,
+    larger,
+    overhang,
+    planar_pose,
+    plate,
+    scaled,
+    stepped_block,
+)
 
 TOLERANCE_M = 3e-5  # at a pixel: half a cell of a height map, on a slope
 MEAN_TOLERANCE_M = 8e-6

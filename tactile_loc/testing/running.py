@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from tactile_loc.core.interfaces import Capabilities, Component, Encoder
-from tactile_loc.testing import checks_for, common
+from tactile_loc.testing import checks_for, contract
 from tactile_loc.testing.contract import Check, ContractError
 
 
@@ -61,7 +61,7 @@ def train(encoder: Encoder) -> None:
 def _checks(component: Component) -> list[Check]:
     """The checks that apply; those of every slot alone where the capabilities cannot tell more."""
     if isinstance(component, Component) and not isinstance(component.capabilities, Capabilities):
-        return common.checks(Capabilities())
+        return contract.checks(Capabilities())
     return checks_for(component)
 
 

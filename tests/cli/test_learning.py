@@ -9,7 +9,7 @@ from cli_helpers import TINY, assert_refused
 
 torch = pytest.importorskip("torch")
 
-from tactile_loc.plugins.encoders import moco, moco_training  # noqa: E402
+from tactile_loc.plugins.encoders.moco import encoder, recipe, training  # noqa: E402
 from tactile_loc.store.store import StageStore  # noqa: E402
 
 OPTIONS = ("epochs=2", "queries=64", "batch=32", "channels=4")
@@ -29,21 +29,21 @@ def test_the_same_seed_gives_the_same_table_though_training_was_interrupted(cli,
     assert {line.split(",")[1] for line in whole.splitlines()[1:]} == {"moco", "pixel"}
     assert table(cli, "again") == whole
 
-    save = moco_training.Trainer._checkpoint
+    save = training.Trainer._checkpoint
 
     def save_and_stop(self):
         save(self)
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(moco_training.Trainer, "_checkpoint", save_and_stop)
+        patched.setattr(training.Trainer, "_checkpoint", save_and_stop)
         assert cli(*EVALUATE, "--store", "stopped", "--out", "out-stopped").exit_code == 130
     assert not Path("out-stopped/results.csv").exists()
     steps = []
-    step = moco_training.Trainer._step
-    monkeypatch.setattr(moco_training.Trainer, "_step", lambda self, *a: steps.append(1) or step(self, *a))
+    step = training.Trainer._step
+    monkeypatch.setattr(training.Trainer, "_step", lambda self, *a: steps.append(1) or step(self, *a))
     assert table(cli, "stopped") == whole
-    assert len(steps) == 2 * moco.PRESETS["cpu"].repeats  # the second epoch's; the first's are not done again
+    assert len(steps) == 2 * recipe.PRESETS["cpu"].repeats  # the second epoch's; the first's are not done again
 
 
 def build(cli, *words: object):
@@ -65,12 +65,12 @@ def test_a_gpu_that_is_not_there(cli, monkeypatch):
 
 
 def test_a_grid_too_large_for_memory(cli, monkeypatch):
-    monkeypatch.setattr(moco, "_available_bytes", lambda: 10**6)
+    monkeypatch.setattr(encoder, "_available_bytes", lambda: 10**6)
     assert_refused(build(cli), "GiB", "encoder.negatives", "grid.spacing_mm")
 
 
 def test_a_loss_that_is_no_number(cli, monkeypatch):
-    monkeypatch.setattr(moco_training.Trainer, "_step", lambda *a: float("nan"))
+    monkeypatch.setattr(training.Trainer, "_step", lambda *a: float("nan"))
     assert_refused(build(cli), "NaN", "encoder.rate")
     assert not [entry for entry in StageStore(Path("fresh")).entries() if entry.stage == "encoder" and entry.complete]
 

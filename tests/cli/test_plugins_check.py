@@ -95,7 +95,7 @@ def test_a_component_that_cannot_be_made_is_one_sentence(cli, strange):
 
 
 def test_an_encoder_that_learns_is_trained(cli, monkeypatch):
-    from tactile_loc.plugins.encoders.moco import MocoEncoder
+    from tactile_loc.plugins.encoders.moco.encoder import MocoEncoder
 
     monkeypatch.setattr(MocoEncoder, "fit", lambda self, problem: 1 / 0)
     done = cli("plugins", "encoder", "moco", "--check", "-o", "encoder.epochs=1")

@@ -12,7 +12,7 @@ from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.symmetry import SymmetryGroup
 from tactile_loc.locate.hypotheses import SHARPNESS, merge_hypotheses, ranked
 from tactile_loc.locate.result import Hypothesis
-from tactile_loc.testing.shapes import box
+from tactile_loc.testing.problems import box
 
 
 def hypothesis(probability: float, T: np.ndarray, converged: bool = True, imprint_iou: float = 1.0) -> Hypothesis:

@@ -14,10 +14,16 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import pytest
+from tactile_loc_cli.scaffold.naming import Naming
+from tactile_loc_cli.scaffold.package import render
+
+import tactile_loc
+from tactile_loc.core.registry import SLOTS
 
 CONTRIBUTED = Path(__file__).parents[2] / "plugins_contrib"
 DISTRIBUTIONS = sorted(path.parent.name for path in CONTRIBUTED.glob("*/pyproject.toml"))
-PUBLIC = ("tactile_loc.core", "tactile_loc.testing")
+EXAMPLE = Path(__file__).parents[2] / "examples" / "plugin"
+PUBLIC = ("tactile_loc.plugin", "tactile_loc.testing")
 INSTALL = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "install", "--no-index", "--no-deps",
            "--no-build-isolation", "--target"]  # fmt: skip
 LEFT_OUT = shutil.ignore_patterns("__pycache__", "*.egg-info", "build", ".*")
@@ -67,10 +73,9 @@ def imported(text: str) -> Iterator[str]:
 
 
 def private(text: str) -> list[str]:
-    """Return what a source imports of tactile-loc beyond `tactile_loc`, its core and its testing."""
+    """Return what a source imports of tactile-loc beyond the public API, the front door and the contract checks."""
     of_ours = [name for name in imported(text) if re.match(r"tactile_loc(\.|$)", name) or "tactile_loc.plugins" in name]
-    public_names = ("ComponentSpec", "hookimpl", "Localizer", "StageStore", "load_object")
-    allowed = {"tactile_loc", *(f"tactile_loc.{n}" for n in public_names), *PUBLIC}
+    allowed = {"tactile_loc", *(f"tactile_loc.{n}" for n in tactile_loc.__all__), *PUBLIC}
     return [name for name in of_ours if name not in allowed and not name.startswith(tuple(f"{p}." for p in PUBLIC))]
 
 
@@ -93,11 +98,19 @@ def test_only_the_public_api_is_imported(name):
         "from tactile_loc import plugins",
         "importlib.import_module('tactile_loc.plugins.encoders.pixel')",
         "from tactile_loc.evaluation.metrics import add_s",
+        "from tactile_loc.core.interfaces import Scene",
     ],
 )
 def test_a_private_import_is_noticed(text):
     assert private(text)
-    assert not private("from tactile_loc import hookimpl\nfrom tactile_loc.core.interfaces import Scene\nimport numpy")
+    assert not private("from tactile_loc import Localizer\nfrom tactile_loc.plugin import Scene\nimport numpy")
+
+
+def test_the_example_and_what_new_plugin_writes_import_the_same_alone():
+    written = [(path, text) for slot in SLOTS for path, text in render(Naming(slot, f"my-{slot}")).items()]
+    sources = [path.read_text() for path in EXAMPLE.rglob("*.py")] + [t for path, t in written if path.endswith(".py")]
+    assert len(sources) >= 3 + 3 * len(SLOTS)
+    assert [private(text) for text in sources if private(text)] == []
 
 
 @each

@@ -22,8 +22,8 @@ from tactile_loc.plugins.refiners.icp import IcpRefiner
 from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.plugins.sensors.presets import GelSlim
-from tactile_loc.testing import common, encoders, fusers, grids, matchers, refiners, renderers, sensors
-from tactile_loc.testing.shapes import ReferenceRenderer
+from tactile_loc.testing import contract, encoders, fusers, grids, matchers, refiners, renderers, sensors
+from tactile_loc.testing.problems import ReferenceRenderer
 
 INFINITE = np.float32(np.inf)
 DEFAULT = Capabilities()
@@ -61,13 +61,13 @@ class Loose(ComponentOptions):
 
 
 COMMON = [
-    (common.check_declaration, made(DenseMatcher, version=0)),
-    (common.check_declaration, made(DenseMatcher, slot="tracker")),
-    (common.check_options_are_strict, made(DenseMatcher, Options=Loose)),
-    (common.check_options_are_described, made(DenseMatcher, Options=Undescribed)),
-    (common.check_describe_is_json, made(DenseMatcher, describe=lambda self: {"size": np.float32(1)})),
-    (common.check_describe_is_json, made(DenseMatcher, describe=lambda self: {"me": id(self)})),
-    (common.check_describe_names_every_option, made(FaceGrid, describe=lambda self: {"class": "FaceGrid"})),
+    (contract.check_declaration, made(DenseMatcher, version=0)),
+    (contract.check_declaration, made(DenseMatcher, slot="tracker")),
+    (contract.check_options_are_strict, made(DenseMatcher, Options=Loose)),
+    (contract.check_options_are_described, made(DenseMatcher, Options=Undescribed)),
+    (contract.check_describe_is_json, made(DenseMatcher, describe=lambda self: {"size": np.float32(1)})),
+    (contract.check_describe_is_json, made(DenseMatcher, describe=lambda self: {"me": id(self)})),
+    (contract.check_describe_names_every_option, made(FaceGrid, describe=lambda self: {"class": "FaceGrid"})),
 ]
 
 

@@ -17,8 +17,7 @@ from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.registry import BUILT_IN, registry
 from tactile_loc.plugins.matchers.faiss import FaissMatcher
 from tactile_loc.testing import checks_for, parametrize_with_checks
-from tactile_loc.testing.problems import CAMERAS, training_problem
-from tactile_loc.testing.shapes import ReferenceRenderer
+from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, training_problem
 
 ROOT = Path(__file__).parents[2]
 FOLDER = TemporaryDirectory()

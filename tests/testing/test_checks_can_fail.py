@@ -13,7 +13,7 @@ from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.testing import (
     ContractError,
     checks_for,
-    common,
+    contract,
     encoders,
     fusers,
     grids,
@@ -24,7 +24,7 @@ from tactile_loc.testing import (
     sensors,
 )
 
-MODULES = (common, sensors, renderers, grids, encoders, matchers, refiners, fusers)
+MODULES = (contract, sensors, renderers, grids, encoders, matchers, refiners, fusers)
 
 
 @pytest.mark.parametrize(("check", "component"), BROKEN, ids=lambda x: getattr(x, "__name__", type(x).__name__))

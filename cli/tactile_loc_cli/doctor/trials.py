@@ -30,7 +30,7 @@ def egl() -> Facts:
 
     from tactile_loc.core.objects import TriangleMesh
     from tactile_loc.core.sensing import SensorGeometry
-    from tactile_loc.plugins.renderers.pyrender import PyrenderRenderer
+    from tactile_loc.plugins.renderers.pyrender.renderer import PyrenderRenderer
 
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float) * 0.01
     mesh = TriangleMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))

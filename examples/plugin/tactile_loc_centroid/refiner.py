@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.interfaces import Candidate, ComponentOptions, RefinedPose, Refiner, Scene
-from tactile_loc.core.sensing import SensorGeometry, Touch
+from tactile_loc.plugin import Candidate, ComponentOptions, RefinedPose, Refiner, Scene, SensorGeometry, Touch
 
 
 class CentroidRefiner(Refiner):

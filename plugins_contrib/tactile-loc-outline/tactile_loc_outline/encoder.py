@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Encoder, Float32
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugin import Capabilities, ComponentOptions, Encoder, Float32, SensorGeometry
 
 from tactile_loc_outline.distances import signed_distances
 

@@ -6,9 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tactile_loc.core.geometry import translation
-from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugin import SensorGeometry, registry, translation
 from tactile_loc.testing import parametrize_with_checks
 
 from tactile_loc_outline.distances import signed_distances

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tactile_loc import ComponentSpec, hookimpl
+from tactile_loc.plugin import ComponentSpec, hookimpl
 
 
 @hookimpl

@@ -6,12 +6,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tactile_loc.core.geometry import is_rigid, make_transform, rotation_about
-from tactile_loc.core.interfaces import Candidate
+from tactile_loc.plugin import Candidate, Cloud, Registration, contact_cloud, is_rigid, make_transform, rotation_about
 from tactile_loc.testing import parametrize_with_checks
 from tactile_loc.testing.problems import CAMERAS, OFFSETS, pressed_block, with_depth
 
-from tactile_loc_small_gicp import refiner as module
 from tactile_loc_small_gicp.refiner import SmallGicpRefiner
 
 
@@ -67,8 +65,8 @@ def test_what_lies_beyond_reach_is_not_registered():
 
 def test_a_registration_that_explains_less_is_not_believed(monkeypatch):
     problem, candidate = pressed_block(), pressed_block().candidate(OFFSETS[0])
-    away = make_transform(np.eye(3), [0.004, 0.0, 0.0])
-    wrong = module.Found(away, converged=True, iterations=7)
+    away_mm = make_transform(np.eye(3), [4.0, 0.0, 0.0])
+    wrong = Registration(away_mm, converged=True, iterations=7)
     monkeypatch.setattr(SmallGicpRefiner, "_register", lambda *_: wrong)
     refined = SmallGicpRefiner().refine(problem.touch, candidate, problem.scene)
     np.testing.assert_array_equal(refined.T_sensor_object, candidate.T_sensor_object)
@@ -85,12 +83,11 @@ def test_fitness_is_the_overlap_of_the_refined_pose():
 
 def test_voxels_thin_the_clouds():
     problem = pressed_block()
-    sizes = [
-        with_options(voxel_mm=mm)._cloud(problem.touch.contact_shape, problem.touch.geometry).points.size()
-        for mm in (0.25, 1.0, 2.0)
-    ]
+    points_m, normals = contact_cloud(problem.touch.contact_shape, problem.touch.geometry, walls=False)
+    cloud = Cloud(1e3 * points_m, normals, spacing_mm=0.4)
+    sizes = [with_options(voxel_mm=mm).prepared(cloud).points.size() for mm in (0.25, 1.0, 2.0)]
     assert sizes[0] > 2 * sizes[1] > 4 * sizes[2] > 40
-    assert with_options(voxel_mm=50.0)._cloud(problem.touch.contact_shape, problem.touch.geometry) is None
+    assert with_options(voxel_mm=50.0).prepared(cloud) is None
     refined = with_options(voxel_mm=50.0).refine(problem.touch, problem.candidate(), problem.scene)
     assert not refined.converged
 

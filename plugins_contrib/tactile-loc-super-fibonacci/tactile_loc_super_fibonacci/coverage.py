@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.core.geometry import random_rotations, rotation_to_quaternion
-from tactile_loc.core.registry import registry
+from tactile_loc.plugin import random_rotations, registry, rotation_to_quaternion
 from tactile_loc.testing.problems import CAMERAS, block
 
 from tactile_loc_super_fibonacci.spirals import super_fibonacci_rotations

@@ -2,79 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from tactile_loc.core.errors import GridError
-from tactile_loc.core.geometry import random_rotations
-from tactile_loc.core.interfaces import GridSampler
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugin import AllRotationsGrid, ObjectModel, SensorGeometry
 
-from tactile_loc_super_fibonacci.plane import lattice, lattice_counts, reachable, with_centroid_at
 from tactile_loc_super_fibonacci.spirals import fibonacci_directions, rotations_of_axis, super_fibonacci_rotations
 
 Float = NDArray[np.float64]
 
-SMALLEST_SPACING_M = 1e-6
 SO3_VOLUME, SPHERE_AREA = 8 * np.pi**2, 4 * np.pi  # in radians: cubed, of all rotations; squared, of all directions
-_MOST_DRAWN = 100_000  # rotations drawn at once
 
 
-class SuperFibonacciGrid(GridSampler):
+class SuperFibonacciGrid(AllRotationsGrid):
     """All of SO(3) times the plane: as many rotations as the spacing needs, or as were asked for."""
 
-    class Options(GridSampler.Options):
+    name = "super-fibonacci"
+
+    class Options(AllRotationsGrid.Options):
         """With `rotations`, `spacing_mm` is that of the plane alone."""
 
-        # Every halving makes 32 times as many poses, so this cannot be as fine as a grid of one face.
-        spacing_mm: float = Field(default=8.0, gt=0, description="mean distance between neighbouring poses, mm")
         rotations: int | None = Field(
             default=None, ge=1, le=10_000_000, description="take so many rotations, before equivalent ones are left out"
         )
-        max_poses: int = Field(default=2_000_000, ge=1, description="refuse a grid of more poses than this")
 
     @property
     def spacing_is_mean(self) -> bool:
         """With a number of rotations, these are what they are, and the spacing is that of the plane."""
         return self.options.rotations is None
 
-    def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
-        """Return poses (N, 4, 4), about `spacing_m` metres of surface apart, one for each class that looks the same.
+    def rotations(self, obj: ObjectModel, spacing_m: float) -> Float:
+        """Return R_sensor_object (K, 3, 3), about `spacing_m` metres of surface apart unless their number is given."""
+        return spread_rotations(obj, self._count(obj, spacing_m))
 
-        The centroid is on a square lattice of that pitch, at z = 0. Raises GridError when the spacing is below a
-        micrometre, or when there would be more than `max_poses`, before any are made.
-        """
-        if not (np.isfinite(spacing_m) and spacing_m >= SMALLEST_SPACING_M):
-            raise GridError(f"the grid's spacing is {spacing_m * 1e3:g} mm; give one of at least 0.001 mm")
-        count = self.options.rotations or rotations_for(obj, spacing_m)
-        self._refuse_too_many(count / obj.symmetry.order, obj, spacing_m)
-        R = spread_rotations(obj, count)
-        low, high = reachable(obj, R, geometry)
-        places = lattice_counts(low, high, spacing_m).prod(axis=-1)
-        self._refuse_too_many(int(places.sum()), obj, spacing_m)
-        xy = np.concatenate([lattice(a, b, spacing_m) for a, b in zip(low, high, strict=True)])
-        return with_centroid_at(obj, np.repeat(R, places, axis=0), xy)
+    def least_poses(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> int:
+        """Return how many poses there are at a spacing in metres if each rotation has one place."""
+        return math.ceil(self._count(obj, spacing_m) / obj.symmetry.order)
 
-    def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
-        """Draw poses (count, 4, 4), metres, uniformly over all rotations and places where the boxes overlap; z is free.
+    def advice(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> str:
+        """Say what to choose where a spacing in metres makes too many poses."""
+        return "take a greater spacing or fewer rotations"
 
-        A rotation is drawn as often as its region is large, as the grid has it.
-        """
-        drawn = list(_draw(obj, geometry, count, rng))
-        return np.concatenate([np.empty((0, 4, 4)), *drawn])[:count]
-
-    def _refuse_too_many(self, count: float, obj: ObjectModel, spacing_m: float) -> None:
-        if count <= self.options.max_poses:
-            return
-        raise GridError(
-            f"the super-fibonacci grid of {obj.name} at a spacing of {spacing_m * 1e3:.3g} mm needs at least "
-            f"{count:,.0f} poses, over the limit of {self.options.max_poses:,}; take a greater spacing or fewer "
-            "rotations, raise max_poses, or choose the face grid if the face that touches is known"
-        )
+    def _count(self, obj: ObjectModel, spacing_m: float) -> int:
+        return self.options.rotations or rotations_for(obj, spacing_m)
 
 
 def rotations_for(obj: ObjectModel, spacing_m: float) -> int:
@@ -106,17 +78,3 @@ def spread_rotations(obj: ObjectModel, count: int) -> Float:
         R = rotations_of_axis(axis, fibonacci_directions(count))
         kept = R[obj.symmetry.is_representative(R, step_rad=2 * np.pi)]
     return kept if len(kept) else obj.symmetry.canonical(R[:1])
-
-
-def _draw(obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Iterator[Poses]:
-    """Yield batches of random poses, at least `count` in all: a rotation is kept by the area of its region."""
-    x0, x1, y0, y1 = geometry.rectangle
-    longest_m = float(np.linalg.norm(obj.mesh.extents_m))
-    bound_m2 = (x1 - x0 + longest_m) * (y1 - y0 + longest_m)
-    while count > 0:
-        R = random_rotations(min(max(2 * count, 64), _MOST_DRAWN), rng)
-        low, high = reachable(obj, R, geometry)
-        kept = rng.random(len(R)) * bound_m2 < (high - low).prod(axis=-1)
-        xy = rng.uniform(low[kept], high[kept])
-        yield with_centroid_at(obj, R[kept], xy)
-        count -= int(kept.sum())

@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 from tactile_loc import Localizer
-from tactile_loc.core.grids import contact_grid, random_contact_poses
+from tactile_loc.plugin import contact_grid, random_contact_poses
 
 HEAD = "| object | symmetry | grid | poses | mean spacing | median to nearest | 95 % to nearest | mean to nearest |"
 GRIDS = ("hopf", "super-fibonacci")

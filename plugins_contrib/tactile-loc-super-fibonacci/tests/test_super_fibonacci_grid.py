@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tactile_loc.core.contact import bring_to_contact
-from tactile_loc.core.errors import GridError
-from tactile_loc.core.geometry import is_rigid, make_transform
-from tactile_loc.core.objects import ObjectModel, TriangleMesh
-from tactile_loc.core.poses import PoseGrid, PoseMetric
-from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.plugin import (
+    GridError,
+    ObjectModel,
+    PoseGrid,
+    PoseMetric,
+    SensorGeometry,
+    SymmetryGroup,
+    TriangleMesh,
+    bring_to_contact,
+    is_rigid,
+    make_transform,
+    registry,
+)
 from tactile_loc.testing import parametrize_with_checks
 from tactile_loc.testing.problems import CAMERAS, block
 

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Encoder, Float32
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugin import Capabilities, ComponentOptions, Encoder, Float32, SensorGeometry
 
 
 class PixelEncoder(Encoder):

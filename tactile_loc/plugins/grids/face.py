@@ -9,14 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.errors import GridError
-from tactile_loc.core.geometry import align_to_z, make_transform, rotation_about
-from tactile_loc.core.interfaces import GridSampler
-from tactile_loc.core.lattices import reachable_translations, shifted_lattice
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.plugin import (
+    GridError,
+    GridSampler,
+    ObjectModel,
+    Poses,
+    SensorGeometry,
+    SymmetryGroup,
+    align_to_z,
+    make_transform,
+    reachable_translations,
+    rotation_about,
+    shifted_lattice,
+)
 
 SIDES = {f"{sign}{axis}": s * np.eye(3)[i] for i, axis in enumerate("xyz") for sign, s in (("+", 1.0), ("-", -1.0))}
 

@@ -1,143 +1,174 @@
-"""The pose grid for a touch anywhere on the object: all of SO(3) times the plane, evenly in metres of surface."""
+"""The pose grid for a touch anywhere on the object: all of SO(3) times the plane, evenly in metres of surface.
+
+After A. Yershova, S. Jain, S. M. LaValle and J. C. Mitchell, "Generating Uniform Incremental Grids on SO(3) Using the
+Hopf Fibration", IJRR 2010, and K. M. Gorski et al., "HEALPix", ApJ 2005. A rotation is the direction that z turns to, a
+point of the sphere S^2, and a spin about z, a point of the circle S^1. HEALPix cuts the sphere into 12 nside^2 cells of
+equal area, so with `n_psi` spins there are 12 nside^2 n_psi cells of equal volume: 72 * 8^level for nside = 2^level and
+n_psi = 6 nside. nside may be any positive integer.
+
+Cells are numbered by (base pixel, x, y, spin). Doubling nside and n_psi cuts each into eight: `children`.
+
+On an object, distances are millimetres of surface: a turn by a small angle about an axis through the centroid moves the
+surface by that angle times a lever, the root mean square distance from the axis. The spin is put on the object's most
+distinct principal axis, so that spins and directions can each step by the angle that moves the surface by one spacing:
+a pin turns in many small steps across its length and in few about it.
+"""
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.errors import GridError
-from tactile_loc.core.geometry import make_transform, random_rotations
-from tactile_loc.core.interfaces import GridSampler
-from tactile_loc.core.lattices import lattice_shape, plane_lattice, reachable_translations
-from tactile_loc.core.objects import LARGEST_M, ObjectModel, TriangleMesh
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.plugins.grids.hopf_rotations import rotation_grid
+from tactile_loc.plugin import AllRotationsGrid, ObjectModel, SensorGeometry, align_to_z, quaternion_to_rotation
 
 Float = NDArray[np.float64]
-SMALLEST_SPACING_M = 1e-6
-_CHUNK = 100_000
+Int = NDArray[np.int64]
+
+LARGEST_SPACING_M = 1.0  # that is suggested: as large as an object may be
 _SAMPLE = 4096
-_log = logging.getLogger(__name__)
+_CHUNK = 100_000
+
+BASE_PIXELS = 12
+SPHERE_STEP_RAD = float(np.sqrt(4 * np.pi / BASE_PIXELS))
+"""Side of a base pixel, were it a square on the unit sphere: cells are this over nside wide."""
 
 
-def extreme_points(mesh: TriangleMesh) -> Float:
-    """Return the vertices (V, 3) in metres that bound the surface from every side: those of its convex hull."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    used: Float = mesh.vertices_m[np.unique(mesh.faces)]
-    try:
-        hull: Float = used[ConvexHull(used).vertices]
-    except QhullError:  # a flat surface has no hull
-        return used
-    return hull
-
-
-def centroid_range(obj: ObjectModel, R: Float, geometry: SensorGeometry) -> tuple[Float, Float]:
-    """Return low and high (N, 2) in metres of the centroid's x, y in the sensor frame for R_sensor_object (N, 3, 3).
-
-    Between them, the turned object's bounding box overlaps the sensing rectangle; beyond, there can be no contact.
-    """
-    points = extreme_points(obj.mesh) - obj.mesh.centroid_m
-    low, high = np.empty((len(R), 2)), np.empty((len(R), 2))
-    step = max(1, 1_000_000 // len(points))
-    for s in range(0, len(R), step):
-        turned = points @ np.swapaxes(R[s : s + step], -1, -2)
-        low[s : s + step], high[s : s + step] = reachable_translations(turned, geometry.rectangle)
-    return low, high
-
-
-class HopfGrid(GridSampler):
+class HopfGrid(AllRotationsGrid):
     """All of SO(3) times the plane: for a touch anywhere on the object."""
 
-    class Options(GridSampler.Options):
+    name = "hopf"
+
+    class Options(AllRotationsGrid.Options):
         """With a `level`, `spacing_mm` is that of the plane alone."""
 
-        # Every halving makes 32 times as many poses, so this cannot be as fine as a grid of one face.
-        spacing_mm: float = Field(default=8.0, gt=0, description="mean distance between neighbouring poses, mm")
         level: int | None = Field(
             default=None, ge=0, le=8, description="take 72 * 8^level rotations instead of those that meet the spacing"
         )
-        max_poses: int = Field(default=2_000_000, ge=1, description="refuse a grid of more poses than this")
 
     @property
     def spacing_is_mean(self) -> bool:
         """With a level, the rotations are what they are, and the spacing is that of the plane."""
         return self.options.level is None
 
-    def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
-        """Return poses (N, 4, 4), about `spacing_m` metres of surface apart, one for each class that looks the same.
+    def rotations(self, obj: ObjectModel, spacing_m: float) -> Float:
+        """Return R_sensor_object (K, 3, 3), about `spacing_m` metres of surface apart unless there is a level."""
+        return rotation_grid(obj, spacing_m, self.options.level).all_representatives()
 
-        The centroid is on a square lattice of that pitch, at z = 0. Raises GridError when the spacing is below a
-        micrometre, or when there would be more than `max_poses`, before any are made.
-        """
-        if not (np.isfinite(spacing_m) and spacing_m >= SMALLEST_SPACING_M):
-            raise GridError(f"the grid's spacing is {spacing_m * 1e3:g} mm; give one of at least 0.001 mm")
-        self._refuse_too_many(self._count(obj, geometry, spacing_m), obj, geometry, spacing_m)
-        R = rotation_grid(obj, spacing_m, self.options.level).all_representatives()
-        low, high = centroid_range(obj, R, geometry)
-        counts = lattice_shape(low, high, spacing_m).prod(axis=-1)
-        self._refuse_too_many(int(counts.sum()), obj, geometry, spacing_m)
-        _log.info("hopf grid of %s: %d rotations, %d poses before contact", obj.name, len(R), counts.sum())
-        xy = np.concatenate([plane_lattice(a, b, spacing_m) for a, b in zip(low, high, strict=True)])
-        return _poses_with_centroid_at(obj, np.repeat(R, counts, axis=0), xy)
-
-    def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
-        """Draw poses (count, 4, 4), metres, uniformly over all rotations and places where the boxes overlap; z is free.
-
-        A rotation is drawn as often as its region is large, as the grid has it.
-        """
-        x0, x1, y0, y1 = geometry.rectangle
-        longest = float(np.linalg.norm(obj.mesh.extents_m))
-        bound = (x1 - x0 + longest) * (y1 - y0 + longest)
-        drawn = list(_draw(obj, geometry, count, bound, rng))
-        return np.concatenate([np.empty((0, 4, 4)), *drawn])[:count]
-
-    def _count(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> int:
-        """Count the poses; of a big grid, only those at some of its rotations, in proportion."""
+    def least_poses(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> int:
+        """Count the poses at a spacing in metres; of a big grid, only those at some of its rotations, in proportion."""
         rotations = rotation_grid(obj, spacing_m, self.options.level)
         total = len(rotations)
         some = np.arange(total) if total <= _SAMPLE else np.random.default_rng(0).integers(total, size=_SAMPLE)
-        low, high = centroid_range(obj, rotations.representatives(some), geometry)
-        return round(float(lattice_shape(low, high, spacing_m).prod(axis=-1).sum()) * total / len(some))
+        counts = self.places(obj, rotations.representatives(some), geometry, spacing_m)
+        return round(float(counts.sum()) * total / len(some))
 
-    def _refuse_too_many(self, count: int, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> None:
-        limit, level = self.options.max_poses, self.options.level
-        if count <= limit:
-            return
-        change = "take a lower level or a greater spacing"
-        if level is None:
-            change = f"take a spacing of {self._smallest_spacing_mm(obj, geometry, spacing_m):g} mm or more"
-        raise GridError(
-            f"the hopf grid of {obj.name} at a spacing of {spacing_m * 1e3:.3g} mm needs {count:,} poses, over the "
-            f"limit of {limit:,}; {change}, raise max_poses, or choose the face grid if the face that touches is known"
-        )
-
-    def _smallest_spacing_mm(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> float:
-        """Find a spacing, in millimetres of two digits, that keeps the limit: any of a dozen poses can be kept."""
-        while spacing_m < LARGEST_M and self._count(obj, geometry, spacing_m) > 0.95 * self.options.max_poses:
+    def advice(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> str:
+        """Name a spacing, in millimetres of two digits, that keeps the limit: any of a dozen poses can be kept."""
+        if self.options.level is not None:
+            return "take a lower level or a greater spacing"
+        while spacing_m < LARGEST_SPACING_M and (
+            self.least_poses(obj, geometry, spacing_m) > 0.95 * self.options.max_poses
+        ):
             spacing_m = float(f"{1.1 * spacing_m:.1e}")
-        return spacing_m * 1e3
+        return f"take a spacing of {spacing_m * 1e3:g} mm or more"
 
 
-def _draw(
-    obj: ObjectModel, geometry: SensorGeometry, count: int, bound_m2: float, rng: np.random.Generator
-) -> Iterator[Poses]:
-    """Yield batches of random poses, at least `count` in all: rotations kept by area of their region over the bound."""
-    while count > 0:
-        R = random_rotations(min(max(2 * count, 64), _CHUNK), rng)
-        low, high = centroid_range(obj, R, geometry)
-        keep = rng.random(len(R)) * bound_m2 < (high - low).prod(axis=-1)
-        xy = rng.uniform(low[keep], high[keep])
-        yield _poses_with_centroid_at(obj, R[keep], xy)
-        count -= int(keep.sum())
+def rotation_count(nside: int, n_psi: int) -> int:
+    """Return how many rotations the grid has."""
+    return BASE_PIXELS * nside**2 * n_psi
 
 
-def _poses_with_centroid_at(obj: ObjectModel, R: Float, xy_m: Float) -> Poses:
-    """Return poses (N, 4, 4) of rotations (N, 3, 3) whose centroid is at (x, y, 0) for `xy_m` (N, 2), sensor frame."""
-    centroid = np.concatenate([xy_m, np.zeros((len(xy_m), 1))], axis=1)
-    return make_transform(R, centroid - R @ obj.mesh.centroid_m)
+def hopf_rotations(nside: int, n_psi: int, indices: Int | None = None) -> Float:
+    """Return the rotations (N, 3, 3) at the cells' centres, unitless: all, or those of `indices` (N,)."""
+    if indices is None:
+        indices = np.arange(rotation_count(nside, n_psi))
+    pixel, spin = np.divmod(indices, n_psi)
+    z, azimuth_rad = pixel_angles(nside, pixel)
+    # The smallest turn that takes z to the direction, after a spin about z: both half angles enter a quaternion.
+    cosine, sine = np.sqrt((1 + z) / 2), np.sqrt((1 - z) / 2)
+    half_spin = (spin + 0.5) * (np.pi / n_psi)
+    swing = azimuth_rad - half_spin
+    q = (cosine * np.cos(half_spin), -sine * np.sin(swing), sine * np.cos(swing), cosine * np.sin(half_spin))
+    return quaternion_to_rotation(np.stack(q, axis=-1))
+
+
+def pixel_angles(nside: int, pixel: Int) -> tuple[Float, Float]:
+    """Return z (N,), unitless, and azimuth (N,) in radians, not reduced to one turn, of HEALPix pixels' centres (N,).
+
+    Pixels are numbered base pixel by base pixel, x (towards north-east) slowest, then y (towards north-west).
+    """
+    base, x, y = np.unravel_index(pixel, (BASE_PIXELS, nside, nside))
+    row, column = np.divmod(base, 4)  # three rows of four base pixels: north, equator, south
+    ring = (row + 2) * nside - x - y - 1  # from 1 at the north pole to 4 nside - 1
+    quarter = np.minimum(np.minimum(ring, 4 * nside - ring), nside)  # pixels of this ring in a quarter of a turn
+    z = (2 * nside - ring) * (2 / (3 * nside))
+    cap = 1 - quarter**2 / (3 * nside**2)
+    z = np.where(ring < nside, cap, np.where(ring > 3 * nside, -cap, z))
+    eighths = 2 * column + (row != 1)
+    return np.asarray(z, float), np.asarray(np.pi / 4 * (eighths + (x - y) / quarter), float)
+
+
+def children(indices: Int, nside: int, n_psi: int) -> Int:
+    """Return the eight cells (N, 8) of the grid (2 nside, 2 n_psi) that cells `indices` (N,) are cut into."""
+    base, x, y, spin = np.unravel_index(indices, (BASE_PIXELS, nside, nside, n_psi))
+    dx, dy, dspin = np.unravel_index(np.arange(8), (2, 2, 2))
+    finer = (np.repeat(base[:, None], 8, axis=1), 2 * x[:, None] + dx, 2 * y[:, None] + dy, 2 * spin[:, None] + dspin)
+    return np.ravel_multi_index(finer, (BASE_PIXELS, 2 * nside, 2 * nside, 2 * n_psi))
+
+
+@dataclass(frozen=True, eq=False)
+class RotationGrid:
+    """A Hopf grid of rotations of an object: 12 nside^2 directions of its unitless `axis` (3,), `n_psi` spins each."""
+
+    obj: ObjectModel
+    axis: Float
+    nside: int
+    n_psi: int
+
+    def __len__(self) -> int:
+        return rotation_count(self.nside, self.n_psi)
+
+    def representatives(self, indices: NDArray[np.int64]) -> Float:
+        """Return R_sensor_object (K, 3, 3) of those of the cells `indices` (N,) that stand for their equivalents."""
+        R = hopf_rotations(self.nside, self.n_psi, indices) @ align_to_z(self.axis)
+        return R[self.obj.symmetry.is_representative(R, step_rad=2 * np.pi / self.n_psi)]
+
+    def all_representatives(self) -> Float:
+        """Return R_sensor_object (K, 3, 3), one for each class of rotations that look the same."""
+        starts = range(0, len(self), _CHUNK)
+        return np.concatenate([self.representatives(np.arange(s, min(s + _CHUNK, len(self)))) for s in starts])
+
+
+def spin_axis(obj: ObjectModel) -> tuple[Float, float, float]:
+    """Return the object's spin axis (3,), unitless, and the levers about it and across it in metres.
+
+    It is the axis of a continuous symmetry, or else the principal axis about which the object is most nearly round.
+    """
+    moments, axes = np.linalg.eigh(obj.mesh.covariance_m2)
+    lever_m = np.sqrt(np.clip(moments.sum() - moments, 1e-18, None))
+    others = lever_m[[[1, 2], [0, 2], [0, 1]]]
+    k = int(np.abs(np.log(others[:, 0] / others[:, 1])).argmin())
+    continuous = obj.symmetry.continuous_axis
+    if continuous is not None:
+        k = int(np.abs(axes.T @ continuous).argmax())
+    axis = axes[:, k] if continuous is None else continuous
+    return axis, float(lever_m[k]), float(np.sqrt(others[k].prod()))
+
+
+def rotation_grid(obj: ObjectModel, spacing_m: float, level: int | None = None) -> RotationGrid:
+    """Return the rotations whose neighbours are about `spacing_m` metres apart, or Yershova's 72 * 8^level.
+
+    A cell is a spacing wide about the spin axis, and of a spacing's square across it. Spins are a multiple of the
+    symmetry's turns about the axis, so that a turn takes cells to cells; with a continuous symmetry one spin does.
+    """
+    axis, spin_m, across_m = spin_axis(obj)
+    if level is not None:
+        return RotationGrid(obj, axis, 2**level, 6 * 2**level)
+    nside = max(1, round(SPHERE_STEP_RAD * across_m / spacing_m))
+    if obj.symmetry.continuous_axis is not None:
+        return RotationGrid(obj, axis, nside, 1)
+    turns = int((obj.symmetry.rotations @ axis @ axis > 1 - 1e-6).sum())
+    return RotationGrid(obj, axis, nside, turns * max(1, round(2 * np.pi * spin_m / spacing_m / turns)))

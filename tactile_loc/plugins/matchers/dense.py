@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tactile_loc.core.interfaces import Float32, Matcher
+from tactile_loc.plugin import Float32, Matcher
 
 
 class DenseMatcher(Matcher):

@@ -8,7 +8,7 @@ import faiss
 import numpy as np
 from pydantic import Field
 
-from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Float32, Matcher
+from tactile_loc.plugin import Capabilities, ComponentOptions, Float32, Matcher
 
 
 class FaissMatcher(Matcher):

@@ -6,8 +6,7 @@ import numpy as np
 import open3d as o3d
 from pydantic import Field
 
-from tactile_loc.core.interfaces import Capabilities
-from tactile_loc.core.registration import Cloud, CloudRefiner, Registration
+from tactile_loc.plugin import Capabilities, Cloud, CloudRefiner, Registration
 
 BURST = 8  # iterations between looks at whether the pose still moves
 SETTLED_WIDE, SETTLED = 0.03, 1e-4  # a pose that moves less in a burst has settled: radians and mm, each pass
@@ -25,10 +24,8 @@ class IcpRefiner(CloudRefiner):
     class Options(CloudRefiner.Options):
         """Distances in mm between points that may correspond, and how long to iterate."""
 
-        wide_mm: float = Field(
-            default=3.0, gt=0, description="largest distance of corresponding points, first pass, mm"
-        )
-        narrow_mm: float = Field(default=0.5, gt=0, description="the same for the second pass, mm")
+        wide_mm: float = Field(default=3.0, gt=0, description="largest distance of corresponding points at first, mm")
+        narrow_mm: float = Field(default=0.5, gt=0, description="the same in the second pass, mm")
         max_iterations: int = Field(default=20, ge=1, description="iterations a pass")
 
     def register(self, source: Cloud, target: Cloud) -> Registration:

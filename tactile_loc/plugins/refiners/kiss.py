@@ -16,8 +16,7 @@ from kiss_icp.registration import Registration as KissRegistration
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.geometry import transform_points
-from tactile_loc.core.registration import Cloud, CloudRefiner, Registration, orthonormal
+from tactile_loc.plugin import Cloud, CloudRefiner, Registration, orthonormal, transform_points
 
 Floats = NDArray[np.float64]
 
@@ -37,10 +36,8 @@ class KissIcpRefiner(CloudRefiner):
     class Options(CloudRefiner.Options):
         """Distances in mm between points that may correspond, how many are kept, and how long to iterate."""
 
-        wide_mm: float = Field(
-            default=3.0, gt=0, description="largest distance of corresponding points, first pass, mm"
-        )
-        narrow_mm: float = Field(default=0.7, gt=0, description="the same for the second pass, mm")
+        wide_mm: float = Field(default=3.0, gt=0, description="largest distance of corresponding points at first, mm")
+        narrow_mm: float = Field(default=0.7, gt=0, description="the same in the second pass, mm")
         max_iterations: int = Field(default=200, ge=1, description="iterations a pass")
         voxel_points: int = Field(
             default=20, ge=1, description="most points of the touch's cloud in a voxel, as wide as the pass reaches"

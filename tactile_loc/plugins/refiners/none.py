@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from tactile_loc.core.interfaces import Candidate, Capabilities, RefinedPose, Refiner, Scene
-from tactile_loc.core.sensing import Touch
+from tactile_loc.plugin import Candidate, Capabilities, RefinedPose, Refiner, Scene, Touch
 
 
 class NoRefiner(Refiner):

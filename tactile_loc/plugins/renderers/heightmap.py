@@ -11,18 +11,32 @@ they are drawn triangle by triangle, which is exact.
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.contact import group_rotations
-from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Float32, Renderer
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.zbuffer import nearest_depths
-from tactile_loc.plugins.renderers import heightmap_kernels as kernels
+from tactile_loc.plugin import (
+    Capabilities,
+    ComponentOptions,
+    Float32,
+    Poses,
+    Renderer,
+    SensorGeometry,
+    TriangleMesh,
+    group_rotations,
+    nearest_depths,
+    njit,
+    prange,
+)
 
+# numbers are never NaN here, but infinite ones mean "no surface": inf must keep its meaning
+FAST: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"nnan", "nsz", "arcp", "contract"}}
+FINE, COARSE = 4, 16  # cells a side of a tile whose lowest height is known, at two levels
+BLOCKS = (32, 8, 4)  # pixels a side of the blocks that are skipped at once, at three levels
+WALL = 3.0  # a rise of more than this many cells from one cell to the next is a wall, not a slope
 Floats = NDArray[np.float64]
 
 MAX_MAP_BYTES = 256 * 2**20
@@ -50,7 +64,7 @@ class HeightmapRenderer(Renderer):
         slot = np.repeat(np.arange(len(rotations)), np.diff(starts))
         low, cells = _footprints(mesh, rotations, T[members, :3, 3], starts, geometry, cell)
         # a little above the band is drawn too, for the slopes that leave it
-        end = geometry.standoff_m + geometry.max_depth_m + kernels.WALL * cell
+        end = geometry.standoff_m + geometry.max_depth_m + WALL * cell
         ceilings = np.maximum.reduceat(end - T[members, 2, 3], starts[:-1])
         triangles, t = np.ascontiguousarray(mesh.triangles_m), np.ascontiguousarray(T[:, :3, 3])
         view = (_camera(geometry), *geometry.pixel_slopes)
@@ -60,9 +74,9 @@ class HeightmapRenderer(Renderer):
             last = min(first + step, len(rotations))
             maps = np.empty((last - first, *cells), np.float32)
             poses = slice(starts[first], starts[last])
-            kernels.rasterise(triangles, rotations[some], low[some], ceilings[some], cell, maps)
-            tiles = _minima(maps, kernels.FINE), _minima(maps, kernels.COARSE)
-            kernels.sample(maps, *tiles, low[some], cell, slot[poses] - first, members[poses], t, *view, depth)
+            rasterise(triangles, rotations[some], low[some], ceilings[some], cell, maps)
+            tiles = _minima(maps, FINE), _minima(maps, COARSE)
+            sample(maps, *tiles, low[some], cell, slot[poses] - first, members[poses], t, *view, depth)
         return depth
 
     def render_apart(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
@@ -73,7 +87,7 @@ class HeightmapRenderer(Renderer):
 def _minima(maps: Float32, tile: int) -> Float32:
     """Return the least height (K, rows / tile, columns / tile) of every tile of the maps."""
     lowest = np.empty((len(maps), maps.shape[1] // tile, maps.shape[2] // tile), np.float32)
-    kernels.minima(maps, tile, lowest)
+    minima(maps, tile, lowest)
     return lowest
 
 
@@ -96,7 +110,7 @@ def _footprints(
     end = np.minimum(np.maximum.reduceat(view_high - t_m[:, :2], starts[:-1]), turned.max(axis=2)) + 2 * cell
     corner = np.floor(corner / cell) * cell  # cells are the same whatever poses are drawn together
     columns, rows = np.maximum(np.ceil((end - corner).max(axis=0) / cell).astype(int) + 1, 1)
-    tile = kernels.COARSE
+    tile = COARSE
     return corner, (int(-(-rows // tile) * tile), int(-(-columns // tile) * tile))
 
 
@@ -106,3 +120,210 @@ def _view(geometry: SensorGeometry) -> tuple[Floats, Floats]:
     ends = np.array([[slopes[0], slopes[-1]] for slopes in geometry.pixel_slopes])
     spans = np.stack([ends * reach for reach in reaches])
     return spans.min(axis=(0, 2)), spans.max(axis=(0, 2))
+
+
+# The compiled loops. Lengths in metres; a map's cell (row, column) samples the lower envelope at its centre, corner +
+# (column + 1/2, row + 1/2) * cell, in the object's turned frame.
+
+
+@njit(parallel=True, **FAST)
+def rasterise(triangles, rotations, corners, ceilings, cell, maps):
+    """Draw the lower envelopes (K, rows, columns) of triangles (F, 3, 3) turned by each rotation, by all threads."""
+    for k in prange(len(rotations)):
+        _rasterise_one(triangles, rotations[k], corners[k], ceilings[k], cell, maps[k])
+
+
+@njit(**FAST)
+def _rasterise_one(triangles, R, corner, ceiling, cell, envelope):
+    """Draw the lower envelope (rows, columns) of triangles (F, 3, 3) turned by R; inf where there is none."""
+    envelope.fill(np.inf)
+    p = np.empty((3, 3))
+    for f in range(len(triangles)):
+        for c in range(3):
+            for a in range(3):
+                q = triangles[f, c]
+                p[c, a] = R[a, 0] * q[0] + R[a, 1] * q[1] + R[a, 2] * q[2]
+            p[c, 0] = (p[c, 0] - corner[0]) / cell - 0.5
+            p[c, 1] = (p[c, 1] - corner[1]) / cell - 0.5
+        if min(p[0, 2], p[1, 2], p[2, 2]) < ceiling:
+            _draw(p, envelope)
+
+
+@njit(**FAST)
+def _draw(p, envelope):
+    """Lower the map to one triangle whose corners (3, 3) are column, row, height."""
+    rows, columns = envelope.shape
+    ax, ay, bx, by = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[2, 0] - p[0, 0], p[2, 1] - p[0, 1]
+    area = ax * by - ay * bx
+    if abs(area) < 1e-12:
+        return
+    slope_x = ((p[1, 2] - p[0, 2]) * by - (p[2, 2] - p[0, 2]) * ay) / area
+    slope_y = ((p[2, 2] - p[0, 2]) * ax - (p[1, 2] - p[0, 2]) * bx) / area
+    first = max(0, math.ceil(min(p[0, 1], p[1, 1], p[2, 1])))
+    last = min(rows - 1, math.floor(max(p[0, 1], p[1, 1], p[2, 1])))
+    for r in range(first, last + 1):
+        left, right = _span(p, r)
+        for c in range(max(0, math.ceil(left - 1e-9)), min(columns - 1, math.floor(right + 1e-9)) + 1):
+            z = p[0, 2] + slope_x * (c - p[0, 0]) + slope_y * (r - p[0, 1])
+            if z < envelope[r, c]:
+                envelope[r, c] = z
+
+
+@njit(**FAST)
+def _span(p, r):
+    """Columns between which the scan line `r` lies in the triangle."""
+    left, right = np.inf, -np.inf
+    for i in range(3):
+        j = (i + 1) % 3
+        y0, y1 = p[i, 1], p[j, 1]
+        if (y0 <= r <= y1) or (y1 <= r <= y0):
+            if y0 == y1:
+                left, right = min(left, p[i, 0], p[j, 0]), max(right, p[i, 0], p[j, 0])
+            else:
+                x = p[i, 0] + (r - y0) / (y1 - y0) * (p[j, 0] - p[i, 0])
+                left, right = min(left, x), max(right, x)
+    return left, right
+
+
+@njit(parallel=True, **FAST)
+def minima(maps, tile, lowest):
+    """Fill the least height (K, rows / tile, columns / tile) of every tile of the maps, by all threads."""
+    for k in prange(len(maps)):
+        _minima_one(maps[k], tile, lowest[k])
+
+
+@njit(**FAST)
+def _minima_one(envelope, tile, lowest):
+    """Fill the least height (rows / tile, columns / tile) of every tile of a map."""
+    for i in range(len(lowest)):
+        for j in range(lowest.shape[1]):
+            low = envelope[i * tile, j * tile]
+            for r in range(i * tile, (i + 1) * tile):
+                for c in range(j * tile, (j + 1) * tile):
+                    low = min(low, envelope[r, c])
+            lowest[i, j] = low
+
+
+@njit(parallel=True, **FAST)
+def sample(maps, fine, coarse, corners, cell, slot, members, t, camera, slopes_x, slopes_y, depth):
+    """Fill depth (N, H, W) at `members`, each from map `slot`, seen by `camera`, by all threads."""
+    for m in prange(len(members)):
+        i, k = members[m], slot[m]
+        _sample_one(maps[k], fine[k], coarse[k], corners[k], cell, t[i], camera, slopes_x, slopes_y, depth[i])
+
+
+@njit(**FAST)
+def _sample_one(envelope, fine, coarse, corner, cell, t, camera, slopes_x, slopes_y, picture):
+    """Fill a picture (H, W) from one map, seen by `camera` (pinhole?, band begin, band end).
+
+    Blocks of pixels are cut smaller until their part of the map lies above the band or they are traced.
+    """
+    picture.fill(np.inf)
+    height, width = picture.shape
+    big, middle, small = BLOCKS
+    end = camera[2]
+    offset = ((t[0] + corner[0]) / cell, (t[1] + corner[1]) / cell, t[2])
+    for v in range(0, height, big):
+        for u in range(0, width, big):
+            if _lowest(coarse, COARSE, slopes_x, slopes_y, u, v, big, camera, cell, offset) >= end:
+                continue
+            for v1 in range(v, min(v + big, height), middle):
+                for u1 in range(u, min(u + big, width), middle):
+                    if _lowest(coarse, COARSE, slopes_x, slopes_y, u1, v1, middle, camera, cell, offset) >= end:
+                        continue
+                    for v2 in range(v1, min(v1 + middle, height), small):
+                        for u2 in range(u1, min(u1 + middle, width), small):
+                            low = _lowest(fine, FINE, slopes_x, slopes_y, u2, v2, small, camera, cell, offset)
+                            if low < end:
+                                _trace(envelope, low, slopes_x, slopes_y, u2, v2, camera, cell, offset, picture)
+
+
+@njit(**FAST)
+def _lowest(tiles, tile, slopes_x, slopes_y, u, v, size, camera, cell, offset):
+    """Least depth of all tiles that the rays of a block of pixels cross in the band, a cell of margin around."""
+    pinhole, begin, end = camera
+    near, far = (begin / cell, end / cell) if pinhole else (1.0 / cell, 1.0 / cell)
+    x0, x1 = slopes_x[u], slopes_x[min(u + size, len(slopes_x)) - 1]
+    y0, y1 = slopes_y[v], slopes_y[min(v + size, len(slopes_y)) - 1]
+    rows, columns = tiles.shape
+    first_row = max(0, int((min(y0 * near, y0 * far) - offset[1] - 1.5) // tile))
+    last_row = min(rows - 1, int((max(y1 * near, y1 * far) - offset[1] + 1.5) // tile))
+    first_column = max(0, int((min(x0 * near, x0 * far) - offset[0] - 1.5) // tile))
+    last_column = min(columns - 1, int((max(x1 * near, x1 * far) - offset[0] + 1.5) // tile))
+    low = np.float32(np.inf)
+    for i in range(first_row, last_row + 1):
+        for j in range(first_column, last_column + 1):
+            low = min(low, tiles[i, j])
+    return low + offset[2]
+
+
+@njit(**FAST)
+def _trace(envelope, low, slopes_x, slopes_y, u, v, camera, cell, offset, picture):
+    """Trace every ray of a small block of pixels, from the least depth at which anything lies before them."""
+    pinhole, begin, end = camera
+    wall = WALL * cell
+    x0, y0, z0 = offset
+    low = max(low, begin)
+    for row in range(v, min(v + BLOCKS[2], len(slopes_y))):
+        sy = slopes_y[row] / cell
+        for column in range(u, min(u + BLOCKS[2], len(slopes_x))):
+            sx = slopes_x[column] / cell
+            if pinhole:
+                picture[row, column] = _march(envelope, sx, sy, x0, y0, z0, low, end, wall)
+            else:
+                picture[row, column] = _height(envelope, sx - x0 - 0.5, sy - y0 - 0.5, wall) + z0
+
+
+@njit(**FAST)
+def _height(envelope, c, r, wall):
+    """Height at a fractional cell: bilinear on a slope, the nearest cell's at a wall or an edge."""
+    rows, columns = envelope.shape
+    j, i = math.floor(c), math.floor(r)
+    if i < 0 or j < 0 or i >= rows - 1 or j >= columns - 1:
+        return np.inf
+    a, b, d, e = envelope[i, j], envelope[i, j + 1], envelope[i + 1, j], envelope[i + 1, j + 1]
+    x, y = c - j, r - i
+    if max(a, b, d, e) - min(a, b, d, e) < wall:
+        return (1 - y) * ((1 - x) * a + x * b) + y * ((1 - x) * d + x * e)
+    return float(envelope[i + (1 if y >= 0.5 else 0), j + (1 if x >= 0.5 else 0)])
+
+
+@njit(**FAST)
+def _march(envelope, sx, sy, x0, y0, z0, low, end, wall):
+    """Depth at which a pinhole ray first meets the map between two depths; inf when it meets none.
+
+    The ray is at cell (sx z - x0, sy z - y0) at depth z and advances by at most two cells a step.
+    """
+    rows, columns = envelope.shape
+    steps = 1 + int(0.5 * max(abs(sx), abs(sy)) * (end - low))
+    step = (end - low) / steps
+    c, r, z = sx * low - x0, sy * low - y0, low
+    for _ in range(steps + 1):
+        i, j = int(r), int(c)
+        if 0 <= i < rows and 0 <= j < columns and envelope[i, j] + z0 <= z:
+            hit = _crossing(envelope, sx, sy, x0 + 0.5, y0 + 0.5, z0, max(low, z - step), z, wall)
+            return hit if hit < end else np.inf
+        c, r, z = c + sx * step, r + sy * step, z + step
+    return np.inf
+
+
+@njit(**FAST)
+def _crossing(envelope, sx, sy, x0, y0, z0, before, z, wall):
+    """Depth near `before` ... `z` at which the ray crosses the map: extrapolated on a slope, halved thrice at a wall.
+
+    Moving the ray to the height below it, twice, and Aitken's extrapolation of the two moves solve for a slope exactly.
+    """
+    first = _height(envelope, sx * z - x0, sy * z - y0, wall) + z0
+    second = _height(envelope, sx * first - x0, sy * first - y0, wall) + z0
+    move, then = first - z, second - first
+    if abs(then) > wall:
+        for _ in range(3):
+            middle = 0.5 * (before + z)
+            if _height(envelope, sx * middle - x0, sy * middle - y0, wall) + z0 > middle:
+                before = middle
+            else:
+                z = middle
+        return 0.5 * (before + z)
+    curve = then - move
+    crossing = second if curve == 0.0 else second - then * then / curve
+    return min(max(crossing, before), z + wall)

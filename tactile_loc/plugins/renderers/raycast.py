@@ -14,11 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.errors import RenderError
-from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Float32, Renderer
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugin import (
+    Capabilities,
+    ComponentOptions,
+    Float32,
+    Poses,
+    Renderer,
+    RenderError,
+    SensorGeometry,
+    TriangleMesh,
+)
 
 PixelBox = tuple[slice, slice]
 

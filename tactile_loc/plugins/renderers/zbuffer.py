@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from tactile_loc.core.interfaces import Capabilities, Float32, Renderer
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.zbuffer import nearest_depths
+from tactile_loc.plugin import Capabilities, Float32, Poses, Renderer, SensorGeometry, TriangleMesh, nearest_depths
 
 
 class ZBufferRenderer(Renderer):

@@ -11,9 +11,7 @@ from pydantic import Field
 
 from tactile_loc.calibration.folder import Calibration, read_calibration
 from tactile_loc.calibration.reading import contact_shape, require_image
-from tactile_loc.core.interfaces import ComponentOptions
-from tactile_loc.core.sensing import ContactShape, SensorGeometry
-from tactile_loc.plugins.sensors.depth import DepthSensor
+from tactile_loc.plugin import ComponentOptions, ContactShape, DepthSensor, SensorGeometry
 
 
 class CalibratedSensor(DepthSensor):

@@ -7,10 +7,8 @@ from typing import Any
 
 from pydantic import Field
 
-from tactile_loc.core.interfaces import ComponentOptions
-from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.io.sensor_files import read_sensor_file
-from tactile_loc.plugins.sensors.depth import DepthSensor
+from tactile_loc.plugin import ComponentOptions, DepthSensor, SensorGeometry
 
 
 class FileSensor(DepthSensor):

@@ -7,9 +7,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from tactile_loc.core.interfaces import ComponentOptions
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.plugins.sensors.depth import DepthSensor
+from tactile_loc.plugin import ComponentOptions, DepthSensor, SensorGeometry
 
 # Parallel rays look the same from any distance: the standoff only says where the surface lies in the sensor frame.
 ORTHOGRAPHIC_STANDOFF_M = 10e-3

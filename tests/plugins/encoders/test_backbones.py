@@ -12,8 +12,8 @@ from tactile_loc.core.errors import ConfigError, TactileLocError, WeightsError
 torch = pytest.importorskip("torch")
 safetensors = pytest.importorskip("safetensors.torch")
 
-from tactile_loc.plugins.encoders import backbones  # noqa: E402
-from tactile_loc.plugins.encoders.backbones import BACKBONES, Backbone, load_pretrained, make_backbone  # noqa: E402
+from tactile_loc.plugins.encoders.moco import backbones  # noqa: E402
+from tactile_loc.plugins.encoders.moco.backbones import BACKBONES, Backbone, load_pretrained, make_backbone  # noqa: E402
 
 STATISTICS = ("running_mean", "running_var", "num_batches_tracked")
 

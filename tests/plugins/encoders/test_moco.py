@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +16,9 @@ torch = pytest.importorskip("torch")
 from tactile_loc.core.errors import ConfigError, GridError, TrainingError, WeightsError  # noqa: E402
 from tactile_loc.core.interfaces import Checkpoints, TrainingProblem  # noqa: E402
 from tactile_loc.locate.localizer import Localizer  # noqa: E402
-from tactile_loc.plugins.encoders import moco, moco_training  # noqa: E402
-from tactile_loc.plugins.encoders.moco import MocoEncoder  # noqa: E402
+from tactile_loc.plugins.encoders.moco import encoder as module  # noqa: E402
+from tactile_loc.plugins.encoders.moco import recipe, training  # noqa: E402
+from tactile_loc.plugins.encoders.moco.encoder import MocoEncoder  # noqa: E402
 from tactile_loc.store.store import StageStore  # noqa: E402
 
 TINY = {"epochs": 3, "queries": 64, "batch": 32, "channels": 4, "noise": "mild"}
@@ -112,14 +116,14 @@ def test_an_interrupted_training_ends_as_an_uninterrupted_one(problem, tmp_path,
 def test_stopping_early_keeps_the_best(problem, monkeypatch):
     losses = iter([3.0, 1.0, 2.0, 2.0, 2.0, 2.0])
     seen = []
-    monkeypatch.setattr(moco_training.Trainer, "_validate", lambda self, v: (next(losses), 0.0))
-    judge = moco_training.Trainer._judge
+    monkeypatch.setattr(training.Trainer, "_validate", lambda self, v: (next(losses), 0.0))
+    judge = training.Trainer._judge
 
     def judge_and_keep(self, *measured):
         judge(self, *measured)
-        seen.append(moco_training._weights(self.network))
+        seen.append(training._weights(self.network))
 
-    monkeypatch.setattr(moco_training.Trainer, "_judge", judge_and_keep)
+    monkeypatch.setattr(training.Trainer, "_judge", judge_and_keep)
     encoder = make(epochs=6, patience=2)
     encoder.fit(problem)
     assert len(seen) == 4  # two epochs without a better one after the second
@@ -127,17 +131,15 @@ def test_stopping_early_keeps_the_best(problem, monkeypatch):
 
 
 def test_a_loss_that_is_no_number_in_the_first_epoch_stops_with_advice(problem, monkeypatch):
-    monkeypatch.setattr(moco_training.Trainer, "_step", lambda *a: float("nan"))
+    monkeypatch.setattr(training.Trainer, "_step", lambda *a: float("nan"))
     with pytest.raises(TrainingError, match=r"NaN in the first epoch.*encoder\.rate"):
         make().fit(problem)
 
 
 def test_a_loss_that_is_no_number_later_keeps_the_last_good_network(problem, monkeypatch, caplog):
     good = make(epochs=1)
-    step = moco_training.Trainer._step
-    monkeypatch.setattr(
-        moco_training.Trainer, "_step", lambda self, *a: step(self, *a) if self.epoch == 0 else float("nan")
-    )
+    step = training.Trainer._step
+    monkeypatch.setattr(training.Trainer, "_step", lambda self, *a: step(self, *a) if self.epoch == 0 else float("nan"))
     encoder = make()
     encoder.fit(problem)
     monkeypatch.undo()
@@ -177,7 +179,7 @@ def test_asking_for_an_absent_gpu_says_so(problem, monkeypatch):
 
 
 def test_a_grid_too_large_for_memory_says_how_much_it_needs(problem, monkeypatch):
-    monkeypatch.setattr(moco, "_available_bytes", lambda: 1000)
+    monkeypatch.setattr(module, "_available_bytes", lambda: 1000)
     with pytest.raises(GridError, match=r"needs about .* GiB .*encoder\.negatives"):
         make().fit(problem)
 
@@ -191,7 +193,7 @@ def test_it_must_be_trained_before_it_encodes(problem):
 def test_sampled_softmax_keeps_the_right_keys_in_the_right_place():
     keys = torch.arange(50.0)[:, None].repeat(1, 3)
     targets = torch.tensor([7, 3, 7, 40])
-    kept, places = moco_training._sampled(keys, targets, 10, np.random.default_rng(0))
+    kept, places = training._sampled(keys, targets, 10, np.random.default_rng(0))
     assert torch.equal(kept[places], keys[targets])
     assert len(kept.unique(dim=0)) == len(kept) <= 3 + 10
 
@@ -208,14 +210,14 @@ def test_the_input_is_the_observed_contact_averaged_and_the_press(problem):
     depth[0, : geometry.height_px // 2] = 0.0
     depth[0, 0, 0] = 0.3 * geometry.max_depth_m
     press_m = np.array([0.5 * geometry.max_depth_m])
-    planes = moco_training.input_planes(depth, press_m, geometry, 40, "depth")
+    planes = recipe.input_planes(depth, press_m, geometry, 40, "depth")
     assert planes.shape == (1, 3, *geometry.with_long_side(40).shape)
     np.testing.assert_allclose(planes[0, 0].mean(), 0.5, atol=0.02)
     np.testing.assert_allclose(planes[0, 1].mean(), 0.25, atol=0.01)
     np.testing.assert_allclose(planes[0, 2], 0.5)
-    whole = moco_training.input_planes(depth, press_m, geometry, max(geometry.shape), "depth")
+    whole = recipe.input_planes(depth, press_m, geometry, max(geometry.shape), "depth")
     np.testing.assert_allclose(whole[0, 1, 0, 0], 0.2, atol=1e-6)
-    mask_alone = moco_training.input_planes(depth, press_m, geometry, 40, "binary")
+    mask_alone = recipe.input_planes(depth, press_m, geometry, 40, "binary")
     assert torch.equal(mask_alone, planes[:, [0, 2]])
 
 
@@ -229,3 +231,38 @@ def test_a_localizer_trains_once_and_reads_it_back(store):
     again = Localizer.create("pin", store=store, **settings, refiner="none", seed=5)
     np.testing.assert_array_equal(again.posterior(touch).log_p, posterior.log_p)
     assert [key.stage for key in store.built] == built
+
+
+TWO = """
+import torch
+from tactile_loc.plugins.encoders.moco.training import Crew
+
+crew = Crew(torch.device("cpu"))
+mine = torch.full((2, 3), float(crew.rank))
+crew.average([mine])
+assert mine.eq(0.5).all(), mine
+assert crew.add(torch.tensor([1.0 + crew.rank])).item() == 3.0
+assert crew.agree({"rank": crew.rank}) == {"rank": 0}
+assert (crew.size, crew.share(7), crew.share(1)) == (2, 3, 1)
+crew.leave()
+"""
+
+
+def test_two_processes_average_add_and_agree(tmp_path):
+    (tmp_path / "two.py").write_text(TWO)
+    words = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "two.py"]
+    done = subprocess.run(
+        words, cwd=tmp_path, env={**os.environ, "OMP_NUM_THREADS": "1"}, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_one_process_alone_sends_nothing():
+    crew = training.Crew(torch.device("cpu"))
+    tensor = torch.tensor([2.0])
+    crew.average([tensor])
+    assert (crew.rank, crew.size, crew.share(7)) == (0, 1, 7)
+    assert crew.add(tensor) is tensor
+    assert crew.agree("word") == "word"
+    assert tensor.item() == 2.0
+    crew.leave()

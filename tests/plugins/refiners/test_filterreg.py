@@ -12,10 +12,9 @@ from tactile_loc.core.interfaces import Candidate
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.registration import Cloud
 from tactile_loc.core.sensing import ContactShape, Touch
-from tactile_loc.plugins.refiners import filterreg_kernels as kernels
-from tactile_loc.plugins.refiners.filterreg import FilterRegRefiner
-from tactile_loc.plugins.refiners.filterreg_mixture import REACH, Mixtures
-from tactile_loc.plugins.refiners.filterreg_twists import exponential, solved
+from tactile_loc.plugins.refiners.filterreg import kernels
+from tactile_loc.plugins.refiners.filterreg.kernels import exponential, solved
+from tactile_loc.plugins.refiners.filterreg.refiner import REACH, FilterRegRefiner, Mixtures
 
 Options = FilterRegRefiner.Options
 

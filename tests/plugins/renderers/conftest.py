@@ -14,7 +14,7 @@ from tactile_loc.core.geometry import make_transform
 from tactile_loc.core.interfaces import Renderer
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.plugins.renderers.pyrender import PyrenderRenderer
+from tactile_loc.plugins.renderers.pyrender.renderer import PyrenderRenderer
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 from tactile_loc.testing.problems import LOPSIDED_CAMERAS

@@ -12,12 +12,12 @@ import pytest
 from tactile_loc.core.errors import RenderError
 from tactile_loc.core.geometry import make_transform, rotation_about
 from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.plugins.renderers.pyrender import PyrenderRenderer
+from tactile_loc.plugins.renderers.pyrender.renderer import PyrenderRenderer
 
 CODE_IMPORT_ONLY = """
 import os, sys
 os.environ.pop("PYOPENGL_PLATFORM", None)
-import tactile_loc.plugins.renderers.pyrender as module
+import tactile_loc.plugins.renderers.pyrender.renderer as module
 module.PyrenderRenderer().close()
 assert "PYOPENGL_PLATFORM" not in os.environ
 assert not {"pyrender", "OpenGL"} & set(sys.modules), "heavy libraries are for the first picture"
@@ -46,7 +46,7 @@ def test_no_device_is_one_sentence(camera, sphere, pressed, monkeypatch, new_pyr
 
 
 def test_missing_library_is_one_sentence(camera, sphere, pressed, monkeypatch):
-    monkeypatch.setitem(sys.modules, "tactile_loc.plugins.renderers.pyrender_gl", None)
+    monkeypatch.setitem(sys.modules, "tactile_loc.plugins.renderers.pyrender.gl", None)
     with pytest.raises(RenderError, match=r"libegl1 and libgl1-mesa-dri"):
         PyrenderRenderer().render(sphere, pressed, camera)
 
@@ -60,7 +60,7 @@ def test_platform_of_the_user_is_kept(camera, sphere, pressed, monkeypatch, new_
 def test_failure_while_drawing_is_a_render_error(camera, sphere, pressed, monkeypatch, new_pyrender):
     from OpenGL.error import GLError
 
-    from tactile_loc.plugins.renderers import pyrender_gl
+    from tactile_loc.plugins.renderers.pyrender import gl as pyrender_gl
 
     def fail(*_):
         raise GLError(1285)
@@ -119,7 +119,7 @@ def test_winding_does_not_matter(camera, sphere, pressed, new_pyrender, which):
 
 
 def test_only_doubtful_parts_are_drawn_twice(sphere, quad, new_pyrender):
-    from tactile_loc.plugins.renderers.pyrender_gl import faces_to_draw
+    from tactile_loc.plugins.renderers.pyrender.gl import faces_to_draw
 
     count = len(sphere.vertices_m)
     both = TriangleMesh(np.r_[sphere.vertices_m, quad.vertices_m], np.r_[sphere.faces, quad.faces + count])

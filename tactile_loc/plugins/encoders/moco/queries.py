@@ -9,11 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.grids import random_contacts
-from tactile_loc.core.interfaces import Float32, TrainingProblem
-from tactile_loc.core.noise import TouchNoise
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugin import Float32, Poses, SensorGeometry, TouchNoise, TrainingProblem, random_contacts
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""How the learned encoder is trained: the recipe, and the loop."""
+"""How the learned encoder is trained: the processes that train together, the log, and the loop."""
 
 from __future__ import annotations
 
@@ -6,115 +6,111 @@ import copy
 import json
 import logging
 import math
-from dataclasses import asdict, dataclass, replace
+import os
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
+import torch.distributed as dist
 import torch.nn.functional as F  # noqa: N812 - torch's own abbreviation
-from numpy.typing import NDArray
 from torch import nn
 
-from tactile_loc.core.errors import TrainingError
-from tactile_loc.core.interfaces import Float32, TrainingProblem
-from tactile_loc.core.noise import noise_level
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.plugins.encoders.moco_crew import Crew
-from tactile_loc.plugins.encoders.moco_log import TrainingLog
-from tactile_loc.plugins.encoders.moco_queries import Queries, QuerySource
+from tactile_loc.plugin import Float32, MissingLibraryError, TrainingError, TrainingProblem, noise_level, rank
+from tactile_loc.plugins.encoders.moco.queries import Queries, QuerySource
+from tactile_loc.plugins.encoders.moco.recipe import Recipe
+
+T = TypeVar("T")
+
+
+class Crew:
+    """What the processes of a training tell one another. `rank` of `size`; the first, 0, writes all that is kept.
+
+    A crew of one sends nothing. Leave it when done.
+    """
+
+    def __init__(self, device: torch.device) -> None:
+        """Join the processes that torchrun started, if it did; `device` is where tensors that are sent live."""
+        self.size = int(os.environ.get("WORLD_SIZE", "1"))
+        self.rank = rank()
+        self.device = device
+        if self.size > 1:
+            dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
+
+    def leave(self) -> None:
+        """Part, so that each process can end when it likes."""
+        if self.size > 1:
+            dist.destroy_process_group()
+
+    def share(self, count: int) -> int:
+        """Return how many of `count` things each process does, at least one."""
+        return max(1, count // self.size)
+
+    def average(self, tensors: Iterable[torch.Tensor]) -> None:
+        """Put the mean over all processes into each tensor, which is (...) on every one of them."""
+        if self.size > 1:
+            for tensor in tensors:
+                dist.all_reduce(tensor)
+                tensor /= self.size
+
+    def add(self, tensor: torch.Tensor) -> torch.Tensor:
+        """Put the sum over all processes into a tensor (...), and return it."""
+        if self.size > 1:
+            dist.all_reduce(tensor)
+        return tensor
+
+    def agree(self, value: T) -> T:
+        """Return what the first process says."""
+        if self.size == 1:
+            return value
+        said: list[Any] = [value]
+        dist.broadcast_object_list(said, device=self.device)
+        return said[0]  # type: ignore[no-any-return]
+
+
+def local_cuda() -> torch.device:
+    """Return the GPU of this process: the one that torchrun numbered, else the first."""
+    return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+
+
+class TrainingLog:
+    """Writes a point an epoch to a folder that TensorBoard shows; without a folder, nothing."""
+
+    def __init__(self, folder: str | None, epochs_done: int = 0) -> None:
+        """Open the log; what it holds of epochs after `epochs_done`, from a run that was interrupted, is hidden.
+
+        Raises MissingLibraryError when TensorBoard is not installed.
+        """
+        self._writer = None
+        if folder is None:
+            return
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError as error:
+            raise MissingLibraryError(
+                "encoder.tensorboard needs the package tensorboard; install it with pip install tensorboard, or leave "
+                "the option out"
+            ) from error
+        self._writer = SummaryWriter(Path(folder).expanduser(), purge_step=epochs_done + 1)
+
+    def epoch(self, number: int, values: dict[str, float]) -> None:
+        """Write the values of an epoch, counted from 1."""
+        if self._writer is not None:
+            for name, value in values.items():
+                self._writer.add_scalar(name, value, number)
+            self._writer.flush()
+
+    def close(self) -> None:
+        """Finish the file."""
+        if self._writer is not None:
+            self._writer.close()
+
 
 log = logging.getLogger(__name__)
 
 VALIDATION_TOUCHES = 256
-Signal = Literal["binary", "depth"]
 KEYS_AT_ONCE = 512
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """Everything that decides what is learned.
-
-    `signal` is what of a contact shape the network sees: its mask, or the penetration depth as well. `queries` touches
-    are rendered an epoch and used `repeats` times, with new noise; `batch` a step. `refresh` is how many steps keys are
-    kept before they are encoded again (0: an epoch). `momentum` is that of the key encoder's weights, `temperature`
-    divides the similarities (unitless), `image_px` is the longer side of the input.
-    """
-
-    backbone: str
-    channels: int
-    norm: Literal["batch", "group"]
-    signal: Signal
-    image_px: int
-    epochs: int
-    queries: int
-    repeats: int
-    batch: int
-    optimizer: Literal["adamw", "sgd"]
-    rate: float
-    weight_decay: float
-    momentum: float
-    temperature: float
-    refresh: int
-    noise: str = "strong"
-    negatives: int = 0
-    patience: int = 8
-    seed: int = 0
-
-    def changed(self, **changes: Any) -> Recipe:
-        """Return the recipe with some settings changed."""
-        return replace(self, **changes)
-
-    @property
-    def planes(self) -> int:
-        """How many planes the network's input has."""
-        return 3 if self.signal == "depth" else 2
-
-    def describe(self) -> dict[str, Any]:
-        """Return the settings as JSON values."""
-        return asdict(self)
-
-    def bytes_needed(self, poses: int) -> int:
-        """About how much memory a step takes with a grid of this many poses."""
-        in_softmax = min(poses, self.negatives + self.batch) if self.negatives else poses
-        scores = 4 * 4 * self.batch * in_softmax  # float32: scores, their exponentials, and the gradients of both
-        keys = 2 * 4 * self.channels * 64 * poses
-        return scores + keys
-
-    def embed(
-        self,
-        network: nn.Module,
-        depth_m: Float32,
-        press_m: NDArray[np.float64],
-        geometry: SensorGeometry,
-        device: torch.device,
-    ) -> torch.Tensor:
-        """Return unit vectors (N, D) of contact depths (N, H, W) in metres, cut at press depths (N,)."""
-        planes = input_planes(depth_m, press_m, geometry, self.image_px, self.signal).to(device)
-        if device.type == "cuda":
-            planes = planes.contiguous(memory_format=torch.channels_last)
-        with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
-            return F.normalize(network(planes).flatten(1), dim=1)
-
-
-def input_planes(
-    depth_m: Float32, press_m: NDArray[np.float64], geometry: SensorGeometry, image_px: int, signal: Signal
-) -> torch.Tensor:
-    """Return the network's input (N, P, h, w), shares from 0 to 1, averaged to a longer side of `image_px` pixels.
-
-    The observed contact mask; with the signal "depth" also the penetration; and the press, both as shares of the
-    sensor's deepest.
-    """
-    press, deepest = np.asarray(press_m, np.float32)[:, None, None], np.float32(geometry.max_depth_m)
-    contact = (depth_m < press) & geometry.observed_mask
-    planes = [contact.astype(np.float32)]
-    if signal == "depth":
-        planes.append(np.where(contact, (press - depth_m) / deepest, np.float32(0)))
-    images = torch.from_numpy(np.stack(planes, axis=1))
-    small = geometry.with_long_side(image_px).shape
-    images = images if images.shape[-2:] == small else F.interpolate(images, small, mode="area")
-    share = torch.from_numpy(press / deepest)[:, None].expand(-1, 1, *small)
-    return torch.cat([images, share], dim=1)
 
 
 class Trainer:

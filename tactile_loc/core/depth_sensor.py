@@ -1,4 +1,4 @@
-"""What the built-in sensors share: a fixed geometry, and observations that are contact shapes already."""
+"""What sensors share: a fixed geometry, and observations that are contact shapes already."""
 
 from __future__ import annotations
 

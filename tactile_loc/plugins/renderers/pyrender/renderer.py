@@ -7,14 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile_loc.core.errors import RenderError
-from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Float32, Renderer
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugin import Capabilities, Float32, Poses, Renderer, RenderError, SensorGeometry, TriangleMesh
 
 if TYPE_CHECKING:
-    from tactile_loc.plugins.renderers.pyrender_gl import DepthScene, Offscreen
+    from tactile_loc.plugins.renderers.pyrender.gl import DepthScene, Offscreen
 
 
 class PyrenderRenderer(Renderer):
@@ -25,10 +21,8 @@ class PyrenderRenderer(Renderer):
 
     capabilities = Capabilities(exact_undercuts=True, device="opengl")
 
-    def __init__(self, options: ComponentOptions | None = None) -> None:
-        super().__init__(options)
-        self._offscreen: Offscreen | None = None
-        self._scene: DepthScene | None = None
+    _offscreen: Offscreen | None = None
+    _scene: DepthScene | None = None
 
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
         """Return camera depth z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
@@ -53,7 +47,7 @@ class PyrenderRenderer(Renderer):
 
     def _scene_of(self, mesh: TriangleMesh, geometry: SensorGeometry) -> DepthScene:
         """Return a scene of the mesh before the camera: the last one when it is of the very same two."""
-        from tactile_loc.plugins.renderers.pyrender_gl import DepthScene
+        from tactile_loc.plugins.renderers.pyrender.gl import DepthScene
 
         if self._scene is None or self._scene.mesh is not mesh or self._scene.geometry is not geometry:
             self._scene = DepthScene(mesh, geometry)
@@ -70,7 +64,7 @@ def _open(geometry: SensorGeometry) -> Offscreen:
     """Make an OpenGL context. Raises RenderError, which says what to install, when there is none to be had."""
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")  # PyOpenGL reads it when it is imported
     try:
-        from tactile_loc.plugins.renderers.pyrender_gl import Offscreen
+        from tactile_loc.plugins.renderers.pyrender.gl import Offscreen
 
         return Offscreen(geometry.width_px, geometry.height_px)
     except Exception as error:  # a missing library, driver or device shows as one of many kinds of error

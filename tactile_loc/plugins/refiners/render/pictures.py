@@ -7,13 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.compiled import njit, prange
-from tactile_loc.core.contact import bring_to_contact
-from tactile_loc.core.geometry import make_transform, translation
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import ContactShape, SensorGeometry
-from tactile_loc.core.zbuffer import nearest_depths
+from tactile_loc.plugin import (
+    ContactShape,
+    Poses,
+    SensorGeometry,
+    TriangleMesh,
+    bring_to_contact,
+    make_transform,
+    nearest_depths,
+    njit,
+    prange,
+    translation,
+)
 
 Floats = NDArray[np.float64]
 Float32 = NDArray[np.float32]

@@ -14,9 +14,7 @@ from pyrender.constants import RenderFlags
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from tactile_loc.core.errors import RenderError
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.plugin import RenderError, SensorGeometry, TriangleMesh
 
 # pyrender switches multisampling off for segmentation only. With it on, the depth is that of one sample off the
 # pixel's centre: tens of micrometres wrong on a slope.

@@ -16,28 +16,22 @@ import torch
 from pydantic import Field, JsonValue
 from torch import nn
 
-from tactile_loc.core.errors import ConfigError, GridError, WeightsError
-from tactile_loc.core.interfaces import Capabilities, ComponentOptions, Encoder, Float32, TrainingProblem
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.plugins.encoders.backbones import load_pretrained, make_backbone
-from tactile_loc.plugins.encoders.moco_crew import local_cuda
-from tactile_loc.plugins.encoders.moco_training import Recipe, Signal, Trainer
+from tactile_loc.plugin import (
+    Capabilities,
+    ComponentOptions,
+    ConfigError,
+    Encoder,
+    Float32,
+    GridError,
+    SensorGeometry,
+    TrainingProblem,
+    WeightsError,
+)
+from tactile_loc.plugins.encoders.moco.backbones import load_pretrained, make_backbone
+from tactile_loc.plugins.encoders.moco.recipe import PRESETS, Recipe, Signal
+from tactile_loc.plugins.encoders.moco.training import Trainer, local_cuda
 
 NEUTRAL: dict[str, JsonValue] = {"neutral": True}
-PRESETS = {
-    # minutes on two CPU cores
-    "cpu": Recipe(
-        backbone="small", channels=16, norm="group", signal="depth", image_px=64,
-        epochs=20, queries=3072, repeats=4, batch=256,
-        optimizer="adamw", rate=2e-3, weight_decay=1e-4, momentum=0.98, temperature=0.07, refresh=24,
-    ),
-    # the paper's network and optimiser, for a GPU
-    "paper": Recipe(
-        backbone="resnet50", channels=64, norm="batch", signal="binary", image_px=200,
-        epochs=30, queries=20480, repeats=1, batch=128,
-        optimizer="sgd", rate=0.03, weight_decay=1e-4, momentum=0.999, temperature=0.07, refresh=0,
-    ),
-}  # fmt: skip
 
 
 class MocoEncoder(Encoder):

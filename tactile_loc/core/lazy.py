@@ -1,0 +1,33 @@
+"""Modules whose names are imported when they are first used."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import sys
+from collections.abc import Callable
+from typing import Any
+
+
+def lazy_names(module: str) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
+    """Return `__all__`, `__getattr__` and `__dir__` of a module: the names under its `if TYPE_CHECKING:`.
+
+    Type checkers read that block, and so does this, so that each name and its home stand once.
+    """
+    loader: Any = vars(sys.modules[module])["__spec__"].loader
+    homes = _imports_for_type_checkers(loader.get_source(module))
+
+    def attribute(name: str) -> Any:
+        if name in homes:
+            return getattr(importlib.import_module(homes[name]), name)
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+
+    return sorted(homes), attribute, lambda: sorted(homes)
+
+
+def _imports_for_type_checkers(source: str) -> dict[str, str]:
+    """The modules that names are imported from, `from module import name as name`, under `if TYPE_CHECKING:`."""
+    blocks = (node for node in ast.parse(source).body if isinstance(node, ast.If))
+    body = next(block.body for block in blocks if ast.unparse(block.test) == "TYPE_CHECKING")
+    statements = (node for node in body if isinstance(node, ast.ImportFrom))
+    return {alias.name: str(node.module) for node in statements for alias in node.names}

@@ -1,0 +1,116 @@
+"""The front door for plugin authors: all that a component and its package import, beside `tactile_loc.testing`.
+
+Slots, their options, capabilities and results; what they are given; the errors they raise; and the helpers that the
+built-in components are made with. Names are imported when they are first used, so that a package's `__init__` may
+import `ComponentSpec` and `hookimpl` and stays light.
+"""
+
+# ruff: noqa: I001 - names stand with those that serve the same purpose
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tactile_loc.core.lazy import lazy_names
+
+if TYPE_CHECKING:
+    # what a package says it offers
+    from tactile_loc.core.registry import ComponentSpec as ComponentSpec
+    from tactile_loc.core.registry import hookimpl as hookimpl
+    from tactile_loc.core.registry import registry as registry
+
+    # the seven slots, what they declare, are given and return
+    from tactile_loc.core.interfaces import Candidate as Candidate
+    from tactile_loc.core.interfaces import Capabilities as Capabilities
+    from tactile_loc.core.interfaces import Checkpoints as Checkpoints
+    from tactile_loc.core.interfaces import Component as Component
+    from tactile_loc.core.interfaces import ComponentOptions as ComponentOptions
+    from tactile_loc.core.interfaces import Encoder as Encoder
+    from tactile_loc.core.interfaces import Float32 as Float32
+    from tactile_loc.core.interfaces import Fuser as Fuser
+    from tactile_loc.core.interfaces import GridSampler as GridSampler
+    from tactile_loc.core.interfaces import Matcher as Matcher
+    from tactile_loc.core.interfaces import Prior as Prior
+    from tactile_loc.core.interfaces import RefinedPose as RefinedPose
+    from tactile_loc.core.interfaces import Refiner as Refiner
+    from tactile_loc.core.interfaces import Renderer as Renderer
+    from tactile_loc.core.interfaces import Scene as Scene
+    from tactile_loc.core.interfaces import SensorModel as SensorModel
+    from tactile_loc.core.interfaces import TrainingProblem as TrainingProblem
+    from tactile_loc.core.objects import ObjectModel as ObjectModel
+    from tactile_loc.core.objects import TriangleMesh as TriangleMesh
+    from tactile_loc.core.poses import PoseGrid as PoseGrid
+    from tactile_loc.core.poses import PoseMetric as PoseMetric
+    from tactile_loc.core.poses import Poses as Poses
+    from tactile_loc.core.posterior import PosePosterior as PosePosterior
+    from tactile_loc.core.progress import Progress as Progress
+    from tactile_loc.core.progress import rank as rank
+    from tactile_loc.core.sensing import ContactShape as ContactShape
+    from tactile_loc.core.sensing import SensorGeometry as SensorGeometry
+    from tactile_loc.core.sensing import Touch as Touch
+    from tactile_loc.core.symmetry import SymmetryGroup as SymmetryGroup
+
+    # errors that a component raises: each is one sentence for the user
+    from tactile_loc.core.errors import ConfigError as ConfigError
+    from tactile_loc.core.errors import GridError as GridError
+    from tactile_loc.core.errors import MissingLibraryError as MissingLibraryError
+    from tactile_loc.core.errors import RenderError as RenderError
+    from tactile_loc.core.errors import SensorError as SensorError
+    from tactile_loc.core.errors import TactileLocError as TactileLocError
+    from tactile_loc.core.errors import TouchError as TouchError
+    from tactile_loc.core.errors import TrainingError as TrainingError
+    from tactile_loc.core.errors import WeightsError as WeightsError
+    from tactile_loc.core.errors import did_you_mean as did_you_mean
+
+    # rotations and transforms
+    from tactile_loc.core.geometry import align_to_z as align_to_z
+    from tactile_loc.core.geometry import invert as invert
+    from tactile_loc.core.geometry import is_rigid as is_rigid
+    from tactile_loc.core.geometry import make_transform as make_transform
+    from tactile_loc.core.geometry import quaternion_to_rotation as quaternion_to_rotation
+    from tactile_loc.core.geometry import random_rotations as random_rotations
+    from tactile_loc.core.geometry import rotation_about as rotation_about
+    from tactile_loc.core.geometry import rotation_angle as rotation_angle
+    from tactile_loc.core.geometry import rotation_to_quaternion as rotation_to_quaternion
+    from tactile_loc.core.geometry import transform_points as transform_points
+    from tactile_loc.core.geometry import translation as translation
+
+    # for sensors and renderers
+    from tactile_loc.core.compiled import njit as njit
+    from tactile_loc.core.compiled import prange as prange
+    from tactile_loc.core.contact import bring_to_contact as bring_to_contact
+    from tactile_loc.core.contact import group_rotations as group_rotations
+    from tactile_loc.core.depth_sensor import DepthSensor as DepthSensor
+    from tactile_loc.core.sensing import contact_depth as contact_depth
+    from tactile_loc.core.sensing import contact_shape_from_array as contact_shape_from_array
+    from tactile_loc.core.zbuffer import nearest_depths as nearest_depths
+
+    # for grids
+    from tactile_loc.core.lattices import AllRotationsGrid as AllRotationsGrid
+    from tactile_loc.core.lattices import centroid_range as centroid_range
+    from tactile_loc.core.lattices import lattice_shape as lattice_shape
+    from tactile_loc.core.lattices import plane_lattice as plane_lattice
+    from tactile_loc.core.lattices import reachable_translations as reachable_translations
+    from tactile_loc.core.lattices import shifted_lattice as shifted_lattice
+
+    # for encoders that learn
+    from tactile_loc.core.grids import contact_grid as contact_grid
+    from tactile_loc.core.grids import random_contact_poses as random_contact_poses
+    from tactile_loc.core.grids import random_contacts as random_contacts
+    from tactile_loc.core.noise import TouchNoise as TouchNoise
+    from tactile_loc.core.noise import noise_level as noise_level
+
+    # for refiners that register point clouds
+    from tactile_loc.core.clouds import contact_cloud as contact_cloud
+    from tactile_loc.core.registration import Cloud as Cloud
+    from tactile_loc.core.registration import CloudRefiner as CloudRefiner
+    from tactile_loc.core.registration import Registration as Registration
+    from tactile_loc.core.registration import orthonormal as orthonormal
+
+    # for fusers
+    from tactile_loc.core.common_poses import CommonPosesFuser as CommonPosesFuser
+    from tactile_loc.core.common_poses import check_contacts as check_contacts
+    from tactile_loc.core.common_poses import common_poses as common_poses
+    from tactile_loc.core.common_poses import prior_weights as prior_weights
+
+__all__, __getattr__, __dir__ = lazy_names(__name__)

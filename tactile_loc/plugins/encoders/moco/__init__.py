@@ -1,0 +1,1 @@
+"""The learned encoder, by contrast in simulation."""

@@ -1,0 +1,118 @@
+"""What decides what the learned encoder learns: the recipe, its presets, and what the network sees of a touch."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+import torch
+import torch.nn.functional as F  # noqa: N812 - torch's own abbreviation
+from numpy.typing import NDArray
+from torch import nn
+
+from tactile_loc.plugin import Float32, SensorGeometry
+
+Signal = Literal["binary", "depth"]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything that decides what is learned.
+
+    `signal` is what of a contact shape the network sees: its mask, or the penetration depth as well. `queries` touches
+    are rendered an epoch and used `repeats` times, with new noise; `batch` a step. `refresh` is how many steps keys are
+    kept before they are encoded again (0: an epoch). `momentum` is that of the key encoder's weights, `temperature`
+    divides the similarities (unitless), `image_px` is the longer side of the input.
+    """
+
+    backbone: str
+    channels: int
+    norm: Literal["batch", "group"]
+    signal: Signal
+    image_px: int
+    epochs: int
+    queries: int
+    repeats: int
+    batch: int
+    optimizer: Literal["adamw", "sgd"]
+    rate: float
+    weight_decay: float
+    momentum: float
+    temperature: float
+    refresh: int
+    noise: str = "strong"
+    negatives: int = 0
+    patience: int = 8
+    seed: int = 0
+
+    def changed(self, **changes: Any) -> Recipe:
+        """Return the recipe with some settings changed."""
+        return replace(self, **changes)
+
+    @property
+    def planes(self) -> int:
+        """How many planes the network's input has."""
+        return 3 if self.signal == "depth" else 2
+
+    def describe(self) -> dict[str, Any]:
+        """Return the settings as JSON values."""
+        return asdict(self)
+
+    def bytes_needed(self, poses: int) -> int:
+        """About how much memory a step takes with a grid of this many poses."""
+        in_softmax = min(poses, self.negatives + self.batch) if self.negatives else poses
+        scores = 4 * 4 * self.batch * in_softmax  # float32: scores, their exponentials, and the gradients of both
+        keys = 2 * 4 * self.channels * 64 * poses
+        return scores + keys
+
+    def embed(
+        self,
+        network: nn.Module,
+        depth_m: Float32,
+        press_m: NDArray[np.float64],
+        geometry: SensorGeometry,
+        device: torch.device,
+    ) -> torch.Tensor:
+        """Return unit vectors (N, D) of contact depths (N, H, W) in metres, cut at press depths (N,)."""
+        planes = input_planes(depth_m, press_m, geometry, self.image_px, self.signal).to(device)
+        if device.type == "cuda":
+            planes = planes.contiguous(memory_format=torch.channels_last)
+        with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
+            return F.normalize(network(planes).flatten(1), dim=1)
+
+
+def input_planes(
+    depth_m: Float32, press_m: NDArray[np.float64], geometry: SensorGeometry, image_px: int, signal: Signal
+) -> torch.Tensor:
+    """Return the network's input (N, P, h, w), shares from 0 to 1, averaged to a longer side of `image_px` pixels.
+
+    The observed contact mask; with the signal "depth" also the penetration; and the press, both as shares of the
+    sensor's deepest.
+    """
+    press, deepest = np.asarray(press_m, np.float32)[:, None, None], np.float32(geometry.max_depth_m)
+    contact = (depth_m < press) & geometry.observed_mask
+    planes = [contact.astype(np.float32)]
+    if signal == "depth":
+        planes.append(np.where(contact, (press - depth_m) / deepest, np.float32(0)))
+    images = torch.from_numpy(np.stack(planes, axis=1))
+    small = geometry.with_long_side(image_px).shape
+    images = images if images.shape[-2:] == small else F.interpolate(images, small, mode="area")
+    share = torch.from_numpy(press / deepest)[:, None].expand(-1, 1, *small)
+    return torch.cat([images, share], dim=1)
+
+
+PRESETS = {
+    # minutes on two CPU cores
+    "cpu": Recipe(
+        backbone="small", channels=16, norm="group", signal="depth", image_px=64,
+        epochs=20, queries=3072, repeats=4, batch=256,
+        optimizer="adamw", rate=2e-3, weight_decay=1e-4, momentum=0.98, temperature=0.07, refresh=24,
+    ),
+    # the paper's network and optimiser, for a GPU
+    "paper": Recipe(
+        backbone="resnet50", channels=64, norm="batch", signal="binary", image_px=200,
+        epochs=30, queries=20480, repeats=1, batch=128,
+        optimizer="sgd", rate=0.03, weight_decay=1e-4, momentum=0.999, temperature=0.07, refresh=0,
+    ),
+}  # fmt: skip

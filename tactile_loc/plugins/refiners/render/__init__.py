@@ -1,0 +1,1 @@
+"""The refiner that renders and compares."""

@@ -1,0 +1,121 @@
+"""Arrows between rooms point one way, no file imports in a circle, and docs/architecture.md says what the code does."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+# What of a built-in component may come from elsewhere than the front door and its own subpackage.
+ALLOWED = {
+    "tactile_loc.plugins.sensors.calibrated": {
+        "tactile_loc.calibration.folder",
+        "tactile_loc.calibration.reading",
+        "tactile_loc.imaging.simulate",
+    },
+    "tactile_loc.plugins.sensors.file": {"tactile_loc.io.sensor_files"},
+}
+FRONT_DOOR = {"tactile_loc", "tactile_loc.plugin"}
+SLOTS = ("encoders", "fusers", "grids", "matchers", "refiners", "renderers", "sensors")
+FILE_ACCESS = {
+    "open", "read_text", "read_bytes", "write_text", "write_bytes", "load", "save", "savez", "fromfile", "tofile",
+    "loadtxt", "savetxt", "mkdir", "unlink", "rename", "replace_file", "rmtree", "memmap", "NamedTemporaryFile",
+}  # fmt: skip
+
+
+def loaded(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+rooms = loaded(ROOT / "docs" / "rooms.py")
+OURS = [found for found in rooms.imports() if rooms.is_ours(found.imported)]
+
+
+def test_every_room_has_a_place():
+    assert {rooms.room(module) for module in rooms.modules()} == set(rooms.LAYER_OF)
+
+
+def test_every_import_is_seen_also_late_ones_and_those_for_type_checkers(tmp_path):
+    types = "if TYPE_CHECKING:\n    from tactile_loc.io import toml\n"
+    (tmp_path / "some.py").write_text(f"{types}def late():\n    import tactile_loc.core.poses, numpy\n")
+    seen = {(i.line, i.imported) for i in rooms._imports_of("some", tmp_path / "some.py")}
+    assert seen == {(2, "tactile_loc.io.toml"), (4, "tactile_loc.core.poses"), (4, "numpy")}
+
+
+def test_arrows_point_down():
+    """A room imports only rooms of lower layers."""
+
+    def climbs(found) -> bool:
+        start, end = rooms.room(found.importer), rooms.room(found.imported)
+        return start != end and rooms.LAYER_OF[end] >= rooms.LAYER_OF[start]
+
+    assert "\n".join(str(found) for found in OURS if climbs(found)) == ""
+
+
+def test_no_file_imports_in_a_circle():
+    direct: dict[str, set[str]] = {module: set() for module in rooms.modules()}
+    for found in OURS:
+        direct[found.importer].add(found.imported)
+
+    def reached(module: str) -> set[str]:
+        found, waiting = set(), list(direct[module])
+        while waiting:
+            if (name := waiting.pop()) not in found:
+                found.add(name)
+                waiting.extend(direct[name])
+        return found
+
+    circular = {module for module in direct if module in reached(module)}
+    links = [f for f in OURS if f.importer in circular and f.importer in {*reached(f.imported), f.imported}]
+    assert "\n".join(map(str, links)) == ""
+
+
+def test_the_front_door_opens_on_core_alone():
+    assert rooms.rooms_imported()["plugin"] == ["core"]
+
+
+def test_core_knows_no_renderer_viewer_or_learner():
+    assert not {"torch", "open3d", "pyrender", "matplotlib", "faiss"} & set(rooms.libraries_imported()["core"])
+
+
+def test_core_reads_and_writes_no_file():
+    for path in sorted((ROOT / "tactile_loc" / "core").rglob("*.py")):
+        calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+        names = {getattr(call.func, "attr", getattr(call.func, "id", "")) for call in calls}
+        # the registry loads an entry point, which is no file of ours
+        assert names & FILE_ACCESS <= ({"load"} if path.name == "registry.py" else set()), path
+
+
+@pytest.mark.parametrize("slot", SLOTS)
+def test_built_in_components_use_the_front_door_and_no_plugin_imports_another(slot):
+    start = f"tactile_loc.plugins.{slot}."
+    here = [found for found in OURS if found.importer.startswith(start)]
+    assert here
+    for found in here:
+        own = start + found.importer.removeprefix(start).partition(".")[0]
+        allowed = FRONT_DOOR | ALLOWED.get(found.importer, set())
+        assert found.imported in allowed or f"{found.imported}.".startswith(f"{own}."), str(found)
+
+
+def test_the_table_of_rooms_says_what_the_code_imports():
+    page = rooms.PAGE.read_text()
+    paths = [match["path"] for match in rooms.ROW.finditer(page)]
+    assert sorted(map(rooms.room_at, paths)) == sorted(rooms.LAYER_OF), "a row for each room"
+    assert all((ROOT / path).exists() for path in paths)
+    assert page == rooms.with_table(page), "run python docs/rooms.py"
+
+
+def test_the_picture_of_the_rooms_is_what_the_code_imports():
+    assert rooms.PICTURE.read_text() == rooms.picture(), "run python docs/rooms.py"
+    assert f"images/{rooms.PICTURE.name}" in rooms.PAGE.read_text()
