@@ -16,8 +16,9 @@ from tactile_loc.core.grids import contact_grid, enough_contact
 from tactile_loc.core.interfaces import Checkpoints, Encoder, GridSampler, Scene, TrainingProblem
 from tactile_loc.core.poses import PoseGrid, PoseMetric
 from tactile_loc.core.progress import Progress, rank
+from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import Artifact, StageStore
+from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 SHARD = 1024  # poses rendered, saved and resumed at once
