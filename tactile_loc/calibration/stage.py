@@ -16,10 +16,9 @@ from tactile_loc.calibration.estimator import (
 from tactile_loc.calibration.presses import TABLE, PressFolder
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.locate.model import WorkspaceCheckpoints
 from tactile_loc.store.keys import StageKey, hash_arrays, hash_file
 from tactile_loc.store.store import StageStore
-from tactile_loc.store.workspace import Workspace
+from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
 STAGE_VERSION = 2
 WEIGHTS, RECORD = "estimator.safetensors", "held-out"
