@@ -8,10 +8,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tactile_loc.calibration.estimator import GelEstimator, estimator_class, estimator_options
+from tactile_loc.calibration.labels import Image
 from tactile_loc.core.errors import CalibrationError, OutputError, SensorError, TouchError
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.imaging.optics import Optics
@@ -19,8 +17,6 @@ from tactile_loc.io.images import read_colour_image, write_image
 from tactile_loc.io.sensor_files import CALIBRATION, read_sensor_file, write_sensor_file
 from tactile_loc.store.files import recover_folder, replacing_folder
 from tactile_loc.store.keys import hash_file
-
-Image = NDArray[np.uint8]
 
 SCHEMA_VERSION = 1
 SENSOR, BACKGROUND, WEIGHTS = "sensor.toml", "background.png", "estimator.safetensors"
