@@ -34,9 +34,9 @@ KINDS = {
 }
 SAME_SHAPE = 0.01  # by which the sides of a smaller image may be off
 FOR_MEDIAN = 9  # presses at different places, at least, for their median to show the untouched gel
-COLUMNS = ("image", "kind", "center_x_px", "center_y_px", "radius_px", "ball_radius_mm")
-DEEPEST_MM = 1.5
-HALF = 0.5  # these sets count pixels from the centre of the first; tactile-loc from its corner
+CONVERTED = ("image", "kind", "center_x_px", "center_y_px", "radius_px", "ball_radius_mm")  # of a public set's table
+DEEPEST_MM = 1.5  # what the deepest press of a public set is taken for
+HALF = 0.5  # public sets count pixels from the centre of the first; tactile-loc from its corner
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +251,7 @@ def convert(source: Path, out: Path, format: str, ball_radius_mm: float, mm_per_
         raise CalibrationError(f"{source} holds no press in the format {format}")
     with (out / TABLE).open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(COLUMNS)
+        writer.writerow(CONVERTED)
         for image, circle in rows:
             if circle is None:
                 writer.writerow([image, "background"])
