@@ -17,13 +17,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from tactile_loc.calibration.calibrate import Calibrated, calibrate
-from tactile_loc.calibration.converters import convert
 from tactile_loc.calibration.folder import write_calibration
-from tactile_loc.calibration.presses import PressFolder, read_presses
+from tactile_loc.calibration.presses import PressFolder, convert, read_presses
 from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.io.images import load_image
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
 
@@ -144,8 +143,7 @@ def _cap_mm(press_mm: float, geometry: SensorGeometry) -> NDArray[np.float64]:
 
 
 def _image(path: Path) -> NDArray[np.uint8]:
-    with Image.open(path) as image:
-        return np.asarray(image.convert("RGB"))
+    return load_image(path, "RGB")[1]
 
 
 def _rms(values: NDArray[np.floating]) -> float:

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tactile_loc.calibration.estimator import LabelledPresses
-from tactile_loc.calibration.labels import PressLabel, ball_label
+from tactile_loc.calibration.labels import LabelledPresses, PressLabel, ball_label
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.imaging.gel import gel_surface
 from tactile_loc.imaging.optics import OPTICS

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from tactile_loc.locate.localizer import Localizer
 
 
-CALIBRATION = "calibration.json"  # what a calibration's folder holds
-
 logger = logging.getLogger(__name__)
 
 
@@ -161,8 +159,9 @@ def component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, An
 def _warn_of_namesake(name: str) -> None:
     """Say so when a sensor is chosen whose name a calibration's folder bears, too."""
     from tactile_loc.core.registry import registry
+    from tactile_loc.io.sensor_files import is_calibrated_sensor
 
-    if name in registry().names("sensor") and (Path(name) / CALIBRATION).is_file():
+    if name in registry().names("sensor") and is_calibrated_sensor(Path(name)):
         logger.warning("the sensor %s is used, not what is in the folder of this name: for that write ./%s", name, name)
 
 

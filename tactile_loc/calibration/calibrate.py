@@ -1,32 +1,30 @@
-"""Calibrates a sensor: learn from most presses, measure on those held out, keep both."""
+"""Calibrates a sensor: learn from most presses, measure on those held out, and keep both as a stage of the store."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.calibration.estimator import (
-    CalibrationProblem,
-    Chosen,
-    GelEstimator,
-    LabelledPresses,
-    estimator_class,
-    estimator_options,
-)
-from tactile_loc.calibration.labels import PressLabel
+from tactile_loc.calibration.estimator import CalibrationProblem, GelEstimator, estimator_class, estimator_options
+from tactile_loc.calibration.folder import WEIGHTS
+from tactile_loc.calibration.labels import Chosen, Image, LabelledPresses, PressLabel
+from tactile_loc.calibration.presses import TABLE, PressFolder
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.interfaces import Checkpoints
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing import SensorGeometry
-
-Image = NDArray[np.uint8]
+from tactile_loc.store.keys import StageKey, hash_arrays, hash_file
+from tactile_loc.store.store import StageStore
+from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
 HELD_OUT = 0.2  # of the presses
 FEWEST = 5  # presses, of which one is held out
+STAGE_VERSION, RECORD = 2, "held-out"
 
 
 @dataclass(frozen=True)
@@ -115,3 +113,39 @@ def _slope_error_deg(estimator: GelEstimator, image: Image, label: PressLabel) -
 
 def _rms(values: NDArray[np.floating]) -> float:
     return float(np.sqrt(np.mean(np.square(values, dtype=np.float64)))) if values.size else np.nan
+
+
+def calibrate_stage(
+    presses: PressFolder, folder: Path, estimator: str, options: dict[str, Any], seed: int, store: StageStore,
+    progress: Progress,
+) -> tuple[GelEstimator, dict[str, Any]]:  # fmt: skip
+    """Calibrate with a folder of presses, or find what was; return the estimator and the record of its errors."""
+    inputs = {
+        "table": hash_file(folder / TABLE), "images": [hash_arrays(image=image) for image in presses.images],
+        "meshes": [hash_file(row.mesh) for row in presses.rows if row.kind == "mesh"],
+        "background": hash_arrays(image=presses.background), "geometry": presses.geometry.describe(),
+        "camera": presses.camera.describe(),
+    }  # fmt: skip
+    return learned(presses, presses.geometry, presses.background, inputs, estimator, options, seed, store, progress)
+
+
+def learned(
+    presses: LabelledPresses, geometry: SensorGeometry, background: Image, inputs: dict[str, Any], estimator: str,
+    options: dict[str, Any], seed: int, store: StageStore, progress: Progress,
+) -> tuple[GelEstimator, dict[str, Any]]:  # fmt: skip
+    """Calibrate with presses, or find what was; `inputs` (JSON values) identifies them and the sensor."""
+    kind = estimator_class(estimator)
+    chosen = estimator_options(kind, options)
+    described: dict[str, Any] = {"estimator": estimator, "options": chosen.model_dump(mode="json"), "seed": seed}
+    key = StageKey("calibration", STAGE_VERSION, {**inputs, **described})
+
+    def learn(work: Workspace) -> None:
+        checkpoints = WorkspaceCheckpoints(work)
+        done = calibrate(presses, geometry, background, estimator, options, seed, progress, checkpoints)
+        work.save_file(WEIGHTS, done.estimator.save)
+        work.save_json(RECORD, done.record())
+
+    artifact = store.build(key, learn)
+    made = kind(geometry, background, chosen)
+    made.load(artifact.file(WEIGHTS))
+    return made, artifact.json(RECORD)

@@ -1,68 +1,36 @@
-"""What turns an image of the gel into its indentation; `photometric` and `cnn` are the two that there are."""
+"""What turns an image of the gel into its indentation: what it sees, learns and keeps.
+
+`photometric` and `cnn` are the two that there are.
+"""
 
 from __future__ import annotations
 
 import importlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.calibration.labels import PressLabel
-from tactile_loc.core.errors import CalibrationError, MissingLibraryError, did_you_mean
+from tactile_loc.calibration.labels import Float32, Image, LabelledPresses
+from tactile_loc.core.errors import CalibrationError, MissingLibraryError, WeightsError, did_you_mean
 from tactile_loc.core.interfaces import Checkpoints, ComponentOptions
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.registry import validate_options
 from tactile_loc.core.sensing import SensorGeometry
 
-Image = NDArray[np.uint8]
+if TYPE_CHECKING:
+    from torch import nn
 
 _HERE = "tactile_loc.calibration"
 ESTIMATORS = {"photometric": f"{_HERE}.photometric:PhotometricEstimator", "cnn": f"{_HERE}.cnn:CnnEstimator"}
-
-
-class LabelledPresses(ABC):
-    """Images of known presses, as many as `len` says: small sets in memory, large ones rendered when asked for."""
-
-    @abstractmethod
-    def __len__(self) -> int:
-        """Return the number of presses."""
-
-    @abstractmethod
-    def press(self, number: int) -> tuple[Image, PressLabel]:
-        """Return an image (H, W, 3) and what is known of the gel in it."""
-
-    def name(self, number: int) -> str:
-        """Return what people know a press by."""
-        return f"press {number}"
-
-    def presses(self) -> Iterator[tuple[Image, PressLabel]]:
-        """Yield every press."""
-        return (self.press(number) for number in range(len(self)))
-
-
-@dataclass(frozen=True, eq=False)
-class Chosen(LabelledPresses):
-    """Some presses of a set, by number."""
-
-    whole: LabelledPresses
-    numbers: Sequence[int]
-
-    def __len__(self) -> int:
-        """Return the number of presses."""
-        return len(self.numbers)
-
-    def press(self, number: int) -> tuple[Image, PressLabel]:
-        """Return an image (H, W, 3) and what is known of the gel in it."""
-        return self.whole.press(self.numbers[number])
-
-    def name(self, number: int) -> str:
-        """Return what people know a press by."""
-        return self.whole.name(self.numbers[number])
+DIFFERENCE, FIXED = 3, 5  # planes that a touch changes, and that none does
+PLANES = DIFFERENCE + FIXED
+COLOUR_STEP = 64.0  # counts of 255: a difference of this size is one
+BACKGROUND_M = 2e-4  # the background's own grain is not looked at: standard deviation of its smoothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,3 +98,48 @@ def estimator_options(kind: type[GelEstimator], options: Mapping[str, Any]) -> C
     """Return an estimator's options. Raises ConfigError for unknown or ill-typed ones."""
     chosen: ComponentOptions = validate_options(kind.Options, options, f"estimator {kind.name!r}")
     return chosen
+
+
+def colour_difference(image: Image, background: Image) -> Float32:
+    """Return how an image (H, W, 3), or a part of it, differs from the untouched gel's (H, W, 3): about -1 to 1."""
+    return (image.astype(np.float32) - background) / np.float32(COLOUR_STEP)
+
+
+def features(image: Image, background: Image, fixed: Float32) -> Float32:
+    """Return what an estimator sees of an image (H, W, 3), or of a part of it: (H, W, PLANES), about -1 to 1.
+
+    The colour's difference from the `background` (H, W, 3), and what no touch changes, `fixed` (H, W, 5).
+    """
+    return np.concatenate([colour_difference(image, background), fixed], axis=-1)
+
+
+def fixed_features(background: Image, geometry: SensorGeometry) -> Float32:
+    """Return what no touch changes, (H, W, 5): the smoothed background's colour, and the place; about -1 to 1."""
+    from scipy.ndimage import gaussian_filter
+
+    sigma = BACKGROUND_M / geometry.pixel_pitch_m
+    colour = gaussian_filter(background.astype(np.float32), (sigma, sigma, 0), mode="nearest") / 127.5 - 1
+    height, width = geometry.shape
+    y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
+    return np.concatenate([colour, x[..., None], y[..., None]], axis=-1).astype(np.float32)
+
+
+def save_network(network: nn.Module, path: Path) -> None:
+    """Write a network's weights to a safetensors file."""
+    from safetensors.torch import save_file
+
+    save_file({name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}, path)
+
+
+def load_network(network: nn.Module, path: Path, name: str) -> None:
+    """Read weights into a network. Raises WeightsError when the file is damaged or of another estimator."""
+    from safetensors import SafetensorError
+    from safetensors.torch import load_file
+
+    try:
+        network.load_state_dict(load_file(path))
+    except (SafetensorError, RuntimeError, OSError) as error:
+        reason = str(error).splitlines()[0]
+        raise WeightsError(
+            f"{path} cannot be read as the weights of a {name} estimator ({reason}); calibrate the sensor again"
+        ) from error

@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 import json
-import shutil
-import uuid
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tactile_loc.calibration.estimator import GelEstimator, estimator_class, estimator_options
+from tactile_loc.calibration.labels import Image
 from tactile_loc.core.errors import CalibrationError, OutputError, SensorError, TouchError
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.imaging.optics import Optics
-from tactile_loc.io.images import read_colour_image
-from tactile_loc.io.sensor_files import read_sensor_file, write_sensor_file
+from tactile_loc.io.images import read_colour_image, write_image
+from tactile_loc.io.sensor_files import CALIBRATION, read_sensor_file, write_sensor_file
+from tactile_loc.store.files import recover_folder, replacing_folder
 from tactile_loc.store.keys import hash_file
 
-Image = NDArray[np.uint8]
-
 SCHEMA_VERSION = 1
-SENSOR, BACKGROUND, RECORD, WEIGHTS = "sensor.toml", "background.png", "calibration.json", "estimator.safetensors"
+SENSOR, BACKGROUND, WEIGHTS = "sensor.toml", "background.png", "estimator.safetensors"
 PICTURE = "held-out.png"
-OURS = {SENSOR, "sensor_mask.png", BACKGROUND, RECORD, WEIGHTS, PICTURE}
+OURS = {SENSOR, "sensor_mask.png", BACKGROUND, CALIBRATION, WEIGHTS, PICTURE}
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,13 +71,14 @@ class Calibration:
 
 def read_calibration(folder: Path) -> Calibration:
     """Read a calibrated sensor. Raises CalibrationError when something is missing, damaged, or of another sensor."""
+    recover_folder(folder)
     if not folder.is_dir():
         raise CalibrationError(f"there is no folder {folder}; make it with tactile-loc calibrate")
-    for name in (SENSOR, BACKGROUND, RECORD, WEIGHTS):
+    for name in (SENSOR, BACKGROUND, CALIBRATION, WEIGHTS):
         if not (folder / name).is_file():
             raise CalibrationError(f"{folder} is no calibrated sensor: {name} is missing; calibrate it again")
     try:
-        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        record = json.loads((folder / CALIBRATION).read_text(encoding="utf-8"))
         geometry = read_sensor_file(folder / SENSOR)
         background = read_colour_image(folder / BACKGROUND)
     except (OSError, ValueError, SensorError, TouchError) as error:
@@ -90,8 +86,10 @@ def read_calibration(folder: Path) -> Calibration:
             f"{folder} cannot be read as a calibrated sensor ({error}); calibrate it again"
         ) from error
     if not isinstance(record, dict) or record.get("schema_version") != SCHEMA_VERSION:
-        raise CalibrationError(f"{folder / RECORD} is of another version of tactile-loc; calibrate the sensor again")
-    _require_record(record, folder / RECORD)
+        raise CalibrationError(
+            f"{folder / CALIBRATION} is of another version of tactile-loc; calibrate the sensor again"
+        )
+    _require_record(record, folder / CALIBRATION)
     if background is None or background.shape[:2] != geometry.shape:
         raise CalibrationError(
             f"{folder}: {BACKGROUND} does not have the size that {SENSOR} says; they belong to two sensors"
@@ -123,23 +121,15 @@ def write_calibration(
 
     Raises OutputError when the folder holds something else or the disk refuses.
     """
-    from PIL import Image as Picture
-
     require_replaceable(folder)
-    temporary = folder.with_name(f".tmp-{uuid.uuid4().hex}-{folder.name}")
     options = estimator.options.model_dump(mode="json")
     whole = {"schema_version": SCHEMA_VERSION, "estimator": estimator.name, "options": options, **record}
     try:
-        temporary.mkdir(parents=True)
-        write_sensor_file(temporary / SENSOR, geometry)
-        Picture.fromarray(background).save(temporary / BACKGROUND)
-        estimator.save(temporary / WEIGHTS)
-        (temporary / RECORD).write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
-        if folder.exists():
-            shutil.rmtree(folder)
-        temporary.rename(folder)
+        with replacing_folder(folder) as temporary:
+            write_sensor_file(temporary / SENSOR, geometry)
+            write_image(temporary / BACKGROUND, background)
+            estimator.save(temporary / WEIGHTS)
+            (temporary / CALIBRATION).write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{folder} cannot be written ({error.strerror or error}); choose another --out") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
     return folder

@@ -1,4 +1,4 @@
-"""What the gel's surface is under a press of known shape: indentation and slope at each pixel.
+"""Labelled presses: what the gel's surface is under a press of known shape, its indentation and slope at each pixel.
 
 Indentation is how far the surface lies below the untouched gel, metres. Slope is its derivative along x and y of the
 sensor frame, unitless. Labels are approximate for a pinhole camera: they are laid on the untouched surface.
@@ -6,6 +6,8 @@ sensor frame, unitless. Labels are approximate for a pinhole camera: they are la
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +17,7 @@ from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.sensing import SensorGeometry
 
+Image = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
@@ -104,3 +107,43 @@ def untouched_label(geometry: SensorGeometry) -> PressLabel:
     nothing = np.zeros(geometry.shape, np.float32)
     none = np.zeros(geometry.shape, bool)
     return PressLabel(nothing, np.zeros((*geometry.shape, 2), np.float32), none, ~none)
+
+
+class LabelledPresses(ABC):
+    """Images of known presses, as many as `len` says: small sets in memory, large ones rendered when asked for."""
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """Return the number of presses."""
+
+    @abstractmethod
+    def press(self, number: int) -> tuple[Image, PressLabel]:
+        """Return an image (H, W, 3) and what is known of the gel in it."""
+
+    def name(self, number: int) -> str:
+        """Return what people know a press by."""
+        return f"press {number}"
+
+    def presses(self) -> Iterator[tuple[Image, PressLabel]]:
+        """Yield every press."""
+        return (self.press(number) for number in range(len(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen(LabelledPresses):
+    """Some presses of a set, by number."""
+
+    whole: LabelledPresses
+    numbers: Sequence[int]
+
+    def __len__(self) -> int:
+        """Return the number of presses."""
+        return len(self.numbers)
+
+    def press(self, number: int) -> tuple[Image, PressLabel]:
+        """Return an image (H, W, 3) and what is known of the gel in it."""
+        return self.whole.press(self.numbers[number])
+
+    def name(self, number: int) -> str:
+        """Return what people know a press by."""
+        return self.whole.name(self.numbers[number])

@@ -1,12 +1,14 @@
 """Slope from colour, pixel by pixel, then height by integration: learned from a few dozen presses of a ball.
 
 Photometric stereo with the light measured instead of modelled, after Johnson and Adelson (CVPR 2009); that a small
-network is enough for it, and needs few presses, is Wang et al.'s finding (GelSight Wedge, ICRA 2021).
+network is enough for it, and needs few presses, is Wang et al.'s finding (GelSight Wedge, ICRA 2021). Slopes become
+heights by Poisson integration, and the drift is taken out where the gel is untouched.
 """
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -15,22 +17,146 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import nn
 
-from tactile_loc.calibration.colour import DIFFERENCE, FIXED, colour_difference, fixed_features
-from tactile_loc.calibration.estimator import CalibrationProblem, GelEstimator, Image
-from tactile_loc.calibration.integration import indentation_from_slopes
-from tactile_loc.calibration.networks import load_network, save_network
+from tactile_loc.calibration.estimator import (
+    DIFFERENCE,
+    FIXED,
+    CalibrationProblem,
+    GelEstimator,
+    colour_difference,
+    fixed_features,
+    load_network,
+    save_network,
+)
+from tactile_loc.calibration.labels import Float32, Image
 from tactile_loc.core.errors import CalibrationError, TrainingError
 from tactile_loc.core.interfaces import ComponentOptions
 from tactile_loc.core.sensing import SensorGeometry
 
-Float32 = NDArray[np.float32]
-
+ROUNDS = 3
+DRIFT_M = 2.5e-3  # drift is smooth over this distance: standard deviation of a Gaussian
+TOUCHED_M = 4e-5  # an indentation of this depth is not drift
+TOUCHED_SLOPE = 0.08  # nor is a surface of this slope
+RISING_SLOPE = 0.02  # a flat part up to which its border rises by this is a plateau, not untouched
+SMOOTHING_M = 1.2e-4  # of the slope, in deciding where the gel is touched
+NOISES = 4.0  # medians of the magnitude: what is beyond is no noise
+LEAST_UNTOUCHED = 0.05  # of the image
+COARSE_PX = 80  # longer image side on which drift is estimated
 SMOOTHINGS_PX = (1.0, 3.0)  # of the colour difference: against noise, and to see a little of what is around
 FEATURES = DIFFERENCE * len(SMOOTHINGS_PX) + FIXED
 OUTLIER_RAD = 0.1  # an error of the angle from which on it counts by its size, not its square
 STEPS_A_PRESS, MOST_STEPS = 100, 5000
 PIXELS_AT_ONCE = 1 << 16
 REPORT_EVERY = 50  # steps
+
+
+def integrate(slope: NDArray[np.floating], geometry: SensorGeometry) -> NDArray[np.float64]:
+    """Return the surface (..., H, W), metres, of zero mean, whose slopes (..., H, W, 2) come nearest to those given.
+
+    Least squares with free borders: the Poisson equation with the slope across the border given, solved by a cosine
+    transform; each step between two pixels is the mean of their slopes.
+    """
+    from scipy.fft import dctn, idctn
+
+    sx, sy = geometry.scale_at_surface
+    across, down = slope[..., 0] / sx, slope[..., 1] / sy  # metres a pixel
+    pad = [(0, 0)] * (slope.ndim - 3)
+    steps_x = np.pad(0.5 * (across[..., 1:] + across[..., :-1]), [*pad, (0, 0), (1, 1)])
+    steps_y = np.pad(0.5 * (down[..., 1:, :] + down[..., :-1, :]), [*pad, (1, 1), (0, 0)])
+    divergence = np.diff(steps_x, axis=-1) + np.diff(steps_y, axis=-2)
+    height, width = divergence.shape[-2:]
+    k, m = (2 * np.cos(np.pi * np.arange(n) / n) - 2 for n in (width, height))
+    eigenvalues = k[None, :] + m[:, None]
+    eigenvalues[0, 0] = np.inf  # the mean is free
+    spectrum = dctn(divergence, type=2, axes=(-2, -1), norm="ortho") / eigenvalues
+    return np.asarray(idctn(spectrum, type=2, axes=(-2, -1), norm="ortho"))
+
+
+def indentation_from_slopes(slope: NDArray[np.floating], geometry: SensorGeometry) -> Float32:
+    """Return the indentation (H, W), metres, of one surface of slopes (H, W, 2), zero where the gel is untouched.
+
+    Small errors of the slopes add up to a slow drift of the surface, deeper than a light imprint. Where the gel is
+    untouched the drift is seen as it is; there it is smoothed and, under the imprint, continued. Touched is what is
+    steep or, once most of the drift is gone, deep, and what that encloses: the flat middle of an imprint. One that
+    reaches over the image's border is told from the untouched gel beside it by the side on which the steep is higher.
+    """
+    from scipy.ndimage import binary_fill_holes
+
+    surface = integrate(slope, geometry)
+    steepness = _steepness(slope, geometry)
+    steep = steepness > _threshold(steepness, TOUCHED_SLOPE)
+    touched = binary_fill_holes(steep)
+    touched |= _plateaus(touched, slope)
+    for _ in range(ROUNDS):
+        surface = surface - _drift(surface, ~touched, geometry)
+        away = np.abs(surface)
+        touched = binary_fill_holes(steep | (away > _threshold(away[~touched], TOUCHED_M)))
+    return surface.astype(np.float32)
+
+
+def _plateaus(steep: NDArray[np.bool_], slope: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Parts (H, W) of the flat rest up to which the steep pixels (H, W) rise; none when no untouched gel were left."""
+    from scipy.ndimage import label
+
+    parts, count = label(~steep)
+    rise, pixels = np.zeros(count + 1), np.zeros(count + 1)
+    for along, before, after in (
+        (slope[..., 0], np.s_[:, :-1], np.s_[:, 1:]),
+        (slope[..., 1], np.s_[:-1, :], np.s_[1:, :]),
+    ):
+        for flat, rim, sign in ((before, after, -1), (after, before, 1)):
+            edge = (parts[flat] > 0) & steep[rim]
+            rise += sign * np.bincount(parts[flat][edge], along[rim][edge], count + 1)
+            pixels += np.bincount(parts[flat][edge], minlength=count + 1)
+    plateaus = (rise > RISING_SLOPE * pixels)[parts]
+    untouched = ~(steep | plateaus)
+    return np.asarray(plateaus & (untouched.mean() > LEAST_UNTOUCHED))
+
+
+def _steepness(slope: NDArray[np.floating], geometry: SensorGeometry) -> NDArray[np.float64]:
+    """The slope's magnitude (H, W), unitless, its noise smoothed away."""
+    from scipy.ndimage import gaussian_filter
+
+    sigma = SMOOTHING_M / geometry.pixel_pitch_m
+    return np.asarray(np.hypot(*(gaussian_filter(slope[..., i], sigma) for i in (0, 1))))
+
+
+def _threshold(values: NDArray[np.float64], least: float) -> float:
+    """What stands out among magnitudes of which most are noise: at least `least`."""
+    return max(least, NOISES * float(np.median(values)) if values.size else least)
+
+
+def _drift(
+    surface_m: NDArray[np.float64], untouched: NDArray[np.bool_], geometry: SensorGeometry
+) -> NDArray[np.float64]:
+    """The smooth surface (H, W), metres, through the untouched pixels (H, W), continued where there are none."""
+    from scipy.ndimage import gaussian_filter
+
+    step = max(1, round(max(geometry.shape) / COARSE_PX))
+    sigma = DRIFT_M / (step * geometry.pixel_pitch_m)
+    weight = untouched.astype(float)
+    seen, weights = (_blocks(a, step) for a in (surface_m * weight, weight))
+    coarse = gaussian_filter(seen, sigma, mode="nearest", truncate=6)
+    coarse /= np.maximum(gaussian_filter(weights, sigma, mode="nearest", truncate=6), 1e-9)
+    height, width = surface_m.shape
+    rows, columns = (
+        _between(blocks, step, pixels) for blocks, pixels in zip(coarse.shape, (height, width), strict=True)
+    )
+    return rows @ coarse @ columns.T
+
+
+@lru_cache(maxsize=8)
+def _between(blocks: int, step: int, pixels: int) -> NDArray[np.float64]:
+    """Weights (pixels, blocks) that interpolate linearly between the middles of blocks; constant beyond the last."""
+    middles = (np.arange(blocks) + 0.5) * step - 0.5
+    return np.stack([np.interp(np.arange(pixels), middles, one) for one in np.eye(blocks)], axis=1)
+
+
+def _blocks(image: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+    """Mean of blocks of `step` x `step` pixels of (H, W); the last rows and columns are repeated to fill them."""
+    height, width = image.shape
+    padded = np.pad(image, [(0, -height % step), (0, -width % step)], mode="edge")
+    blocks = padded.reshape(padded.shape[0] // step, step, padded.shape[1] // step, step)
+    return np.asarray(blocks.mean(axis=(1, 3)))
 
 
 class SlopeNetwork(nn.Module):

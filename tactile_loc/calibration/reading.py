@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.calibration.labels import Image
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.sensing import ContactShape, SensorGeometry
-
-Image = NDArray[np.uint8]
 
 SKIRT, MOST_SKIRT = 0.3, 0.75  # of the press: below the first nothing touches, and above the second all that is left
 STEEP = 0.25  # of the steepest slope: what is flatter hangs nowhere

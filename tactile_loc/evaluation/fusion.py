@@ -21,8 +21,9 @@ from tactile_loc.evaluation.oracle import true_pose
 from tactile_loc.evaluation.protocol import describe_located, save_in_shards, surface_points
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import Artifact, Workspace
+from tactile_loc.store.workspace import Workspace
 
 FUSION_VERSION = 1  # raised when the same localizer would get other numbers
 FUSION_LINES = ("best-1", "kinematic", "random")

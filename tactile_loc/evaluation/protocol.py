@@ -22,8 +22,9 @@ from tactile_loc.evaluation.oracle import oracle_poses, true_pose
 from tactile_loc.evaluation.posterior_metrics import posterior_metrics
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import Artifact, Workspace
+from tactile_loc.store.workspace import Workspace
 
 Arrays = Sequence[NDArray[Any]]
 

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.registry import SLOTS
 from tactile_loc.io.toml import read_toml, toml_value
+from tactile_loc.store.files import recover_folder
 
 
 class _Strict(BaseModel):
@@ -98,6 +99,7 @@ def kind_of_sensor(name: str) -> str | None:
         return None
     if name.endswith(".toml"):
         return "file"
+    recover_folder(Path(name))
     return "calibrated" if Path(name).is_dir() or "/" in name else None
 
 

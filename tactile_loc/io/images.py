@@ -39,15 +39,27 @@ def read_colour_image(path: Path) -> NDArray[np.uint8] | None:
     return values if colour else None
 
 
-def load_image(path: Path) -> tuple[str, NDArray[Any]]:
-    """Return an image's mode and its values. Raises OSError or ValueError when it is damaged or enormous."""
+def load_image(path: Path, mode: str | None = None) -> tuple[str, NDArray[Any]]:
+    """Return an image's mode and its values, in Pillow's `mode` if one is named, else in its own.
+
+    Raises one of UNREADABLE when it is damaged or enormous.
+    """
     from PIL import Image
 
     try:
         with Image.open(path) as image:
-            return image.mode, np.asarray(image)
+            wanted = image if mode is None else image.convert(mode)
+            return wanted.mode, np.asarray(wanted)
     except Image.DecompressionBombError as error:
         raise ValueError(str(error)) from error
+
+
+def write_image(path: Path, values: NDArray[Any]) -> Path:
+    """Write uint8 values (H, W) or (H, W, 3), or uint16 (H, W), as the picture that the suffix says. Raises OSError."""
+    from PIL import Image
+
+    Image.fromarray(values).save(path)
+    return path
 
 
 def require_file(path: Path) -> None:

@@ -17,7 +17,7 @@ from tactile_loc.data import DEMO_OBJECTS
 log = logging.getLogger(__name__)
 
 Units = Literal["m", "mm", "cm", "inch", "auto"]
-METRES_PER_UNIT: dict[str, float] = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "inch": 0.0254}
+METRES_PER_UNIT: dict[str, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2, "inch": 0.0254}
 
 
 def load_object(

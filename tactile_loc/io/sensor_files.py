@@ -1,4 +1,7 @@
-"""Sensors described by TOML files. docs/conventions.md lists the keys, examples/my_sensor.toml shows one."""
+"""Sensors as files: a TOML file, or the folder of a calibrated one.
+
+docs/conventions.md lists the keys, examples/my_sensor.toml shows one.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from tactile_loc.core.errors import ConfigError, SensorError
 from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.io.images import UNREADABLE, load_image, write_image
 from tactile_loc.io.toml import Finite, Positive, explain, read_toml
+from tactile_loc.store.files import recover_folder
+
+CALIBRATION = "calibration.json"  # what the folder of a calibrated sensor holds
 
 PositiveInt = Annotated[int, Field(gt=0)]
 
@@ -99,16 +106,19 @@ def _geometry(description: _Pinhole | _Orthographic, mask: NDArray[np.bool_] | N
 
 def _read_mask(path: Path, sensor_file: Path) -> NDArray[np.bool_]:
     """Read the mask (H, W) of observed pixels from a PNG: white (at least half) is observed."""
-    from PIL import Image
-
     try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert("L")) >= 128
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        return load_image(path, "L")[1] >= 128
+    except UNREADABLE as error:
         raise SensorError(
             f"{sensor_file}: the mask {path} cannot be read as an image ({error}); mask must be the path of a PNG, "
             "white where the sensor observes, relative to the sensor file"
         ) from error
+
+
+def is_calibrated_sensor(folder: Path) -> bool:
+    """Tell whether `folder` is that of a calibrated sensor."""
+    recover_folder(folder)
+    return (folder / CALIBRATION).is_file()
 
 
 def write_sensor_file(path: Path, geometry: SensorGeometry) -> Path:
@@ -124,10 +134,8 @@ def write_sensor_file(path: Path, geometry: SensorGeometry) -> Path:
     if geometry.rectangle_m is not None:
         values |= {"sensing_rectangle_mm": [mm * v for v in geometry.rectangle_m]}
     if geometry.observed is not None:
-        from PIL import Image
-
         values |= {"mask": f"{path.stem}_mask.png"}
-        Image.fromarray(geometry.observed.astype(np.uint8) * 255).save(path.with_name(values["mask"]))
+        write_image(path.with_name(values["mask"]), geometry.observed.astype(np.uint8) * 255)
     lines = [f"{key} = {json.dumps(value)}" for key, value in values.items()]  # these values look alike in TOML
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path

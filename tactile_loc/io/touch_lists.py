@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from tactile_loc.core.errors import ConfigError, TouchError, did_you_mean
+from tactile_loc.io.sensor_files import is_calibrated_sensor
 from tactile_loc.io.toml import MATRIX, Matrix, PoseKeys, Positive, explain, pose_from_keys, read_toml
-from tactile_loc.io.touches import read_contents
+from tactile_loc.io.touches import TouchUnit, read_contents
 
 Pose = NDArray[np.float64]
-
-CALIBRATED = "calibration.json"  # what the folder of a calibrated sensor holds
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +28,7 @@ class ListedTouch:
 
     path: Path
     sensor: str | None = None
-    unit: Literal["m", "mm", "um"] | None = None
+    unit: TouchUnit | None = None
     press_depth_m: float | None = None
     T_base_sensor: Pose | None = None
 
@@ -37,7 +36,7 @@ class ListedTouch:
 class _TouchTable(PoseKeys):
     path: str = Field(min_length=1, description="the touch's file, relative to the list, in quotes")
     sensor: str | None = Field(None, min_length=1, description="a sensor's name, folder or .toml file, in quotes")
-    unit: Literal["m", "mm", "um"] | None = Field(None, description="'m', 'mm' or 'um'")
+    unit: TouchUnit | None = Field(None, description="'m', 'mm' or 'um'")
     press_depth_mm: Positive | None = Field(None, description="a positive number (mm)")
     T_base_sensor: Matrix | None = Field(None, description=MATRIX)
 
@@ -99,7 +98,7 @@ def _sensor(sensor: str | None, folder: Path) -> str | None:
         return None
     place = folder / sensor
     is_path = Path(sensor).suffix == ".toml" or "/" in sensor
-    if (is_path and place.exists()) or (place / CALIBRATED).is_file():
+    if (is_path and place.exists()) or is_calibrated_sensor(place):
         return str(place)
     if is_path:
         raise ValueError(f"there is no sensor {place}; it is relative to the list")

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from tactile_loc.io.images import (
     require_file,
     why_unreadable,
 )
+from tactile_loc.io.meshes import METRES_PER_UNIT
 from tactile_loc.store.files import replacing
 
 if TYPE_CHECKING:
@@ -118,7 +119,8 @@ def _read_png(path: Path) -> FileContents:
     return FileContents(values.astype(np.uint16))
 
 
-UNITS_M = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
+TouchUnit = Literal["m", "mm", "um"]
+UNITS = get_args(TouchUnit)
 NO_CONTACT_U16 = 65535
 
 
@@ -206,14 +208,14 @@ def _cut(shape: ContactShape, path: Path, press_depth_m: float | None) -> Contac
 def _scale(contents: FileContents, path: Path, unit: str | None) -> float:
     """Return the metres per unit of a file's depths."""
     for name in (unit, contents.unit):
-        if name is not None and name not in UNITS_M:
-            raise TouchError(f"the unit {name!r} of {path} is unknown; the units are {', '.join(UNITS_M)}")
+        if name is not None and name not in UNITS:
+            raise TouchError(f"the unit {name!r} of {path} is unknown; the units are {', '.join(UNITS)}")
     if unit is not None and contents.unit is not None and unit != contents.unit:
         raise TouchError(f"{path} says that its unit is {contents.unit}, not {unit}; leave --touch-unit out")
     known = contents.unit or unit
     if known is None:
-        raise TouchError(f"{path} does not say in which unit its depths are; give --touch-unit {', '.join(UNITS_M)}")
-    return UNITS_M[known]
+        raise TouchError(f"{path} does not say in which unit its depths are; give --touch-unit {', '.join(UNITS)}")
+    return METRES_PER_UNIT[known]
 
 
 def _ask_sensor(sensor: SensorModel, image: NDArray[np.uint8], path: Path) -> ContactShape:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,12 +12,13 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.grids import contact_grid, enough_contact
-from tactile_loc.core.interfaces import Checkpoints, Encoder, GridSampler, Scene, TrainingProblem
+from tactile_loc.core.interfaces import Encoder, GridSampler, Scene, TrainingProblem
 from tactile_loc.core.poses import PoseGrid, PoseMetric
 from tactile_loc.core.progress import Progress, rank
+from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import Artifact, StageStore
-from tactile_loc.store.workspace import Workspace
+from tactile_loc.store.store import StageStore
+from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
 SHARD = 1024  # poses rendered, saved and resumed at once
 NO_CONTACT = 65535
@@ -157,22 +157,7 @@ def _encoded(depths_m: NDArray[np.float32], max_depth_m: float) -> NDArray[np.ui
     return np.where(touching, np.minimum(codes, NO_CONTACT - 1), NO_CONTACT).astype(np.uint16)
 
 
-CHECKPOINT, WEIGHTS = "checkpoint.safetensors", "encoder.safetensors"
-
-
-class WorkspaceCheckpoints(Checkpoints):
-    """Keeps a training's state in the folder where its stage is being built, until the stage is finished."""
-
-    def __init__(self, work: Workspace) -> None:
-        self._work = work
-
-    def load(self) -> Path | None:
-        """Return the checkpoint that an interrupted build left, if it is intact."""
-        return self._work.load_file(CHECKPOINT, keep=False)
-
-    def save(self, write: Callable[[Path], object]) -> None:
-        """Replace the checkpoint atomically."""
-        self._work.save_file(CHECKPOINT, write, keep=False)
+WEIGHTS = "encoder.safetensors"
 
 
 def train_encoder(

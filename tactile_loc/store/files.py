@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
+import fcntl
+import glob
 import os
+import shutil
 import tempfile
 import uuid
 from collections.abc import Callable, Iterator
@@ -18,15 +22,64 @@ def replacing(path: Path) -> Iterator[Path]:
 
     Whatever goes wrong, an older file at `path` is still whole and nothing is left beside it. Raises OSError.
     """
-    temporary = path.with_name(f".tmp-{uuid.uuid4().hex}-{path.name}")
+    temporary = _beside(path)
     try:
         yield temporary
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
+        _sync_file(temporary)
         temporary.replace(path)
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def replacing_folder(path: Path, fresh: bool = False) -> Iterator[Path]:
+    """Give an empty folder beside `path`; when the block ends well, sync all it holds and put it in `path`'s place.
+
+    A process that is killed at any moment leaves the old folder whole or the new one, and what it leaves beside them is
+    removed by the next replacement; whatever else goes wrong, nothing is left. Where the file system cannot exchange
+    two folders at once, the old one may be left set aside: `recover_folder` before reading puts it back. With `fresh`
+    nothing may stand at `path` but an empty folder. Raises OSError.
+    """
+    path = path.resolve()  # where `path` is a link, what it points to is replaced
+    recover_folder(path)
+    temporary = _beside(path)
+    temporary.mkdir(parents=True)
+    try:
+        with _opened(temporary) as descriptor:
+            _lock(descriptor)
+            yield temporary
+            _sync_tree(temporary)
+            if fresh or not os.path.lexists(path):
+                temporary.rename(path)
+            else:
+                _swap(temporary, path)
+            sync_folder(path.parent)
+    finally:
+        recover_folder(path)
+        _remove_leftovers(path, temporary)
+
+
+def recover_folder(path: Path) -> None:
+    """Put back the folder that a killed `replacing_folder` had set aside, if nothing stands in its place."""
+    path = path.resolve()
+    if not os.path.lexists(path):
+        with suppress(OSError):  # there is none, or another process was faster
+            _aside(path).rename(path)
+
+
+def delete(path: Path) -> None:
+    """Delete a file or a folder with all it holds. Raises OSError."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
+
+
+def sync_folder(folder: Path) -> None:
+    """Have a folder's entries written to the disk, where the file system knows how to."""
+    with suppress(OSError), _opened(folder) as descriptor:
+        os.fsync(descriptor)
 
 
 def require_writable(folder: Path) -> None:
@@ -61,3 +114,81 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
     except OSError as error:
         raise OutputError(f"{path} cannot be written ({error.strerror or error}); choose another --out") from error
     return path
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(f".tmp-{uuid.uuid4().hex}-{path.name}")
+
+
+def _aside(path: Path) -> Path:
+    return path.with_name(f".tmp-old-{path.name}")
+
+
+def _swap(new: Path, path: Path) -> None:
+    """Exchange two folders: at once where the kernel and the file system can, else by way of a third place."""
+    if _exchange(new, path):
+        return
+    aside = _aside(path)
+    if aside.exists():  # a leftover, as there is a folder at `path`
+        delete(aside)
+    path.rename(aside)
+    new.rename(path)
+    aside.rename(new)
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Let two paths change places in one step, as Linux can on most file systems, and tell whether that was done."""
+    here, exchange = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of renameat2(2)
+    try:
+        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
+    except (OSError, AttributeError):
+        return False
+    return renameat2(here, os.fsencode(one), here, os.fsencode(other), exchange) == 0
+
+
+def _remove_leftovers(path: Path, temporary: Path) -> None:
+    """Remove what this replacement of `path`, and those that were killed, left beside it."""
+    left = {temporary, *_abandoned(path)}
+    if os.path.lexists(path):
+        left.add(_aside(path))
+    for folder in left:
+        with suppress(OSError):
+            delete(folder)
+
+
+def _abandoned(path: Path) -> Iterator[Path]:
+    """Yield the folders of killed replacements of `path`: nobody holds their locks any more."""
+    for left in path.parent.glob(f".tmp-{'[0-9a-f]' * 32}-{glob.escape(path.name)}"):
+        with suppress(OSError), _opened(left) as descriptor:
+            if _lock(descriptor):
+                yield left
+
+
+@contextmanager
+def _opened(folder: Path) -> Iterator[int]:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def _lock(descriptor: int) -> bool:
+    """Take the lock of an open folder until it is closed; False where it is taken or the file system has none."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _sync_tree(folder: Path) -> None:
+    for place, _, names in os.walk(folder, topdown=False):
+        for name in names:
+            _sync_file(Path(place, name))
+        sync_folder(Path(place))
+
+
+def _sync_file(path: Path) -> None:
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())

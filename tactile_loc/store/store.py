@@ -19,20 +19,9 @@ from typing import TYPE_CHECKING
 
 from tactile_loc.core.errors import StoreError
 from tactile_loc.store.artifact import MANIFEST, Artifact, DamagedError, read_artifact
-from tactile_loc.store.keys import StageKey, canonical_json, hash_arrays, hash_file
-from tactile_loc.store.workspace import Workspace, delete, storing, sync_folder
-
-__all__ = [
-    "Artifact",
-    "Entry",
-    "StageKey",
-    "StageStore",
-    "Workspace",
-    "canonical_json",
-    "default_root",
-    "hash_arrays",
-    "hash_file",
-]
+from tactile_loc.store.files import delete, sync_folder
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.workspace import Workspace, storing
 
 if TYPE_CHECKING:
     from filelock import FileLock

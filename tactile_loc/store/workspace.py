@@ -7,9 +7,8 @@ import json
 import logging
 import os
 import re
-import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import StoreError
+from tactile_loc.core.interfaces import Checkpoints
 from tactile_loc.store.artifact import MANIFEST, FileRecord, write_manifest
-from tactile_loc.store.files import replacing
+from tactile_loc.store.files import delete, replacing, sync_folder
 from tactile_loc.store.keys import StageKey, hash_file
 
 logger = logging.getLogger(__name__)
 
+_CHECKPOINT = "checkpoint.safetensors"
 _PIECES = ".pieces.json"
 _FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, None)  # numpy reports a short write without a number
@@ -143,6 +144,21 @@ class Workspace:
             temporary.write_text(json.dumps(self._pieces, sort_keys=True, indent=1) + "\n")
 
 
+class WorkspaceCheckpoints(Checkpoints):
+    """Keeps a training's state in the folder where its stage is being built, until the stage is finished."""
+
+    def __init__(self, work: Workspace) -> None:
+        self._work = work
+
+    def load(self) -> Path | None:
+        """Return the checkpoint that an interrupted build left, if it is intact."""
+        return self._work.load_file(_CHECKPOINT, keep=False)
+
+    def save(self, write: Callable[[Path], object]) -> None:
+        """Replace the checkpoint atomically."""
+        self._work.save_file(_CHECKPOINT, write, keep=False)
+
+
 @contextmanager
 def storing(what: str, folder: Path) -> Iterator[None]:
     """Turn an OSError of the block into a StoreError that says what could not be stored, where, why and what to do."""
@@ -156,21 +172,3 @@ def storing(what: str, folder: Path) -> Iterator[None]:
         raise StoreError(
             f"Cannot store {what} in {folder}: {reason}; {advice} another folder with TACTILE_LOC_STORE or --store."
         ) from error
-
-
-def delete(path: Path) -> None:
-    """Delete a file or a folder with all it holds. Raises OSError."""
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink()
-
-
-def sync_folder(folder: Path) -> None:
-    """Have a folder's entries written to the disk, where the file system knows how to."""
-    with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from tactile_loc.calibration.board_presses import simulated_presses
 from tactile_loc.calibration.calibrate import calibrate
 from tactile_loc.calibration.cnn import PLANES, CnnEstimator, GelNetwork
-from tactile_loc.calibration.estimator import CalibrationProblem, LabelledPresses
-from tactile_loc.calibration.labels import surface_label, untouched_label
+from tactile_loc.calibration.estimator import CalibrationProblem
+from tactile_loc.calibration.labels import LabelledPresses, surface_label, untouched_label
 from tactile_loc.calibration.photometric import PhotometricEstimator
 from tactile_loc.calibration.reading import LEAST_M, contact_shape
+from tactile_loc.calibration.simulated import simulated_presses
 from tactile_loc.core.errors import CalibrationError, TrainingError, WeightsError
 from tactile_loc.core.interfaces import Checkpoints
 from tactile_loc.core.progress import Progress

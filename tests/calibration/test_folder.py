@@ -11,6 +11,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from kill_steps import killed_at_every_step  # noqa: E402
 from PIL import Image  # noqa: E402
 from press_sets import TINY, ball_set, sensor, write_image  # noqa: E402
 
@@ -20,7 +21,6 @@ from tactile_loc.calibration.folder import (  # noqa: E402
     BACKGROUND,
     OURS,
     PICTURE,
-    RECORD,
     SCHEMA_VERSION,
     SENSOR,
     WEIGHTS,
@@ -30,7 +30,8 @@ from tactile_loc.calibration.folder import (  # noqa: E402
 )
 from tactile_loc.calibration.photometric import PhotometricEstimator  # noqa: E402
 from tactile_loc.core.errors import CalibrationError, ConfigError, OutputError, WeightsError  # noqa: E402
-from tactile_loc.io.sensor_files import write_sensor_file  # noqa: E402
+from tactile_loc.io.sensor_files import CALIBRATION, write_sensor_file  # noqa: E402
+from tactile_loc.store import files  # noqa: E402
 
 BALLS = ball_set(1)
 MASK = np.tri(64, dtype=bool)
@@ -136,6 +137,20 @@ def test_an_interruption_leaves_the_old_one(folder, monkeypatch):
     assert [path.name for path in folder.parent.iterdir()] == ["sensor"]
 
 
+@pytest.mark.parametrize("exchanges", [True, False])
+def test_a_kill_at_any_step_leaves_the_old_one_or_the_new(folder, monkeypatch, exchanges):
+    if not exchanges:
+        monkeypatch.setattr(files, "_exchange", lambda one, other: False)
+    new, seen = untrained(1), set()
+    for _ in killed_at_every_step(lambda: write_calibration(folder, GEOMETRY, BALLS.background, new, NOISE)):
+        found = read_calibration(folder)
+        seen.add(found.estimator.options.seed)
+        assert contents(folder).keys() == OURS - {PICTURE}
+        write(folder)
+        assert [path.name for path in folder.parent.iterdir()] == ["sensor"]
+    assert seen == {0, 1}
+
+
 def test_what_identifies_it_is_what_it_holds(folder, tmp_path):
     described = read_calibration(folder).describe()
     shutil.copytree(folder, tmp_path / "elsewhere")
@@ -152,14 +167,14 @@ def test_a_folder_that_is_not_there(tmp_path):
         read_calibration(tmp_path)
 
 
-@pytest.mark.parametrize("name", [SENSOR, BACKGROUND, RECORD, WEIGHTS])
+@pytest.mark.parametrize("name", [SENSOR, BACKGROUND, CALIBRATION, WEIGHTS])
 def test_a_missing_file_is_named(folder, name):
     (folder / name).unlink()
     with pytest.raises(CalibrationError, match=rf"{name} is missing; calibrate it again"):
         read_calibration(folder)
 
 
-@pytest.mark.parametrize("name", [SENSOR, BACKGROUND, RECORD, "sensor_mask.png"])
+@pytest.mark.parametrize("name", [SENSOR, BACKGROUND, CALIBRATION, "sensor_mask.png"])
 def test_a_damaged_file_is_refused(folder, name):
     whole = (folder / name).read_bytes()
     (folder / name).write_bytes(whole[: len(whole) // 2])
@@ -175,8 +190,8 @@ def test_damaged_weights_are_refused_when_they_are_needed(folder):
 
 
 def rewrite(folder: Path, **changes: object) -> None:
-    record = json.loads((folder / RECORD).read_text()) | changes
-    (folder / RECORD).write_text(json.dumps({k: v for k, v in record.items() if v is not None}))
+    record = json.loads((folder / CALIBRATION).read_text()) | changes
+    (folder / CALIBRATION).write_text(json.dumps({k: v for k, v in record.items() if v is not None}))
 
 
 @pytest.mark.parametrize("version", [SCHEMA_VERSION + 1, "1", None])
@@ -188,7 +203,7 @@ def test_a_record_of_another_version_is_refused(folder, version):
 
 @pytest.mark.parametrize("text", ["[]", "3", "{}"])
 def test_a_record_that_is_none_is_refused(folder, text):
-    (folder / RECORD).write_text(text)
+    (folder / CALIBRATION).write_text(text)
     with pytest.raises(CalibrationError, match=r"calibration\.json"):
         read_calibration(folder)
 

@@ -12,7 +12,8 @@ from store_helpers import KEY, Five, contents, flip, folder_of
 
 from tactile_loc.core.errors import StoreError
 from tactile_loc.store import artifact as artifact_module
-from tactile_loc.store.store import StageKey, StageStore
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import StageStore
 
 
 @pytest.fixture

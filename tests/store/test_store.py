@@ -9,7 +9,9 @@ import pytest
 from store_helpers import KEY, Five, folder_of, forbidden, run_python
 
 from tactile_loc.core.errors import StoreError
-from tactile_loc.store.store import StageKey, StageStore, Workspace, default_root
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import StageStore, default_root
+from tactile_loc.store.workspace import Workspace
 
 
 @pytest.fixture
@@ -116,7 +118,8 @@ BUILDER = """
 import logging, os, sys, time
 from pathlib import Path
 import numpy as np
-from tactile_loc.store.store import StageKey, StageStore
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import StageStore
 
 root, calls = Path(sys.argv[1]), Path(sys.argv[2])
 logging.basicConfig(level=logging.INFO, stream=sys.stdout)

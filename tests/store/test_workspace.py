@@ -11,7 +11,9 @@ import pytest
 from store_helpers import KEY, Five, contents, flip, folder_of, reference, run_python
 
 from tactile_loc.core.errors import StoreError
-from tactile_loc.store.store import Artifact, StageStore, Workspace
+from tactile_loc.store.artifact import Artifact
+from tactile_loc.store.store import StageStore
+from tactile_loc.store.workspace import Workspace
 
 
 @pytest.fixture
@@ -172,7 +174,8 @@ import resource, sys
 from pathlib import Path
 import numpy as np
 from tactile_loc.core.errors import StoreError
-from tactile_loc.store.store import StageKey, StageStore
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import StageStore
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))
 store, key = StageStore(Path(sys.argv[1])), StageKey("bank", 1, {})

@@ -14,7 +14,8 @@ from tactile_loc_cli import flags
 from tactile_loc_cli.console import progress, say
 
 if TYPE_CHECKING:
-    from tactile_loc.calibration.estimator import GelEstimator, LabelledPresses
+    from tactile_loc.calibration.estimator import GelEstimator
+    from tactile_loc.calibration.labels import LabelledPresses
     from tactile_loc.core.sensing import SensorGeometry
 
 DEFAULT_OUT = Path("my_sensor")
@@ -152,7 +153,7 @@ def _require_one_source(
 
 
 def _convert(source: Path, folder: Path, format: Format, ball_radius: float | None, mm_per_px: float | None) -> Path:
-    from tactile_loc.calibration.converters import convert, write_sensor
+    from tactile_loc.calibration.presses import convert, write_sensor
     from tactile_loc.core.errors import ConfigError
 
     if not (ball_radius and ball_radius > 0 and mm_per_px and mm_per_px > 0):
@@ -177,8 +178,8 @@ def _calibrate(
     folder: Path, sensor: Path, estimator: Estimator, background: Background, image_size: tuple[int, int] | None,
     options: dict[str, Any], seed: int, out: Path, store: Path | None,
 ) -> dict[str, Any]:  # fmt: skip
+    from tactile_loc.calibration.calibrate import calibrate_stage
     from tactile_loc.calibration.presses import read_presses
-    from tactile_loc.calibration.stage import calibrate_stage
     from tactile_loc.core.errors import CalibrationError
     from tactile_loc.store.store import StageStore
 
@@ -207,7 +208,7 @@ def _calibrate_simulated(
 
 def _finish(presses: LabelledPresses, made: GelEstimator, record: dict[str, Any], out: Path) -> dict[str, Any]:
     from tactile_loc.calibration.folder import PICTURE, write_calibration
-    from tactile_loc.calibration.pictures import draw_held_out
+    from tactile_loc.drawing.calibration import draw_held_out
     from tactile_loc.drawing.pictures import save_figure
 
     write_calibration(out.absolute(), made.geometry, made.background, made, {"presses": len(presses), **record})
@@ -239,10 +240,11 @@ def _in_si(mean: dict[str, float]) -> dict[str, float]:
 
 
 def _lines(mean: dict[str, float]) -> list[str]:
-    said = {
-        "slope_deg": lambda v: f"surface angle in the contact: {v:.2f}°",
-        "shape_m": lambda v: f"indentation in the contact, but for a constant: {1e3 * v:.3f} mm",
-        "depth_m": lambda v: f"indentation in the contact: {1e3 * v:.3f} mm",
-        "untouched_m": lambda v: f"indentation where the gel is untouched: {1e3 * v:.3f} mm",
+    angle = {"slope_deg": "surface angle in the contact"}
+    depths = {
+        "shape_m": "indentation in the contact, but for a constant",
+        "depth_m": "indentation in the contact",
+        "untouched_m": "indentation where the gel is untouched",
     }
-    return [f"  {write(mean[name])}" for name, write in said.items() if name in mean]
+    angles = [f"  {said}: {mean[name]:.2f}°" for name, said in angle.items() if name in mean]
+    return angles + [f"  {said}: {1e3 * mean[name]:.3f} mm" for name, said in depths.items() if name in mean]

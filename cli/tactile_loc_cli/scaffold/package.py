@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import shutil
-import uuid
 from importlib.resources import files
 from pathlib import Path
 from string import Template
 
 from tactile_loc.core.errors import OutputError
+from tactile_loc.store.files import replacing_folder
 from tactile_loc_cli.scaffold.naming import Naming
 
 # What the template of each slot does until somebody replaces it.
@@ -53,16 +52,13 @@ def write(naming: Naming, folder: Path) -> list[str]:
     if os.path.lexists(folder):
         raise OutputError(f"{folder} exists already and is left as it is; choose another folder with --out")
     made = render(naming)
-    beside = folder.absolute().with_name(f".{folder.absolute().name}-{uuid.uuid4().hex[:8]}")
     try:
-        for path, text in made.items():
-            (beside / path).parent.mkdir(parents=True, exist_ok=True)
-            (beside / path).write_text(text, encoding="utf-8")
-        beside.rename(folder)
+        with replacing_folder(folder, fresh=True) as beside:
+            for path, text in made.items():
+                (beside / path).parent.mkdir(parents=True, exist_ok=True)
+                (beside / path).write_text(text, encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{folder} cannot be written ({error.strerror or error}); choose another --out") from error
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
     return sorted(made)
 
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.calibration.estimator import GelEstimator, LabelledPresses
+from tactile_loc.calibration.estimator import GelEstimator
+from tactile_loc.calibration.labels import LabelledPresses
 from tactile_loc.drawing.pictures import extent_mm, make_figure
 
 if TYPE_CHECKING:

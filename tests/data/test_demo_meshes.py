@@ -1,17 +1,17 @@
 from __future__ import annotations
 
-import importlib
 import subprocess
 import sys
 from pathlib import Path
 
+import demo_meshes
 import numpy as np
 import pytest
 import trimesh
+from demo_meshes import COTTER, DAMPING_PIN, ELBOW_PIPE, HEAD, HOOK, PIN, CotterDimensions
 
 from tactile_loc.core.errors import MissingLibraryError, ObjectError, OutputError
-from tactile_loc.data import DEMO_OBJECTS, demo_object_path, shapes
-from tactile_loc.data.dimensions import COTTER, DAMPING_PIN, ELBOW_PIPE, HEAD, HOOK, PIN, CotterDimensions
+from tactile_loc.data import DEMO_OBJECTS, demo_object_path
 
 NAMES = list(DEMO_OBJECTS)
 FLOAT32_M = 1e-7  # float32 at a few centimetres resolves some nanometres
@@ -42,7 +42,7 @@ def maps_onto_itself(mesh: trimesh.Trimesh, angle_rad: float, axis: np.ndarray, 
 def test_the_table_lists_six_objects_with_their_symmetries():
     assert {name: entry.symmetry for name, entry in DEMO_OBJECTS.items()} == SYMMETRIES
     assert all(entry.name == name and entry.description for name, entry in DEMO_OBJECTS.items())
-    assert set(shapes.BUILDERS) == set(DEMO_OBJECTS)
+    assert set(demo_meshes.BUILDERS) == set(DEMO_OBJECTS)
 
 
 def test_an_unknown_object_is_refused_with_the_near_name():
@@ -221,7 +221,7 @@ def test_the_damping_pin_turns_by_any_angle_onto_itself():
 def written(tmp_path_factory) -> Path:
     pytest.importorskip("manifold3d", reason="drawing the demo objects needs manifold3d")
     folder = tmp_path_factory.mktemp("objects")
-    shapes.write_all(folder)
+    demo_meshes.write_all(folder)
     return folder
 
 
@@ -236,14 +236,14 @@ def test_regenerated_mesh_equals_the_shipped_one(name, written):
 
 
 def test_writing_twice_gives_the_same_bytes(tmp_path, written):
-    again = shapes.write_all(tmp_path)
-    assert [path.name for path in again] == [f"{name}.ply" for name in shapes.BUILDERS]
+    again = demo_meshes.write_all(tmp_path)
+    assert [path.name for path in again] == [f"{name}.ply" for name in demo_meshes.BUILDERS]
     assert all(path.read_bytes() == (written / path.name).read_bytes() for path in again)
 
 
 def test_dimensions_shape_the_object():
     d = CotterDimensions(long_leg_m=0.030, short_leg_m=0.030)
-    even = shapes.cotter(d)
+    even = demo_meshes.cotter(d)
     assert even.bounds[0, 2] == pytest.approx(-0.030)
     assert maps_onto_itself(even, np.pi, np.array([0, 0, 1]), np.zeros(3))
 
@@ -253,10 +253,10 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("")
     with pytest.raises(OutputError, match="file"):
-        shapes.write_all(blocked / "objects")
+        demo_meshes.write_all(blocked / "objects")
 
 
 def test_without_manifold3d_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "manifold3d", None)
     with pytest.raises(MissingLibraryError, match="pip install manifold3d"):
-        importlib.import_module("tactile_loc.data.shapes").pin()
+        demo_meshes.pin()

@@ -1,39 +1,146 @@
-"""The demo objects, drawn from their dimensions; `python -m tactile_loc.data.shapes FOLDER` writes all the meshes.
+"""Makes the demo objects' meshes from their dimensions: `python scripts/demo_meshes.py FOLDER` writes them all.
 
-Six kinds of part that tactile localization is commonly tried on. Their frames are described with their dimensions, in
-`tactile_loc.data.dimensions`; a demo object is what its function returns for the default dimensions.
+Six kinds of part that tactile localization is commonly tried on. A demo object is what its function returns for the
+default dimensions, which are in metres; each dimensions' docstring gives the object's frame.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+import demo_solids as solids
 import numpy as np
+from demo_solids import Array, arc_profile, bend, revolved, straight, swept
 
 from tactile_loc.core.errors import OutputError
-from tactile_loc.data import solids
-from tactile_loc.data.dimensions import (
-    COTTER,
-    DAMPING_PIN,
-    ELBOW_PIPE,
-    HEAD,
-    HOOK,
-    PIN,
-    CotterDimensions,
-    DampingPinDimensions,
-    ElbowPipeDimensions,
-    HeadDimensions,
-    HookDimensions,
-    PinDimensions,
-)
-from tactile_loc.data.solids import Array, arc_profile, bend, revolved, straight, swept
 
 if TYPE_CHECKING:
     import trimesh
+
+
+@dataclass(frozen=True)
+class PinDimensions:
+    """A stepped locating pin: z is its axis, tip at -z; the origin lies in the shoulder that seats; flats face +-y."""
+
+    tip_radius_m: float = 0.0020
+    tip_length_m: float = 0.0045
+    shank_radius_m: float = 0.0040
+    shank_length_m: float = 0.0170
+    groove_radius_m: float = 0.0032
+    groove_width_m: float = 0.0020
+    groove_above_tip_m: float = 0.0090
+    cross_hole_radius_m: float = 0.0013
+    cross_hole_above_tip_m: float = 0.0140
+    body_radius_m: float = 0.0050
+    body_length_m: float = 0.0090
+    relief_depth_m: float = 0.0006
+    relief_width_m: float = 0.0012
+    head_radius_m: float = 0.0080
+    head_height_m: float = 0.0050
+    across_flats_m: float = 0.0120
+    bore_radius_m: float = 0.0022
+    bore_depth_m: float = 0.0100
+    chamfer_m: float = 0.0008
+
+
+@dataclass(frozen=True)
+class DampingPinDimensions:
+    """A damping pin: z is its axis, barbed stem at -z, bulb at +z; the origin lies in the flange's lower face."""
+
+    stem_radius_m: float = 0.0027
+    stem_length_m: float = 0.0220
+    tip_radius_m: float = 0.0016
+    tip_length_m: float = 0.0030
+    barb_radius_m: float = 0.0037
+    barb_pitch_m: float = 0.0035
+    barb_count: int = 4
+    flange_radius_m: float = 0.0090
+    flange_height_m: float = 0.0025
+    neck_radius_m: float = 0.0035
+    neck_length_m: float = 0.0020
+    bulb_radius_m: float = 0.0070
+    bulb_flat_radius_m: float = 0.0020
+
+
+@dataclass(frozen=True)
+class HeadDimensions:
+    """A slotted bolt head: z is its axis, shaft at -z; the origin lies in the seat; slot and two corners along x."""
+
+    shaft_radius_m: float = 0.0060
+    shaft_length_m: float = 0.0120
+    shaft_chamfer_m: float = 0.0010
+    flange_radius_m: float = 0.0140
+    flange_rim_m: float = 0.0012
+    flange_height_m: float = 0.0025
+    across_flats_m: float = 0.0200
+    hex_top_m: float = 0.0075
+    hex_face_radius_m: float = 0.0096
+    hex_chamfer_rad: float = float(np.radians(30))
+    dome_radius_m: float = 0.0090
+    dome_base_m: float = 0.0079
+    dome_height_m: float = 0.0040
+    slot_width_m: float = 0.0030
+    slot_depth_m: float = 0.0028
+
+
+@dataclass(frozen=True)
+class ElbowPipeDimensions:
+    """A 90 degree elbow in the xz plane: the pipes' axes meet in the origin, x halves the angle between them."""
+
+    outer_radius_m: float = 0.0100
+    bore_radius_m: float = 0.0078
+    bend_radius_m: float = 0.0200
+    leg_length_m: float = 0.0140
+    flange_radius_m: float = 0.0145
+    flange_height_m: float = 0.0035
+    chamfer_m: float = 0.0006
+    bead_radius_m: float = 0.0014
+    bead_from_end_m: float = 0.0085
+
+
+@dataclass(frozen=True)
+class CotterDimensions:
+    """A split cotter pin in the xz plane: legs along -z, eye at +z, the longer leg at -x; the origin is the split."""
+
+    wire_radius_m: float = 0.0025
+    gap_m: float = 0.0004
+    long_leg_m: float = 0.0520
+    short_leg_m: float = 0.0440
+    tip_length_m: float = 0.0015
+    tip_scale: float = 0.6
+    neck_radius_m: float = 0.0035
+    eye_radius_m: float = 0.0035
+
+
+@dataclass(frozen=True)
+class HookDimensions:
+    """A J hook in the xz plane: shank along z, hook towards +x; the origin lies in the collar's lower face."""
+
+    wire_radius_m: float = 0.0040
+    bend_radius_m: float = 0.0120
+    bend_rad: float = float(np.radians(165))
+    straight_length_m: float = 0.0260
+    mouth_length_m: float = 0.0070
+    collar_across_flats_m: float = 0.0160
+    collar_height_m: float = 0.0050
+    shank_radius_m: float = 0.0040
+    shank_length_m: float = 0.0300
+    ring_pitch_m: float = 0.0020
+    ring_depth_m: float = 0.0009
+    ring_count: int = 12
+
+
+PIN = PinDimensions()
+DAMPING_PIN = DampingPinDimensions()
+HEAD = HeadDimensions()
+ELBOW_PIPE = ElbowPipeDimensions()
+COTTER = CotterDimensions()
+HOOK = HookDimensions()
 
 
 def pin(dimensions: PinDimensions = PIN) -> trimesh.Trimesh:

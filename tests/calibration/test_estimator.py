@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tactile_loc.calibration.colour import COLOUR_STEP, FEATURES, FIXED, colour_difference, features, fixed_features
+from tactile_loc.calibration.estimator import COLOUR_STEP, FIXED, PLANES, colour_difference, features, fixed_features
 from tactile_loc.core.sensing import SensorGeometry
 
 WIDE = SensorGeometry("orthographic", 80, 64, 4000.0, 4000.0, 40.0, 32.0, 0.01, 1.5e-3)
@@ -27,5 +27,5 @@ def test_darker_is_negative_and_a_part_is_seen_as_in_the_whole():
     assert difference[3, 5, 1] == (int(image[3, 5, 1]) - int(gel[3, 5, 1])) / COLOUR_STEP
     fixed, part = fixed_features(gel, WIDE), np.s_[10:20, 30:50]
     whole = features(image, gel, fixed)
-    assert whole.shape == (64, 80, FEATURES)
+    assert whole.shape == (64, 80, PLANES)
     np.testing.assert_array_equal(features(image[part], gel[part], fixed[part]), whole[part])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.calibration import board_presses as module
-from tactile_loc.calibration.board_presses import SHARD, simulated_presses
+from tactile_loc.calibration import simulated as module
+from tactile_loc.calibration.simulated import SHARD, simulated_presses
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.imaging.optics import OPTICS

@@ -1,0 +1,42 @@
+"""Processes that are killed at each of their steps on the disk."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from itertools import count
+
+STEPS = ("open", "os.", "shutil.", "ctypes.")  # the audit events before which a process is killed
+
+
+def killed_at_every_step(act: Callable[[], object]) -> Iterator[int]:
+    """Run `act` in a child that is killed at its n-th step, for n = 1, 2, ..., and yield n when it is dead.
+
+    Ends, with the number of a child that was not killed, when `act` has no more steps.
+    """
+    for number in count(1):
+        child = os.fork()
+        if child == 0:
+            _run(act, number)
+        _, status = os.waitpid(child, 0)
+        yield number
+        if os.waitstatus_to_exitcode(status) != -signal.SIGKILL:
+            assert os.waitstatus_to_exitcode(status) == 0
+            return
+
+
+def _run(act: Callable[[], object], last: int) -> None:
+    taken = count(1)
+
+    def watch(event: str, _: object) -> None:
+        if event.startswith(STEPS) and next(taken) == last:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    try:
+        sys.addaudithook(watch)
+        act()
+    except BaseException:  # noqa: BLE001
+        os._exit(1)
+    os._exit(0)

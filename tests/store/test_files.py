@@ -1,0 +1,191 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from kill_steps import killed_at_every_step
+
+from tactile_loc.core.errors import OutputError
+from tactile_loc.store import files
+from tactile_loc.store.files import recover_folder, replacing_folder, require_writable, write_atomically
+
+
+def test_a_folder_that_can_be_made_is_fine_and_not_made(tmp_path):
+    require_writable(tmp_path / "a" / "b")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_in_the_way_is_not(tmp_path):
+    (tmp_path / "a").write_text("mine")
+    for folder in (tmp_path / "a", tmp_path / "a" / "b"):
+        with pytest.raises(OutputError, match="not a folder"):
+            require_writable(folder)
+
+
+def test_a_folder_that_refuses_is_not(tmp_path, monkeypatch):
+    def refuse(**_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refuse)
+    with pytest.raises(OutputError, match="Permission denied"):
+        require_writable(tmp_path)
+
+
+def test_writing_makes_the_folder_and_leaves_one_file(tmp_path):
+    path = write_atomically(tmp_path / "new" / "a.txt", lambda p: p.write_text("all"))
+    assert path.read_text() == "all"
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_write_that_fails_halfway_leaves_the_old_file(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+
+    def halfway(temporary):
+        temporary.write_text("new, ha")
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(OutputError, match="No space left on device"):
+        write_atomically(path, halfway)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_other_errors_pass_through_and_leave_nothing(tmp_path):
+    def broken(temporary):
+        temporary.write_text("x")
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write_atomically(tmp_path / "a.txt", broken)
+    assert list(tmp_path.iterdir()) == []
+
+
+NAMES = ("a.txt", "deep/b.txt")
+
+
+def replace(folder: Path, text: str, **options: bool) -> None:
+    with replacing_folder(folder, **options) as new:
+        (new / "deep").mkdir()
+        for name in NAMES:
+            (new / name).write_text(text)
+
+
+def text(folder: Path) -> str:
+    """What all files of a folder say."""
+    (found,) = {(folder / name).read_text() for name in NAMES}
+    assert sum(path.is_file() for path in folder.rglob("*")) == len(NAMES)
+    return found
+
+
+def names(folder: Path) -> list[str]:
+    return [path.name for path in folder.iterdir()]
+
+
+@pytest.fixture(params=["exchange", "by a third place"])
+def any_file_system(request, monkeypatch):
+    if request.param != "exchange":
+        monkeypatch.setattr(files, "_exchange", lambda one, other: False)
+
+
+def test_linux_exchanges_two_folders_at_once(tmp_path):
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / name).touch()
+    if not files._exchange(tmp_path / "one", tmp_path / "other"):
+        pytest.skip("this file system does not exchange folders")
+    assert names(tmp_path / "one") == ["other"]
+    assert not files._exchange(tmp_path / "one", tmp_path / "none")
+
+
+@pytest.mark.usefixtures("any_file_system")
+def test_a_folder_is_made_and_replaced_and_nothing_is_left(tmp_path):
+    folder = tmp_path / "new" / "folder"
+    for said in ("first", "second", "third"):
+        replace(folder, said)
+        assert text(folder) == said
+        assert names(folder.parent) == ["folder"]
+
+
+@pytest.mark.usefixtures("any_file_system")
+def test_a_process_killed_at_any_step_leaves_the_old_folder_or_the_new(tmp_path):
+    folder, seen = tmp_path / "folder", []
+    replace(folder, "old")
+    for _ in killed_at_every_step(lambda: replace(folder, "new")):
+        recover_folder(folder)
+        seen.append(text(folder))
+        replace(folder, "old")
+        assert names(tmp_path) == ["folder"]
+    steps = seen.count("old")
+    assert steps > 8
+    assert seen == ["old"] * steps + ["new"] * (len(seen) - steps)
+    assert len(seen) > steps + 8  # killed while it removed the old one, too
+
+
+def test_what_was_set_aside_is_back_before_it_is_replaced(tmp_path):
+    replace(tmp_path / "folder", "old")
+    (tmp_path / "folder").rename(files._aside(tmp_path / "folder"))
+    with pytest.raises(ZeroDivisionError), replacing_folder(tmp_path / "folder"):
+        raise ZeroDivisionError
+    assert text(tmp_path / "folder") == "old"
+    assert names(tmp_path) == ["folder"]
+
+
+@pytest.mark.usefixtures("any_file_system")
+@pytest.mark.parametrize("fails", ["os.fsync", "os.rename", "pathlib.Path.rename"])
+def test_a_disk_that_refuses_leaves_the_old_folder(tmp_path, monkeypatch, fails):
+    replace(tmp_path / "folder", "old")
+
+    def refuse(*_: object) -> None:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(fails, refuse)
+    monkeypatch.setattr(files, "_exchange", lambda one, other: False)
+    with pytest.raises(OSError, match="Input/output"):
+        replace(tmp_path / "folder", "new")
+    assert text(tmp_path / "folder") == "old"
+    assert names(tmp_path) == ["folder"]
+
+
+def test_the_second_of_two_renames_fails(tmp_path, monkeypatch):
+    folder, rename = tmp_path / "folder", Path.rename
+    replace(folder, "old")
+
+    def refuse(self: Path, target: Path) -> Path:
+        if target == folder and self != files._aside(folder):
+            raise OSError(5, "Input/output error")
+        return rename(self, target)
+
+    monkeypatch.setattr(files, "_exchange", lambda one, other: False)
+    monkeypatch.setattr(Path, "rename", refuse)
+    with pytest.raises(OSError, match="Input/output"):
+        replace(folder, "new")
+    assert text(folder) == "old"
+    assert names(tmp_path) == ["folder"]
+
+
+def test_what_another_process_is_writing_is_left_alone(tmp_path):
+    with replacing_folder(tmp_path / "folder") as slow:
+        (slow / "a.txt").write_text("slow")
+        replace(tmp_path / "folder", "fast")
+        assert (slow / "a.txt").read_text() == "slow"
+    assert names(tmp_path / "folder") == ["a.txt"]
+    assert names(tmp_path) == ["folder"]
+
+
+def test_the_target_of_a_link_is_replaced(tmp_path):
+    replace(tmp_path / "there" / "folder", "old")
+    (tmp_path / "link").symlink_to(tmp_path / "there" / "folder")
+    replace(tmp_path / "link", "new")
+    assert (tmp_path / "link").is_symlink()
+    assert text(tmp_path / "there" / "folder") == "new"
+
+
+def test_a_fresh_folder_takes_no_place_of_another(tmp_path):
+    replace(tmp_path / "folder", "old")
+    with pytest.raises(OSError, match="not empty"):
+        replace(tmp_path / "folder", "new", fresh=True)
+    assert text(tmp_path / "folder") == "old"
+    assert names(tmp_path) == ["folder"]
+    replace(tmp_path / "other", "new", fresh=True)
+    assert text(tmp_path / "other") == "new"
