@@ -196,7 +196,7 @@ class Bench:
         start = time.perf_counter()
         refined = self.compared[name].refine_many(touch, ten, self.localizer.scene)
         poses = np.stack([pose.T_sensor_object for pose in refined])
-        chosen = int(self.localizer.scene.explained(poses, touch).argmax())
+        chosen = int(self.localizer.scene.imprint_ious(poses, touch).argmax())
         seconds = time.perf_counter() - start
         errors = self.errors_mm(poses, touch)
         lines = zip(LINES, (errors[0], errors[chosen], errors.min()), strict=True)

@@ -76,7 +76,7 @@ def errors(
         iou = 0.0
     else:
         true = touch.contact_shape.pressed_to(shape.press_depth_m) if estimator.sees_skirt else touch.contact_shape
-        iou = shape.overlap(true, observed)
+        iou = shape.contact_iou(true, observed)
     press_mm = 1e3 * abs(press_depth_m(found_m, estimator.geometry) - touch.press_depth_m)
     inside = off_mm[touch.contact_shape.contact & observed]
     return (*(float(np.sqrt(np.mean(np.square(part)))) for part in (off_mm[observed], inside)), iou, press_mm, took_ms)

@@ -25,7 +25,7 @@ from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch, contac
 
 Float32 = NDArray[np.float32]
 
-OVERLAP_PX = 100
+IOU_PX = 100
 # Of the press depth, what a pixel counts for being in contact at all: as much as the deepest imprint does. With less,
 # the depth, which noise falsifies first, decides between poses; with more, depth hardly matters.
 OUTLINE_SHARE = 1.0
@@ -172,36 +172,36 @@ class Scene:
         T, _ = self.in_contact(T_sensor_object[None])
         return ContactShape(self.contact_depths(T, press_depth_m)[0], press_depth_m)
 
-    def overlap(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> float:
-        """Return how well a pose (4, 4), metres, explains a touch: 0 (not at all) to 1, unitless."""
-        return self.overlaps(T_sensor_object[None], touch)[0]
+    def contact_iou(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> float:
+        """Return the contact IoU of one pose (4, 4), metres: see `contact_ious`."""
+        return self.contact_ious(T_sensor_object[None], touch)[0]
 
-    def overlaps(self, T_sensor_object: Poses, touch: Touch) -> list[float]:
+    def contact_ious(self, T_sensor_object: Poses, touch: Touch) -> list[float]:
         """Return how well each of the poses (N, 4, 4), metres, explains a touch: 0 (not at all) to 1, unitless.
 
         The intersection over union of the touch's contact and the one that the pose makes at the same press depth,
-        where the sensor observes, on about OVERLAP_PX pixels a side.
+        where the sensor observes, on about IOU_PX pixels a side.
         """
-        return self.overlaps_and_explained(T_sensor_object, touch)[0]
+        return self.ious(T_sensor_object, touch)[0]
 
-    def explained(self, T_sensor_object: Poses, touch: Touch) -> NDArray[np.float64]:
+    def imprint_ious(self, T_sensor_object: Poses, touch: Touch) -> NDArray[np.float64]:
         """Return how well poses (N, 4, 4), metres, explain a touch in depth and outline: (N,), 0 to 1, unitless.
 
         A generalised intersection over union: the sum of the smaller over the sum of the larger of what pose and touch
         press in, raised by OUTLINE_SHARE of the press depth wherever there is contact. At the touch's press depth,
-        where the sensor observes, on about OVERLAP_PX pixels a side. A pose without contact explains nothing.
+        where the sensor observes, on about IOU_PX pixels a side. A pose without contact explains nothing.
         """
-        return self.overlaps_and_explained(T_sensor_object, touch)[1]
+        return self.ious(T_sensor_object, touch)[1]
 
-    def overlaps_and_explained(self, T_sensor_object: Poses, touch: Touch) -> tuple[list[float], NDArray[np.float64]]:
-        """Return both scores of poses (N, 4, 4), metres, which are drawn once."""
-        geometry, wanted = touch.thinned(OVERLAP_PX)
+    def ious(self, T_sensor_object: Poses, touch: Touch) -> tuple[list[float], NDArray[np.float64]]:
+        """Return contact IoUs and imprint IoUs of poses (N, 4, 4), metres, which are drawn once."""
+        geometry, wanted = touch.thinned(IOU_PX)
         coarse, press_m = dataclasses.replace(self, geometry=geometry), touch.press_depth_m
         made = coarse.contact_depths(coarse.in_contact(T_sensor_object)[0], press_m)
-        overlaps = [ContactShape(depth, press_m).overlap(wanted, geometry.observed_mask) for depth in made]
+        contact_ious = [ContactShape(depth, press_m).contact_iou(wanted, geometry.observed_mask) for depth in made]
         a, b = (_imprint(depth_m, press_m, geometry.observed_mask) for depth_m in (made, wanted.depth_m))
         common, either = (np.sum(both, axis=(-2, -1), dtype=float) for both in (np.minimum(a, b), np.maximum(a, b)))
-        return overlaps, np.asarray(common / np.maximum(either, 1.0), float)
+        return contact_ious, np.asarray(common / np.maximum(either, 1.0), float)
 
 
 class GridSampler(Component):
@@ -307,11 +307,11 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class RefinedPose:
-    """A refined pose (4, 4) in metres. `fitness`, 0 to 1 (unitless), tells how well it explains the touch:
-    `Scene.overlap`."""
+    """A refined pose (4, 4) in metres. `contact_iou`, 0 to 1 (unitless), tells how well it explains the touch's
+    outline: `Scene.contact_iou`."""
 
     T_sensor_object: NDArray[np.float64]
-    fitness: float
+    contact_iou: float
     converged: bool
     iterations: int
 

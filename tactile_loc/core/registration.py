@@ -81,10 +81,10 @@ class CloudRefiner(Refiner):
         given = np.stack([candidate.T_sensor_object for candidate in candidates])
         starts = thinned.in_contact(given)[0]  # the poses whose contact is registered
         seen = [ContactShape(d, touch.press_depth_m) for d in thinned.contact_depths(starts, touch.press_depth_m)]
-        before = [shape.overlap(wanted, geometry.observed_mask) for shape in seen]
+        before = [shape.contact_iou(wanted, geometry.observed_mask) for shape in seen]
         found = self._register_shapes(seen, wanted, geometry)
         poses = np.stack([_moved(start, f.T_mm) for start, f in zip(starts, found, strict=True)])
-        rows = zip(found, poses, scene.overlaps(poses, touch), given, before, strict=True)
+        rows = zip(found, poses, scene.contact_ious(poses, touch), given, before, strict=True)
         return [_believed(*row) for row in rows]
 
     def _register_shapes(

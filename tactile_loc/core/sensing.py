@@ -190,7 +190,7 @@ class ContactShape:
         """Return every `step`-th pixel; goes with `SensorGeometry.every`."""
         return ContactShape(self.depth_m[::step, ::step], self.press_depth_m)
 
-    def overlap(self, other: ContactShape, observed: NDArray[np.bool_]) -> float:
+    def contact_iou(self, other: ContactShape, observed: NDArray[np.bool_]) -> float:
         """Return intersection over union (0 to 1, unitless) of two contacts where pixels (H, W) are observed."""
         ours, theirs = self.contact & observed, other.contact & observed
         return float((ours & theirs).sum() / max(1, (ours | theirs).sum()))

@@ -75,7 +75,7 @@ class TouchEvaluator:
         top = top[np.isfinite(posterior.log_p[top])]
         guesses = rng.integers(len(posterior.grid), size=FEW)
         refined, times.seconds["refine"] = self._refine(touch, posterior, top[:FEW])
-        chosen = int(self.localizer.scene.explained(refined, touch).argmax())
+        chosen = int(self.localizer.scene.imprint_ious(refined, touch).argmax())
         poses = self._lines(truth, top, guesses, oracle, refined, chosen)
         seconds = np.array([times.seconds[stage] for stage in STAGES])
         return MeasuredTouch(self._errors_m(poses, truth), poses, seconds, posterior_metrics(posterior, truth, rng))

@@ -89,7 +89,7 @@ def _refined(views: Sequence[View], modes: Sequence[Mode]) -> list[list[RefinedP
 
 def _imprint_ious(views: Sequence[View], T_first_object: Poses) -> NDArray[np.float64]:
     """How well poses (K, 4, 4) in the first sensor's frame explain the touches: mean (K,) over them, 0 to 1."""
-    ious = [scene.explained(_from_first(views, touch) @ T_first_object, touch) for touch, scene, _ in views]
+    ious = [scene.imprint_ious(_from_first(views, touch) @ T_first_object, touch) for touch, scene, _ in views]
     return np.asarray(np.mean(ious, axis=0))
 
 

@@ -20,7 +20,7 @@ class Hypothesis:
     `probability` is that of its whole mode, which holds `grid_poses` poses of the grid; `T_sensor_object_grid` (4, 4)
     the most probable of them, at `grid_index`; `refined` the pose below the grid's resolution, `T_sensor_object`, with
     what the refiner says of it; `imprint_iou`, 0 to 1, how well that pose explains the touches in depth and outline
-    (`Scene.explained`), the mean over several. Metres.
+    (`Scene.imprint_ious`), the mean over several. Metres.
     """
 
     probability: float

@@ -69,7 +69,7 @@ class HypothesisRecord(_Record):
         description="how well the refined pose explains the touch in depth and outline, 0 to 1: intersection over "
         "union of imprints; hypotheses are in the order of this, and of the prior if there is one"
     )
-    fitness: float = Field(
+    contact_iou: float = Field(
         description="what the refiner reached: intersection over union of the observed contact and the pose's, 0 to 1"
     )
     converged: bool = Field(description="whether the refinement converged")
@@ -190,7 +190,7 @@ def _hypotheses(localization: Localization, errors_m: NDArray[np.float64] | None
         HypothesisRecord(
             rank=i + 1, probability=h.probability, grid_poses=h.grid_poses,
             T_sensor_object_grid=h.T_sensor_object_grid.tolist(), T_sensor_object=h.T_sensor_object.tolist(),
-            imprint_iou=h.imprint_iou, fitness=h.refined.fitness,
+            imprint_iou=h.imprint_iou, contact_iou=h.refined.contact_iou,
             converged=h.refined.converged, iterations=h.refined.iterations,
             error_m=None if errors_m is None else float(errors_m[i]),
         )

@@ -39,7 +39,7 @@ def checks(capabilities: Capabilities) -> list[Check]:
 
 
 def check_output(refiner: Refiner) -> None:
-    """`refine` returns a RefinedPose: rigid float64, fitness 0 to 1, converged a bool, iterations a whole number."""
+    """`refine` returns a RefinedPose: rigid float64, contact_iou 0 to 1, converged a bool, iterations a whole one."""
     for problem in _problems():
         for offset in OFFSETS:
             _require_sound(_refine(refiner, problem, offset))
@@ -155,15 +155,15 @@ def check_candidate_without_contact(refiner: Refiner) -> None:
     problem = pressed_block()
     result = _survives(refiner, problem, _away(problem), "a candidate without contact")
     _require_sound(result)
-    claims = result.fitness > 0 and problem.error_m(result) > 0.1
-    require(not claims, f"a pose without contact explains nothing, but its fitness is {result.fitness:.2g}")
+    claims = result.contact_iou > 0 and problem.error_m(result) > 0.1
+    require(not claims, f"a pose without contact explains nothing, but its contact_iou is {result.contact_iou:.2g}")
 
 
 def check_failure_is_said(refiner: Refiner) -> None:
     """A candidate that is nowhere near the sensor, and left there, has not converged."""
     problem = pressed_block()
     result = _survives(refiner, problem, _away(problem), "a candidate without contact")
-    claims = result.converged and result.fitness == 0
+    claims = result.converged and result.contact_iou == 0
     require(not claims, "a refiner that found nothing must say so by converged=False; the contacts do not even overlap")
 
 
@@ -178,9 +178,9 @@ def check_many_are_one_by_one(refiner: Refiner) -> None:
             alone = refiner.refine(problem.touch, candidate, problem.scene)
             sentence = "refine_many must give what refine gives, in the candidates' order"
             _require_same(alone.T_sensor_object, result, problem, sentence, ROUNDING_PX)
-            same = alone.converged == result.converged and abs(alone.fitness - result.fitness) < 1e-2
-            require(same, f"{sentence}; fitness and converged are {result.fitness:.3f}, {result.converged} instead of "
-                    f"{alone.fitness:.3f}, {alone.converged}")  # fmt: skip
+            same = alone.converged == result.converged and abs(alone.contact_iou - result.contact_iou) < 1e-2
+            found, right = (f"{r.contact_iou:.3f}, {r.converged}" for r in (result, alone))
+            require(same, f"{sentence}; contact_iou and converged are {found} instead of {right}")
     try:
         none = refiner.refine_many(problem.touch, [], problem.scene)
     except Exception as error:
@@ -237,8 +237,8 @@ def _require_sound(result: RefinedPose) -> None:
     require_array(result.T_sensor_object, (4, 4), np.float64, "the refined pose")
     rigid = is_rigid(result.T_sensor_object)
     require(rigid, "the refined pose must be rigid: a proper rotation, finite, last row 0 0 0 1")
-    fit = isinstance(result.fitness, float) and 0.0 <= result.fitness <= 1.0
-    require(fit, f"fitness is a share, a float from 0 to 1, not {result.fitness!r}")
+    fit = isinstance(result.contact_iou, float) and 0.0 <= result.contact_iou <= 1.0
+    require(fit, f"contact_iou is a share, a float from 0 to 1, not {result.contact_iou!r}")
     require(isinstance(result.converged, bool | np.bool_), f"converged must be a bool, not {result.converged!r}")
     counted = isinstance(result.iterations, int | np.integer) and result.iterations >= 0
     require(counted, f"iterations must be a whole number, not {result.iterations!r}")

@@ -62,7 +62,7 @@ def test_a_gap_that_the_gel_bridges_is_not_contact():
     indentation = np.maximum(gaussian_filter(two, 3e-4 / PITCH_M), 0.45 * PRESS_M * (np.hypot(x, y) < 1e-3))
     shape = contact_shape(indentation.astype(np.float32), GEOMETRY, 0.0)
     assert not shape.contact[np.abs(x) < 2e-4].any()
-    assert shape.overlap(contact_shape(two.astype(np.float32), GEOMETRY, 0.0), GEOMETRY.observed_mask) > 0.85
+    assert shape.contact_iou(contact_shape(two.astype(np.float32), GEOMETRY, 0.0), GEOMETRY.observed_mask) > 0.85
 
 
 def test_a_shallow_bump_elsewhere_is_not_contact():

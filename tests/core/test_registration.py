@@ -59,7 +59,7 @@ def test_what_does_not_overlap_has_not_converged():
     problem = pressed_block()
     away = dataclasses.replace(problem.candidate(), T_sensor_object=translation([0.2, 0, 0]) @ problem.truth)
     result = answering(np.eye(4)).refine(problem.touch, away, problem.scene)
-    assert (result.fitness, result.converged) == (0.0, False)
+    assert (result.contact_iou, result.converged) == (0.0, False)
 
 
 def test_clouds_are_in_mm_and_know_their_spacing():

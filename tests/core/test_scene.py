@@ -75,7 +75,7 @@ def problem(request):
 def test_the_truth_explains_all_and_less_with_every_offset(problem):
     offsets = np.array([0.0, 0.3, 0.6, 1.2, 2.4, 4.8]) * 1e-3
     poses = np.stack([problem.candidate((x, 0.0, 0.0)).T_sensor_object for x in offsets])
-    explained = problem.scene.explained(poses, problem.touch)
+    explained = problem.scene.imprint_ious(poses, problem.touch)
     assert explained[0] == pytest.approx(1.0, abs=1e-6)
     assert (np.diff(explained) < -0.01).all()
     assert explained[-1] > 0
@@ -83,17 +83,17 @@ def test_the_truth_explains_all_and_less_with_every_offset(problem):
 
 def test_what_is_explained_does_not_depend_on_z_or_on_company(problem):
     poses = np.stack([problem.candidate((x, 0.0, 0.02)).T_sensor_object for x in (0.0, 0.001, 0.002)])
-    together = problem.scene.explained(poses, problem.touch)
+    together = problem.scene.imprint_ious(poses, problem.touch)
     lifted = translation([0.0, 0.0, 0.004]) @ poses
-    np.testing.assert_allclose(problem.scene.explained(lifted, problem.touch), together, atol=1e-6)
-    alone = [problem.scene.explained(T[None], problem.touch)[0] for T in poses]
+    np.testing.assert_allclose(problem.scene.imprint_ious(lifted, problem.touch), together, atol=1e-6)
+    alone = [problem.scene.imprint_ious(T[None], problem.touch)[0] for T in poses]
     np.testing.assert_allclose(alone, together, atol=1e-6)
 
 
 def test_a_pose_beside_the_sensor_explains_nothing(problem):
     away = translation([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]]) @ problem.truth
-    np.testing.assert_allclose(problem.scene.explained(away, problem.touch), [1.0, 0.0], atol=1e-6)
-    assert problem.scene.explained(away[:0], problem.touch).shape == (0,)
+    np.testing.assert_allclose(problem.scene.imprint_ious(away, problem.touch), [1.0, 0.0], atol=1e-6)
+    assert problem.scene.imprint_ious(away[:0], problem.touch).shape == (0,)
 
 
 def test_unobserved_pixels_explain_nothing_and_ask_for_nothing(problem):
@@ -102,7 +102,7 @@ def test_unobserved_pixels_explain_nothing_and_ask_for_nothing(problem):
     geometry = dataclasses.replace(problem.touch.geometry, observed=observed)
     touch = dataclasses.replace(problem.touch, geometry=geometry)
     depth = np.where(observed, touch.contact_shape.depth_m, np.float32(0))
-    scores = [problem.scene.explained(problem.truth[None], t)[0] for t in (touch, with_depth(touch, depth))]
+    scores = [problem.scene.imprint_ious(problem.truth[None], t)[0] for t in (touch, with_depth(touch, depth))]
     np.testing.assert_allclose(scores, 1.0, atol=1e-6)
 
 
@@ -115,8 +115,8 @@ def test_explained_in_numbers(make_box, make_scene, flat_camera):
     assert full.contact.sum() == 100
     assert (full.depth_m[full.contact] == 0).all()
     touch = Touch(full, flat_camera)
-    np.testing.assert_allclose(scene.explained(T, touch), [1.0, 50 / 150], atol=1e-6)
+    np.testing.assert_allclose(scene.imprint_ious(T, touch), [1.0, 50 / 150], atol=1e-6)
     shallow = Touch(ContactShape(np.where(full.contact, press / 2, press).astype(np.float32), press), flat_camera)
     expected = (0.5 + OUTLINE_SHARE) / (1.0 + OUTLINE_SHARE)
-    np.testing.assert_allclose(scene.explained(T[:1], shallow), expected, atol=1e-6)
-    assert scene.overlap(T[0], shallow) == 1.0  # the outline alone does not see it
+    np.testing.assert_allclose(scene.imprint_ious(T[:1], shallow), expected, atol=1e-6)
+    assert scene.contact_iou(T[0], shallow) == 1.0  # the outline alone does not see it

@@ -129,7 +129,7 @@ def test_a_misplaced_sensor_sees_another_pose_than_the_true_one(make_scene, pinh
         assert np.array_equal(a.T_sensor_object, b.T_sensor_object)
         assert b.contact_shape.depth_m.min() < 2e-5  # brought to contact again
     overlap = [
-        a.contact_shape.overlap(b.contact_shape, pinhole.observed_mask) for a, b in zip(clean, shifted, strict=True)
+        a.contact_shape.contact_iou(b.contact_shape, pinhole.observed_mask) for a, b in zip(clean, shifted, strict=True)
     ]
     assert 0.3 < np.mean(overlap) < 0.98
 

@@ -82,7 +82,7 @@ def test_a_run_s_arrays_are_the_posterior_and_the_rendered_shapes(run_folder, lo
     T = np.array(record.hypotheses[1].T_sensor_object)
     expected = localizer.scene.contact_shape(T, record.touch.press_depth_m)
     assert np.abs(touch.made(1).depth_m - expected.depth_m).max() < 1e-6
-    assert touch.shape.overlap(touch.made(0), touch.geometry.observed_mask) > 0.5
+    assert touch.shape.contact_iou(touch.made(0), touch.geometry.observed_mask) > 0.5
 
 
 def test_of_many_poses_the_most_probable_are_kept(box):

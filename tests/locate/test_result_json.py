@@ -50,7 +50,7 @@ def test_hypotheses_are_those_of_the_localisation(record, localization):
         assert np.array_equal(written.T_sensor_object, found.T_sensor_object)
         assert np.array_equal(written.T_sensor_object_grid, found.T_sensor_object_grid)
         assert written.probability == found.probability
-        assert (written.fitness, written.converged) == (found.refined.fitness, found.refined.converged)
+        assert (written.contact_iou, written.converged) == (found.refined.contact_iou, found.refined.converged)
     assert record.grid_poses == len(localization.posterior.grid)
 
 

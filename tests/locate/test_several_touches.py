@@ -67,7 +67,7 @@ def test_the_refined_pose_is_the_one_that_all_touches_like_best(localizer, touch
     found = together(localizer, touches, top=1).best
     grid, refined = (
         np.mean([
-            localizer.scene.explained((invert(t.T_base_sensor) @ touches[0].T_base_sensor @ T)[None], t)[0]
+            localizer.scene.imprint_ious((invert(t.T_base_sensor) @ touches[0].T_base_sensor @ T)[None], t)[0]
             for t in touches
         ])
         for T in (found.T_sensor_object_grid, found.T_sensor_object)

@@ -261,7 +261,7 @@ def together(self, touch, candidates, scene):
 
 
 REFINER = [
-    (refiners.check_output, saying(fitness=2.0)),
+    (refiners.check_output, saying(contact_iou=2.0)),
     (refiners.check_output, saying(T_sensor_object=-np.eye(4))),
     (refiners.check_truth_stays, then(NoRefiner, "refine", lambda r, *_: moved(r, 2e-4))),
     (refiners.check_touch_and_candidate_untouched, made(NoRefiner, refine=own_candidate)),
@@ -276,7 +276,7 @@ REFINER = [
     (refiners.check_many_are_one_by_one, made(NoRefiner, refine_many=reversed_many)),
     (refiners.check_many_are_one_by_one, made(NoRefiner, refine_many=needs_one)),
     (refiners.check_many_are_one_by_one, made(IcpRefiner, refine_many=together)),
-    (refiners.check_candidate_without_contact, saying(fitness=1.0)),
+    (refiners.check_candidate_without_contact, saying(contact_iou=1.0)),
     (refiners.check_deterministic, drifting(NoRefiner, "refine", lambda r, n: moved(r, 1e-9 * n))),
     (refiners.check_offsets_shrink, made(NoRefiner, capabilities=DEFAULT)),
     (refiners.check_offsets_shrink_after_a_light_press, made(IcpRefiner, refine=full_press_only)),

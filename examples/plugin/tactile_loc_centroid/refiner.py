@@ -18,15 +18,15 @@ class CentroidRefiner(Refiner):
         steps: int = Field(default=4, ge=1, description="how often the candidate is slid")
 
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
-        """Return the pose (4, 4) in metres with the largest overlap, which is its fitness (intersection over union)."""
+        """Return the pose (4, 4) in metres with the largest intersection over union of contacts."""
         T = candidate.T_sensor_object.copy()
-        best = RefinedPose(T, fitness=0.0, converged=False, iterations=0)
+        best = RefinedPose(T, contact_iou=0.0, converged=False, iterations=0)
         wanted = touch.contact_shape.contact & touch.geometry.observed_mask
         for step in range(self.options.steps + 1):
             seen = scene.contact_shape(T, touch.press_depth_m).contact & touch.geometry.observed_mask
-            overlap = float((seen & wanted).sum() / (seen | wanted).sum())
-            if overlap > best.fitness:
-                best = RefinedPose(T, overlap, converged=step > 0, iterations=step)
+            iou = float((seen & wanted).sum() / (seen | wanted).sum())
+            if iou > best.contact_iou:
+                best = RefinedPose(T, iou, converged=step > 0, iterations=step)
             if not seen.any():
                 break
             slid = T.copy()

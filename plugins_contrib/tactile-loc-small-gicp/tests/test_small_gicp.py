@@ -71,14 +71,14 @@ def test_a_registration_that_explains_less_is_not_believed(monkeypatch):
     refined = SmallGicpRefiner().refine(problem.touch, candidate, problem.scene)
     np.testing.assert_array_equal(refined.T_sensor_object, candidate.T_sensor_object)
     assert (refined.converged, refined.iterations) == (False, 7)
-    assert refined.fitness == problem.scene.overlap(candidate.T_sensor_object, problem.touch)
+    assert refined.contact_iou == problem.scene.contact_iou(candidate.T_sensor_object, problem.touch)
 
 
 def test_fitness_is_the_overlap_of_the_refined_pose():
     problem = pressed_block()
     refined = SmallGicpRefiner().refine(problem.touch, problem.candidate(OFFSETS[1]), problem.scene)
-    assert refined.fitness == problem.scene.overlap(refined.T_sensor_object, problem.touch)
-    assert refined.fitness > problem.scene.overlap(problem.candidate(OFFSETS[1]).T_sensor_object, problem.touch)
+    assert refined.contact_iou == problem.scene.contact_iou(refined.T_sensor_object, problem.touch)
+    assert refined.contact_iou > problem.scene.contact_iou(problem.candidate(OFFSETS[1]).T_sensor_object, problem.touch)
 
 
 def test_voxels_thin_the_clouds():

@@ -13,4 +13,4 @@ class NoRefiner(Refiner):
     def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
         """Return the candidate's pose (4, 4) unchanged, metres, and how well it explains the touch."""
         T = candidate.T_sensor_object.copy()
-        return RefinedPose(T, fitness=scene.overlap(T, touch), converged=True, iterations=0)
+        return RefinedPose(T, contact_iou=scene.contact_iou(T, touch), converged=True, iterations=0)

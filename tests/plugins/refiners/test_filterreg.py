@@ -222,7 +222,7 @@ def test_the_same_input_gives_the_same_pose(pin_scene, pin_touches, off_by):
 def test_a_touch_far_from_the_candidate_is_no_success(pin_scene, elsewhere):
     touch, candidate = elsewhere
     refined = FilterRegRefiner().refine(touch, candidate, pin_scene)
-    assert (refined.converged, refined.fitness) == (False, 0.0)
+    assert (refined.converged, refined.contact_iou) == (False, 0.0)
     assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)
 
 

@@ -61,7 +61,7 @@ def test_the_true_pose_stays_where_it_is(scene, touches):
     for touch in touches:
         refined = IcpRefiner().refine(touch, Candidate(touch.T_sensor_object, 0, 0.0), scene)
         assert refined.converged
-        assert refined.fitness > 0.99
+        assert refined.contact_iou > 0.99
         assert refined.iterations > 0
         assert error_mm(touch, refined.T_sensor_object, scene) < 0.01
 
@@ -103,7 +103,7 @@ def test_the_same_input_gives_the_same_pose(scene, touches):
     candidate = off_by(touches[2], scene, 1.0, 3.0, 2.0)
     a, b = (IcpRefiner().refine(touches[2], candidate, scene) for _ in range(2))
     assert np.array_equal(a.T_sensor_object, b.T_sensor_object)
-    assert (a.fitness, a.converged, a.iterations) == (b.fitness, b.converged, b.iterations)
+    assert (a.contact_iou, a.converged, a.iterations) == (b.contact_iou, b.converged, b.iterations)
 
 
 def test_a_touch_far_from_the_candidate_is_no_success(scene, touches):
@@ -118,7 +118,7 @@ def test_a_touch_far_from_the_candidate_is_no_success(scene, touches):
     candidate = Candidate(scene.in_contact(centred[None])[0][0], 0, 0.0)
     refined = IcpRefiner().refine(elsewhere, candidate, scene)
     assert not refined.converged
-    assert refined.fitness == 0.0
+    assert refined.contact_iou == 0.0
     assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)
 
 

@@ -123,7 +123,7 @@ def test_a_known_offset_shrinks(pin_scene, pin_touches, off_by, error_mm):
 def test_a_touch_far_from_the_candidate_is_no_success(pin_scene, elsewhere):
     touch, candidate = elsewhere
     refined = KissIcpRefiner().refine(touch, candidate, pin_scene)
-    assert (refined.converged, refined.fitness) == (False, 0.0)
+    assert (refined.converged, refined.contact_iou) == (False, 0.0)
     assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)
 
 

@@ -41,7 +41,7 @@ def test_an_offset_in_all_directions_is_undone_to_a_small_part_of_a_pixel(refine
     assert problem.error_m(candidate) > 1e-3
     assert problem.error_m(refined) < 0.05 * problem.touch.geometry.pixel_pitch_m
     assert refined.converged
-    assert refined.fitness > 0.99
+    assert refined.contact_iou > 0.99
     assert refined.iterations > 3
 
 
@@ -85,7 +85,7 @@ def test_no_answer_explains_the_touch_worse_than_the_candidate(refiner, problem)
     candidates = [problem.candidate((*rng.uniform(-0.006, 0.006, 2), rng.uniform(-np.pi, np.pi))) for _ in range(12)]
     refined = refiner.refine_many(problem.touch, candidates, problem.scene)
     before, after = (
-        problem.scene.explained(np.stack([p.T_sensor_object for p in poses]), problem.touch)
+        problem.scene.imprint_ious(np.stack([p.T_sensor_object for p in poses]), problem.touch)
         for poses in (candidates, refined)
     )
     assert (after >= before - 1e-9).all()

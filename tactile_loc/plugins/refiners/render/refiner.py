@@ -178,12 +178,12 @@ class RenderRefiner(Refiner):
         self, touch: Touch, scene: Scene, before: Poses, after: Poses, settled: Flags, iterations: Counts
     ) -> list[RefinedPose]:
         """Results of the refined poses, and of the candidates (K, 4, 4) that explain the touch better than theirs."""
-        scores = [scene.overlaps_and_explained(T, touch) for T in (before, after)]
-        overlaps, explained = (np.stack([both[k] for both in scores]) for k in (0, 1))
-        good = (explained[1] >= explained[0]) & (overlaps[1] >= overlaps[0] - ROUGHLY)
+        scores = [scene.ious(T, touch) for T in (before, after)]
+        contact, imprint = (np.stack([both[k] for both in scores]) for k in (0, 1))
+        good = (imprint[1] >= imprint[0]) & (contact[1] >= contact[0] - ROUGHLY)
         T = np.where(good[:, None, None], after, before)
-        fitness = np.where(good, overlaps[1], overlaps[0])
-        rows = zip(T, fitness, good & settled, iterations, strict=True)
+        contact_iou = np.where(good, contact[1], contact[0])
+        rows = zip(T, contact_iou, good & settled, iterations, strict=True)
         return [RefinedPose(pose.copy(), float(fit), bool(ok), int(count)) for pose, fit, ok, count in rows]
 
     def _descend(self, touch: Touch, T: Poses, scene: Scene) -> tuple[Poses, Flags, Counts]:
