@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import urllib.error
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -18,13 +17,7 @@ from tactile_loc.plugins.encoders.moco.backbones import BACKBONES, Backbone, loa
 STATISTICS = ("running_mean", "running_var", "num_batches_tracked")
 
 
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Small networks gain nothing from threads, and on a busy machine lose much by waiting for each other."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def made(name: str = "small", seed: int = 0, **options: object) -> Backbone:

@@ -24,12 +24,7 @@ from tactile_loc.store.store import StageStore  # noqa: E402
 TINY = {"epochs": 3, "queries": 64, "batch": 32, "channels": 4, "noise": "mild"}
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")
