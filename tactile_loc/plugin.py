@@ -109,7 +109,7 @@ if TYPE_CHECKING:
 
     # for fusers
     from tactile_loc.core.common_poses import CommonPosesFuser as CommonPosesFuser
-    from tactile_loc.core.common_poses import check_contacts as check_contacts
+    from tactile_loc.core.common_poses import require_fusable as require_fusable
     from tactile_loc.core.common_poses import common_poses as common_poses
     from tactile_loc.core.common_poses import prior_weights as prior_weights
 

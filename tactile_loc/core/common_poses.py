@@ -51,7 +51,7 @@ class CommonPosesFuser(Fuser):
         Raises ConfigError for several touches without the pose of each sensor, touches of different objects, or a
         prior that does not return one log-weight a pose, none of them NaN or +inf; GridError when no pose is left.
         """
-        check_contacts(posteriors, T_base_sensor)
+        require_fusable(posteriors, T_base_sensor)
         first = posteriors[0].grid
         log_p = prior_weights(prior, first) + self.evidence(posteriors[0], slice(None))
         if len(posteriors) > 1:
@@ -67,7 +67,7 @@ class CommonPosesFuser(Fuser):
 
 
 @dataclass(frozen=True, eq=False)
-class Contact:
+class OtherSensor:
     """One more sensor: its grid, the motion T_sensor_first (4, 4) in metres, and how near a pose must be, metres."""
 
     grid: PoseGrid
@@ -87,7 +87,7 @@ class CommonPoses:
     found: NDArray[np.int64]
 
 
-def check_contacts(posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None]) -> None:
+def require_fusable(posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None]) -> None:
     """Raise ConfigError unless there is a contact, a rigid pose (4, 4) of each of several sensors, and one object."""
     if not posteriors or len(posteriors) != len(T_base_sensor):
         raise ConfigError(
@@ -132,14 +132,14 @@ def common_poses(
     """Find those of the first grid's `possible` (N,) poses that touch all sensors; their order is the grid's.
 
     Seen from sensor i, a pose x of the first is inv(T_base_sensor_i) @ T_base_sensor_1 @ x; it touches sensor i if the
-    pose of that grid nearest to it, symmetry regarded, is within reach. The contact that excludes most is asked first.
+    pose of that grid nearest to it, symmetry regarded, is within reach. The sensor that excludes most is asked first.
     Raises GridError, which names the contact that dropped the last poses, when none is left.
     """
-    contacts = _contacts(grids, T_base_sensor, reach)
+    others = _others(grids, T_base_sensor, reach)
     poses, first = grids[0].T_sensor_object, np.flatnonzero(possible)
     found = np.tile(first, (len(grids), 1))  # right already for the first, and for what is seen from the same place
-    for number in _order(contacts, poses[first]):
-        found[number] = contacts[number].lookup(poses[first])
+    for number in _order(others, poses[first]):
+        found[number] = others[number].lookup(poses[first])
         touching = found[number] >= 0
         if len(first) and not touching.any():
             raise GridError(_explain(number, len(first), len(poses), len(grids)))
@@ -147,16 +147,16 @@ def common_poses(
     return CommonPoses(first, found)
 
 
-def _contacts(grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses | None], reach: float) -> dict[int, Contact]:
+def _others(grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses | None], reach: float) -> dict[int, OtherSensor]:
     """What is to be looked up, by its place among the grids: not the first, nor that grid seen from the same place."""
-    contacts: dict[int, Contact] = {}
+    others: dict[int, OtherSensor] = {}
     T_base_first = np.eye(4) if T_base_sensor[0] is None else np.asarray(T_base_sensor[0], float)
     for number, (grid, T) in enumerate(zip(grids, T_base_sensor, strict=True)):
         if number == 0 or T is None or (grid is grids[0] and np.array_equal(T, T_base_first)):
             continue
         T_sensor_first = invert(np.asarray(T, float)) @ T_base_first
-        contacts[number] = Contact(grid, T_sensor_first, reach * _spacing_m(grids[0], grid))
-    return contacts
+        others[number] = OtherSensor(grid, T_sensor_first, reach * _spacing_m(grids[0], grid))
+    return others
 
 
 def _spacing_m(first: PoseGrid, other: PoseGrid) -> float:
@@ -168,12 +168,12 @@ def _spacing_m(first: PoseGrid, other: PoseGrid) -> float:
     return max(known, default=np.inf)
 
 
-def _order(contacts: dict[int, Contact], T_first_object: Poses) -> list[int]:
-    """The contacts, each time the one that excludes most of what is left of a few poses: less is left to look up."""
-    if len(contacts) < 2 or len(T_first_object) <= SAMPLE:
-        return list(contacts)
+def _order(others: dict[int, OtherSensor], T_first_object: Poses) -> list[int]:
+    """The others, each time the one that excludes most of what is left of a few poses: less is left to look up."""
+    if len(others) < 2 or len(T_first_object) <= SAMPLE:
+        return list(others)
     some = T_first_object[np.linspace(0, len(T_first_object) - 1, SAMPLE).astype(int)]
-    touching = {number: contact.lookup(some) >= 0 for number, contact in contacts.items()}
+    touching = {number: other.lookup(some) >= 0 for number, other in others.items()}
     left, order = np.ones(SAMPLE, bool), []
     while touching:
         order.append(min(touching, key=lambda number: int((touching[number] & left).sum())))
