@@ -6,31 +6,21 @@ import json
 import logging
 import math
 import os
+import shutil
 import sys
+import textwrap
 import time
 import warnings
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tactile_loc.core.progress import Progress, rank
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
 PACKAGES = ("tactile_loc", "tactile_loc_cli")
 LEVELS = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO, 2: logging.DEBUG}  # by verbosity
-
-
-def output() -> Console:
-    """Return a console for results. Made anew, so that it writes to the stdout of the moment."""
-    from rich.console import Console
-
-    console = Console(highlight=False, soft_wrap=False)
-    if not console.is_terminal:
-        console.width = 160
-    return console
+UNKNOWN_WIDTH, NARROWEST = 160, 20  # characters: of a window that is none, and of a folded column
 
 
 def say(text: str = "") -> None:
@@ -39,16 +29,31 @@ def say(text: str = "") -> None:
         sys.stdout.write(text + "\n")
 
 
-def say_table(rows: Sequence[Sequence[str]], left: int | Container[int] = 2) -> None:
-    """Write rows of cells; never cut to the window.
+def say_table(rows: Sequence[Sequence[str]], left: int | Container[int] = 2, gap: int = 1, fold: bool = False) -> None:
+    """Write rows of cells, the first one the header; never cut to the window.
 
-    The first `left` columns, or those of these numbers, are set to the left, the others to the right.
+    The first `left` columns, or those of these numbers, are set to the left, the others to the right, `gap` blanks
+    apart. Of a row with fewer cells than the header the last runs on. With `fold` the last column is broken into lines
+    where the window is too narrow.
     """
     to_left = range(left) if isinstance(left, int) else left
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    whole = [row for row in rows if len(row) == len(rows[0])]
+    widths = [max(map(len, column)) for column in zip(*whole, strict=True)]
+    indent = sum(widths[:-1]) + gap * (len(widths) - 1)
     for row in rows:
-        cells = [c.ljust(w) if i in to_left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))]
-        say(" ".join(cells).rstrip())
+        cells = [c.ljust(w) if i in to_left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=False))]
+        if len(row) < len(widths):
+            cells[-1] = row[-1]
+        line = (" " * gap).join(cells).rstrip()
+        for part in _folded(line, indent) if fold else [line]:
+            say(part)
+
+
+def _folded(line: str, indent: int) -> list[str]:
+    """A line, broken between words after the column where its last cell begins, if it is wider than the window."""
+    width = shutil.get_terminal_size((UNKNOWN_WIDTH, 1)).columns if sys.stdout.isatty() else UNKNOWN_WIDTH
+    parts = textwrap.wrap(line[indent:], max(width - indent, NARROWEST)) or [""]
+    return [line[:indent] + parts[0], *(" " * indent + part for part in parts[1:])]
 
 
 def complain(kind: str, text: str) -> None:

@@ -39,14 +39,6 @@ def age_in_words(seconds: float) -> str:
     return f"{max(seconds, 0):.0f} s"
 
 
-def size_in_words(nbytes: int) -> str:
-    """Return a size in bytes as people read it: 3 B, 12.3 kB, 4.56 GB."""
-    for unit, size_b in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if nbytes >= size_b:
-            return f"{nbytes / size_b:.3g} {unit}"
-    return f"{nbytes} B"
-
-
 def age_s(entry: Entry, now: datetime | None = None) -> float:
     """Return how long ago an entry was built, or last worked at, seconds."""
     return ((now or datetime.now(UTC)) - entry.created).total_seconds()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.formatting import millimetres, percent
 from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.noise import NOISE
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
@@ -167,18 +168,6 @@ def _heading(panel: SubFigure, text: str) -> None:
 def _caption(i: int, probability: float, imprint_iou: float, errors_m: NDArray[np.float64] | None) -> str:
     text = f"{i + 1}:  {percent(probability)},  imprint IoU {100 * imprint_iou:.0f} %"
     return text if errors_m is None else f"{text},  {millimetres(errors_m[i])} off"
-
-
-def percent(share: float) -> str:
-    """Write a share (0 to 1) for people: 99.7 %, 61 %, 2.8 %, < 0.1 %."""
-    value = 100 * share
-    return "< 0.1 %" if value < 0.1 else f"{value:.1f} %" if value < 10 or 99 < value < 99.95 else f"{value:.0f} %"
-
-
-def millimetres(length_m: float) -> str:
-    """Write a length in metres for people: 0.02 mm, 1.9 mm, 48 mm."""
-    value = 1e3 * length_m
-    return f"{value:.2f} mm" if value < 1 else f"{value:.1f} mm" if value < 10 else f"{value:.0f} mm"
 
 
 def _draw_scene(panel: SubFigure, localization: Localization, scene: Scene) -> None:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.drawing.pictures import OUTLINE, draw_contact_shape, draw_outline, make_figure, millimetres
+from tactile_loc.core.formatting import millimetres
+from tactile_loc.drawing.pictures import OUTLINE, draw_contact_shape, draw_outline, make_figure
 from tactile_loc.evaluation.fusion_tables import FusionRun
 from tactile_loc.evaluation.posterior_metrics import LEVELS, POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import Evaluation

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tactile_loc.core.formatting import mm
 from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES, FUSION_VERSION, FusionEvaluation
 from tactile_loc.evaluation.tabular import (
     Statistics,
@@ -15,7 +16,6 @@ from tactile_loc.evaluation.tabular import (
     csv_table,
     document,
     markdown_table,
-    mm,
     write_all,
 )
 

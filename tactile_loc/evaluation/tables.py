@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tactile_loc.core.formatting import mm
 from tactile_loc.evaluation.posterior_metrics import LEVELS, POSTERIOR_METRICS, PosteriorSummary
 from tactile_loc.evaluation.protocol import LINES, METRICS, PROTOCOL_VERSION, STAGES, Evaluation
 from tactile_loc.evaluation.tabular import (
@@ -18,7 +19,6 @@ from tactile_loc.evaluation.tabular import (
     csv_table,
     document,
     markdown_table,
-    mm,
     write_all,
 )
 

@@ -38,12 +38,6 @@ class Statistics:
         return cls(float(values.mean()), float(median), float(values.std()), float(q25), float(q75), float(p90))
 
 
-def mm(length_m: float) -> str:
-    """Write a length in metres as millimetres, without the unit: 0.021, 1.94, 48.2."""
-    value = 1e3 * length_m
-    return f"{value:.3f}" if value < 1 else f"{value:.2f}" if value < 10 else f"{value:.1f}"
-
-
 def columns(metres: Statistics, normalised: Statistics) -> dict[str, str]:
     """Return statistics as columns of a CSV file: lengths in mm, and shares of a random pose's mean error."""
     lengths = {f"{k}_mm": f"{1e3 * v:.6g}" for k, v in asdict(metres).items()}

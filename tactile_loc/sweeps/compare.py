@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.formatting import mm
 from tactile_loc.core.registry import SLOTS
-from tactile_loc.evaluation.tabular import csv_table, markdown_table, mm
+from tactile_loc.evaluation.tabular import csv_table, markdown_table
 from tactile_loc.store.files import write_atomically
 
 PLAIN = ("object", *SLOTS, "noise", "seed", "count")

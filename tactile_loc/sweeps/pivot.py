@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from tactile_loc.evaluation.tabular import markdown_table, mm
+from tactile_loc.core.formatting import mm
+from tactile_loc.evaluation.tabular import markdown_table
 from tactile_loc.sweeps.summary import Cell, cells, fixed
 from tactile_loc.sweeps.sweep import Sweep
 

@@ -11,6 +11,7 @@ from typer.testing import Result
 
 TINY = ["-o", "grid.spacing_mm=8"]  # a grid of a few hundred poses
 NO_CONTACT_M = 0.002
+HANGS_S = 1800  # a process that takes longer than this hangs: no test is about speed, and machines may be busy
 
 Cli = Callable[..., Result]
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from cli_helpers import Cli, command
+from cli_helpers import HANGS_S, Cli, command
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
@@ -36,6 +36,6 @@ def run_process(store: Path, tmp_path: Path) -> Callable[..., subprocess.Complet
         if processes > 1:
             line[1:1] = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
         variables = {**os.environ, "TACTILE_LOC_STORE": str(store), **environment}
-        return subprocess.run(line, cwd=tmp_path, env=variables, capture_output=True, text=True, timeout=120)
+        return subprocess.run(line, cwd=tmp_path, env=variables, capture_output=True, text=True, timeout=HANGS_S)
 
     return run

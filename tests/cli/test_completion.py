@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from cli_helpers import command
+from cli_helpers import HANGS_S, command
 from test_startup import HEAVY, PROBE
 
 from tactile_loc.core.registry import SLOTS, registry
@@ -20,7 +20,7 @@ WITH_CHOSEN_SHELL = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
 
 
 def ask(line: list[str], **environment: str) -> str:
-    done = subprocess.run(line, env={**os.environ, **environment}, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(line, env={**os.environ, **environment}, capture_output=True, text=True, timeout=HANGS_S)
     assert done.stderr == ""
     return done.stdout
 
@@ -74,7 +74,7 @@ def test_zsh_and_fish_are_told_what_the_names_mean():
 def test_nothing_heavy_is_imported(words):
     typed = {"COMP_WORDS": f"tactile-loc {words}", "COMP_CWORD": str(len(words.split(" ")))}
     done = subprocess.run(
-        [sys.executable, "-c", PROBE], capture_output=True, text=True, timeout=60,
+        [sys.executable, "-c", PROBE], capture_output=True, text=True, timeout=HANGS_S,
         env={**os.environ, **typed, "_TACTILE_LOC_COMPLETE": "complete_bash"},
     )  # fmt: skip
     code, modules = json.loads(done.stderr)

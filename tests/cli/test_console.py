@@ -1,8 +1,9 @@
-"""Progress bars show what the running task has to say, and nothing once it is over."""
+"""Tables are aligned; progress bars show what the running task has to say, and nothing once it is over."""
 
 from __future__ import annotations
 
-from tactile_loc_cli.console import Bars
+from tactile_loc_cli import console
+from tactile_loc_cli.console import Bars, say_table
 
 
 def test_a_note_is_shown_beside_its_bar(monkeypatch):
@@ -22,3 +23,17 @@ def test_a_note_is_shown_beside_its_bar(monkeypatch):
         bars.note("loss 1.25")
     bars.note("after it")
     assert shown == ["training: loss 1.25"]
+
+
+def test_a_short_row_runs_on_and_widens_no_column(capsys):
+    say_table([["name", "x", "y"], ["a", "1", "22"], ["b", "cannot be located at all"]], left=1, gap=2)
+    assert capsys.readouterr().out.splitlines() == ["name  x   y", "a     1  22", "b     cannot be located at all"]
+
+
+def test_the_last_column_is_folded_where_the_window_is_narrow(capsys, monkeypatch):
+    rows = [["a", "about"], ["bc", "some words that do not fit"]]
+    say_table(rows, gap=2, fold=True)
+    assert capsys.readouterr().out.splitlines() == ["a   about", "bc  some words that do not fit"]
+    monkeypatch.setattr(console, "UNKNOWN_WIDTH", 25)
+    say_table(rows, gap=2, fold=True)
+    assert capsys.readouterr().out.splitlines() == ["a   about", "bc  some words that do", "    not fit"]

@@ -94,11 +94,12 @@ def test_a_configuration_file_gives_object_noise_and_encoder(cli, tmp_path):
 
 
 def test_by_default_all_demo_objects_are_evaluated():
-    from tactile_loc_cli.commands.evaluate import _jobs
+    from tactile_loc_cli.commands.evaluate import TouchKind, _jobs, _touches
+    from tactile_loc_cli.options import RunOptions
 
-    flags = ("object", "encoder", "symmetry", "option", "config", "noise", "touches")
-    jobs, touches = _jobs(dict.fromkeys(flags), 5)
+    touches = _touches(RunOptions(), TouchKind.SHAPES, 5)
     assert touches == SimulatedTouches("strong", 5)
+    jobs = _jobs(RunOptions(), None, None, touches)
     assert [obj.name for _, obj in jobs] == list(DEMO_OBJECTS)
     assert {settings.encoder.name for settings, _ in jobs} == {"pixel"}
     assert {settings.touch.noise for settings, _ in jobs} == {"strong"}

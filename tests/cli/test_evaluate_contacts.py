@@ -8,7 +8,8 @@ import json
 import pytest
 from cli_helpers import TINY, assert_refused
 from PIL import Image
-from tactile_loc_cli.commands.evaluate_contacts import parse_contacts
+from tactile_loc_cli.commands import evaluate
+from tactile_loc_cli.commands.evaluate import parse_contacts
 
 FEW = ["--count", 3, "--refiner", "none", *TINY]
 
@@ -52,13 +53,11 @@ def test_an_interruption_is_one_line_and_resumes(cli, tmp_path, monkeypatch):
 
 
 def test_by_default_a_hundred_examples(cli, monkeypatch):
-    from tactile_loc_cli.commands import evaluate_contacts
-
     asked = []
-    monkeypatch.setattr(evaluate_contacts, "evaluate_contacts", lambda *arguments: asked.append(arguments))
+    monkeypatch.setattr(evaluate, "_evaluate_fusion", lambda *arguments: asked.append(arguments))
     assert cli("evaluate", "--contacts", "1..7", "--object", "pin", *TINY).exit_code == 0
-    ((jobs, contacts, count, *_),) = asked
-    assert (len(jobs), contacts, count) == (1, (1, 2, 3, 4, 5, 6, 7), 100)
+    ((jobs, contacts, plan),) = asked
+    assert (len(jobs), contacts, plan.count) == (1, (1, 2, 3, 4, 5, 6, 7), 100)
 
 
 @pytest.mark.parametrize(

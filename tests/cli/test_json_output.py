@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rich
 import typer
 from cli_helpers import TINY
 from tactile_loc_cli import console
@@ -184,7 +185,7 @@ def made_up():
     def talk() -> dict:
         console.say("a line")
         console.say_table([["a", "b"]])
-        console.output().print("rich")
+        rich.print("rich")
         sys.stdout.write("a stranger\n")
         sys.stderr.write("on stderr\n")
         return {"path": Path("a"), "nan": float("nan"), "array": np.arange(2), "one": np.float32(1), "nested": ((), {})}

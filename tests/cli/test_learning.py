@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
 from cli_helpers import TINY, assert_refused
+from matplotlib.figure import Figure
+from tactile_loc_cli.main import app
+from typer.testing import CliRunner
 
 torch = pytest.importorskip("torch")
 
@@ -14,8 +18,31 @@ from tactile_loc.store.store import StageStore  # noqa: E402
 
 OPTIONS = ("epochs=2", "queries=64", "batch=32", "channels=4")
 MOCO = ["--encoder", "moco", *(word for option in OPTIONS for word in ("-o", f"encoder.{option}"))]
-PIN = ["--object", "pin", *TINY, *MOCO]
-EVALUATE = ["evaluate", *PIN, "--encoder", "pixel", "--refiner", "none", "--count", 4]
+PIXEL = ["--object", "pin", *TINY]
+PIN = [*PIXEL, *MOCO]
+EVALUATE = ["evaluate", *PIN, "--encoder", "pixel", "--refiner", "none", "--count", 2]
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store that holds all that needs no learning."""
+    store = tmp_path_factory.mktemp("prepared") / "store"
+    done = CliRunner().invoke(app, [*map(str, ["build", *PIXEL, "--store", store])])
+    assert done.exit_code == 0, done.stderr
+    return store
+
+
+@pytest.fixture(autouse=True)
+def stores(prepared: Path, cli) -> None:
+    """Copies of it, one for each test's needs."""
+    for name in ("whole", "again", "stopped", "fresh"):
+        shutil.copytree(prepared, name)
+
+
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """Do not spend time on drawing what nobody looks at."""
+    monkeypatch.setattr(Figure, "savefig", lambda self, path, **_: Path(path).touch())
 
 
 def table(cli, folder: str) -> str:
@@ -24,6 +51,7 @@ def table(cli, folder: str) -> str:
     return (Path(f"out-{folder}") / "results.csv").read_text()
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_the_same_seed_gives_the_same_table_though_training_was_interrupted(cli, monkeypatch):
     whole = table(cli, "whole")
     assert {line.split(",")[1] for line in whole.splitlines()[1:]} == {"moco", "pixel"}
@@ -99,8 +127,10 @@ def test_a_training_can_be_watched_in_tensorboard(cli):
 
 
 def test_several_processes_train_one_encoder(tmp_path, run_process):
-    done = run_process("build", *PIN, "--store", tmp_path / "crew", processes=2, OMP_NUM_THREADS="1")
+    (tmp_path / "sure.toml").write_text("temperature = 1e-3")  # none is to be fitted
+    words = ["--config", "sure.toml", "--store", "fresh"]
+    done = run_process("build", *PIN, *words, processes=2, OMP_NUM_THREADS="1")
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("encoder: ") == 1  # the first process says what was built
-    store = StageStore(tmp_path / "crew")
+    store = StageStore(tmp_path / "fresh")
     assert [entry.complete for entry in store.entries() if entry.stage == "encoder"] == [True]

@@ -6,33 +6,52 @@ import json
 import os
 import signal
 import subprocess
-import time
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import TINY, assert_one_error, assert_refused, command
+from cli_helpers import HANGS_S, TINY, assert_one_error, assert_refused
 
-SLOW = ["--renderer", "raycast", "-o", "grid.spacing_mm=4"]  # long enough to be interrupted
+# `tactile-loc build` in small shards, which stops at a point that it names and goes on when it is told to
+BUILD = """
+import signal, sys
+from tactile_loc.locate import model, probabilities
+from tactile_loc.store.workspace import Workspace
+from tactile_loc_cli.main import main
+
+model.SHARD, probabilities.TOUCHES = 50, 15
+save, stop = Workspace.save_array, sys.argv.pop(1)
+
+def save_and_stop(self, name, *arguments, **options):
+    save(self, name, *arguments, **options)
+    if name == "depth-00000-enough":
+        print("a shard is saved", flush=True)
+        signal.pause()
+
+if stop == "first shard":
+    Workspace.save_array = save_and_stop
+if stop == "start":
+    print("ready", flush=True)
+    sys.stdin.readline()
+main()
+"""
 
 
-def start(tmp_path: Path, store: Path, *words: str) -> subprocess.Popen[str]:
+def start(tmp_path: Path, store: Path, stop: str = "nowhere") -> subprocess.Popen[str]:
     """Start a build as in a terminal: a shell's background jobs, these tests among them, would ignore Ctrl-C."""
     return subprocess.Popen(
-        command("build", *words), cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        env={**os.environ, "TACTILE_LOC_STORE": str(store)},
+        [sys.executable, "-c", BUILD, stop, "build", *TINY], cwd=tmp_path, text=True, stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, env={**os.environ, "TACTILE_LOC_STORE": str(store)},
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
 
 
-def wait_for(store: Path, pattern: str, seconds: float = 60) -> Path:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        found = sorted(store.glob(pattern))
-        if found:
-            return found[0]
-        time.sleep(0.002)
-    raise AssertionError(f"no {pattern} within {seconds} s")
+def ended(process: subprocess.Popen[str], code: int) -> tuple[str, str]:
+    """What a process wrote until it ended, as it should have."""
+    stdout, stderr = process.communicate(timeout=HANGS_S)
+    assert process.returncode == code, stderr
+    return stdout, stderr
 
 
 def contents(store: Path) -> dict[str, dict[str, str]]:
@@ -45,36 +64,36 @@ def contents(store: Path) -> dict[str, dict[str, str]]:
 def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, str]]:
     """What a build leaves when nobody disturbs it."""
     folder = tmp_path_factory.mktemp("uninterrupted")
-    process = start(folder, folder / "store", *SLOW)
-    assert process.wait(120) == 0
-    process.communicate()
+    ended(start(folder, folder / "store"), 0)
     return contents(folder / "store")
 
 
 def test_an_interrupted_build_is_resumed_and_ends_alike(tmp_path, uninterrupted):
     store = tmp_path / "store"
-    process = start(tmp_path, store, *SLOW)
-    first_shard = wait_for(store, "shapes/*.partial/depth-00000-enough.npy")
+    process = start(tmp_path, store, "first shard")
+    assert process.stdout.readline() == "a shard is saved\n"
     process.send_signal(signal.SIGINT)
-    _, stderr = process.communicate(timeout=60)
-    assert process.returncode == 130, stderr
+    _, stderr = ended(process, 130)
     assert "what was finished is kept" in stderr
     assert "Traceback" not in stderr
     assert not list(store.glob("bank/*/manifest.json"))
-    kept = (first_shard.parent / "depth-00000.npy").stat()
-    resumed = start(tmp_path, store, *SLOW)
-    assert resumed.wait(120) == 0
-    resumed.communicate()
+    (first_shard,) = store.glob("shapes/*.partial/depth-00000.npy")
+    kept = first_shard.stat()
+    ended(start(tmp_path, store), 0)
     assert contents(store) == uninterrupted
     (shard,) = store.glob("shapes/*/depth-00000.npy")
     assert (shard.stat().st_ino, shard.stat().st_mtime_ns) == (kept.st_ino, kept.st_mtime_ns)  # not rendered again
+    assert len(list(shard.parent.glob("depth-*.npy"))) > 2
 
 
 def test_two_processes_build_the_same_object_at_once(tmp_path, uninterrupted):
     store = tmp_path / "store"
-    processes = [start(tmp_path, store, *SLOW) for _ in range(2)]
-    outputs = [process.communicate(timeout=120) for process in processes]
-    assert [process.returncode for process in processes] == [0, 0], outputs
+    processes = [start(tmp_path, store, "start") for _ in range(2)]
+    assert [process.stdout.readline() for process in processes] == ["ready\n", "ready\n"]
+    for process in processes:
+        process.stdin.write("go on\n")
+        process.stdin.flush()
+    outputs = [ended(process, 0) for process in processes]
     assert contents(store) == uninterrupted
     for stage in ("grid", "shapes", "bank"):
         words = sorted(line for stdout, _ in outputs for line in stdout.splitlines() if line.startswith(f"{stage}: "))

@@ -12,7 +12,7 @@ import pytest
 from scipy.ndimage import label
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
-from tactile_loc_cli.flags import Noise
+from tactile_loc_cli.options import Noise
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry import is_rigid, rotation_about

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from tactile_loc.core.errors import OutputError
+from tactile_loc.core.formatting import percent
 from tactile_loc.core.noise import NOISE
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
 from tactile_loc.drawing.pictures import (
@@ -18,8 +19,6 @@ from tactile_loc.drawing.pictures import (
     draw_noise,
     draw_result,
     draw_touches,
-    millimetres,
-    percent,
     save_figure,
 )
 from tactile_loc.drawing.pose_panel import draw_pose
@@ -146,27 +145,6 @@ def test_saving(tmp_path, figure):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError):
         save_figure(tmp_path / "file" / "a.png", figure)
-
-
-@pytest.mark.parametrize(
-    ("share", "text"),
-    [
-        (1.0, "100 %"),
-        (0.997, "99.7 %"),
-        (0.99, "99 %"),
-        (0.612, "61 %"),
-        (0.028, "2.8 %"),
-        (0.0004, "< 0.1 %"),
-        (0.0, "< 0.1 %"),
-    ],
-)
-def test_percent(share, text):
-    assert percent(share) == text
-
-
-@pytest.mark.parametrize(("length", "text"), [(1.9e-5, "0.02 mm"), (0.00187, "1.9 mm"), (0.0478, "48 mm")])
-def test_millimetres(length, text):
-    assert millimetres(length) == text
 
 
 def test_every_level_of_noise_is_drawn_in_one_scale(localizer):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import OutputError
+from tactile_loc.core.formatting import mm
 from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.evaluation.tables import (
@@ -23,7 +24,6 @@ from tactile_loc.evaluation.tables import (
     summary_rows,
     write_tables,
 )
-from tactile_loc.evaluation.tabular import mm
 
 PROTOCOL = {"touches": 12, "noise": "mild", "seed": 1}
 

@@ -5,17 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.evaluation.tabular import Statistics, bracketed, columns, csv_table, markdown_table, mm
+from tactile_loc.evaluation.tabular import Statistics, bracketed, columns, csv_table, markdown_table
 
 
 def test_statistics_of_known_values():
     s = Statistics.of(np.arange(1.0, 12.0))
     assert (s.mean, s.median, s.q25, s.q75, s.p90) == (6, 6, 3.5, 8.5, 10)
     assert s.std == pytest.approx(np.sqrt(10))
-
-
-def test_lengths_for_people():
-    assert [mm(v) for v in (2.1e-5, 1.94e-3, 4.82e-2)] == ["0.021", "1.94", "48.2"]
 
 
 def test_columns_are_in_mm_and_as_they_are():

@@ -10,8 +10,8 @@ import pytest
 from report_helpers import Elements, html_of, page_in, write_evaluation
 
 from tactile_loc.core.errors import ResultError
+from tactile_loc.core.formatting import mm
 from tactile_loc.evaluation.tables import SHOWN
-from tactile_loc.evaluation.tabular import mm
 
 
 @pytest.fixture(scope="module")

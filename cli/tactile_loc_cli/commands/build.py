@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc_cli import flags
+from tactile_loc_cli import options
 from tactile_loc_cli.console import say
 
 if TYPE_CHECKING:
@@ -16,25 +16,30 @@ MOST_MEASURED = 2000  # poses whose distance to their neighbours is measured
 
 
 def build(
-    object: flags.Object = None,
-    units: flags.MeshUnits = None,
-    symmetry: flags.Symmetry = None,
-    press_depth: flags.PressDepth = None,
-    sensor: flags.Sensor = None,
-    grid: flags.Grid = None,
-    renderer: flags.Renderer = None,
-    encoder: flags.Encoder = None,
-    option: flags.SetOption = None,
-    config: flags.Config = None,
-    seed: flags.Seed = None,
-    store: flags.Store = None,
+    object: options.Object = None,
+    units: options.MeshUnits = None,
+    symmetry: options.Symmetry = None,
+    press_depth: options.PressDepth = None,
+    sensor: options.Sensor = None,
+    grid: options.Grid = None,
+    renderer: options.Renderer = None,
+    encoder: options.Encoder = None,
+    option: options.SetOption = None,
+    config: options.Config = None,
+    seed: options.Seed = None,
+    store: options.Store = None,
 ) -> dict[str, Any]:
     """Build an object's model ahead of time.
 
     That is what `run` does by itself at first; stages that are in the store already are reused.
     """
-    asked = dict(locals())
-    localizer = flags.open_localizer(flags.run_config(asked), store)
+    settings = options.run_config(
+        options.RunOptions(
+            object=object, units=units, symmetry=symmetry, press_depth=press_depth, sensor=sensor, grid=grid,
+            renderer=renderer, encoder=encoder, option=option, config=config, seed=seed,
+        )
+    )  # fmt: skip
+    localizer = options.open_localizer(settings, store)
     start = time.perf_counter()
     localizer.matcher(_press_depth_m(localizer))
     _ = localizer.temperature_scaling  # fitted now, not at the first touch
@@ -46,7 +51,7 @@ def _press_depth_m(localizer: Localizer) -> float:
     from tactile_loc.core.errors import TouchError
 
     deepest_m = localizer.scene.geometry.max_depth_m
-    asked_m = flags.press_depth_m(localizer.config)
+    asked_m = options.press_depth_m(localizer.config)
     if asked_m is not None and not 0 < asked_m <= deepest_m:
         raise TouchError(
             f"a press of {1e3 * asked_m:g} mm is outside the sensor's range of 0 to {1e3 * deepest_m:g} mm"

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc_cli import flags
 from tactile_loc_cli.console import progress, say
+from tactile_loc_cli.options import Store
 
 if TYPE_CHECKING:
     from tactile_loc.calibration.estimator import GelEstimator
@@ -111,7 +111,7 @@ def calibrate(
     out: Annotated[
         Path, typer.Option("--out", metavar="FOLDER", help="Where the calibrated sensor goes.")
     ] = DEFAULT_OUT,
-    store: flags.Store = None,
+    store: Store = None,
 ) -> dict[str, Any]:
     """Calibrate a sensor for images.
 

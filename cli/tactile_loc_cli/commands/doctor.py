@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc_cli import flags
 from tactile_loc_cli.console import say, say_table
 from tactile_loc_cli.failures import UNEXPECTED, Finding
+from tactile_loc_cli.options import Store
 
 if TYPE_CHECKING:
-    from tactile_loc_cli.doctor.check import Check
+    from tactile_loc_cli.doctor.checks import Check
 
 
-def doctor(store: flags.Store = None) -> dict[str, Any]:
+def doctor(store: Store = None) -> dict[str, Any]:
     """Say what is installed, and whether it works.
 
     Each library is tried, in a process of its own; for what is missing or broken the line says what to do. The exit
     code is 1 when something that everybody needs is broken.
     """
-    from tactile_loc_cli.doctor.probes import examine
+    from tactile_loc_cli.doctor.checks import examine
 
     checks = examine(store)
     _report(checks)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc_cli import flags
-from tactile_loc_cli.commands import evaluate_contacts as several
-from tactile_loc_cli.console import progress, say, say_table
+from tactile_loc_cli import options
+from tactile_loc_cli.console import say, say_table
 
 if TYPE_CHECKING:
     from tactile_loc.core.objects import ObjectModel
+    from tactile_loc.evaluation.fusion_tables import FusionRun
     from tactile_loc.evaluation.simulated_touches import SimulatedTouches
     from tactile_loc.evaluation.tables import Run
     from tactile_loc.io.config import RunConfig
@@ -24,7 +25,10 @@ if TYPE_CHECKING:
 
 DEFAULT_OUT = Path("evaluation")
 DEFAULT_NOISE = "strong"
-DEFAULT_COUNT = 150
+DEFAULT_COUNT, CONTACT_COUNT = 150, 100
+OF_EACH_TOUCH = ("errors_m", "posterior_metrics")  # keys of the files whose lists are as long as there are touches
+
+_PART = re.compile(r"(\d+)(?:\.\.(\d+))?")
 
 Objects = Annotated[
     list[str] | None,
@@ -71,7 +75,7 @@ Touches = Annotated[
     ),
 ]
 TouchNoise = Annotated[
-    flags.Noise | None,
+    options.Noise | None,
     typer.Option("--noise", help="How far shapes are from clean renders; by default strong. Images have their own."),
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Seed of the touches and the random poses.")]
@@ -82,24 +86,24 @@ Out = Annotated[
 
 def evaluate(
     object: Objects = None,
-    units: flags.MeshUnits = None,
-    symmetry: flags.Symmetry = None,
+    units: options.MeshUnits = None,
+    symmetry: options.Symmetry = None,
     count: Count = None,
     contacts: Contacts = None,
     touches: Touches = TouchKind.SHAPES,
     noise: TouchNoise = None,
-    sensor: flags.Sensor = None,
-    grid: flags.Grid = None,
-    renderer: flags.Renderer = None,
+    sensor: options.Sensor = None,
+    grid: options.Grid = None,
+    renderer: options.Renderer = None,
     encoder: Encoders = None,
-    matcher: flags.Matcher = None,
-    refiner: flags.Refiner = None,
-    fuser: flags.Fuser = None,
-    option: flags.SetOption = None,
-    config: flags.Config = None,
+    matcher: options.Matcher = None,
+    refiner: options.Refiner = None,
+    fuser: options.Fuser = None,
+    option: options.SetOption = None,
+    config: options.Config = None,
     seed: Seed = 0,
     out: Out = DEFAULT_OUT,
-    store: flags.Store = None,
+    store: options.Store = None,
 ) -> dict[str, Any]:
     """Measure how well objects are located.
 
@@ -108,15 +112,18 @@ def evaluate(
     example is several touches, and what is written are contacts.json, .csv, .md and .png. Interrupted, the same command
     resumes.
     """
-    asked = {key: value for key, value in locals().items() if key not in ("count", "contacts", "seed", "out", "store")}
     from tactile_loc.store.files import require_writable
 
-    numbers = None if contacts is None else several.parse_contacts(contacts)
-    jobs, source = _jobs(asked, seed)
+    numbers = None if contacts is None else parse_contacts(contacts)
+    given = options.RunOptions(
+        units=units, symmetry=symmetry, noise=noise, sensor=sensor, grid=grid, renderer=renderer, matcher=matcher,
+        refiner=refiner, fuser=fuser, option=option, config=config,
+    )  # fmt: skip
+    source = _touches(given, touches, seed)
+    jobs = _jobs(given, object, encoder, source)
     require_writable(out)
     if numbers is not None:
-        located = [(settings, _localizer(settings, obj, store)) for settings, obj in jobs]
-        return several.evaluate_contacts(located, numbers, count or several.DEFAULT_COUNT, source, out)
+        return _evaluate_fusion(jobs, numbers, _Plan(count or CONTACT_COUNT, source, out, store))
     plan = _Plan(count or DEFAULT_COUNT, source, out, store)
     return _report(plan, [plan.work(settings, obj) for settings, obj in jobs])
 
@@ -138,7 +145,7 @@ class _Plan:
         from tactile_loc.evaluation.tables import Run
         from tactile_loc.locate.result_json import resolved
 
-        localizer = _localizer(settings, obj, self.store)
+        localizer = options.open_localizer(settings, self.store, obj)
         encoder = settings.encoder.name
         evaluation = run_protocol(localizer, self.count, self.touches)
         title = f"{obj.name} with {encoder}: best, median and worst of {self._asked_about()}"
@@ -162,38 +169,40 @@ class _Plan:
         return f"{touches} ({self.touches.in_words()})"
 
 
-def _jobs(asked: dict[str, Any], seed: int) -> tuple[list[tuple[RunConfig, ObjectModel]], SimulatedTouches]:
-    """Every object with every encoder, and the touches; what can be wrong is found before the first is evaluated."""
+def _jobs(
+    given: options.RunOptions, objects: Objects, encoders: Encoders, touches: SimulatedTouches
+) -> list[tuple[RunConfig, ObjectModel]]:
+    """Every object with every encoder; what can be wrong is found before the first is evaluated."""
     from tactile_loc.io.config import parse_overrides
 
-    in_file = _in_file(asked["config"])
-    objects = asked["object"] or _named(in_file.get("object"), "path") or _demo_objects()
-    encoders = asked["encoder"] or [None]
-    if asked["symmetry"] is not None and len(objects) > 1:
+    paths = objects or _named(_in_file(given.config).get("object"), "path") or _demo_objects()
+    if given.symmetry is not None and len(paths) > 1:
         raise _config_error("--symmetry is of one object; give one --object with it")
-    overrides = parse_overrides(asked["option"] or []).get("encoder", {})
-    touches = _touches(asked, in_file, seed)
+    words = list(given.option or [])
+    names: list[str | None] = [*encoders] if encoders else [None]
+    overrides = parse_overrides(words).get("encoder", {})
+    given = dataclasses.replace(given, noise=touches.noise)
     jobs = []
-    for path in dict.fromkeys(objects):
-        settings = []
-        for encoder in dict.fromkeys(encoders):
-            options = _options_of(encoder, encoders, asked["option"] or [], overrides)
-            one = {**asked, "object": path, "encoder": encoder, "option": options, "noise": touches.noise}
-            settings.append(flags.run_config(one))
-        obj = flags.load_object(settings[0])
+    for path in dict.fromkeys(paths):
+        asked = [
+            dataclasses.replace(given, object=path, encoder=name, option=_options_of(name, names, words, overrides))
+            for name in dict.fromkeys(names)
+        ]
+        settings = [options.run_config(one) for one in asked]
+        obj = options.load_object(settings[0])
         for setting in settings:
-            touches.require_readable(_localizer(setting, obj, None))
+            touches.require_readable(options.open_localizer(setting, None, obj))
             jobs.append((setting, obj))
     _require_names(jobs)
-    return jobs, touches
+    return jobs
 
 
-def _touches(asked: dict[str, Any], in_file: dict[str, Any], seed: int) -> SimulatedTouches:
+def _touches(given: options.RunOptions, kind: TouchKind, seed: int) -> SimulatedTouches:
     from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 
-    images = asked["touches"] is TouchKind.IMAGES
+    images = kind is TouchKind.IMAGES
     default = "none" if images else DEFAULT_NOISE
-    noise = asked["noise"] or (_named(in_file.get("touch"), "noise") or [default])[0]
+    noise = given.noise or (_named(_in_file(given.config).get("touch"), "noise") or [default])[0]
     return SimulatedTouches(str(noise), seed, images)
 
 
@@ -246,13 +255,6 @@ def _config_error(text: str) -> Exception:
     return ConfigError(text)
 
 
-def _localizer(settings: RunConfig, obj: ObjectModel, store: Path | None) -> Localizer:
-    from tactile_loc.locate.localizer import Localizer
-    from tactile_loc.store.store import StageStore
-
-    return Localizer(settings, obj, StageStore(store), progress())
-
-
 def _gallery(name: str, encoder: str) -> str:
     return f"gallery-{name}-{encoder}.png"
 
@@ -282,4 +284,85 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
     say("\ncoverage: true poses in the sets that hold so much of the probability, and means")
     say_table([posterior_header(), *posterior_rows(runs)])
     say(f"\nwritten: {', '.join(map(str, written))}")
-    return several.summarised(record(runs, protocol), written)
+    return _summarised(record(runs, protocol), written)
+
+
+def _summarised(document: dict[str, Any], written: Sequence[Path]) -> dict[str, Any]:
+    """An evaluation's document without the numbers of each touch, and with the paths that were written."""
+    return {**_without_touches(document), "written": [str(path) for path in written]}
+
+
+def _without_touches(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_touches(item) for key, item in value.items() if key not in OF_EACH_TOUCH}
+    return [_without_touches(item) for item in value] if isinstance(value, list) else value
+
+
+def parse_contacts(text: str) -> tuple[int, ...]:
+    """Return the numbers of contacts that a text such as "1..7" or "1,2,5..7" names, rising. Raises ConfigError."""
+    from tactile_loc.core.errors import ConfigError
+    from tactile_loc.evaluation.fusion import MOST_FUSED
+
+    numbers: set[int] = set()
+    for part in text.replace(" ", "").split(","):
+        match = _PART.fullmatch(part)
+        first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
+        if not 1 <= first <= last <= MOST_FUSED:
+            raise ConfigError(
+                f"--contacts {text!r} names no numbers of contacts; write a range or a list from 1 to {MOST_FUSED}, "
+                "such as 1..7 or 1,2,3"
+            )
+        numbers.update(range(first, last + 1))
+    return tuple(sorted(numbers))
+
+
+def _evaluate_fusion(
+    jobs: Sequence[tuple[RunConfig, ObjectModel]], contacts: Sequence[int], plan: _Plan
+) -> dict[str, Any]:
+    """Evaluate each object with each encoder and each number of contacts; write, show and return what was found."""
+    localizers = [options.open_localizer(settings, plan.store, obj) for settings, obj in jobs]
+    runs = [_fusion_run(localizer, contacts, plan) for localizer in localizers]
+    return _report_fusion(runs, plan)
+
+
+def _fusion_run(localizer: Localizer, contacts: Sequence[int], plan: _Plan) -> FusionRun:
+    from tactile_loc.evaluation.fusion import evaluate_fusion
+    from tactile_loc.evaluation.fusion_tables import FusionRun
+    from tactile_loc.locate.result_json import resolved
+
+    evaluation = evaluate_fusion(localizer, contacts, plan.count, plan.touches)
+    obj, config, poses = localizer.object, localizer.config, len(localizer.model.grid)
+    return FusionRun(obj.name, str(obj.symmetry), config.encoder.name, poses, evaluation, resolved(config))
+
+
+def _report_fusion(runs: Sequence[FusionRun], plan: _Plan) -> dict[str, Any]:
+    from tactile_loc.drawing.pictures import save_figure
+    from tactile_loc.evaluation.figures import draw_fusion
+    from tactile_loc.evaluation.fusion_tables import median_header, median_rows, record, write_fusion_tables
+
+    examples = f"{plan.count} simulated {'example' if plan.count == 1 else 'examples'} ({plan.touches.in_words()})"
+    heading = f"Localisation from several contacts: {examples} for each object, seed {plan.touches.seed}"
+    protocol = {"examples": plan.count, **dataclasses.asdict(plan.touches)}
+    written = write_fusion_tables(plan.out, runs, protocol, heading)
+    written.append(save_figure(plan.out / "contacts.png", draw_fusion(runs, heading)))
+    header = [head.split()[0] for head in median_header(runs)]
+    say("median ADD by number of contacts, mm")
+    say_table([header, *median_rows(runs, normalised=False)], left=3)
+    say("\nmedian ADD as a share of a random pose's mean")
+    say_table([header, *median_rows(runs, normalised=True)], left=3)
+    for run in runs:
+        _say_without_common(run)
+    say(f"\nwritten: {', '.join(map(str, written))}")
+    return _summarised(record(runs, protocol), written)
+
+
+def _say_without_common(run: FusionRun) -> None:
+    """Say how often no pose touched all sensors, if it happened."""
+    found = run.evaluation
+    counts = {n: found.without_common("best-1", n) for n in found.contacts}
+    if any(counts.values()):
+        listed = ", ".join(f"{count} with {n}" for n, count in counts.items() if count)
+        say(
+            f"\n{run.object}: examples without a pose that touches all sensors, located from the first contact alone: "
+            f"{listed} contacts"
+        )

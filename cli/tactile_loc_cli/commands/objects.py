@@ -4,21 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from tactile_loc_cli.console import output
+from tactile_loc_cli.console import say_table
 
 
 def objects() -> dict[str, Any]:
     """List the demo objects."""
-    from rich.table import Table
-
     from tactile_loc.data import DEMO_OBJECTS
 
-    table = Table(box=None)
-    for name in ("object", "symmetry", "description"):
-        table.add_column(name, overflow="fold", no_wrap=name != "description")
-    for demo in DEMO_OBJECTS.values():
-        table.add_row(demo.name, demo.symmetry, demo.description)
-    output().print(table)
+    rows = [(demo.name, demo.symmetry, demo.description) for demo in DEMO_OBJECTS.values()]
+    say_table([("object", "symmetry", "description"), *rows], left=3, gap=2, fold=True)
     return {
         "objects": [
             {"name": demo.name, "symmetry": demo.symmetry, "description": demo.description, "path": str(demo.path)}

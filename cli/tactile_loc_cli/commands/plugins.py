@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc_cli.console import output, say
+from tactile_loc_cli.console import say, say_table
 from tactile_loc_cli.failures import Finding
 
 if TYPE_CHECKING:
@@ -135,16 +135,7 @@ def _limits(metadata: Iterable[Any]) -> str:
 
 def _say_columns(names: Sequence[str], rows: Sequence[dict[str, Any]]) -> None:
     """Write a table; the last column is folded where the window is too narrow."""
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(box=None)
-    for name in names[:-1]:
-        table.add_column(name, no_wrap=True)
-    table.add_column(names[-1], overflow="fold")
-    for row in rows:
-        table.add_row(*(escape(row[name]) for name in names))
-    output().print(table)
+    say_table([names, *([row[name] for name in names] for row in rows)], left=len(names), gap=2, fold=True)
 
 
 def _check(found: Registry, slot: str, name: str, words: list[str]) -> dict[str, Any]:

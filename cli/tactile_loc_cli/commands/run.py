@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc_cli import flags
-from tactile_loc_cli.console import say
+from tactile_loc_cli import options
+from tactile_loc_cli.console import progress, say
 
 if TYPE_CHECKING:
     from tactile_loc.core import sensing
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
     from tactile_loc.io.config import RunConfig
     from tactile_loc.locate.localizer import Localizer, Observation
     from tactile_loc.locate.result import Localization
+    from tactile_loc.locate.touch_files import LocatedFile
+
+logger = logging.getLogger(__name__)
 
 DEFAULT_OUT = Path("tactile-loc-result")
 DRAWN = 8  # touches are simulated, and the one with the most contact is shown
@@ -31,7 +35,7 @@ Touch = Annotated[
     ),
 ]
 TouchUnit = Annotated[
-    flags.TouchUnit | None,
+    options.TouchUnit | None,
     typer.Option("--touch-unit", help="Unit of the touch's depths, if its file does not say."),
 ]
 PriorFile = Annotated[
@@ -50,62 +54,70 @@ Report = Annotated[
 
 
 def run(
-    object: flags.Object = None,
-    units: flags.MeshUnits = None,
-    symmetry: flags.Symmetry = None,
+    object: options.Object = None,
+    units: options.MeshUnits = None,
+    symmetry: options.Symmetry = None,
     touch: Touch = None,
     touch_unit: TouchUnit = None,
-    press_depth: flags.PressDepth = None,
-    noise: flags.TouchNoise = None,
-    sensor: flags.Sensor = None,
-    grid: flags.Grid = None,
-    renderer: flags.Renderer = None,
-    encoder: flags.Encoder = None,
-    matcher: flags.Matcher = None,
-    refiner: flags.Refiner = None,
-    fuser: flags.Fuser = None,
-    option: flags.SetOption = None,
-    config: flags.Config = None,
+    press_depth: options.PressDepth = None,
+    noise: options.TouchNoise = None,
+    sensor: options.Sensor = None,
+    grid: options.Grid = None,
+    renderer: options.Renderer = None,
+    encoder: options.Encoder = None,
+    matcher: options.Matcher = None,
+    refiner: options.Refiner = None,
+    fuser: options.Fuser = None,
+    option: options.SetOption = None,
+    config: options.Config = None,
     prior: PriorFile = None,
     top: Top = None,
-    seed: flags.Seed = None,
+    seed: options.Seed = None,
     out: Out = DEFAULT_OUT,
     pictures: Pictures = False,
     report: Report = False,
-    store: flags.Store = None,
+    store: options.Store = None,
 ) -> dict[str, Any]:
     """Locate an object from one touch, from several at once, or from each of a folder's touches.
 
     Without any options: a demo object and a simulated touch (of eight, the one with the most contact). The object's
     model is built the first time and kept.
     """
-    asked = dict(locals())
+    from tactile_loc.locate.touch_files import is_folder
     from tactile_loc.store.files import require_writable
 
-    settings = flags.run_config(asked)
+    settings = options.run_config(
+        options.RunOptions(
+            object=object, units=units, symmetry=symmetry, touch=touch, touch_unit=touch_unit, press_depth=press_depth,
+            noise=noise, sensor=sensor, grid=grid, renderer=renderer, encoder=encoder, matcher=matcher, refiner=refiner,
+            fuser=fuser, option=option, config=config, top=top, seed=seed,
+        )
+    )  # fmt: skip
     _require_one_source(settings, noise)
     require_writable(out)
-    localizer = flags.open_localizer(settings, store)
-    from tactile_loc_cli.commands.run_folder import is_many, run_folder
+    localizer = options.open_localizer(settings, store)
+    if settings.touch.path is not None and is_folder(Path(settings.touch.path)):
+        _require_neither(prior, report)
+        return _run_folder(localizer, Path(settings.touch.path), out, pictures)
+    return _run_together(localizer, prior, out, report)
 
-    if settings.touch.path is not None and is_many(Path(settings.touch.path)):
-        _require_no_prior(prior)
-        _require_no_report(report)
-        return run_folder(localizer, Path(settings.touch.path), flags.press_depth_m(settings), out, pictures)
+
+def _run_together(localizer: Localizer, prior: Path | None, out: Path, report: bool) -> dict[str, Any]:
+    """Locate the object from one touch or from all of a list."""
     from tactile_loc.locate.localizer import localize_together
 
-    contacts = _contacts(localizer)
-    known = _prior(localizer, contacts[0][1], prior)
+    observations = _observations(localizer)
+    known = _prior(localizer, observations[0][1], prior)
     start = time.perf_counter()
-    for one, touch_of_it in contacts:
+    for one, touch_of_it in observations:
         one.localize(touch_of_it, top=2)  # builds, loads and compiles what it takes, once: no part of a touch's time
     seconds = {"model": time.perf_counter() - start}
-    alone = len(contacts) == 1
-    localization = localizer.localize(contacts[0][1], known) if alone else localize_together(contacts, known)
-    return _report(contacts, localization, seconds, out, report)
+    alone = len(observations) == 1
+    localization = localizer.localize(observations[0][1], known) if alone else localize_together(observations, known)
+    return _report(observations, localization, seconds, out, report)
 
 
-def _require_one_source(settings: RunConfig, noise: flags.Noise | None) -> None:
+def _require_one_source(settings: RunConfig, noise: options.Noise | None) -> None:
     """Refuse noise for a touch that is read from a file: only simulated ones get it."""
     from tactile_loc.core.errors import ConfigError
 
@@ -115,16 +127,12 @@ def _require_one_source(settings: RunConfig, noise: flags.Noise | None) -> None:
         )
 
 
-def _require_no_prior(prior: Path | None) -> None:
+def _require_neither(prior: Path | None, report: bool) -> None:
+    """Refuse with a folder of touches what is of one result."""
     from tactile_loc.core.errors import ConfigError
 
     if prior is not None:
         raise ConfigError("--prior is of one pose; leave it out with a folder of touches")
-
-
-def _require_no_report(report: bool) -> None:
-    from tactile_loc.core.errors import ConfigError
-
     if report:
         raise ConfigError("--report is of one result; leave it out with a folder of touches, or locate one of them")
 
@@ -136,19 +144,19 @@ def _prior(localizer: Localizer, touch: sensing.Touch, path: Path | None) -> Pri
     return None if path is None else read_prior(path, localizer.object).seen_from(touch.T_base_sensor)
 
 
-def _contacts(localizer: Localizer) -> list[Observation]:
+def _observations(localizer: Localizer) -> list[Observation]:
     """The touches that were asked for, each with its localizer."""
-    from tactile_loc_cli.commands.run_list import is_list, read_contacts
+    from tactile_loc.locate.touch_files import is_list, read_observations
 
     path = localizer.config.touch.path
     if path is not None and is_list(Path(path)):
-        return read_contacts(localizer, Path(path))
+        return read_observations(localizer, Path(path))
     return [(localizer, _touch(localizer))]
 
 
 def _touch(localizer: Localizer) -> sensing.Touch:
     """The touch that was asked for, or a simulated one."""
-    asked, press_m = localizer.config.touch, flags.press_depth_m(localizer.config)
+    asked, press_m = localizer.config.touch, options.press_depth_m(localizer.config)
     if asked.path is not None:
         return localizer.read_touch(asked.path, asked.unit, press_m)
     touches = localizer.simulate(DRAWN, localizer.config.seed, press_m, asked.noise)
@@ -156,23 +164,21 @@ def _touch(localizer: Localizer) -> sensing.Touch:
 
 
 def _report(
-    contacts: list[Observation], localization: Localization, seconds: dict[str, float], out: Path, page: bool
+    observations: list[Observation], localization: Localization, seconds: dict[str, float], out: Path, page: bool
 ) -> dict[str, Any]:
     """Show the result, write it (result.json, .npz, .png and, if asked for, the page), and return it and the paths."""
     from tactile_loc.drawing.pictures import draw_result, save_figure
     from tactile_loc.locate.result_files import NAME, gather, write_arrays
     from tactile_loc.locate.result_json import pose_errors_m, result_record, write_result
-    from tactile_loc_cli.tables import pose_table, summary, title
+    from tactile_loc_cli.results import say_result, title
 
-    localizer = contacts[0][0]
+    localizer = observations[0][0]
     record = result_record(localizer, localization, seconds)
-    pose_table(record)
-    for line in summary(record):
-        say(line)
+    say_result(record)
     figure = draw_result(localization, localizer.scene, title(record), pose_errors_m(localizer.object, localization))
     written = [
         write_result(out / "result.json", record),
-        write_arrays(out / NAME, gather(contacts, localization), record),
+        write_arrays(out / NAME, gather(observations, localization), record),
         save_figure(out / "result.png", figure),
     ]
     if page:
@@ -181,3 +187,55 @@ def _report(
         written.append(write_report(find_source(out / "result.json")))
     say(f"written: {', '.join(map(str, written))}")
     return {**record.model_dump(mode="json"), "written": [str(path) for path in written]}
+
+
+def _run_folder(localizer: Localizer, folder: Path, out: Path, pictures: bool) -> dict[str, Any]:
+    """Locate each touch of a folder or pattern; what cannot be is a line with its reason.
+
+    Writes results.csv and, a folder a touch, result.json and, if asked for, result.png; returns what each came to, and
+    the paths. Raises TouchError when the folder holds no touch or none can be located.
+    """
+    from tactile_loc.core.errors import TouchError
+    from tactile_loc.locate.touch_files import find_touches, localize_files, write_table
+    from tactile_loc_cli.results import say_located
+
+    files = find_touches(folder)
+    found: list[LocatedFile] = []
+    with progress().task(f"locating the touches of {folder}", len(files)) as advance:
+        for one, localization in localize_files(localizer, files, options.press_depth_m(localizer.config)):
+            if localization is not None:
+                _write(localizer, localization, out / one.path.stem, pictures)
+            found.append(one)
+            advance(1)
+    written = write_table(out / "results.csv", found)
+    problems = [one.problem for one in found if one.best is None]
+    located = len(found) - len(problems)
+    say_located(found)
+    say(f"located: {located} of {len(found)}; written: {written}, and a folder a touch")
+    for problem in problems:
+        logger.warning("%s", problem)
+    if not located:
+        raise TouchError(f"no touch of {folder} can be located; the first: {problems[0]}")
+    return {"located": located, "touches": [_as_json(one, out) for one in found], "written": [str(written)]}
+
+
+def _write(localizer: Localizer, localization: Localization, folder: Path, picture: bool) -> None:
+    from tactile_loc.drawing.pictures import draw_result, save_figure
+    from tactile_loc.locate.result_json import result_record, write_result
+    from tactile_loc_cli.results import title
+
+    record = result_record(localizer, localization)
+    write_result(folder / "result.json", record)
+    if picture:
+        save_figure(folder / "result.png", draw_result(localization, localizer.scene, title(record)))
+
+
+def _as_json(located: LocatedFile, out: Path) -> dict[str, Any]:
+    """What became of one touch, in SI units."""
+    if (best := located.best) is None:
+        return {"touch": located.path.name, "error": located.problem}
+    return {
+        "touch": located.path.name, "result": str(out / located.path.stem / "result.json"),
+        "probability": best.probability, "imprint_iou": best.imprint_iou,
+        "T_sensor_object": best.T_sensor_object.tolist(),
+    }  # fmt: skip

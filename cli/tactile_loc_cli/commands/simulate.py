@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc_cli import flags
+from tactile_loc_cli import options
 from tactile_loc_cli.console import say
 
 if TYPE_CHECKING:
@@ -23,17 +23,17 @@ BATCH = 16  # images rendered at once
 
 
 def simulate(
-    object: flags.Object = None,
-    units: flags.MeshUnits = None,
-    symmetry: flags.Symmetry = None,
+    object: options.Object = None,
+    units: options.MeshUnits = None,
+    symmetry: options.Symmetry = None,
     count: Annotated[int, typer.Option("--count", min=1, max=100_000, metavar="N", help="How many touches.")] = 10,
-    press_depth: flags.PressDepth = None,
-    noise: flags.TouchNoise = None,
-    sensor: flags.Sensor = None,
-    grid: flags.Grid = None,
-    renderer: flags.Renderer = None,
-    option: flags.SetOption = None,
-    config: flags.Config = None,
+    press_depth: options.PressDepth = None,
+    noise: options.TouchNoise = None,
+    sensor: options.Sensor = None,
+    grid: options.Grid = None,
+    renderer: options.Renderer = None,
+    option: options.SetOption = None,
+    config: options.Config = None,
     images: Annotated[
         bool, typer.Option("--images", help="Also write what the camera sees: NAME.png for a touch, background.png.")
     ] = False,
@@ -46,7 +46,7 @@ def simulate(
             "if it is one of these, else gelslim. Implies --images.",
         ),
     ] = None,
-    seed: flags.Seed = None,
+    seed: options.Seed = None,
     out: Annotated[
         Path, typer.Option("--out", metavar="FOLDER", help="Where touches, poses.json and touches.png go.")
     ] = DEFAULT_OUT,
@@ -55,14 +55,18 @@ def simulate(
 
     Random contact poses of those that the grid covers, as contact shapes (npz) that `run --touch` reads.
     """
-    asked = dict(locals())
     from tactile_loc.store.files import require_writable
 
-    settings = flags.run_config(asked)
+    settings = options.run_config(
+        options.RunOptions(
+            object=object, units=units, symmetry=symmetry, press_depth=press_depth, noise=noise, sensor=sensor,
+            grid=grid, renderer=renderer, option=option, config=config, seed=seed,
+        )
+    )  # fmt: skip
     seen_by = _optics(optics or settings.sensor.name, optics is not None) if images or optics is not None else None
     require_writable(out)
-    localizer = flags.open_localizer(settings, None)
-    touches = localizer.simulate(count, settings.seed, flags.press_depth_m(settings), settings.touch.noise)
+    localizer = options.open_localizer(settings, None)
+    touches = localizer.simulate(count, settings.seed, options.press_depth_m(settings), settings.touch.noise)
     record = _write(localizer, touches, out)
     if seen_by is not None:
         _write_images(touches, seen_by, settings.seed, out)

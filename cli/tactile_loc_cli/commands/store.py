@@ -8,20 +8,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc_cli import flags
+from tactile_loc.core.formatting import byte_size
 from tactile_loc_cli.console import say, say_table
+from tactile_loc_cli.options import Store
 
 if TYPE_CHECKING:
     from tactile_loc.store.store import Entry, StageStore
     from tactile_loc_cli.stored import Origins
 
 
-def list_store(store: flags.Store = None) -> dict[str, Any]:
+def list_store(store: Store = None) -> dict[str, Any]:
     """List what the store holds, the newest last.
 
     For each stage: its digest, size, age, whether it is complete, and what it was made from.
     """
-    from tactile_loc_cli.stored import Origins, age_in_words, size_in_words
+    from tactile_loc_cli.stored import Origins, age_in_words
 
     place = _open(store)
     entries = sorted(place.entries(), key=lambda entry: entry.created)
@@ -29,7 +30,7 @@ def list_store(store: flags.Store = None) -> dict[str, Any]:
     rows = [_row(place, entry, origins) for entry in entries]
     if rows:
         shown = [
-            [r["stage"], r["digest"], size_in_words(r["bytes"]), age_in_words(r["age_s"]), r["state"],
+            [r["stage"], r["digest"], byte_size(r["bytes"]), age_in_words(r["age_s"]), r["state"],
              ", ".join(r["made_from"].values())] for r in rows
         ]  # fmt: skip
         say_table([["stage", "digest", "size", "age", "state", "made from"], *shown], left=(0, 1, 4, 5))
@@ -37,9 +38,9 @@ def list_store(store: flags.Store = None) -> dict[str, Any]:
     return {"store": str(place.root), "entries": rows, "bytes": _bytes(entries)}
 
 
-def size(store: flags.Store = None) -> dict[str, Any]:
+def size(store: Store = None) -> dict[str, Any]:
     """Say how much room the store takes, by stage."""
-    from tactile_loc_cli.stored import by_stage, size_in_words
+    from tactile_loc_cli.stored import by_stage
 
     place = _open(store)
     entries = place.entries()
@@ -48,7 +49,7 @@ def size(store: flags.Store = None) -> dict[str, Any]:
         for stage, group in by_stage(entries).items()
     }
     if stages:
-        shown = [[stage, *map(str, (s["entries"], s["incomplete"])), size_in_words(s["bytes"])]
+        shown = [[stage, *map(str, (s["entries"], s["incomplete"])), byte_size(s["bytes"])]
                  for stage, s in stages.items()]  # fmt: skip
         say_table([["stage", "entries", "incomplete", "size"], *shown], left=1)
     say(_in_all(place, entries))
@@ -71,7 +72,7 @@ def prune(
     everything: Annotated[bool, typer.Option("--all", help="Everything.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would be removed.")] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
-    store: flags.Store = None,
+    store: Store = None,
 ) -> dict[str, Any]:
     """Remove what is not needed from the store.
 
@@ -99,7 +100,7 @@ def prune(
 COMMANDS: Mapping[str, Callable[..., dict[str, Any]]] = {"list": list_store, "size": size, "prune": prune}
 
 
-def _open(store: flags.Store) -> StageStore:
+def _open(store: Store) -> StageStore:
     from tactile_loc.store.store import StageStore
 
     return StageStore(store)
@@ -131,11 +132,10 @@ def _is_being_built(place: StageStore, entry: Entry) -> bool:
 def _is_confirmed(entries: Sequence[Entry]) -> bool:
     """Let the person decide. Raises ConfigError where there is none to ask."""
     from tactile_loc.core.errors import ConfigError
-    from tactile_loc_cli.stored import size_in_words
 
     if not _is_terminal():
         raise ConfigError("nobody is here to confirm that; give --yes, or --dry-run to see what would be removed")
-    return typer.confirm(f"Remove {_counted(entries)}, {size_in_words(_bytes(entries))}?", err=True)
+    return typer.confirm(f"Remove {_counted(entries)}, {byte_size(_bytes(entries))}?", err=True)
 
 
 def _is_terminal() -> bool:
@@ -162,12 +162,10 @@ def _remove(place: StageStore, entries: Sequence[Entry]) -> tuple[list[Entry], l
 
 
 def _say_removed(place: StageStore, entries: Sequence[Entry], dry_run: bool) -> None:
-    from tactile_loc_cli.stored import size_in_words
-
     for entry in entries:
-        say(f"{'would remove' if dry_run else 'removed'} {_called(entry)}, {size_in_words(entry.nbytes)}")
+        say(f"{'would remove' if dry_run else 'removed'} {_called(entry)}, {byte_size(entry.nbytes)}")
     verb = "would be removed" if dry_run else "removed"
-    say(f"{_counted(entries)}, {size_in_words(_bytes(entries))}, {verb} from {place.root}")
+    say(f"{_counted(entries)}, {byte_size(_bytes(entries))}, {verb} from {place.root}")
 
 
 def _recorded(entries: Sequence[Entry]) -> list[dict[str, Any]]:
@@ -187,6 +185,4 @@ def _bytes(entries: Sequence[Entry]) -> int:
 
 
 def _in_all(place: StageStore, entries: Sequence[Entry]) -> str:
-    from tactile_loc_cli.stored import size_in_words
-
-    return f"{_counted(entries)}, {size_in_words(_bytes(entries))} in {place.root}"
+    return f"{_counted(entries)}, {byte_size(_bytes(entries))} in {place.root}"

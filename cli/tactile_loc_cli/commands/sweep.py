@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tactile_loc.core.registry import SLOTS
-from tactile_loc_cli import flags
+from tactile_loc_cli import options
 from tactile_loc_cli.commands import sweep_report
 from tactile_loc_cli.console import complain, progress
 from tactile_loc_cli.failures import UNEXPECTED, Finding
@@ -97,8 +97,8 @@ Store = Annotated[
 def sweep(
     plan: PlanFile = None,
     object: Objects = None,
-    units: flags.MeshUnits = None,
-    symmetry: flags.Symmetry = None,
+    units: options.MeshUnits = None,
+    symmetry: options.Symmetry = None,
     sensor: Sensors = None,
     renderer: Renderers = None,
     grid: Grids = None,
@@ -152,7 +152,7 @@ def sweep(
 _PLANNED = ("object", *SLOTS, "noise", "seed", "count", "option")
 
 
-def _plan(path: Path | None, given: dict[str, Any], units: flags.Units | None, symmetry: str | None) -> Plan:
+def _plan(path: Path | None, given: dict[str, Any], units: options.Units | None, symmetry: str | None) -> Plan:
     """The file's plan with what is given on the command line over it."""
     from tactile_loc.core.errors import ConfigError
     from tactile_loc.io.toml import read_toml

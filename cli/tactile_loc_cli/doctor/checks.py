@@ -1,22 +1,177 @@
-"""Everything that is looked at, in the order in which it is shown."""
+"""What doctor looks at, in the order in which it is shown; what may crash or hang is tried in a process of its own."""
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import shutil
+import signal
+import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import StrEnum
 from functools import partial
 from importlib import metadata
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
-from tactile_loc_cli.doctor.check import Check, Probe, State
-from tactile_loc_cli.doctor.outside import attempt
-from tactile_loc_cli.doctor.system import install, remedy_for, shared_libraries
+from tactile_loc.core.errors import TactileLocError
+
+NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+
+class State(StrEnum):
+    """How something is."""
+
+    OK = "ok"
+    MISSING = "missing"
+    BROKEN = "broken"
+
+
+@dataclass(frozen=True)
+class Check:
+    """What was found: `says` what it means, `remedy` what to do; `facts` are JSON values, in SI units."""
+
+    name: str
+    state: State
+    says: str
+    remedy: str = ""
+    required: bool = False
+    facts: Mapping[str, Any] = field(default_factory=lambda: NOTHING)
+
+    @property
+    def is_fatal(self) -> bool:
+        """Whether tactile-loc cannot be expected to work."""
+        return self.required and self.state is not State.OK
+
+    def record(self) -> dict[str, Any]:
+        """Return it as JSON values."""
+        said = {"says": self.says, "remedy": self.remedy, "required": self.required}
+        return {"name": self.name, "state": str(self.state), **said, **self.facts}
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Looks at something; `look` may raise whatever it likes."""
+
+    name: str
+    look: Callable[[], Sequence[Check]]
+    required: bool = False
+
+    def checks(self) -> list[Check]:
+        """Return what was found; a failure to look is itself a finding."""
+        try:
+            return list(self.look())
+        except TactileLocError as error:
+            reason = str(error)
+        except Exception as error:  # noqa: BLE001 - whatever is broken here, the other probes must still be run
+            reason = f"{type(error).__name__}: {error}"
+        return [Check(self.name, State.BROKEN, reason, required=self.required)]
+
+
+TIMEOUT_S = 90.0
+LONGEST = 240  # characters of a reason that are shown
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a trial: its facts, or the reason why it failed."""
+
+    facts: dict[str, Any] = field(default_factory=dict)
+    failure: str = ""
+
+
+def attempt(trial: str, *words: str, timeout_s: float | None = None) -> Outcome:
+    """Run a trial of `trials.py`, by default for at most TIMEOUT_S seconds; whatever becomes of it, return."""
+    timeout_s = TIMEOUT_S if timeout_s is None else timeout_s
+    # -P: a file of the folder we are in must not be taken for a library
+    line = [sys.executable, "-P", "-m", "tactile_loc_cli.doctor.trials", trial, *words]
+    try:
+        done = subprocess.run(
+            line, capture_output=True, text=True, errors="replace", timeout=timeout_s, stdin=subprocess.DEVNULL
+        )
+    except subprocess.TimeoutExpired:
+        return Outcome(failure=f"no answer within {timeout_s:g} s")
+    except OSError as error:
+        return Outcome(failure=f"Python cannot be started ({error.strerror})")
+    if done.returncode < 0:
+        return Outcome(failure=f"it crashes ({_signal(-done.returncode)})")
+    if done.returncode > 0:
+        return Outcome(failure=_last_line(done.stderr) or f"it ends with code {done.returncode}")
+    try:
+        return Outcome(facts=dict(json.loads(_last_line(done.stdout, len(done.stdout)))))
+    except (ValueError, TypeError):
+        return Outcome(failure="it says nothing")
+
+
+def _signal(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def _last_line(text: str, longest: int = LONGEST) -> str:
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return lines[-1][:longest] if lines else ""
+
+
+# scripts/system-packages.sh of the source tree knows the same pairs; a test compares them
+PACKAGES: Mapping[str, str] = {
+    "libusb-1.0.so.0": "libusb-1.0-0",
+    "libEGL.so.1": "libegl1",
+    "libGL.so.1": "libgl1",
+    "libX11.so.6": "libx11-6",
+    "libudev.so.1": "libudev1",
+    "libidn2.so.0": "libidn2-0",
+    "libgomp.so.1": "libgomp1",
+}
+USERS: Mapping[str, str] = {"libEGL.so.1": "the renderer pyrender"}  # all others: open3d
+DRIVER = "libgl1-mesa-dri"  # Mesa's drivers, which need no GPU
+DRIVER_PATTERNS = ("lib/dri/*_dri.so", "lib64/dri/*_dri.so", "lib/*/dri/*_dri.so", "lib/*/libgallium-*.so")
+
+
+def shared_libraries() -> Iterator[Check]:
+    """Say which shared libraries are missing; on other systems than Linux nothing is looked at."""
+    if sys.platform != "linux":
+        return
+    outcome = attempt("shared-libraries", *PACKAGES)
+    if outcome.failure:
+        yield Check("system libraries", State.BROKEN, outcome.failure)
+        return
+    for library in outcome.facts["missing"]:
+        user = USERS.get(library, "open3d")
+        yield Check(library, State.MISSING, f"{user} needs it", install(PACKAGES[library]))
+    if not has_egl_driver():
+        remedy = install(DRIVER)
+        yield Check("EGL driver", State.MISSING, "the renderer pyrender needs one, Mesa's or NVIDIA's", remedy)
+    if not outcome.facts["missing"]:
+        yield Check("system libraries", State.OK, "all there")
+
+
+def has_egl_driver() -> bool:
+    """Whether there is a driver behind libEGL, which only dispatches."""
+    if not attempt("shared-libraries", "libEGL_nvidia.so.0").facts.get("missing", True):
+        return True
+    return any(found for pattern in DRIVER_PATTERNS for found in Path("/usr").glob(pattern))
+
+
+def install(package: str) -> str:
+    """Return how to install a Debian package, here."""
+    if shutil.which("apt-get"):
+        return f"sudo apt-get install {package}"
+    return f"install what Debian calls {package} with this system's package manager"
+
+
+def remedy_for(failure: str, otherwise: str) -> str:
+    """Return how to install the shared library that a failure names; `otherwise` when it names none."""
+    return next((install(package) for library, package in PACKAGES.items() if library in failure), otherwise)
+
 
 PYTHON = (3, 11)
 LITTLE_DISK_B = 2e9
@@ -151,8 +306,8 @@ def _plugins() -> Iterator[Check]:
 
 
 def _store(folder: Path | None) -> Check:
+    from tactile_loc.core.formatting import byte_size
     from tactile_loc.store.store import StageStore
-    from tactile_loc_cli.stored import size_in_words
 
     root = StageStore(folder).root
     existing = next(path for path in (root, *root.parents) if path.exists())
@@ -163,7 +318,7 @@ def _store(folder: Path | None) -> Check:
     except OSError as error:
         return Check("store", State.BROKEN, f"{root} cannot be written to ({error.strerror})", remedy, True)
     nbytes, free = sum(entry.nbytes for entry in StageStore(folder).entries()), shutil.disk_usage(existing).free
-    says = f"{root} holds {size_in_words(nbytes)}, {size_in_words(free)} are free on its disk"
+    says = f"{root} holds {byte_size(nbytes)}, {byte_size(free)} are free on its disk"
     facts = {"folder": str(root), "bytes": nbytes, "free_bytes": free}
     if free < LITTLE_DISK_B:
         return Check("store", State.OK, f"{says} ({LOW_DISK})", f"tactile-loc store prune, or {remedy}", True, facts)

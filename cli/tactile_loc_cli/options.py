@@ -1,8 +1,10 @@
-"""The command line's shared options, and how they become a RunConfig together with a configuration file."""
+"""The options that several commands share, and how they become a RunConfig together with a configuration file."""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -104,30 +106,52 @@ Store = Annotated[
 ]
 
 
-def run_config(flags: dict[str, Any]) -> RunConfig:
-    """Merge a command's flags, None where not given, over the configuration file that they name, if any.
+@dataclass(frozen=True)
+class RunOptions:
+    """The options of a command that decide a run, as they were given; None where they were not."""
 
-    Raises ConfigError for unknown or ill-typed settings.
-    """
+    object: str | None = None
+    units: Units | None = None
+    symmetry: str | None = None
+    touch: str | None = None
+    touch_unit: TouchUnit | None = None
+    press_depth: float | None = None
+    noise: str | None = None
+    sensor: str | None = None
+    grid: str | None = None
+    renderer: str | None = None
+    encoder: str | None = None
+    matcher: str | None = None
+    refiner: str | None = None
+    fuser: str | None = None
+    option: Sequence[str] | None = None
+    config: Path | None = None
+    top: int | None = None
+    seed: int | None = None
+
+
+def run_config(given: RunOptions) -> RunConfig:
+    """Merge options over the configuration file that they name, if any. Raises ConfigError for unknown settings."""
     from tactile_loc.io.config import RunConfig, parse_overrides
     from tactile_loc.io.toml import read_toml
 
-    path = flags.get("config")
-    settings = read_toml(path) if path is not None else {}
-    for section, keys in _SECTIONS.items():
-        chosen = {key: flags[flag] for key, flag in keys.items() if flags.get(flag) is not None}
-        settings[section] = {**_table(settings.get(section, {}), section), **chosen}
-    overrides = parse_overrides(flags.get("option") or [])
+    settings = {} if given.config is None else read_toml(given.config)
+    tables: dict[str, dict[str, Any]] = {
+        "object": {"path": given.object, "units": given.units, "symmetry": given.symmetry},
+        "touch": {"path": given.touch, "unit": given.touch_unit, "press_depth_mm": given.press_depth,
+                  "noise": given.noise},
+    }  # fmt: skip
+    for name, table in tables.items():
+        settings[name] = {**_table(settings.get(name, {}), name), **_without_none(table)}
+    overrides = parse_overrides(given.option or [])
     for slot in SLOTS:
-        settings[slot] = component(slot, settings.get(slot), flags.get(slot), overrides.get(slot, {}))
-    settings |= {key: flags[key] for key in ("top", "seed") if flags.get(key) is not None}
-    return RunConfig.from_dict(settings, "the command line" if path is None else str(path))
+        settings[slot] = _component(slot, settings.get(slot), getattr(given, slot), overrides.get(slot, {}))
+    settings |= _without_none({"top": given.top, "seed": given.seed})
+    return RunConfig.from_dict(settings, "the command line" if given.config is None else str(given.config))
 
 
-_SECTIONS = {
-    "object": {"path": "object", "units": "units", "symmetry": "symmetry"},
-    "touch": {"path": "touch", "unit": "touch_unit", "press_depth_mm": "press_depth", "noise": "noise"},
-}
+def _without_none(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if value is not None}
 
 
 def _table(value: Any, section: str) -> dict[str, Any]:
@@ -140,7 +164,7 @@ def _table(value: Any, section: str) -> dict[str, Any]:
     return value
 
 
-def component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, Any]) -> Any:
+def _component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, Any]) -> Any:
     """Return one slot's name and options: the file's, unless the flag names another component; `overrides` on top."""
     from tactile_loc.io.config import RunConfig, kind_of_sensor
 
@@ -165,13 +189,13 @@ def _warn_of_namesake(name: str) -> None:
         logger.warning("the sensor %s is used, not what is in the folder of this name: for that write ./%s", name, name)
 
 
-def open_localizer(config: RunConfig, store: Path | None) -> Localizer:
-    """Load the object and make its localizer. Raises TactileLocError for bad input."""
+def open_localizer(config: RunConfig, store: Path | None, obj: ObjectModel | None = None) -> Localizer:
+    """Make a localizer of the object, which is loaded if it is not given. Raises TactileLocError for bad input."""
     from tactile_loc.locate.localizer import Localizer
     from tactile_loc.store.store import StageStore
     from tactile_loc_cli.console import progress
 
-    return Localizer(config, load_object(config), StageStore(store), progress())
+    return Localizer(config, obj or load_object(config), StageStore(store), progress())
 
 
 def load_object(config: RunConfig) -> ObjectModel:

@@ -1,0 +1,93 @@
+"""Results as people read them: millimetres, degrees, per cent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.formatting import duration, millimetres, mm
+from tactile_loc.core.geometry import axis_angle
+from tactile_loc_cli.console import say, say_table
+
+if TYPE_CHECKING:
+    from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord
+    from tactile_loc.locate.touch_files import LocatedFile
+
+IMPRINT = "imprint IoU %"
+POSE = ("x mm", "y mm", "z mm", "turn deg", "about axis")
+
+
+def title(record: ResultRecord) -> str:
+    """Return the picture's title: object, sensor, normalised entropy, error."""
+    text = f"{record.object.name} on {_sensor(record)}: normalised entropy {record.normalised_entropy:.2f}"
+    return text if record.errors is None else f"{text}, error {millimetres(record.errors.best_m)}"
+
+
+def say_result(record: ResultRecord) -> None:
+    """Write the hypotheses, the object's pose in the sensor frame, and what else is to be said of a result."""
+    touch = "simulated touch" if record.touch.path is None else record.touch.name
+    header = ["rank", "prob. %", *POSE, IMPRINT, *([] if record.errors is None else ["error mm"])]
+    say(f"{record.object.name} in the frame of {_sensor(record)}, {touch}")
+    say_table([header, *map(_cells, record.hypotheses)], left=0, gap=2)
+    for line in _summary(record):
+        say(line)
+
+
+def _summary(record: ResultRecord) -> Iterator[str]:
+    """The lines below the table."""
+    yield (
+        f"normalised entropy: {record.normalised_entropy:.2f} (0: one pose is certain, 1: nothing is known), "
+        f"{record.grid_poses} poses searched"
+    )
+    grid = record.configuration["grid"]
+    if (grid["name"], grid["options"].get("face")) == ("face", "auto"):
+        yield f"side searched: {_side(record)}, on which it rests lowest; another: -o grid.face=+z, all: --grid hopf"
+    errors = record.errors
+    if errors is not None:
+        yield (
+            f"error: {mm(errors.best_m)} mm the best, {mm(errors.best_listed_m)} mm the nearest of those listed, "
+            f"{mm(errors.closest_in_grid_m)} mm the nearest of the grid (RMS surface distance, symmetry regarded)"
+        )
+    yield "time: " + ", ".join(f"{stage} {duration(s)}" for stage, s in record.seconds.items())
+
+
+def _side(record: ResultRecord) -> str:
+    """The object's side that touches, as the outward direction in its own frame that points into the sensor."""
+    x, y, z = -np.array(record.hypotheses[0].T_sensor_object_grid)[2, :3] + 0.0
+    return f"the object's side ({x:.2f}, {y:.2f}, {z:.2f})"
+
+
+def _sensor(record: ResultRecord) -> str:
+    sensor = record.configuration["sensor"]
+    return Path(path).stem if (path := sensor["options"].get("path")) else str(sensor["name"])
+
+
+def _cells(h: HypothesisRecord) -> list[str]:
+    cells = [
+        str(h.rank),
+        f"{100 * h.probability:.1f}",
+        *_pose(np.array(h.T_sensor_object)),
+        f"{100 * h.imprint_iou:.0f}",
+    ]
+    return cells if h.error_m is None else [*cells, mm(h.error_m)]
+
+
+def _pose(T: NDArray[np.float64]) -> list[str]:
+    """A pose (4, 4), metres, as the cells of POSE."""
+    angle_deg, axis = axis_angle(T[:3, :3])
+    return [*(f"{1e3 * v:.2f}" for v in T[:3, 3]), f"{angle_deg:.1f}", "({:.3f}, {:.3f}, {:.3f})".format(*axis)]
+
+
+def say_located(files: Sequence[LocatedFile]) -> None:
+    """Write a line for each of many touches: its best pose, or what is wrong with it."""
+    say_table([["touch", "prob. %", IMPRINT, *POSE], *([one.path.name, *_best(one)] for one in files)], left=1, gap=2)
+
+
+def _best(located: LocatedFile) -> list[str]:
+    if (best := located.best) is None:
+        return [located.problem]
+    return [f"{100 * best.probability:.1f}", f"{100 * best.imprint_iou:.0f}", *_pose(best.T_sensor_object)]

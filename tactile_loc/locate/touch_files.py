@@ -1,0 +1,146 @@
+"""Touches given by a path: a folder or pattern of many, each located for itself, or a list of several of one object."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tactile_loc.core.errors import TactileLocError, TouchError
+from tactile_loc.core.geometry import axis_angle
+from tactile_loc.core.sensing import Touch
+from tactile_loc.io.config import SlotConfig, kind_of_sensor
+from tactile_loc.io.images import IMAGE_SUFFIXES
+from tactile_loc.io.touch_lists import ListedTouch, read_touch_list
+from tactile_loc.locate.localizer import Localizer, Observation
+from tactile_loc.locate.result import Hypothesis, Localization
+from tactile_loc.store.files import write_atomically
+
+SUFFIXES = {".npz", ".npy", *IMAGE_SUFFIXES}
+COLUMNS = (
+    "touch",
+    "probability",
+    "imprint_iou",
+    "x_mm",
+    "y_mm",
+    "z_mm",
+    "turn_deg",
+    "axis_x",
+    "axis_y",
+    "axis_z",
+    "says",
+)
+TOGETHER = 32  # touches read and located at once
+
+
+@dataclass(frozen=True, eq=False)
+class LocatedFile:
+    """What became of one touch's file: its best hypothesis or, in a sentence, why there is none."""
+
+    path: Path
+    best: Hypothesis | None = None
+    problem: str = ""
+
+    def row(self) -> dict[str, str]:
+        """Return it as a row of results.csv, whose columns are COLUMNS: the best pose in mm and degrees."""
+        if self.best is None:
+            return {"touch": self.path.name, "says": self.problem}
+        best = self.best
+        T = best.T_sensor_object
+        angle_deg, axis = axis_angle(T[:3, :3])
+        numbers = [
+            f"{best.probability:.4f}", f"{best.imprint_iou:.3f}", *(f"{1e3 * v:.3f}" for v in T[:3, 3]),
+            f"{angle_deg:.2f}", *(f"{v:.4f}" for v in axis),
+        ]  # fmt: skip
+        return dict(zip(COLUMNS, [self.path.name, *numbers, ""], strict=True))
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a path means many touches: a folder, or a pattern such as folder/*.png."""
+    return path.is_dir() or ("*" in path.name and not path.exists())
+
+
+def is_list(path: Path) -> bool:
+    """Whether a path is, by its name, a list of touches."""
+    return path.suffix.lower() == ".toml"
+
+
+def find_touches(folder: Path) -> list[Path]:
+    """Return the touches of a folder or pattern, in the order of names. Raises TouchError when there is none."""
+    if folder.is_dir():
+        # of what `simulate` wrote, the contact shapes: the images show the same touches, and a sheet of all of them
+        simulated = (folder / "poses.json").is_file()
+        candidates = folder.glob("*.npz") if simulated else folder.iterdir()
+    else:
+        candidates = folder.parent.glob(folder.name)
+    files = sorted(path for path in candidates if path.suffix.lower() in SUFFIXES and path.is_file())
+    if not files:
+        raise TouchError(f"{folder} holds no touch; give files {', '.join(sorted(SUFFIXES))}")
+    return files
+
+
+def localize_files(
+    localizer: Localizer, files: Sequence[Path], press_depth_m: float | None = None
+) -> Iterator[tuple[LocatedFile, Localization | None]]:
+    """Locate the touch of each file for itself, in their order; None where that fails.
+
+    `press_depth_m`, metres, is how deep the press was where a file does not say.
+    """
+    for first in range(0, len(files), TOGETHER):
+        yield from _located(localizer, files[first : first + TOGETHER], press_depth_m)
+
+
+def _located(
+    localizer: Localizer, files: Sequence[Path], press_depth_m: float | None
+) -> Iterator[tuple[LocatedFile, Localization | None]]:
+    touches: dict[Path, Touch] = {}
+    problems: dict[Path, str] = {}
+    for path in files:
+        try:
+            touches[path] = localizer.read_touch(path, localizer.config.touch.unit, press_depth_m)
+        except TactileLocError as error:
+            problems[path] = " ".join(str(error).split())
+    found = dict(zip(touches, localizer.localize_many(list(touches.values())), strict=True))
+    for path in files:
+        if path in found:
+            yield LocatedFile(path, found[path].best), found[path]
+        else:
+            yield LocatedFile(path, problem=problems[path]), None
+
+
+def write_table(path: Path, located: Iterable[LocatedFile]) -> Path:
+    """Write a row a file as CSV, atomically, and return the path. Raises OutputError."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n", restval="")
+    writer.writeheader()
+    writer.writerows(one.row() for one in located)
+    return write_atomically(path, lambda temporary: temporary.write_text(text.getvalue(), encoding="utf-8"))
+
+
+def read_observations(localizer: Localizer, path: Path) -> list[Observation]:
+    """Read every touch of a list, each with the localizer of its sensor. Raises TactileLocError for bad input."""
+    of_sensor = {None: localizer, localizer.config.sensor.name: localizer}
+    observations: list[Observation] = []
+    for listed in read_touch_list(path):
+        if listed.sensor not in of_sensor:
+            of_sensor[listed.sensor] = _with_sensor(localizer, str(listed.sensor))
+        observations.append(_observed(of_sensor[listed.sensor], listed))
+    return observations
+
+
+def _with_sensor(localizer: Localizer, sensor: str) -> Localizer:
+    """The same localizer, but for its sensor, which is given by name, folder or file."""
+    kind = kind_of_sensor(sensor)
+    chosen = SlotConfig(name=kind, options={"path": sensor}) if kind else SlotConfig(name=sensor)
+    config = localizer.config.model_copy(update={"sensor": chosen})
+    return Localizer(config, localizer.object, localizer.store, localizer.progress)
+
+
+def _observed(localizer: Localizer, listed: ListedTouch) -> Observation:
+    touch = localizer.read_touch(listed.path, listed.unit, listed.press_depth_m)
+    if listed.T_base_sensor is not None:
+        touch = dataclasses.replace(touch, T_base_sensor=listed.T_base_sensor)
+    return localizer, touch

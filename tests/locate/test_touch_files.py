@@ -1,0 +1,70 @@
+"""Touches given by a path, and the table of what became of them."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import TouchError
+from tactile_loc.io.touches import write_touch
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.touch_files import (
+    COLUMNS,
+    LocatedFile,
+    find_touches,
+    is_folder,
+    is_list,
+    localize_files,
+    write_table,
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in ("b.npz", "a.PNG", "notes.txt", "c.npy"):
+        (tmp_path / name).touch()
+    return tmp_path
+
+
+def test_a_folder_or_pattern_means_many_and_a_toml_file_a_list(folder):
+    assert [is_folder(folder), is_folder(folder / "*.npz"), is_folder(folder / "b.npz")] == [True, True, False]
+    (folder / "odd*name.npz").touch()
+    assert not is_folder(folder / "odd*name.npz")
+    assert is_list(folder / "touches.TOML")
+    assert not is_list(folder / "b.npz")
+
+
+def test_touches_are_found_by_their_suffix_in_the_order_of_names(folder):
+    assert [path.name for path in find_touches(folder)] == ["a.PNG", "b.npz", "c.npy"]
+    assert [path.name for path in find_touches(folder / "*.npz")] == ["b.npz"]
+    with pytest.raises(TouchError, match="holds no touch"):
+        find_touches(folder / "*.txt")
+
+
+def test_of_simulated_touches_the_contact_shapes_are_taken(folder):
+    (folder / "poses.json").touch()
+    assert [path.name for path in find_touches(folder)] == ["b.npz"]
+
+
+def test_each_file_is_located_or_says_why_not(localizer: Localizer, tmp_path):
+    (touch,) = localizer.simulate(1, seed=0)
+    write_touch(tmp_path / "good.npz", touch)
+    (tmp_path / "bad.npz").write_text("no touch")
+    bad, good = localize_files(localizer, [tmp_path / "bad.npz", tmp_path / "good.npz"])
+    assert bad[1] is None
+    assert "bad.npz" in bad[0].problem
+    assert good[0].best is good[1].best
+    path = write_table(tmp_path / "results.csv", [bad[0], good[0]])
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["touch"], row["says"]) for row in rows] == [("bad.npz", bad[0].problem), ("good.npz", "")]
+    place_mm = [float(rows[1][key]) for key in ("x_mm", "y_mm", "z_mm")]
+    np.testing.assert_allclose(place_mm, 1e3 * good[1].best.T_sensor_object[:3, 3], atol=1e-3)
+    assert set(rows[0]) == set(COLUMNS)
+
+
+def test_a_file_that_cannot_be_located_has_a_name_and_a_reason():
+    assert LocatedFile(Path("a/b.npz"), problem="empty").row() == {"touch": "b.npz", "says": "empty"}
