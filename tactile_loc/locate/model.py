@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.grids import contact_grid, enough_contact
-from tactile_loc.core.interfaces import Encoder, GridSampler, Scene, TrainingProblem
+from tactile_loc.core.interfaces import Encoder, GridSampler, Renderer, Scene, TrainingProblem
 from tactile_loc.core.poses import PoseGrid, PoseMetric
 from tactile_loc.core.progress import Progress, rank
 from tactile_loc.store.artifact import Artifact
@@ -23,6 +23,20 @@ from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 SHARD = 1024  # poses rendered, saved and resumed at once
 NO_CONTACT = 65535
 STAGE_VERSIONS = {"grid": 2, "shapes": 1, "encoder": 2, "bank": 1}
+
+
+def grid_key(scene: Scene, sampler: GridSampler) -> StageKey:
+    """Return the key under which the grid of `sampler` in `scene` is stored."""
+    return StageKey("grid", STAGE_VERSIONS["grid"], {
+        "object": scene.object.describe(), "sampler": sampler.describe(), "sensor": scene.geometry.describe(),
+    }, scene.object.name)  # fmt: skip
+
+
+def shapes_key(grid: StageKey, renderer: Renderer) -> StageKey:
+    """Return the key under which the contact shapes of a grid are stored, as `renderer` draws them."""
+    return StageKey("shapes", STAGE_VERSIONS["shapes"], {
+        "grid": grid.digest, "renderer": renderer.describe(), "shard": SHARD,
+    })  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,18 +87,24 @@ class ObjectPoseModel:
 
 def build_model(scene: Scene, sampler: GridSampler, store: StageStore, progress: Progress) -> ObjectPoseModel:
     """Build, or fetch from the store, the grid of `sampler` and its contact shapes in `scene`."""
-    grid_key = StageKey("grid", STAGE_VERSIONS["grid"], {
-        "object": scene.object.describe(), "sampler": sampler.describe(), "sensor": scene.geometry.describe(),
-    }, scene.object.name)  # fmt: skip
-    artifact = store.build(grid_key, lambda work: work.save_array("T_sensor_object", _grid(scene, sampler, progress)))
+    grid = grid_key(scene, sampler)
+    artifact = store.build(grid, lambda work: work.save_array("T_sensor_object", _grid(scene, sampler, progress)))
     contact = PoseGrid(np.array(artifact.array("T_sensor_object")), PoseMetric(scene.object))
-    shapes_key = StageKey("shapes", STAGE_VERSIONS["shapes"], {
-        "grid": grid_key.digest, "renderer": scene.renderer.describe(), "shard": SHARD,
-    })  # fmt: skip
+    key = shapes_key(grid, scene.renderer)
     percent = sampler.options.min_contact_percent
-    rendered = store.build(shapes_key, lambda work: _render_all(work, contact, scene, percent, progress))
+    rendered = store.build(key, lambda work: _render_all(work, contact, scene, percent, progress))
     shapes = ShapeBank(rendered, scene.geometry.max_depth_m)
-    return ObjectPoseModel(PoseGrid(contact.T_sensor_object[shapes.kept], contact.metric), shapes, shapes_key)
+    return ObjectPoseModel(PoseGrid(contact.T_sensor_object[shapes.kept], contact.metric), shapes, key)
+
+
+def bank_key(shapes: StageKey, encoder: Encoder, press_depth_m: float, trained: str = "") -> StageKey:
+    """Return the key under which the bank of contact shapes, cut at `press_depth_m` metres, is stored.
+
+    `trained` identifies what the encoder has learned, empty if it needs no training.
+    """
+    return StageKey("bank", STAGE_VERSIONS["bank"], {
+        "shapes": shapes.digest, "encoder": encoder.describe(), "trained": trained, "press_depth_m": press_depth_m,
+    })  # fmt: skip
 
 
 def build_bank(
@@ -93,11 +113,8 @@ def build_bank(
 ) -> NDArray[np.float32]:  # fmt: skip
     """Return the bank (N, D) of the model's contact shapes cut at `press_depth_m` metres, from the store if there.
 
-    `trained` identifies what the encoder has learned, empty if it needs no training.
+    `trained` is as for `bank_key`.
     """
-    key = StageKey("bank", STAGE_VERSIONS["bank"], {
-        "shapes": model.key.digest, "encoder": encoder.describe(), "trained": trained, "press_depth_m": press_depth_m,
-    })  # fmt: skip
 
     def encode(work: Workspace) -> None:
         rows = []
@@ -107,7 +124,7 @@ def build_bank(
                 advance(len(depths))
         work.save_array("bank", np.concatenate(rows))
 
-    return np.asarray(store.build(key, encode).array("bank"))
+    return np.asarray(store.build(bank_key(model.key, encoder, press_depth_m, trained), encode).array("bank"))
 
 
 def _grid(scene: Scene, sampler: GridSampler, progress: Progress) -> NDArray[np.float64]:
@@ -160,6 +177,15 @@ def _encoded(depths_m: NDArray[np.float32], max_depth_m: float) -> NDArray[np.ui
 WEIGHTS = "encoder.safetensors"
 
 
+def encoder_key(shapes: StageKey, encoder: Encoder, sampler: GridSampler) -> StageKey | None:
+    """Return the key under which what `encoder` learned from contact shapes is stored; None if it needs no training."""
+    if not encoder.capabilities.needs_training:
+        return None
+    return StageKey("encoder", STAGE_VERSIONS["encoder"], {
+        "shapes": shapes.digest, "encoder": encoder.describe(), "sampler": sampler.describe(),
+    })  # fmt: skip
+
+
 def train_encoder(
     encoder: Encoder, model: ObjectPoseModel, scene: Scene, sampler: GridSampler, store: StageStore,
     progress: Progress,
@@ -169,11 +195,9 @@ def train_encoder(
     Encoders that need no training are left alone and identified by their description. Of several processes that
     torchrun started, the first stores what all of them train together. Raises what `fit` raises.
     """
-    if not encoder.capabilities.needs_training:
+    key = encoder_key(model.key, encoder, sampler)
+    if key is None:
         return ""
-    key = StageKey("encoder", STAGE_VERSIONS["encoder"], {
-        "shapes": model.key.digest, "encoder": encoder.describe(), "sampler": sampler.describe(),
-    })  # fmt: skip
 
     def fit(work: Workspace) -> None:
         checkpoints = WorkspaceCheckpoints(work)

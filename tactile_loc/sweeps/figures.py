@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.registry import SLOTS
 from tactile_loc.drawing.pictures import make_figure
 from tactile_loc.evaluation.figures import COLOURS
-from tactile_loc.sweeps.labels import place_labels
-from tactile_loc.sweeps.summary import Point, choice_labels, effects, pareto, points, varying
-from tactile_loc.sweeps.sweep import Sweep
+from tactile_loc.sweeps.plan import choice_labels, varying
+from tactile_loc.sweeps.sweep import Sweep, mean_of_all
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,6 +26,58 @@ BY_COLOUR = ("refiner", "encoder", "matcher", "renderer", "grid", "fuser", "sens
 MOST_LISTED = 60
 PANEL, LETTER = 7.2, 0.068  # inches: a panel's width, and that of a listed letter
 LIST_LINE = 0.19  # inches of height a listed combination takes
+LEAST_MM = 1e-6  # a smaller error has no logarithm of its own
+DIGIT, LINE, MARKER = 5.6, 10.0, 7.0  # points: width of a character, height of a label, size of a point's marker
+OFFSETS = [(5, 3), (5, -12), (-5, 3), (-5, -12), (0, 8), (0, -17), (5, 13), (-5, 13), (5, -22), (-5, -22), (9, -5)]
+
+
+@dataclass(frozen=True)
+class Point:
+    """One component for each slot: the geometric means over objects of errors, mm, and times a touch, ms."""
+
+    label: str
+    choices: tuple[int, ...]
+    error_mm: float
+    time_ms: float
+
+
+def points(sweep: Sweep, line: str, noise: str) -> list[Point]:
+    """Return a point for each combination of components that ended well on all objects, in the plan's order."""
+    medians = sweep.medians(line)
+    of_noise = medians[medians["noise"] == noise]
+    logs = np.log(of_noise[["error_mm", "time_ms"]].clip(lower=LEAST_MM))
+    keys = [of_noise[name] for name in (*SLOTS, "label")]
+    means = np.exp(logs.groupby(keys, sort=False).agg(mean_of_all)).dropna()
+    return [
+        Point(str(label), tuple(choices), *row)
+        for (*choices, label), row in zip(means.index, means.to_numpy(), strict=True)
+    ]
+
+
+def pareto(found: Sequence[Point]) -> list[Point]:
+    """Return the points that no other beats in both error and time, by rising time."""
+    front: list[Point] = []
+    for point in sorted(found, key=lambda p: (p.time_ms, p.error_mm)):
+        if not front or point.error_mm < front[-1].error_mm:
+            front.append(point)
+    return front
+
+
+def effects(sweep: Sweep, line: str) -> dict[str, dict[str, NDArray[np.float64]]]:
+    """Return, for each slot that varies and each of its choices, natural logarithms (K,) of error ratios.
+
+    A ratio is that of the error with this choice to the geometric mean over all choices of the slot, all else the same;
+    K counts what else there is: objects, noises, and the other slots' choices, where no choice failed.
+    """
+    medians, labels = sweep.medians(line), choice_labels(sweep.plan)
+    logs = medians.assign(log=np.log(medians["error_mm"].clip(lower=LEAST_MM)))
+    found = {}
+    for slot in varying(sweep.plan):
+        others = ["object", "noise", *(other for other in SLOTS if other != slot)]
+        choices = logs.pivot(index=others, columns=slot, values="log").dropna()
+        ratios = choices.sub(choices.mean(axis=1), axis=0)
+        found[slot] = {labels[slot][place]: ratios[place].to_numpy() for place in ratios.columns}
+    return found
 
 
 def draw_error_time(sweep: Sweep, line: str) -> Figure | None:
@@ -191,3 +244,76 @@ def _scale_ratios(axes: Axes, values: NDArray[np.float64]) -> None:
 
 def _leading(value: float) -> int:
     return int(f"{value:e}"[0])
+
+
+@dataclass(frozen=True)
+class NumberLabel:
+    """One label of the points `members` (indices), which all but coincide, written at `offset_pt` from the first.
+
+    The text begins, ends or is centred there, as the first number of the offset is positive, negative or zero.
+    """
+
+    text: str
+    members: tuple[int, ...]
+    offset_pt: tuple[float, float]
+
+    @property
+    def alignment(self) -> str:
+        """The horizontal alignment, as matplotlib calls it."""
+        return "center" if self.offset_pt[0] == 0 else "left" if self.offset_pt[0] > 0 else "right"
+
+
+def place_labels(places_pt: NDArray[np.float64], numbers: Sequence[int]) -> list[NumberLabel]:
+    """Return labels for points (N, 2), in points of 1/72 inch, with these numbers.
+
+    Points that all but coincide share one. The first of OFFSETS where nothing is covered is taken, if there is one.
+    """
+    markers = [_box(x, y - MARKER / 2, MARKER, MARKER, 0) for x, y in places_pt]
+    taken: list[NDArray[np.float64]] = []
+    labels = []
+    for members in _coinciding(places_pt):
+        text = in_ranges([numbers[i] for i in members])
+        x, y = places_pt[members[0]]
+        boxes = [_box(x + dx, y + dy, DIGIT * len(text), LINE, dx) for dx, dy in OFFSETS]
+        own = set(members)
+        others = [*taken, *(box for i, box in enumerate(markers) if i not in own)]
+        free = [k for k, box in enumerate(boxes) if not any(_overlap(box, other) for other in others)]
+        chosen = free[0] if free else 0
+        taken.append(boxes[chosen])
+        labels.append(NumberLabel(text, members, OFFSETS[chosen]))
+    return labels
+
+
+def in_ranges(numbers: Sequence[int]) -> str:
+    """Write whole numbers in order: 1, 3-5."""
+    runs: list[list[int]] = []
+    for number in sorted(numbers):
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    texts = [", ".join(map(str, run)) if len(run) < 3 else f"{run[0]}-{run[-1]}" for run in runs]
+    return ", ".join(texts)
+
+
+def _coinciding(places_pt: NDArray[np.float64]) -> list[tuple[int, ...]]:
+    """Points, each with those that are hidden behind it."""
+    groups: list[list[int]] = []
+    for i, place in enumerate(places_pt):
+        near = (group for group in groups if np.abs(places_pt[group[0]] - place).max() < MARKER / 2)
+        group = next(near, None)
+        if group is None:
+            groups.append([i])
+        else:
+            group.append(i)
+    return [tuple(group) for group in groups]
+
+
+def _box(x: float, y: float, width: float, height: float, side: float) -> NDArray[np.float64]:
+    """A box (left, bottom, right, top) right of x, left of it or about it, as `side` is positive, negative or zero."""
+    left = x - width * (0.5 if side == 0 else 0.0 if side > 0 else 1.0)
+    return np.array([left, y, left + width, y + height])
+
+
+def _overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
+    return bool((a[:2] < b[2:]).all() and (b[:2] < a[2:]).all())

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.noise import noise_level
-from tactile_loc.core.registry import SLOTS, validate_options
+from tactile_loc.core.registry import SLOTS, registry, validate_options
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, kind_of_sensor
+from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, kind_of_sensor, parse_overrides
 from tactile_loc.io.toml import read_toml
-from tactile_loc.sweeps.choices import expand
-from tactile_loc.sweeps.words import as_list, read_options, whole_numbers
+from tactile_loc.store.keys import canonical_json
 
 KEYS = ("object", *SLOTS, "noise", "seed", "count", "option", "shape_px", "temperature")
 DEFAULT_COUNT, DEFAULT_NOISE = 150, "strong"
@@ -128,3 +129,137 @@ def _settings(values: Mapping[str, Any], source: str) -> dict[str, Any]:
     given = {key: values[key] for key in ("shape_px", "temperature") if key in values}
     config = RunConfig.from_dict(given, source)
     return {"shape_px": config.shape_px, "temperature": config.temperature}
+
+
+def expand(slot: str, named: Sequence[SlotConfig], options: Mapping[str, Sequence[Any]]) -> tuple[SlotConfig, ...]:
+    """Return every component with every combination of the option values, all options resolved, each choice once.
+
+    An option goes to the components that have it; one that none has is refused. Raises PluginError or ConfigError.
+    """
+    known = {chosen.name: set(registry().load(slot, chosen.name).Options.model_fields) for chosen in named}
+    foreign = [option for option in options if not any(option in fields for fields in known.values())]
+    if foreign:  # of the first component, whose error names the options that it has
+        _resolved(slot, named[0].name, {foreign[0]: options[foreign[0]][0]})
+    found: dict[str, SlotConfig] = {}
+    for chosen in named:
+        own = {option: values for option, values in options.items() if option in known[chosen.name]}
+        for values in itertools.product(*own.values()):
+            choice = _resolved(slot, chosen.name, {**chosen.options, **dict(zip(own, values, strict=True))})
+            found.setdefault(canonical_json(choice.model_dump()), choice)
+    return tuple(found.values())
+
+
+def varied_options(choices: Sequence[SlotConfig]) -> list[str]:
+    """Return the options that tell choices of the same component apart, in the order of its options."""
+    varied: dict[str, None] = {}
+    for chosen in choices:
+        twins = [other for other in choices if other.name == chosen.name]
+        for option, value in chosen.options.items():
+            if any(other.options[option] != value for other in twins):
+                varied[option] = None
+    return list(varied)
+
+
+def label(chosen: SlotConfig, varied: Sequence[str]) -> str:
+    """Name a choice: its component, and those of its options that vary."""
+    shown = [f"{option}={_short(chosen.options[option])}" for option in varied if option in chosen.options]
+    return " ".join([chosen.name, *shown])
+
+
+def choice_labels(plan: Plan) -> dict[str, list[str]]:
+    """Return the name of each choice of each slot, with those of its options that vary."""
+    return {slot: [label(one, varied_options(choices)) for one in choices] for slot, choices in plan.slots.items()}
+
+
+def varying(plan: Plan) -> list[str]:
+    """Return the slots that have several choices."""
+    return [slot for slot, choices in plan.slots.items() if len(choices) > 1]
+
+
+def _resolved(slot: str, name: str, options: Mapping[str, Any]) -> SlotConfig:
+    complete = validate_options(registry().load(slot, name).Options, options, f"{slot} {name!r}")
+    return SlotConfig(name=name, options=complete.model_dump(mode="json"))
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, str):
+        return PurePath(value).name if "/" in value else value
+    return f"{value:g}" if isinstance(value, float) else json.dumps(value)
+
+
+Options = dict[str, dict[str, list[Any]]]
+
+_OPENING, _CLOSING = "[{(", "]})"
+
+
+def split_values(text: str) -> list[str]:
+    """Split "a,b" at its commas, but not within brackets or quotes; empty parts are dropped."""
+    parts, depth, quote = [""], 0, ""
+    for character in text:
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "\"'":
+            quote = character
+        depth += 0 if quote else (character in _OPENING) - (character in _CLOSING)
+        if character == "," and depth <= 0 and not quote:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return [part.strip() for part in parts if part.strip()]
+
+
+def split_all(words: Iterable[str]) -> list[str]:
+    """Return the values of a flag that may be repeated, and hold several values each time."""
+    return [value for word in words for value in split_values(word)]
+
+
+def as_list(value: Any, key: str, source: str) -> list[Any]:
+    """Return the values of a key: a list's, or the one that stands alone. Raises ConfigError for an empty list."""
+    values = value if isinstance(value, list) else [value]
+    if not values:
+        raise ConfigError(f"{source} has no value for {key!r}; give one, or leave the entry out")
+    return values
+
+
+def whole_numbers(value: Any, key: str, source: str, least: int) -> tuple[int, ...]:
+    """Return whole numbers, each once. Raises ConfigError for anything else, or one below `least`."""
+    found = []
+    for entry in as_list(value, key, source):
+        is_number = isinstance(entry, int) and not isinstance(entry, bool)
+        if not (is_number or (isinstance(entry, str) and entry.strip().isdecimal())) or int(entry) < least:
+            raise ConfigError(f"{source} has {key} = {entry!r}; it must be a whole number, {least} or more")
+        found.append(int(entry))
+    return tuple(dict.fromkeys(found))
+
+
+def read_options(given: Any, source: str) -> Options:
+    """Return {slot: {option: values}} from words "slot.option=value,value" or from such a table.
+
+    Words of the same option add up. Raises ConfigError for another form or an unknown slot.
+    """
+    if isinstance(given, dict):
+        return _from_table(given, source)
+    found: Options = {}
+    for word in as_list(given, "option", source) if given else []:
+        target, equals, text = str(word).partition("=")
+        values = split_values(text) if equals else []
+        read = [parse_overrides([f"{target}={value}"]) for value in values] or [parse_overrides([str(word)])]
+        for slot, options in read[0].items():
+            for option in options:
+                found.setdefault(slot, {}).setdefault(option, []).extend(one[slot][option] for one in read)
+    return found
+
+
+def merge_options(first: Options, second: Options) -> Options:
+    """Return the options of both; where both have one, the second's values."""
+    return {slot: {**first.get(slot, {}), **second.get(slot, {})} for slot in {**first, **second}}
+
+
+def _from_table(table: dict[str, Any], source: str) -> Options:
+    found: Options = {}
+    for slot, options in table.items():
+        if not isinstance(options, dict):
+            raise ConfigError(f"{source} has option.{slot} = {options!r}; write it as option.grid.spacing_mm = [3, 4]")
+        parse_overrides(f"{slot}.{option}=0" for option in options)  # refuses a slot that is none
+        found[slot] = {option: as_list(values, f"option.{slot}.{option}", source) for option, values in options.items()}
+    return found

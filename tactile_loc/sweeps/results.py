@@ -1,23 +1,36 @@
-"""The files that a sweep leaves: sweep.csv, .parquet, .md and .json, and two pictures."""
+"""The files that a sweep leaves: sweep.csv, .parquet, .md and .json, and two pictures; sweep.json is what is read."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from tactile_loc.core.errors import ConfigError, did_you_mean
+from tactile_loc.core.registry import SLOTS
 from tactile_loc.drawing.pictures import save_figure
-from tactile_loc.evaluation.protocol import PROTOCOL_VERSION
+from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION
+from tactile_loc.evaluation.tabular import markdown_table, mm
 from tactile_loc.locate.result_json import versions
 from tactile_loc.store.files import write_atomically
 from tactile_loc.sweeps.figures import draw_effects, draw_error_time
-from tactile_loc.sweeps.kept import configuration
-from tactile_loc.sweeps.pivot import markdown
 from tactile_loc.sweeps.sweep import Sweep
 from tactile_loc.sweeps.table import csv_text, write_parquet
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 SCHEMA_VERSION = 1
+FAILED = "failed"
+
+
+def require_line(line: str) -> str:
+    """Return `line` if it is one of the protocol's. Raises ConfigError otherwise."""
+    if line not in LINES:
+        raise ConfigError(f"there is no line {line!r}.{did_you_mean(line, LINES)} Lines: {', '.join(LINES)}")
+    return line
 
 
 def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
@@ -26,14 +39,13 @@ def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
     Pivots and pictures are of the errors of `line`, one of the protocol's LINES; pictures are left out where there is
     nothing to draw. Raises OutputError.
     """
-    rows = sweep.rows
     texts = {
-        "csv": csv_text(rows),
+        "csv": csv_text(sweep.table),
         "md": markdown(sweep, line),
         "json": json.dumps(record(sweep, line), indent=1) + "\n",
     }
     written = [_write(out / f"sweep.{suffix}", text) for suffix, text in texts.items()]
-    written.append(write_parquet(out / "sweep.parquet", rows))
+    written.append(write_parquet(out / "sweep.parquet", sweep.table))
     for name, draw in (("error-time", draw_error_time), ("effects", draw_effects)):
         figure = draw(sweep, line)
         path = out / f"{name}.png"
@@ -46,7 +58,7 @@ def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
 
 def record(sweep: Sweep, line: str) -> dict[str, Any]:
     """Return everything as JSON values: plan, versions, builds of each stage, and each row with its settings."""
-    configurations = {one.key: dict(configuration(one)) for one in sweep.combinations}
+    configurations = {one.key: one.describe() for one in sweep.combinations}
     return {
         "schema_version": SCHEMA_VERSION,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -59,6 +71,73 @@ def record(sweep: Sweep, line: str) -> dict[str, Any]:
         "built": sweep.built,
         "rows": [{**row, "configuration": configurations[row["key"]]} for row in sweep.rows],
     }
+
+
+def read_sweep(folder: Path) -> dict[str, Any]:
+    """Read a sweep's sweep.json. Raises ConfigError when there is none, or it is none."""
+    path = folder / "sweep.json"
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        _ = found["rows"], found["versions"]
+    except FileNotFoundError as error:
+        raise ConfigError(f"there is no {path}; give the --out folder of a sweep that has ended") from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(
+            f"{path} cannot be read as a sweep's ({type(error).__name__}); run that sweep again"
+        ) from error
+    return dict(found)
+
+
+def markdown(sweep: Sweep, line: str) -> str:
+    """Return a table for each noise: the median ADD of `line`, mm, the best of each object in bold; then the errors."""
+    plan = sweep.plan
+    seeds = f", the mean over seeds {', '.join(map(str, plan.seeds))}" if len(plan.seeds) > 1 else ""
+    parts = [f"# Sweep: {line}\n"]
+    parts.append(
+        f"Median surface distance (ADD, symmetry regarded) of `{line}` over {plan.count} simulated touches, mm{seeds}; "
+        "the best of each column is bold."
+    )
+    same = [f"{slot} {choices[0].name}" for slot, choices in plan.slots.items() if len(choices) == 1]
+    if same:
+        parts.append(f"The same everywhere: {', '.join(same)}.")
+    medians = sweep.medians(line)
+    for noise in plan.noises:
+        parts.append(f"\n## Noise: {noise}\n\n{_pivot_markdown(pivot(medians, noise))}")
+    parts += _failures(sweep)
+    return "\n".join(parts).rstrip() + "\n"
+
+
+def pivot(medians: pd.DataFrame, noise: str) -> pd.DataFrame:
+    """Return the errors of `Sweep.medians` with one noise, mm: a row for each label, a column for each object."""
+    found = medians[medians["noise"] == noise]
+    wide = found.pivot(index=[*SLOTS, "label"], columns="object", values="error_mm").droplevel(list(SLOTS))
+    return wide[list(found["object"].unique())]
+
+
+def _pivot_markdown(errors_mm: pd.DataFrame) -> str:
+    """A pivot, the best of each column in bold."""
+    best = errors_mm.min()
+    rows = [
+        [str(label), *(_text(value, best[name]) for name, value in row.items())] for label, row in errors_mm.iterrows()
+    ]
+    return markdown_table(["components", *errors_mm.columns], rows)
+
+
+def _text(error_mm: float, best_mm: float) -> str:
+    if error_mm != error_mm:
+        return FAILED
+    text = mm(1e-3 * error_mm)
+    return f"**{text}**" if text == mm(1e-3 * best_mm) else text
+
+
+def _failures(sweep: Sweep) -> Iterator[str]:
+    if sweep.failed:
+        yield f"\n## Failed: {sweep.failed} of {len(sweep.combinations)}\n"
+    for one in sweep.combinations:
+        error = sweep.outcomes[one.key].error
+        if error:
+            names = ", ".join(getattr(one.config, slot).name for slot in sweep.plan.slots)
+            yield f"- {one.object}, {names}, noise {one.config.touch.noise}, seed {one.config.seed}: {error}"
 
 
 def _write(path: Path, text: str) -> Path:

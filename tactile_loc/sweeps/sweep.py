@@ -1,23 +1,30 @@
-"""A whole sweep: what is missing is evaluated, every finished row kept, and the results written."""
+"""A whole sweep: what is missing is evaluated, and every finished row kept."""
 
 from __future__ import annotations
 
+import json
 import logging
 from collections import Counter
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.progress import Progress
-from tactile_loc.store.files import require_writable
-from tactile_loc.sweeps.combinations import Combination, combine, in_running_order
-from tactile_loc.sweeps.kept import KeptRows
-from tactile_loc.sweeps.plan import Plan
-from tactile_loc.sweeps.table import Row, require_parquet, rows_of
-from tactile_loc.sweeps.work import Job, Outcome
+from tactile_loc.core.registry import SLOTS
+from tactile_loc.store.files import require_writable, write_atomically
+from tactile_loc.sweeps.combination import Combination, combine, in_running_order
+from tactile_loc.sweeps.plan import Plan, choice_labels, varying
+from tactile_loc.sweeps.table import Row, require_tables, rows_of, table_of
+from tactile_loc.sweeps.workers import Job, Outcome, Outcomes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+NAMED = ("encoder", "refiner")  # where no slot varies
 
 log = logging.getLogger(__name__)
 
@@ -25,9 +32,40 @@ log = logging.getLogger(__name__)
 class Workers(Protocol):
     """Whoever does jobs: `LocalWorkers` or `DaskWorkers`."""
 
-    def outcomes(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Generator[Outcome, None, None]:
+    def outcomes(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
         """Yield the outcome of every job as it ends; `objects` holds each job's object by the job's key."""
         ...
+
+
+class FinishedRows:
+    """The rows of a sweep's folder, each in OUT/rows/KEY.json as soon as it is there. A traceback lies beside them in
+    OUT/errors/KEY.txt."""
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+
+    def read(self, key: str) -> Outcome | None:
+        """Return the outcome of this key; None if there is none, or none that can be read."""
+        try:
+            found = json.loads(self._row(key).read_text(encoding="utf-8"))
+            return Outcome(found["key"], found["measured"], tuple(found["built"]), found["error"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+    def write(self, combination: Combination, outcome: Outcome) -> None:
+        """Write an outcome, atomically. Raises OutputError."""
+        trace = self.out / "errors" / f"{outcome.key}.txt"
+        if outcome.trace:
+            write_atomically(trace, lambda path: path.write_text(outcome.trace, encoding="utf-8"))
+        elif not outcome.error:
+            trace.unlink(missing_ok=True)
+        values = {name: value for name, value in asdict(outcome).items() if name != "trace"}
+        record = {**values, "object": combination.object, "configuration": combination.describe()}
+        text = json.dumps(record, indent=1) + "\n"
+        write_atomically(self._row(outcome.key), lambda path: path.write_text(text, encoding="utf-8"))
+
+    def _row(self, key: str) -> Path:
+        return self.out / "rows" / f"{key}.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,10 +77,31 @@ class Sweep:
     outcomes: Mapping[str, Outcome]
     done: int
 
-    @property
+    @cached_property
     def rows(self) -> list[Row]:
-        """The table: a row for each combination."""
+        """A row of JSON values for each combination."""
         return rows_of(self.plan, self.combinations, self.outcomes)
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """The rows as a table."""
+        return table_of(self.rows)
+
+    def medians(self, line: str) -> pd.DataFrame:
+        """Return a row for each object, noise and choice of components, in the plan's order: means over seeds.
+
+        `error_mm` is the median error of `line`, `time_ms` the median time a touch; NaN where a combination failed. The
+        column of a slot holds the place of the component among the slot's choices, `label` names those that vary.
+        """
+        labels, named = choice_labels(self.plan), varying(self.plan) or NAMED
+        known = {"error_mm": self.table[f"{line}_median_mm"], "time_ms": self.table["total_ms"]}
+        found = self.table[["object", "noise"]].assign(**known)
+        for position, slot in enumerate(SLOTS, start=1):
+            found[slot] = [one.place[position] for one in self.combinations]
+        names = [found[slot].map(labels[slot].__getitem__) for slot in SLOTS if slot in named]
+        found["label"] = names[0].str.cat(names[1:], sep=" + ")
+        grouped = found.groupby(["object", "noise", *SLOTS, "label"], sort=False)
+        return grouped.agg(mean_of_all).reset_index()
 
     @property
     def failed(self) -> int:
@@ -64,10 +123,10 @@ def run_sweep(
     A combination that fails is a row with its error; such rows are tried again. `store` is the stage store's folder,
     which all workers share. Raises TactileLocError, before anything runs, for whatever is wrong with the plan or `out`.
     """
-    require_parquet()
+    require_tables()
     combinations, objects = combine(plan)
     require_writable(out)
-    kept = KeptRows(out)
+    kept = FinishedRows(out)
     outcomes = finished(combinations, kept)
     missing = [one for one in in_running_order(combinations) if one.key not in outcomes]
     if missing:
@@ -75,15 +134,15 @@ def run_sweep(
     return Sweep(plan, combinations, outcomes, len(missing))
 
 
-def finished(combinations: Sequence[Combination], kept: KeptRows) -> dict[str, Outcome]:
+def finished(combinations: Sequence[Combination], kept: FinishedRows) -> dict[str, Outcome]:
     """Return the outcomes, by key, of the combinations that were evaluated without an error before."""
     found = {one.key: kept.read(one.key) for one in combinations}
     return {key: outcome for key, outcome in found.items() if outcome is not None and not outcome.error}
 
 
 def _run(
-    missing: Sequence[Combination], objects: Mapping[str, ObjectModel], store: Path, workers: Workers, kept: KeptRows,
-    progress: Progress, before: int,
+    missing: Sequence[Combination], objects: Mapping[str, ObjectModel], store: Path, workers: Workers,
+    kept: FinishedRows, progress: Progress, before: int,
 ) -> dict[str, Outcome]:  # fmt: skip
     by_key = {one.key: one for one in missing}
     jobs = [Job(one.key, one.config, one.count, store) for one in missing]
@@ -92,7 +151,7 @@ def _run(
     with progress.task("sweep", before + len(jobs)) as advance, closing(running):
         advance(before)
         for outcome in running:
-            kept.keep(by_key[outcome.key], outcome)
+            kept.write(by_key[outcome.key], outcome)
             outcomes[outcome.key] = outcome
             _show(progress, advance, by_key[outcome.key], outcomes)
     return outcomes
@@ -108,3 +167,8 @@ def _show(
     log.info("%d combinations are done; the last was %s.", len(outcomes), text)
     progress.note(text)
     advance(1)
+
+
+def mean_of_all(values: pd.Series) -> float:
+    """Return the mean of values; NaN if any is."""
+    return float(values.mean(skipna=False))

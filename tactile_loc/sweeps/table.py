@@ -1,8 +1,7 @@
-"""The table of a sweep: one row a combination, in the plan's order, as CSV and Parquet."""
+"""The table of a sweep: one row a combination, in the plan's order, as a DataFrame, CSV and Parquet."""
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -10,29 +9,28 @@ from typing import TYPE_CHECKING, Any
 
 from tactile_loc.core.errors import MissingLibraryError, OutputError
 from tactile_loc.core.registry import SLOTS
-from tactile_loc.evaluation.tabular import csv_table
 from tactile_loc.store.files import write_atomically
-from tactile_loc.sweeps.choices import varied_options
-from tactile_loc.sweeps.combinations import Combination
-from tactile_loc.sweeps.measures import ERRORS, TIMES, TRUST
-from tactile_loc.sweeps.plan import Plan
-from tactile_loc.sweeps.work import Outcome
+from tactile_loc.sweeps.combination import Combination
+from tactile_loc.sweeps.plan import Plan, varied_options
+from tactile_loc.sweeps.workers import COVERAGES, ERRORS, TIMES, Outcome
 
 if TYPE_CHECKING:
-    import pyarrow
+    import pandas as pd
 
 Row = dict[str, Any]
 
 IDENTITY = ("object", *SLOTS, "noise", "seed", "count")
 MOMENTARY = (*TIMES, "model_s", "built")
 """The columns that depend on the machine or the moment; all others are the same wherever a plan is run."""
+MEASURED = (*ERRORS, *COVERAGES, "nll_nats", *TIMES, "model_s")
 WHOLE = ("seed", "count", "grid_poses")
 TEXTS = ("object", *SLOTS, "noise", "error", "key", "built")
 
 
 def columns_of(plan: Plan) -> list[str]:
     """Return the names of a plan's columns, in their order."""
-    return [*IDENTITY, *varied_columns(plan), "grid_poses", *ERRORS, *TRUST, "error", "key", *MOMENTARY]
+    results = ("grid_poses", *ERRORS, *COVERAGES, "nll_nats", "error", "key", *MOMENTARY)
+    return [*IDENTITY, *varied_columns(plan), *results]
 
 
 def varied_columns(plan: Plan) -> list[str]:
@@ -41,7 +39,7 @@ def varied_columns(plan: Plan) -> list[str]:
 
 
 def rows_of(plan: Plan, combinations: Iterable[Combination], outcomes: Mapping[str, Outcome]) -> list[Row]:
-    """Return a row of all columns for each combination; None where there is no value."""
+    """Return a row of all columns for each combination, as JSON values; None where there is no value."""
     columns, varied = columns_of(plan), varied_columns(plan)
     rows = []
     for one in combinations:
@@ -52,104 +50,66 @@ def rows_of(plan: Plan, combinations: Iterable[Combination], outcomes: Mapping[s
     return rows
 
 
-def csv_text(rows: Sequence[Row]) -> str:
-    """Return rows as CSV; what has no value is empty."""
-    return csv_table([{name: _cell(value) for name, value in row.items()} for row in rows])
+def _identity(one: Combination, varied: Sequence[str]) -> Row:
+    config = one.config
+    slots = {slot: getattr(config, slot) for slot in SLOTS}
+    parted = [(column, *column.split(".", 1)) for column in varied]
+    return {
+        "object": one.object, **{slot: chosen.name for slot, chosen in slots.items()},
+        "noise": config.touch.noise, "seed": config.seed, "count": one.count,
+        **{column: slots[slot].options.get(option) for column, slot, option in parted},
+    }  # fmt: skip
 
 
-def read_csv(path: Path) -> list[Row]:
-    """Read rows that `csv_text` wrote, with their types; an empty cell of any column but `error` is None."""
-    with path.open(encoding="utf-8", newline="") as file:
-        return [{name: _value(name, text) for name, text in row.items()} for row in csv.DictReader(file)]
+def table_of(rows: Sequence[Row]) -> pd.DataFrame:
+    """Return rows as a table whose columns have the types that they always have, even when nothing succeeded.
+
+    A column of an option has the type of its values; lists and mixtures are written as JSON.
+    """
+    import pandas as pd
+
+    return pd.DataFrame({name: _column([row[name] for row in rows], name) for name in rows[0]})
 
 
-def parquet_table(rows: Sequence[Row]) -> pyarrow.Table:
-    """Return rows as a table with the types that their columns always have, even when empty."""
-    import pyarrow
+def _column(values: Sequence[Any], name: str) -> pd.Series:
+    import pandas as pd
 
-    kinds = {name: _kind(name, rows) for name in rows[0]}
-    columns = {name: [_typed(row[name], kind) for row in rows] for name, kind in kinds.items()}
-    return pyarrow.table(columns, schema=pyarrow.schema(kinds.items()))
+    if name in TEXTS:
+        return pd.Series(values, dtype=object)
+    if name in WHOLE:
+        return pd.Series(values, dtype="Int64")
+    kind = "floating" if name in MEASURED else pd.api.types.infer_dtype(values, skipna=True)
+    known = {"boolean": "boolean", "integer": "Int64", "floating": float, "mixed-integer-float": float}
+    if kind in known:
+        return pd.Series(values, dtype=known[kind])
+    texts = [value if value is None or isinstance(value, str) else json.dumps(value) for value in values]
+    return pd.Series(texts, dtype=object)
 
 
-def write_parquet(path: Path, rows: Sequence[Row]) -> Path:
-    """Write rows as Parquet, atomically, and return the path. Raises OutputError."""
-    from pyarrow import ArrowException, parquet
+def csv_text(table: pd.DataFrame) -> str:
+    """Return a table as CSV; what has no value is empty, truth is written as in JSON."""
+    truths = table.select_dtypes("boolean").columns
+    written = table.assign(**{name: table[name].map({True: "true", False: "false"}) for name in truths})
+    return str(written.to_csv(index=False, lineterminator="\n"))
+
+
+def write_parquet(path: Path, table: pd.DataFrame) -> Path:
+    """Write a table as Parquet, atomically, and return the path. Raises OutputError."""
+    from pyarrow import ArrowException
 
     try:
-        return write_atomically(path, lambda temporary: parquet.write_table(parquet_table(rows), temporary))
+        return write_atomically(path, lambda temporary: table.to_parquet(temporary, engine="pyarrow", index=False))
     except ArrowException as error:
         raise OutputError(f"{path} cannot be written ({error})") from error
 
 
-def require_parquet() -> None:
-    """Raise MissingLibraryError when there is nothing to write Parquet with."""
+def require_tables() -> None:
+    """Raise MissingLibraryError when there is nothing to write tables with."""
     try:
+        import pandas  # noqa: F401
         import pyarrow  # noqa: F401
     except ImportError as error:
         raise MissingLibraryError(
-            "a sweep writes Parquet with pyarrow, which is not installed: pip install 'tactile-loc[sweep]'"
+            f"a sweep writes its tables with pandas and pyarrow, and {error.name} is not installed: "
+            "pip install 'tactile-loc[sweep]'"
         ) from error
-
-
-def _identity(one: Combination, varied: Sequence[str]) -> Row:
-    config = one.config
-    slots = {slot: getattr(config, slot) for slot in SLOTS}
-    options = {}
-    for column in varied:
-        slot, _, option = column.partition(".")
-        options[column] = slots[slot].options.get(option)
-    named = {slot: chosen.name for slot, chosen in slots.items()}
-    return {
-        "object": one.object,
-        **named,
-        "noise": config.touch.noise,
-        "seed": config.seed,
-        "count": one.count,
-        **options,
-    }
-
-
-def _cell(value: Any) -> Any:
-    if value is None:
-        return ""
-    return json.dumps(value) if isinstance(value, bool | list | dict) else value
-
-
-def _value(name: str, text: str) -> Any:
-    if name in TEXTS:
-        return text
-    if text == "":
-        return None
-    if name in WHOLE:
-        return int(text)
-    if "." not in name:
-        return float(text)
-    try:
-        return json.loads(text)  # an option: a number, true or false, or a list
-    except ValueError:
-        return text
-
-
-def _kind(name: str, rows: Sequence[Row]) -> Any:
-    """The Parquet type of a column: an option's is that of its values."""
-    import pyarrow
-
-    if name in TEXTS:
-        return pyarrow.string()
-    if name in WHOLE:
-        return pyarrow.int64()
-    found = {type(row[name]) for row in rows} - {type(None)}
-    if "." in name and found == {bool}:
-        return pyarrow.bool_()
-    if "." in name and found == {int}:
-        return pyarrow.int64()
-    return pyarrow.float64() if found <= {int, float} else pyarrow.string()
-
-
-def _typed(value: Any, kind: Any) -> Any:
-    import pyarrow
-
-    if value is None or kind != pyarrow.string() or isinstance(value, str):
-        return value
-    return json.dumps(value)

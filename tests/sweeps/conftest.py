@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from tactile_loc.sweeps.combinations import Combination, combine
-from tactile_loc.sweeps.measures import ERRORS, TIMES, TRUST
+from tactile_loc.sweeps.combination import Combination, combine
 from tactile_loc.sweeps.plan import Plan
 from tactile_loc.sweeps.sweep import Sweep
-from tactile_loc.sweeps.work import Outcome
+from tactile_loc.sweeps.table import MEASURED
+from tactile_loc.sweeps.workers import Outcome
 
 SENSOR = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
 
@@ -49,7 +49,7 @@ def made_up() -> Callable[[dict[str, Any], Measure], Sweep]:
             if isinstance(found, str):
                 outcomes[one.key] = Outcome(one.key, None, error=found)
             else:
-                zeros = dict.fromkeys((*ERRORS, *TRUST, *TIMES, "model_s"), 0.0)
+                zeros = dict.fromkeys(MEASURED, 0.0)
                 outcomes[one.key] = Outcome(one.key, {"grid_poses": 7, **zeros, **found}, (f"grid {one.key}",))
         return Sweep(plan, combinations, outcomes, len(combinations))
 

@@ -5,7 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.sweeps.figures import draw_effects, draw_error_time
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.sweeps.figures import (
+    DIGIT,
+    LINE,
+    Point,
+    draw_effects,
+    draw_error_time,
+    effects,
+    in_ranges,
+    pareto,
+    place_labels,
+    points,
+)
+from tactile_loc.sweeps.results import require_line
 
 VALUES = {
     "object": ["pin", "head"],
@@ -54,3 +67,106 @@ def test_nothing_is_drawn_of_nothing(made_up):
     failed = made_up({"object": "pin", "refiner": ["none", "icp"]}, lambda one: "bad")
     assert draw_effects(failed, "chosen") is None
     assert draw_error_time(failed, "chosen") is None
+
+
+@pytest.mark.parametrize(
+    ("numbers", "text"), [([3], "3"), ([2, 1], "1, 2"), ([5, 3, 4, 9], "3-5, 9"), ([1, 3], "1, 3")]
+)
+def test_numbers_are_written_in_ranges(numbers, text):
+    assert in_ranges(numbers) == text
+
+
+def test_points_that_coincide_share_a_label():
+    labels = place_labels(np.array([[0, 0], [200, 5], [1.0, 1.0]]), [4, 5, 6])
+    assert [(one.text, one.members) for one in labels] == [("4, 6", (0, 2)), ("5", (1,))]
+
+
+def test_labels_do_not_cover_one_another():
+    places = np.array([[10.0 * i, 0.0] for i in range(4)])
+    boxes = []
+    for label in place_labels(places, [11, 12, 13, 14]):
+        dx, dy = label.offset_pt
+        width = DIGIT * len(label.text)
+        left = {"left": 0.0, "right": -width, "center": -width / 2}[label.alignment]
+        boxes.append(places[label.members[0]] + [dx + left, dy])
+    for i, a in enumerate(boxes):
+        for b in boxes[:i]:
+            assert abs(a[0] - b[0]) >= 2 * DIGIT or abs(a[1] - b[1]) >= LINE
+
+
+BASE_MM = {"none": 4.0, "icp": 1.0, "filterreg": 0.5}
+FACTORS = {
+    "object": ["pin", "head"],
+    "refiner": list(BASE_MM),
+    "option": ["encoder.cells=12,20"],
+    "noise": ["none", "mild"],
+}
+
+
+def product(one) -> dict[str, float]:
+    """A product of factors: pin x 1, head x 9; 12 cells x 2; mild x 3."""
+    config = one.config
+    factor = {"pin": 1, "head": 9}[one.object] * {12: 2, 20: 1}[config.encoder.options["cells"]]
+    return {
+        "chosen_median_mm": BASE_MM[config.refiner.name] * factor * {"none": 1, "mild": 3}[config.touch.noise],
+        "total_ms": {"pin": 10.0, "head": 40.0}[one.object] * (1 + config.seed),
+    }
+
+
+def test_effects_are_the_factors_wherever_the_model_is_a_product(made_up):
+    found = effects(made_up(FACTORS, product), "chosen")
+    assert set(found) == {"encoder", "refiner"}
+    refiners = {name: np.exp(logs) for name, logs in found["refiner"].items()}
+    mean = 2.0 ** (1 / 3)  # of 4, 1 and 0.5
+    for name, ratios in refiners.items():
+        assert ratios == pytest.approx(np.full(8, BASE_MM[name] / mean))
+    assert np.exp(found["encoder"]["pixel cells=12"]) == pytest.approx(np.full(12, np.sqrt(2)))
+
+
+def test_a_failure_takes_its_group_out_of_the_effect(made_up):
+    def failing(one):
+        return "bad" if one.object == "head" and one.config.refiner.name == "icp" else product(one)
+
+    found = effects(made_up(FACTORS, failing), "chosen")
+    assert {len(logs) for logs in found["refiner"].values()} == {4}
+    assert {len(logs) for logs in found["encoder"].values()} == {10}
+
+
+def test_points_are_geometric_means_over_objects(made_up):
+    sweep = made_up(FACTORS, product)
+    first = points(sweep, "chosen", "mild")[0]
+    assert first.label == "pixel cells=12 + none"
+    assert first.error_mm == pytest.approx(4 * 2 * 3 * 3)
+    assert first.time_ms == pytest.approx(20)
+    assert len(points(sweep, "chosen", "none")) == 6
+
+
+def test_a_point_needs_all_objects(made_up):
+    sweep = made_up(
+        FACTORS, lambda one: "bad" if one.place[0] == 1 and one.config.refiner.name == "icp" else product(one)
+    )
+    assert [p.label.split()[-1] for p in points(sweep, "chosen", "none")] == ["none", "filterreg"] * 2
+
+
+def test_cells_are_means_over_seeds(made_up):
+    sweep = made_up(
+        {**FACTORS, "seed": [0, 1, 2]}, lambda one: {**product(one), "chosen_median_mm": float(one.config.seed)}
+    )
+    found = sweep.medians("chosen")
+    assert set(zip(found["error_mm"], found["time_ms"], strict=True)) == {(1.0, 20.0), (1.0, 80.0)}
+
+
+def test_the_front_holds_what_nothing_beats():
+    found = [Point(str(i), (i,), error, time) for i, (time, error) in enumerate(
+        [(1, 9), (2, 5), (2, 6), (3, 5), (4, 2), (9, 3), (9, 1)]
+    )]  # fmt: skip
+    assert [p.label for p in pareto(found)] == ["0", "1", "4", "6"]
+    for p in found:
+        beaten = any(q.error_mm <= p.error_mm and q.time_ms <= p.time_ms and q != p for q in found)
+        assert (p in pareto(found)) != beaten
+
+
+def test_lines_are_the_protocols():
+    assert require_line("reg-1") == "reg-1"
+    with pytest.raises(ConfigError, match="Did you mean 'best-1'"):
+        require_line("best1")

@@ -8,7 +8,8 @@ import pytest
 
 from tactile_loc.core.errors import ConfigError, TactileLocError
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.sweeps.plan import Plan
+from tactile_loc.io.config import SlotConfig
+from tactile_loc.sweeps.plan import Plan, label, merge_options, read_options, split_all, split_values, varied_options
 
 
 def names(plan: Plan, slot: str) -> list[str]:
@@ -128,3 +129,58 @@ def test_the_file_is_named(tmp_path):
     path.write_text("= 3")
     with pytest.raises(ConfigError, match=r"mine\.toml is not valid TOML"):
         Plan.from_toml(path)
+
+
+def choice(name: str, **options: object) -> SlotConfig:
+    return SlotConfig(name=name, options=options)
+
+
+def test_an_option_varies_only_within_a_component():
+    choices = [choice("icp", rounds=3, points=9), choice("icp", rounds=5, points=9), choice("render", rounds=7)]
+    assert varied_options(choices) == ["rounds"]
+    assert varied_options(choices[::2]) == []
+
+
+def test_a_label_says_what_varies():
+    assert label(choice("icp", rounds=3, points=9), ["rounds"]) == "icp rounds=3"
+    assert label(choice("face", spacing_mm=4.0, face="auto"), ["spacing_mm", "face"]) == "face spacing_mm=4 face=auto"
+    assert label(choice("none"), ["rounds"]) == "none"
+    assert (
+        label(choice("file", path="/far/away/mine.toml", flat=True), ["path", "flat"])
+        == "file path=mine.toml flat=true"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("none,icp", ["none", "icp"]),
+        (" none , icp ,", ["none", "icp"]),
+        ("one", ["one"]),
+        ("[1,2],[3]", ["[1,2]", "[3]"]),
+        ("'a,b',c", ["'a,b'", "c"]),
+        ('{x="}",y=2},3', ['{x="}",y=2}', "3"]),
+        ("", []),
+    ],
+)
+def test_values_are_parted_at_commas_but_not_within_brackets_or_quotes(text, parts):
+    assert split_values(text) == parts
+
+
+def test_a_flag_may_be_repeated():
+    assert split_all(["none,icp", "render"]) == ["none", "icp", "render"]
+
+
+def test_words_of_one_option_add_up():
+    words = ["grid.spacing_mm=3,4.5", "encoder.signal=depth", "grid.spacing_mm=6", "grid.face='auto'"]
+    assert read_options(words, "here") == {
+        "grid": {"spacing_mm": [3, 4.5, 6], "face": ["auto"]},
+        "encoder": {"signal": ["depth"]},
+    }
+
+
+def test_options_of_the_command_line_replace_the_files():
+    file = read_options({"grid": {"spacing_mm": [3, 4], "face": "auto"}}, "file")
+    assert merge_options(file, read_options(["grid.spacing_mm=9"], "line")) == {
+        "grid": {"spacing_mm": [9], "face": ["auto"]}
+    }

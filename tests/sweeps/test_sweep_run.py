@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
+from pandas.testing import assert_frame_equal
 
 from tactile_loc.core.errors import OutputError
 from tactile_loc.core.progress import Progress
@@ -19,13 +21,12 @@ from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
-from tactile_loc.sweeps.cluster import ClusterError, DaskWorkers
-from tactile_loc.sweeps.local import LocalWorkers
+from tactile_loc.sweeps.combination import combine
 from tactile_loc.sweeps.plan import Plan
-from tactile_loc.sweeps.results import write_sweep
-from tactile_loc.sweeps.sweep import Sweep, run_sweep
-from tactile_loc.sweeps.table import MOMENTARY, Row, read_csv
-from tactile_loc.sweeps.work import JOURNALS
+from tactile_loc.sweeps.results import read_sweep, write_sweep
+from tactile_loc.sweeps.sweep import FinishedRows, Sweep, run_sweep
+from tactile_loc.sweeps.table import MOMENTARY, Row, table_of
+from tactile_loc.sweeps.workers import JOURNALS, ClusterError, DaskWorkers, LocalWorkers, Outcome
 
 distributed = pytest.importorskip("distributed")
 
@@ -147,7 +148,14 @@ def test_what_is_written(locally, folder):
     assert [path.name for path in written] == [
         "sweep.csv", "sweep.md", "sweep.json", "sweep.parquet", "error-time.png", "effects.png",
     ]  # fmt: skip
-    assert read_csv(written[0]) == locally.rows
+    rows = [{k: v for k, v in row.items() if k != "configuration"} for row in read_sweep(folder / "written")["rows"]]
+    assert rows == locally.rows
+    assert_frame_equal(table_of(rows), locally.table)
+    assert_frame_equal(
+        pd.read_csv(written[0], keep_default_na=False)[["object", "key"]],
+        locally.table[["object", "key"]],
+        check_dtype=False,
+    )
     record: dict[str, Any] = json.loads(written[2].read_text())
     assert (record["combinations"], record["failed"], record["built"]) == (4, 0, locally.built)
     assert record["plan"]["refiner"][1]["name"] == "filterreg"
@@ -165,7 +173,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_anything_runs(plan, tm
 
 @pytest.mark.parametrize("where", ["nowhere", "tcp://127.0.0.1:1"])
 def test_a_cluster_that_is_not_there(plan, tmp_path, where, monkeypatch):
-    monkeypatch.setattr("tactile_loc.sweeps.cluster.CONNECT_S", 1)
+    monkeypatch.setattr("tactile_loc.sweeps.workers.CONNECT_S", 1)
     with pytest.raises(ClusterError, match="Dask scheduler"):
         run_sweep(plan, tmp_path, tmp_path, DaskWorkers(where))
 
@@ -176,3 +184,35 @@ def test_without_dask_it_says_what_to_install(plan, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(Exception, match=r"pip install 'tactile-loc\[sweep\]'"):
         run_sweep(plan, tmp_path, tmp_path, DaskWorkers("tcp://127.0.0.1:1"))
+
+
+def test_a_row_is_kept_and_found(tmp_path):
+    (one,), _ = combine(Plan.from_values({"object": "pin", "noise": "mild"}))
+    kept = FinishedRows(tmp_path / "out")
+    assert kept.read(one.key) is None
+    outcome = Outcome(one.key, {"total_ms": 0.1}, ("grid 1", "bank 2"))
+    kept.write(one, outcome)
+    assert kept.read(one.key) == outcome
+    record = json.loads((tmp_path / "out" / "rows" / f"{one.key}.json").read_text())
+    assert record["configuration"]["touch"]["noise"] == "mild"
+    assert record["configuration"]["grid"]["options"]["spacing_mm"] == 3.0
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["rows"]
+
+
+def test_a_traceback_lies_beside_and_goes_when_it_succeeds(tmp_path):
+    (one,), _ = combine(Plan.from_values({"object": "pin"}))
+    kept = FinishedRows(tmp_path)
+    kept.write(one, Outcome(one.key, None, (), "ValueError: no", "Traceback ...\nValueError: no"))
+    trace = tmp_path / "errors" / f"{one.key}.txt"
+    assert trace.read_text().endswith("ValueError: no")
+    assert kept.read(one.key) == Outcome(one.key, None, (), "ValueError: no")
+    kept.write(one, Outcome(one.key, {}))
+    assert not trace.exists()
+
+
+def test_a_row_that_cannot_be_read_counts_as_none(tmp_path):
+    kept = FinishedRows(tmp_path)
+    (tmp_path / "rows").mkdir()
+    for text in ("", "{", "[]", '{"key": "k"}'):
+        (tmp_path / "rows" / "k.json").write_text(text)
+        assert kept.read("k") is None

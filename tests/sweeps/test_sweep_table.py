@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import sys
 
+import pandas as pd
 import pytest
 
 from tactile_loc.core.errors import MissingLibraryError
@@ -14,9 +16,8 @@ from tactile_loc.sweeps.table import (
     MOMENTARY,
     columns_of,
     csv_text,
-    parquet_table,
-    read_csv,
-    require_parquet,
+    require_tables,
+    table_of,
     write_parquet,
 )
 
@@ -66,18 +67,32 @@ def test_rows_stand_in_the_plans_order_and_lack_what_does_not_apply(rows):
     assert all(row["chosen_median_mm"] is None and row["key"] for row in failed)
 
 
-def test_csv_round_trip(rows, tmp_path):
+def test_the_table_says_what_the_rows_say(rows):
+    table = table_of(rows)
+    assert list(table) == list(rows[0])
+    assert [{k: None if pd.isna(v) else v for k, v in row.items()} for row in table.to_dict("records")] == rows
+
+
+def test_csv_holds_all_digits_and_nothing_where_there_is_nothing(rows, tmp_path):
     path = tmp_path / "sweep.csv"
-    path.write_text(csv_text(rows), encoding="utf-8")
-    read = read_csv(path)
-    assert read == rows
-    assert [{k: type(v) for k, v in row.items()} for row in read] == [{k: type(v) for k, v in r.items()} for r in rows]
+    path.write_text(csv_text(table_of(rows)), encoding="utf-8")
+    with path.open(encoding="utf-8", newline="") as file:
+        read = list(csv.DictReader(file))
+    assert len(read) == len(rows)
+    for texts, row in zip(read, rows, strict=True):
+        for name, text in texts.items():
+            value = row[name]
+            if value is None or isinstance(value, str):
+                assert text == (value or "")
+            else:
+                assert json.loads(text) == value
+                assert isinstance(json.loads(text), type(value))
 
 
 def test_parquet_round_trip_and_types(rows, tmp_path):
     from pyarrow import parquet
 
-    path = write_parquet(tmp_path / "sweep.parquet", rows)
+    path = write_parquet(tmp_path / "sweep.parquet", table_of(rows))
     table = parquet.read_table(path)
     assert table.to_pylist() == rows
     types = {field.name: str(field.type) for field in table.schema}
@@ -88,10 +103,12 @@ def test_parquet_round_trip_and_types(rows, tmp_path):
 
 def test_types_do_not_depend_on_whether_anything_succeeded(rows):
     failed = [row for row in rows if row["error"]]
-    assert parquet_table(failed).schema.field("best-1_median_mm").type == "double"
+    table = table_of(failed)
+    assert (table["best-1_median_mm"].dtype, table["grid_poses"].dtype) == ("float64", "Int64")
 
 
-def test_without_pyarrow_it_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(MissingLibraryError, match=r"pip install 'tactile-loc\[sweep\]'"):
-        require_parquet()
+@pytest.mark.parametrize("library", ["pandas", "pyarrow"])
+def test_without_its_libraries_it_says_what_to_install(monkeypatch, library):
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(MissingLibraryError, match=rf"{library} is not.* pip install 'tactile-loc\[sweep\]'"):
+        require_tables()

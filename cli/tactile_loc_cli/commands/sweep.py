@@ -126,7 +126,7 @@ def sweep(
     error, and the exit code is then 1. Interrupted, the same command resumes.
     """
     given = {key: value for key, value in locals().items() if key in _PLANNED and value is not None}
-    from tactile_loc.sweeps.summary import require_line
+    from tactile_loc.sweeps.results import require_line
 
     require_line(line)
     if plan is None and not given:
@@ -156,8 +156,7 @@ def _plan(path: Path | None, given: dict[str, Any], units: options.Units | None,
     """The file's plan with what is given on the command line over it."""
     from tactile_loc.core.errors import ConfigError
     from tactile_loc.io.toml import read_toml
-    from tactile_loc.sweeps.plan import Plan
-    from tactile_loc.sweeps.words import merge_options, read_options, split_all
+    from tactile_loc.sweeps.plan import Plan, merge_options, read_options, split_all
 
     source = "the command line" if path is None else str(path)
     in_file = {} if path is None else read_toml(path)
@@ -186,17 +185,14 @@ def _store(store: Path | None) -> Path:
 
 def _workers(workers: int | None, threads: int | None, scheduler: str | None, out: Path) -> Workers:
     from tactile_loc.core.errors import ConfigError
+    from tactile_loc.sweeps.workers import DaskWorkers, LocalWorkers, cores
 
     if scheduler is None:
-        from tactile_loc.sweeps.local import LocalWorkers, cores
-
         return LocalWorkers(workers or cores(), threads or 1, out / "workers.log")
     if workers is not None or threads is not None:
         raise ConfigError(
             "--workers and --threads are of local processes; with --scheduler the cluster decides, see docs/sweeps.md"
         )
-    from tactile_loc.sweeps.cluster import DaskWorkers
-
     return DaskWorkers(scheduler)
 
 

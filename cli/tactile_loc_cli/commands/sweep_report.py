@@ -17,14 +17,12 @@ MOST_SHOWN = 40  # lines of a list of combinations
 
 def dry_run(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
     """List what would be done, and return it."""
-    from tactile_loc.sweeps.combinations import combine
-    from tactile_loc.sweeps.kept import KeptRows
-    from tactile_loc.sweeps.stages import stages_to_build
-    from tactile_loc.sweeps.summary import choice_labels
-    from tactile_loc.sweeps.sweep import finished
+    from tactile_loc.sweeps.combination import combine, stages_to_build
+    from tactile_loc.sweeps.plan import choice_labels
+    from tactile_loc.sweeps.sweep import FinishedRows, finished
 
     combinations, objects = combine(plan)
-    done = finished(combinations, KeptRows(out))
+    done = finished(combinations, FinishedRows(out))
     missing = [one for one in combinations if one.key not in done]
     stages = stages_to_build(missing, objects, store)
     labels = choice_labels(plan)
@@ -60,24 +58,24 @@ def report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
 
 def _say_pivot(found: Sweep, line: str) -> None:
     """Show the median errors, best first."""
-    from tactile_loc.sweeps.summary import cells
+    from tactile_loc.sweeps.results import FAILED, pivot
 
-    shown = cells(found, line)
+    medians = found.medians(line)
     for noise in found.plan.noises:
-        rows: dict[Any, list[str]] = {}
-        objects = list(dict.fromkeys(cell.object for cell in shown))
-        for cell in (cell for cell in shown if cell.noise == noise):
-            text = "failed" if cell.error_mm is None else f"{cell.error_mm:.3g}"
-            rows.setdefault(cell.choices, [cell.label]).append(text)
+        errors_mm = pivot(medians, noise)
+        rows = [
+            [str(label), *(FAILED if value != value else f"{value:.3g}" for value in row)]
+            for label, row in zip(errors_mm.index, errors_mm.to_numpy(), strict=True)
+        ]
         say(f"median error of {line}, mm, noise {noise}")
-        say_table([["components", *objects], *list(rows.values())[:MOST_SHOWN]], left=1)
+        say_table([["components", *errors_mm.columns], *rows[:MOST_SHOWN]], left=1)
         if len(rows) > MOST_SHOWN:
             say(f"... and {len(rows) - MOST_SHOWN} more, in sweep.md")
 
 
 def require_sweep(folder: Path) -> None:
     """Raise ConfigError unless the folder holds a sweep's results."""
-    from tactile_loc.sweeps.compare import read_sweep
+    from tactile_loc.sweeps.results import read_sweep
 
     read_sweep(folder)
 
@@ -85,23 +83,24 @@ def require_sweep(folder: Path) -> None:
 def compare_with(old: Path | None, new: Path, line: str) -> dict[str, Any]:
     """Compare two finished sweeps, show what changed, and return it. Raises ConfigError."""
     from tactile_loc.core.errors import ConfigError
-    from tactile_loc.sweeps.compare import compare, comparison_rows, read_sweep, summary, write_comparison
+    from tactile_loc.sweeps.comparison import as_text, compare, summary, write_comparison
+    from tactile_loc.sweeps.results import read_sweep
 
     if old is None:
         raise ConfigError("there is nothing to sweep; give a plan (sweep.toml), or options such as --refiner none,icp")
     comparison = compare(read_sweep(old), read_sweep(new), line)
-    rows = comparison_rows(comparison)
+    table = as_text(comparison)
     written = [str(path) for path in write_comparison(new, comparison)]
-    changed = [list(row.values()) for row in rows if row["change"]]
+    changed = table[table["change"] != ""].to_numpy().tolist()
     if changed:
-        say_table([list(rows[0]), *changed[:MOST_SHOWN]], left=len(rows[0]) - 4)
+        say_table([list(table.columns), *changed[:MOST_SHOWN]], left=len(table.columns) - 4)
     say(summary(comparison))
     for name, (before, after) in comparison.versions.items():
         say(f"{name}: {before} -> {after}")
     say(f"written: {', '.join(written)}")
-    marks = {mark: comparison.count(mark) for mark in sorted({row["change"] for row in rows} - {""})}
+    marks = {mark: comparison.count(mark) for mark in sorted({*table["change"]} - {""})}
     return {
-        "combinations": len(rows),
+        "combinations": len(table),
         "line": line,
         "changes": marks,
         "versions": comparison.versions,

@@ -64,8 +64,8 @@ class KissIcpRefiner(CloudRefiner):
         done, still = 0, False
         while done < self.options.max_iterations and not still:
             burst = min(BURST, self.options.max_iterations - done)
-            T_new = KissRegistration(burst, STEP).align_points_to_map(moving_mm, seen, T, reach_mm, reach_mm**2)
-            # the library's threads add up in any order: rounding keeps that from growing from burst to burst
+            registration = KissRegistration(burst, STEP, max_num_threads=1)  # several would add up in any order
+            T_new = registration.align_points_to_map(moving_mm, seen, T, reach_mm, reach_mm**2)
             T_new = orthonormal(np.round(T_new, DECIMALS))  # the library ends the process if it is given anything else
             T, still, done = T_new, bool(np.allclose(T_new, T, atol=settled)), done + burst
         return T, done, still

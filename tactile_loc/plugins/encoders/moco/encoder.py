@@ -8,9 +8,11 @@ al., CVPR 2020). The keys are encoded from clean shapes by a momentum copy of th
 from __future__ import annotations
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Literal
 
+import numba
 import numpy as np
 import torch
 from pydantic import Field, JsonValue
@@ -35,9 +37,13 @@ NEUTRAL: dict[str, JsonValue] = {"neutral": True}
 
 
 class MocoEncoder(Encoder):
-    """Learns in `fit`; unit vectors, whose score in a matcher is the cosine minus one."""
+    """Learns in `fit`; unit vectors, whose score in a matcher is the cosine minus one.
 
-    capabilities = Capabilities(needs_training=True)
+    On as many threads (OMP_NUM_THREADS) and on the same kind of device it learns the same, to the bit; on others not:
+    torch adds up in an order that depends on them.
+    """
+
+    capabilities = Capabilities(needs_training=True, deterministic=False)
 
     class Options(ComponentOptions):
         """A preset, and what differs from it (None: as the preset has it)."""
@@ -102,12 +108,14 @@ class MocoEncoder(Encoder):
         Raises GridError for a grid too large for memory, WeightsError, ConfigError, MissingLibraryError.
         """
         _require_memory(self.recipe, len(problem.grid))
+        _settle_threads()
         network = self._fresh_network(self.options.seed)
         self._network = Trainer(self.recipe, problem, network, self.device, self.options.tensorboard).run()
 
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
         """Return unit embeddings (N, D) of contact depths (N, H, W) in metres cut at `press_depth_m`."""
         network = self._trained_network()
+        _settle_threads()
         press = np.full(len(depth_m), press_depth_m)
         with torch.inference_mode():
             vectors = self.recipe.embed(network, depth_m, press, geometry, self.device)
@@ -149,6 +157,18 @@ class MocoEncoder(Encoder):
         if pretrained and self.options.pretrained:
             load_pretrained(network, self.options.pretrained)
         return network
+
+
+def _settle_threads() -> None:
+    """Let torch compute with its own number of threads, whatever ran before: the sums depend on it.
+
+    When numba starts its threads, it sets OpenMP's number of threads, and so torch's, for the thread that it is called
+    from. Here it starts in a thread of no other use, and torch gets the number back that a new thread has.
+    """
+    with ThreadPoolExecutor(1) as unused:
+        threads = unused.submit(torch.get_num_threads).result()
+        unused.submit(numba.get_num_threads).result()
+    torch.set_num_threads(threads)
 
 
 def _require_memory(recipe: Recipe, poses: int) -> None:

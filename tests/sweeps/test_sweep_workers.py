@@ -10,18 +10,28 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from faulty import install
 
 from tactile_loc.core.errors import PluginError
 from tactile_loc.core.registry import registry
-from tactile_loc.sweeps import work as work_module
-from tactile_loc.sweeps.cluster import DaskWorkers
-from tactile_loc.sweeps.combinations import combine
-from tactile_loc.sweeps.local import LocalWorkers
+from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
+from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
+from tactile_loc.sweeps.combination import combine
 from tactile_loc.sweeps.plan import Plan
 from tactile_loc.sweeps.sweep import Sweep, run_sweep
-from tactile_loc.sweeps.work import Job, work
+from tactile_loc.sweeps.workers import (
+    COVERAGES,
+    ERRORS,
+    JOURNALS,
+    TIMES,
+    DaskWorkers,
+    Job,
+    LocalWorkers,
+    evaluate_job,
+    summarise,
+)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -80,18 +90,19 @@ def test_a_local_worker_that_is_killed_costs_only_time(tiny, folder, tmp_path):
 def test_what_kills_its_worker_every_time_is_a_row_that_says_so(tiny, folder, tmp_path):
     lethal = {"name": "lethal", "tally": str(tmp_path / "tally"), "deaths": 99}
     swept = sweep(tiny, ["none", lethal], tmp_path / "out", folder / "store")
-    assert len((tmp_path / "tally").read_text()) == 6  # three times for each object
+    assert len((tmp_path / "tally").read_text()) == 8  # for each object twice among others and twice alone
     for (_, refiner), error in errors(swept).items():
-        assert ("was killed (SIGKILL), 3 times" in error and "workers.log" in error) == (refiner == "lethal")
+        assert ("worker died each time" in error and "workers.log" in error) == (refiner == "lethal")
+    assert "killed by signal 9" in (tmp_path / "out" / "workers.log").read_text()
 
 
 def test_what_a_killed_worker_has_built_is_still_counted(tiny, tmp_path):
     combinations, objects = combine(Plan.from_values({**tiny, "object": "pin", "refiner": "raising", "count": 1}))
     (one,) = combinations
-    journal = tmp_path / work_module.JOURNALS / f"{one.key}.txt"
+    journal = tmp_path / JOURNALS / f"{one.key}.txt"
     journal.parent.mkdir(parents=True)
     journal.write_text("grid 0123456789abcdef\n")
-    outcome = work(Job(one.key, one.config, 1, tmp_path), objects["pin"])
+    outcome = evaluate_job(Job(one.key, one.config, 1, tmp_path), objects["pin"])
     assert outcome.built[0] == "grid 0123456789abcdef"
     assert outcome.built[1].startswith("grid ")
     assert not journal.exists()
@@ -99,7 +110,7 @@ def test_what_a_killed_worker_has_built_is_still_counted(tiny, tmp_path):
 
 def test_a_worker_with_other_versions_refuses(tiny, tmp_path):
     (one,), objects = combine(Plan.from_values({**tiny, "object": "pin", "refiner": "none"}))
-    outcome = work(Job("0" * 16, one.config, one.count, tmp_path), objects["pin"])
+    outcome = evaluate_job(Job("0" * 16, one.config, one.count, tmp_path), objects["pin"])
     assert "install the same versions" in outcome.error
     assert not outcome.trace
 
@@ -137,3 +148,33 @@ def test_what_kills_dask_workers_every_time_takes_nobody_with_it(tiny, folder, t
     for (_, refiner), error in errors(swept).items():
         assert error.startswith("its Dask workers died") == (refiner == "lethal")
     assert errors(swept)["pin", "none"] == errors(swept)["head", "none"] == ""
+
+
+def evaluation(**posterior_metrics: float) -> Evaluation:
+    """Three touches: line l is l + 1 mm off, twice and four times as much; random poses 20 mm on average."""
+    errors_m = 1e-3 * np.arange(1, len(LINES) + 1)[None, :, None] * np.array([1, 2, 4])[:, None, None]
+    errors_m = np.repeat(errors_m, len(METRICS), axis=2)
+    errors_m[:, LINES.index("random")] = np.array([10e-3, 20e-3, 30e-3])[:, None]
+    seconds = np.array([[1, 2, 3, 4], [1, 2, 3, 40], [9, 2, 3, 5]]) * 1e-3
+    rows = [[posterior_metrics.get(name, 0.4) for name in POSTERIOR_METRICS]] * 3
+    return Evaluation(errors_m, np.zeros((3, len(LINES), 4, 4)), seconds, np.array(rows))
+
+
+def test_errors_in_mm_and_as_shares_and_times_in_ms():
+    found = summarise(evaluation(), 7)
+    assert set(found) == {"grid_poses", *ERRORS, *COVERAGES, "nll_nats", *TIMES}
+    line = LINES.index("reg-1") + 1
+    assert found["reg-1_median_mm"] == pytest.approx(2 * line)
+    assert found["reg-1_mean_mm"] == pytest.approx(7 / 3 * line, rel=1e-5)
+    assert found["reg-1_median_share"] == pytest.approx(2 * line / 20)
+    assert (found["random_median_mm"], found["random_mean_mm"]) == (20, 20)
+    assert [found[f"{stage}_ms"] for stage in STAGES] == [1, 2, 3, 5]
+    assert found["total_ms"] == 19  # the median of 10, 46 and 19, not the sum of medians
+    assert [found[f"coverage_{level}"] for level in (50, 80, 95)] == [1, 1, 1]
+    assert (found["nll_nats"], found["grid_poses"]) == (0.4, 7)
+
+
+def test_what_is_not_finite_has_no_value():
+    found = summarise(evaluation(nll=np.inf, level=0.9), 7)
+    assert found["nll_nats"] is None
+    assert [found[f"coverage_{level}"] for level in (50, 80, 95)] == [0, 0, 1]

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import pytest
 import trimesh
 
 from tactile_loc.core.errors import ObjectError, PluginError, SensorError
-from tactile_loc.sweeps import combinations as module
-from tactile_loc.sweeps.combinations import combine, in_running_order
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.store import StageStore
+from tactile_loc.sweeps import combination as module
+from tactile_loc.sweeps.combination import STAGES, combine, in_running_order, model_keys, stages_to_build
 from tactile_loc.sweeps.plan import Plan
+from tactile_loc.sweeps.workers import Job, evaluate_job
 
 
 def keys(values: dict) -> list[str]:
@@ -88,3 +93,42 @@ def test_two_objects_of_one_name_are_refused():
     values = {"object": ["pin", {"path": "pin", "symmetry": "none"}]}
     with pytest.raises(module.ConfigError, match="both called pin"):
         combine(Plan.from_values(values))
+
+
+VALUES = {"object": "pin", "noise": "none", "count": 1}
+MOCO = {"name": "moco", "epochs": 1, "queries": 32, "batch": 32, "channels": 4}
+
+
+@pytest.mark.parametrize(
+    ("encoder", "temperature"),
+    [([{"name": "pixel", "cells": 12}], {}), ([MOCO], {"temperature": 0.1})],
+    ids=["pixel", "moco"],
+)
+def test_the_planned_keys_are_those_that_are_built(tmp_path, tiny, encoder, temperature):
+    if encoder == [MOCO]:
+        pytest.importorskip("torch")
+    plain = {key: value for key, value in tiny.items() if key != "temperature"}
+    combinations, objects = combine(
+        Plan.from_values({**plain, **VALUES, "encoder": encoder, "refiner": "none", **temperature})
+    )
+    (one,) = combinations
+    before = stages_to_build(combinations, objects, tmp_path)
+    outcome = evaluate_job(Job(one.key, one.config, one.count, tmp_path), objects["pin"])
+    assert not outcome.error
+    built = Counter(name.split()[0] for name in outcome.built)
+    assert {**built, "bank": 1} == {stage: count for stage, count in before.items() if count}
+    planned = model_keys(Localizer(one.config, objects["pin"], StageStore(tmp_path / "empty")))
+    assert [key.stage for key in planned] == [stage for stage in STAGES[:4] if before[stage]]
+    assert {str(key) for key in planned} <= set(outcome.built)
+    others = {name for name in outcome.built if name.split()[0] not in ("temperature", "evaluation", "bank")}
+    assert others <= {str(key) for key in planned}
+    assert not (tmp_path / "empty").exists() or StageStore(tmp_path / "empty").entries() == []
+    assert stages_to_build(combinations, objects, tmp_path) == dict.fromkeys(STAGES, 0)
+
+
+def test_stages_that_combinations_share_count_once(tmp_path, tiny):
+    values = {**tiny, "object": ["pin", "head"], "renderer": ["raycast", "heightmap"], "refiner": ["none", "icp"]}
+    combinations, objects = combine(Plan.from_values({**values, "temperature": 0.1}))
+    assert stages_to_build(combinations, objects, tmp_path) == {
+        "grid": 2, "shapes": 4, "encoder": 0, "bank": 4, "temperature": 0, "evaluation": 8,
+    }  # fmt: skip

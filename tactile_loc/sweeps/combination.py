@@ -1,4 +1,4 @@
-"""A plan's full product: what is evaluated, in which order, and the key of each result."""
+"""A plan's full product: what is evaluated, in which order, the key of each result, and the stages that it needs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import hashlib
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from tactile_loc import __version__
@@ -13,14 +14,19 @@ from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.noise import noise_level
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.registry import SLOTS, registry
-from tactile_loc.evaluation.protocol import PROTOCOL_VERSION
+from tactile_loc.evaluation.protocol import PROTOCOL_VERSION, evaluation_key
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, TouchConfig
 from tactile_loc.io.meshes import load_object
-from tactile_loc.store.keys import canonical_json
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.model import bank_key, encoder_key, grid_key, shapes_key
+from tactile_loc.store.keys import StageKey, canonical_json
+from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.plan import Plan
 
 ROW_VERSION = 1  # raised when a row of the same combination would hold other numbers
 KEY_DIGITS = 16
+STAGES = ("grid", "shapes", "encoder", "bank", "temperature", "evaluation")
 
 
 @dataclass(frozen=True)
@@ -35,6 +41,10 @@ class Combination:
     count: int
     key: str
     place: tuple[int, ...]
+
+    def describe(self) -> dict[str, Any]:
+        """Return every setting as JSON values."""
+        return {**self.config.model_dump(mode="json", exclude={"top"}), "count": self.count}
 
 
 def combine(plan: Plan) -> tuple[list[Combination], dict[str, ObjectModel]]:
@@ -80,6 +90,47 @@ def combination_key(config: RunConfig, obj: ObjectModel, count: int, components:
 def describe_components(config: RunConfig) -> dict[str, Any]:
     """Return what identifies the component of each slot, and the sensor's geometry. Raises TactileLocError."""
     return _Descriptions().of(config)
+
+
+def stages_to_build(
+    combinations: Iterable[Combination], objects: Mapping[str, ObjectModel], store: Path
+) -> dict[str, int]:
+    """Return how many artifacts of each of STAGES these combinations need that the store lacks; nothing is built.
+
+    Encoders that follow the press depth need a bank for each depth that touches have: of these, one is counted. What
+    needs a grid, shapes or a training that the store lacks counts as lacking too.
+    """
+    known = StageStore(store)
+    missing = {
+        stage for one in combinations for stage in _missing(one, Localizer(one.config, objects[one.object], known))
+    }
+    return {stage: sum(name == stage for name, _ in missing) for stage in STAGES}
+
+
+def model_keys(localizer: Localizer) -> list[StageKey]:
+    """Return the keys of a localizer's model, in the order of building: the bank at full press comes last."""
+    scene, encoder = localizer.coarse_scene, localizer.encoder
+    grid = grid_key(scene, localizer.sampler)
+    shapes = shapes_key(grid, scene.renderer)
+    training = encoder_key(shapes, encoder, localizer.sampler)
+    trained = "" if training is None else training.digest
+    bank = bank_key(shapes, encoder, localizer.scene.geometry.max_depth_m, trained)
+    return [grid, shapes, *([] if training is None else [training]), bank]
+
+
+def _missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]]:
+    """The stages, each with what identifies it, that a combination needs and its localizer's store lacks."""
+    *learned, bank = model_keys(localizer)
+    has = localizer.store.get
+    missing = {(key.stage, key.digest) for key in (*learned, bank) if has(key) is None}
+    whole = all(has(key) is not None for key in learned)  # then asking the localizer for keys builds nothing
+    fitted = one.config.temperature is not None or (whole and has(localizer.temperature_key()) is not None)
+    if not fitted:
+        missing.add(("temperature", bank.digest))
+    touches = SimulatedTouches(one.config.touch.noise, one.config.seed)
+    if not (whole and fitted and has(evaluation_key(localizer, one.count, touches)) is not None):
+        missing.add(("evaluation", one.key))
+    return missing
 
 
 class _Descriptions:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tactile_loc.sweeps.pivot import markdown
+from tactile_loc.sweeps.results import markdown
 
 MM = {("pin", "none"): 4.0, ("pin", "icp"): 0.5, ("head", "none"): 2.0, ("head", "icp"): 2.0001}
 

@@ -9,8 +9,8 @@ import json
 import pytest
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.sweeps.compare import compare, comparison_rows, read_sweep, summary, write_comparison
-from tactile_loc.sweeps.results import record
+from tactile_loc.sweeps.comparison import as_text, compare, summary, write_comparison
+from tactile_loc.sweeps.results import read_sweep, record
 
 MM = {"none": 4.0, "icp": 1.0, "filterreg": 0.5}
 
@@ -32,11 +32,12 @@ def _measured(value: float | str):
 
 def test_ratios_and_marks(recorded):
     found = compare(recorded(**MM), recorded(none=4.3, icp=1.2, filterreg=0.25), "chosen")
-    told = [(dict(pair.names), pair.ratio, pair.mark) for pair in found.pairs[:3]]
-    assert told == [
-        ({"object": "pin", "refiner": "none", "grid.spacing_mm": "3.0"}, pytest.approx(1.075), ""),
-        ({"object": "pin", "refiner": "icp", "grid.spacing_mm": "3.0"}, pytest.approx(1.2), "worse"),
-        ({"object": "pin", "refiner": "filterreg", "grid.spacing_mm": "3.0"}, pytest.approx(0.5), "better"),
+    assert list(found.table) == ["object", "refiner", "grid.spacing_mm", "old_mm", "new_mm", "ratio", "change"]
+    told = found.table.drop(columns=["old_mm", "new_mm"]).to_numpy().tolist()
+    assert told[:3] == [
+        ["pin", "none", "3.0", pytest.approx(1.075), ""],
+        ["pin", "icp", "3.0", pytest.approx(1.2), "worse"],
+        ["pin", "filterreg", "3.0", pytest.approx(0.5), "better"],
     ]
     assert summary(found) == "6 combinations, 2 worse, 2 better (by more than 10 %)"
     assert found.versions == {}
@@ -44,9 +45,9 @@ def test_ratios_and_marks(recorded):
 
 def test_what_is_missing_in_one_or_failed(recorded):
     found = compare(recorded(none=4.0, icp="bad"), recorded(icp=1.0, filterreg=0.5), "chosen")
-    marks = {pair.names["refiner"]: pair.mark for pair in found.pairs}
+    marks = dict(zip(found.table["refiner"], found.table["change"], strict=True))
     assert marks == {"none": "only in old", "icp": "failed", "filterreg": "only in new"}
-    assert all(pair.ratio is None for pair in found.pairs)
+    assert found.table["ratio"].isna().all()
 
 
 def test_an_option_that_only_one_version_has_parts_nothing(recorded):
@@ -55,7 +56,7 @@ def test_an_option_that_only_one_version_has_parts_nothing(recorded):
         row["configuration"]["refiner"]["options"]["brand_new"] = 7
     new["versions"]["tactile-loc"] = "99.0"
     found = compare(old, new, "chosen")
-    assert {pair.mark for pair in found.pairs} == {""}
+    assert set(found.table["change"]) == {""}
     assert found.versions == {"tactile-loc": (old["versions"]["tactile-loc"], "99.0")}
 
 
@@ -68,7 +69,8 @@ def test_rows_that_differ_by_what_the_other_version_lacks_have_no_counterpart(re
         row["configuration"]["refiner"]["options"]["brand_new"] = 8
     found = compare(old, new, "chosen")
     assert (found.count("only in old"), found.count("only in new")) == (2, 4)
-    assert "refiner.brand_new" in comparison_rows(found)[-1]
+    assert "refiner.brand_new" in as_text(found)
+    assert set(found.table["refiner.brand_new"]) == {"7", "8", ""}
 
 
 def test_files(recorded, tmp_path):

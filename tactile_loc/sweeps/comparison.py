@@ -1,0 +1,157 @@
+"""Two sweeps side by side, for instance of two versions: what became better, worse, or is only in one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.registry import SLOTS
+from tactile_loc.evaluation.tabular import markdown_table, mm
+from tactile_loc.store.files import write_atomically
+from tactile_loc.sweeps.table import IDENTITY
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SETTINGS = ("shape_px", "temperature")
+ERROR = "error_mm"
+CHANGED = 1.10  # a ratio of medians beyond which an error counts as worse or better
+WORSE, BETTER, ONLY_OLD, ONLY_NEW, FAILED = "worse", "better", "only in old", "only in new", "failed"
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """The line compared, its `table`, and the versions that differ, by name: (old, new).
+
+    The table has a row for each combination of either sweep: what tells it from others (texts, empty where a component
+    lacks an option), old_mm, new_mm, their ratio (NaN where there is none), and what changed (empty: nothing much).
+    """
+
+    line: str
+    table: pd.DataFrame
+    versions: Mapping[str, tuple[str, str]]
+
+    def count(self, change: str) -> int:
+        """Return how many combinations changed like this."""
+        return int((self.table["change"] == change).sum())
+
+
+def compare(old: Mapping[str, Any], new: Mapping[str, Any], line: str) -> Comparison:
+    """Join two records of sweeps, as `read_sweep` returns them, by combination and compare the medians of `line`.
+
+    Combinations are the same when object, touches, components and all options that both sweeps know are.
+    """
+    import pandas as pd
+
+    olds, news = _described(old, line), _described(new, line)
+    shared = [name for name in olds.columns.intersection(news.columns) if name != ERROR]
+    olds, news = _by_identity(olds, shared), _by_identity(news, shared)
+    every = olds.index.append(news.index).unique()
+    table = _names(pd.concat([news, olds])).loc[every]
+    table = table.assign(old_mm=olds[ERROR].reindex(every), new_mm=news[ERROR].reindex(every))
+    table["ratio"] = (table["new_mm"] / table["old_mm"]).where(table["old_mm"] != 0)
+    table["change"] = _changes(table, every.isin(olds.index), every.isin(news.index))
+    return Comparison(line, table.reset_index(drop=True), _differing(old["versions"], new["versions"]))
+
+
+def summary(comparison: Comparison) -> str:
+    """Say in one sentence how many combinations changed how."""
+    marks = (WORSE, BETTER, FAILED, ONLY_OLD, ONLY_NEW)
+    counts = ", ".join(f"{comparison.count(mark)} {mark}" for mark in marks if comparison.count(mark))
+    percent = f"{100 * (CHANGED - 1):.0f} %"
+    return f"{len(comparison.table)} combinations, {counts or 'none changed'} (by more than {percent})"
+
+
+def as_text(comparison: Comparison) -> pd.DataFrame:
+    """Return the table as it is written: errors in mm and ratios as texts, empty where there is none."""
+    errors = {name: comparison.table[name].map(_mm) for name in ("old_mm", "new_mm")}
+    ratio = comparison.table["ratio"].map(lambda value: "" if np.isnan(value) else f"{value:.3f}")
+    return comparison.table.assign(**errors, ratio=ratio)
+
+
+def write_comparison(out: Path, comparison: Comparison) -> list[Path]:
+    """Write compare.md and compare.csv into the folder `out` and return their paths. Raises OutputError."""
+    table = as_text(comparison)
+    texts = {"md": "\n".join(_markdown(comparison, table)), "csv": table.to_csv(index=False, lineterminator="\n")}
+    return [_write(out / f"compare.{suffix}", text) for suffix, text in texts.items()]
+
+
+def _markdown(comparison: Comparison, table: pd.DataFrame) -> Iterator[str]:
+    yield f"# Two sweeps: {comparison.line}\n"
+    yield f"Median error of `{comparison.line}`, mm. {summary(comparison)}.\n"
+    yield markdown_table(list(table.columns), table.to_numpy().tolist())
+    yield "Versions that differ:\n"
+    differing = [[name, *both] for name, both in comparison.versions.items()] or [["none", "", ""]]
+    yield markdown_table(["", "old", "new"], differing)
+
+
+def _described(record: Mapping[str, Any], line: str) -> pd.DataFrame:
+    """What each row is, as texts, by IDENTITY, SETTINGS and all options "slot.component.option"; and its error, mm."""
+    import pandas as pd
+
+    found = []
+    for row in record["rows"]:
+        settings = row["configuration"]
+        identity = {name: row[name] for name in IDENTITY} | {name: settings.get(name) for name in SETTINGS}
+        texts = {name: str(value) for name, value in {**identity, **_options(settings)}.items()}
+        found.append({**texts, ERROR: row.get(f"{line}_median_mm")})
+    return pd.DataFrame(found).astype({ERROR: float})
+
+
+def _options(settings: Mapping[str, Any]) -> dict[str, Any]:
+    chosen = {slot: settings[slot] for slot in SLOTS}
+    return {
+        f"{slot}.{one['name']}.{option}": value
+        for slot, one in chosen.items()
+        for option, value in one["options"].items()
+    }
+
+
+def _by_identity(rows: pd.DataFrame, shared: list[str]) -> pd.DataFrame:
+    """Rows by what they are; options that the other sweep's components do not have are left out if nothing is lost."""
+    names = rows.columns.drop(ERROR) if rows.duplicated(shared).any() else shared
+    return rows.set_index(rows[names].fillna("").agg("\n".join, axis=1))
+
+
+def _names(rows: pd.DataFrame) -> pd.DataFrame:
+    """What tells rows apart: of IDENTITY what differs, the object always, and options that differ within a component.
+
+    An option is called "slot.option", and empty where a component lacks it. Of rows of one identity the first counts.
+    """
+    options = [name for name in rows.columns if "." in name]
+    varied = [name for name in (*IDENTITY, *options) if name == "object" or rows[name].nunique() > 1]
+    known = rows[~rows.index.duplicated()]
+    named = known[[]]
+    for name in varied:
+        slot, _, option = name.partition(".")
+        column = f"{slot}.{option.rpartition('.')[2]}" if option else name
+        values = known[name].combine_first(named[column]) if column in named else known[name]
+        named = named.assign(**{column: values})
+    return named.fillna("")
+
+
+def _changes(table: pd.DataFrame, in_old: NDArray[np.bool_], in_new: NDArray[np.bool_]) -> NDArray[np.str_]:
+    old_mm, new_mm = table["old_mm"], table["new_mm"]
+    conditions = {
+        ONLY_NEW: ~in_old, ONLY_OLD: ~in_new, FAILED: old_mm.isna() | new_mm.isna(),
+        WORSE: new_mm > CHANGED * old_mm, BETTER: CHANGED * new_mm < old_mm,
+    }  # fmt: skip
+    return np.select(list(conditions.values()), list(conditions), "")
+
+
+def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    both = {name: (old.get(name, "-"), new.get(name, "-")) for name in {**old, **new}}
+    return {name: pair for name, pair in both.items() if pair[0] != pair[1]}
+
+
+def _mm(value: float) -> str:
+    return "" if np.isnan(value) else mm(1e-3 * value)
+
+
+def _write(path: Path, text: str) -> Path:
+    return write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

@@ -1,0 +1,390 @@
+"""Workers evaluate combinations: processes of this machine, or of a Dask cluster elsewhere. Dask gives what a worker
+that dies had to another one."""
+
+from __future__ import annotations
+
+import faulthandler
+import logging
+import os
+import re
+import signal
+import threading
+import time
+import traceback
+import uuid
+from collections import deque
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tactile_loc.core.errors import ConfigError, MissingLibraryError, OutputError, TactileLocError
+from tactile_loc.core.objects import ObjectModel
+from tactile_loc.evaluation.posterior_metrics import LEVELS, PosteriorSummary
+from tactile_loc.evaluation.protocol import LINES, STAGES, Evaluation, evaluate
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.io.config import RunConfig
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import StageStore
+from tactile_loc.sweeps.combination import combination_key, describe_components
+
+ERRORS = tuple(f"{line}_{what}" for line in LINES for what in ("median_mm", "mean_mm", "median_share"))
+COVERAGES = tuple(f"coverage_{100 * level:.0f}" for level in LEVELS)
+TIMES = (*(f"{stage}_ms" for stage in STAGES), "total_ms")
+
+JOURNALS = "sweep-builds"  # a folder of the store
+RETRIES = 2  # of a combination that fails for another reason than itself, such as a broken connection
+CONNECT_S = 10
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+LOCAL_FAILURES = 1  # deaths of local workers that a combination survives, among others and once more alone
+LOGS = ("distributed", "distributed.client", "tornado.application", "asyncio")  # that Dask writes to
+
+_ADDRESS = re.compile(r"(tcp|tls|ucx|wss?)://.+")
+# OpenGL contexts and numba's simplest threads belong to one thread at a time, and a Dask worker may have several.
+_ALONE = threading.Lock()
+
+
+class ClusterError(TactileLocError):
+    """A Dask cluster cannot be reached or started, or is gone."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A combination as a worker gets it; `store` is the folder of the stage store, the same for all workers."""
+
+    key: str
+    config: RunConfig
+    count: int
+    store: Path
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a job: `measured`, or an `error` (one sentence) and, if it was not raised on purpose, its `trace`.
+
+    `built` names the stages, "stage digest", that were built for it, by processes that were killed at it as well.
+    """
+
+    key: str
+    measured: dict[str, Any] | None
+    built: tuple[str, ...] = ()
+    error: str = ""
+    trace: str = ""
+
+
+class BuildJournal(list[StageKey]):
+    """The keys that a store's instance builds, noted in a file as well, until the combination is finished.
+
+    A file that cannot be written is no reason to fail: only what a killed process has built is then forgotten.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._path = path
+        self._earlier: list[str] = []
+        with suppress(OSError, UnicodeDecodeError):
+            self._earlier = path.read_text(encoding="utf-8").splitlines()
+
+    def append(self, key: StageKey) -> None:
+        """Note that a stage was built."""
+        super().append(key)
+        with suppress(OSError):
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(f"{key}\n")
+
+    def finish(self) -> tuple[str, ...]:
+        """Return the names of all stages, "stage digest", those of killed processes first, and remove the file."""
+        with suppress(OSError):
+            self._path.unlink(missing_ok=True)
+        return tuple(dict.fromkeys([*self._earlier, *map(str, self)]))
+
+
+def evaluate_job(job: Job, obj: ObjectModel) -> Outcome:
+    """Evaluate a combination on its object; whatever goes wrong is in the outcome."""
+    with _ALONE:
+        store = StageStore(job.store)
+        store.built = built = BuildJournal(job.store / JOURNALS / f"{job.key}.txt")
+        measured, error, trace = None, "", ""
+        try:
+            measured = _measured(job, obj, store)
+        except TactileLocError as raised:
+            error = str(raised)
+        except Exception as raised:  # noqa: BLE001 - a stranger's component may raise anything
+            error, trace = f"{type(raised).__name__}: {raised}", traceback.format_exc()
+        return Outcome(job.key, measured, built.finish(), " ".join(error.split()), trace)
+
+
+def _measured(job: Job, obj: ObjectModel, store: StageStore) -> dict[str, Any]:
+    config = job.config
+    if combination_key(config, obj, job.count, describe_components(config)) != job.key:
+        raise ConfigError(
+            "the worker's tactile-loc, its plugins or its sensor file are others than where the sweep was started; "
+            "install the same versions there"
+        )
+    localizer = Localizer(config, obj, store)
+    start_s = time.perf_counter()
+    localizer.describe_scores()  # the grid, its shapes, and a trained encoder
+    _ = localizer.temperature_scaling
+    model_s = time.perf_counter() - start_s if store.built else 0.0
+    evaluation = evaluate(localizer, job.count, SimulatedTouches(config.touch.noise, config.seed, images=False))
+    return {**summarise(evaluation, localizer.model.size), "model_s": round(model_s, 3)}
+
+
+def summarise(evaluation: Evaluation, grid_poses: int) -> dict[str, float | None]:
+    """Return ERRORS (mm, and shares of a random pose's mean), COVERAGES, nll_nats and TIMES (medians, ms).
+
+    Numbers have six digits. None stands for what is not finite: the likelihood where a matcher did not look at the true
+    pose.
+    """
+    errors = []
+    for line in LINES:
+        metres = evaluation.errors(line)
+        errors += [1e3 * np.median(metres), 1e3 * metres.mean(), np.median(evaluation.normalised(line))]
+    posterior = PosteriorSummary.of(evaluation.posterior_metrics, grid_poses)
+    times = 1e3 * np.median(evaluation.seconds, axis=0)
+    values = {
+        **dict(zip(ERRORS, errors, strict=True)),
+        **dict(zip(COVERAGES, posterior.coverage, strict=True)), "nll_nats": posterior.nll,
+        **dict(zip(TIMES, (*times, 1e3 * np.median(evaluation.seconds.sum(axis=1))), strict=True)),
+    }  # fmt: skip
+    rounded = {name: float(f"{value:.6g}") if np.isfinite(value) else None for name, value in values.items()}
+    return {"grid_poses": grid_poses, **rounded}
+
+
+Outcomes = Generator[Outcome, None, None]
+
+
+@dataclass(frozen=True)
+class LocalWorkers:
+    """So many processes of this machine, each with so many threads; what they write to the terminal goes to `log`."""
+
+    workers: int
+    threads: int
+    log: Path
+
+    def outcomes(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
+        """Yield the outcome of every job as it ends; `objects` holds each job's object by the job's key.
+
+        However the iteration ends, so do the workers. Raises MissingLibraryError, ClusterError, or OutputError when the
+        log cannot be written.
+        """
+        why = f"its worker died each time; perhaps there is too little memory, see {self.log}"
+        with _local_cluster(self) as address, _connected(address) as client:
+            yield from _with_second_chance(client, jobs, objects, why, at_once=self.workers)
+
+
+@dataclass(frozen=True)
+class DaskWorkers:
+    """The workers of the Dask scheduler at an address such as tcp://host:8786."""
+
+    address: str
+
+    def outcomes(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
+        """Yield the outcome of every job as it ends; `objects` holds each job's object by the job's key.
+
+        Raises MissingLibraryError or ClusterError.
+        """
+        _require_dask()
+        if not _ADDRESS.fullmatch(self.address):
+            raise ClusterError(f"{self.address!r} is no address of a Dask scheduler; write it as tcp://host:8786")
+        why = "its Dask workers died, several times; perhaps they have too little memory, see their logs"
+        with _dask_log(logging.NullHandler()), _connected(self.address) as client:
+            if not client.scheduler_info()["workers"]:
+                log.warning("the Dask cluster at %s has no workers yet; waiting for some", self.address)
+            yield from _with_second_chance(client, jobs, objects, why)
+
+
+log = logging.getLogger(__name__)
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _with_second_chance(
+    client: Any, jobs: Sequence[Job], objects: Mapping[str, ObjectModel], why: str, at_once: int | None = None
+) -> Outcomes:
+    """Yield the outcome of every job. One that Dask gives up, because workers died while they had it, may have been
+    only near the one that kills them: it is tried once more after the others, alone."""
+    given_up = []
+    with closing(_run(client, jobs, objects, at_once)) as running:
+        for job, outcome in running:
+            if outcome is None:
+                given_up.append(job)
+            else:
+                yield outcome
+    for one in given_up:
+        with closing(_run(client, [one], objects, at_once)) as running:
+            for job, outcome in running:
+                yield outcome or Outcome(job.key, None, error=why)
+
+
+def _run(
+    client: Any, jobs: Sequence[Job], objects: Mapping[str, ObjectModel], at_once: int | None
+) -> Generator[tuple[Job, Outcome | None], None, None]:
+    """Yield each job with its outcome; None where too many workers died. At most `at_once` are submitted at a time, so
+    that few others wait at a worker that dies. Cancels them all at the end."""
+    from distributed import as_completed
+
+    token = uuid.uuid4().hex[:8]
+    held: dict[str, Any] = {}  # an object is sent once: as the result of a task, which Dask can make again
+    futures: dict[Any, Job] = {}
+    waiting, running = deque(jobs), as_completed(loop=client.loop)
+
+    def submit() -> None:
+        while waiting and (at_once is None or len(futures) < at_once):
+            job = waiting.popleft()
+            obj = objects[job.key]
+            if obj.name not in held:
+                held[obj.name] = client.submit(_itself, obj, key=f"object-{obj.name}-{token}")
+            name = f"combination-{job.key}-{token}"
+            future = client.submit(evaluate_job, job, held[obj.name], key=name, retries=RETRIES)
+            futures[future] = job
+            running.add(future)
+
+    try:
+        submit()
+        for future in running:
+            job = futures.pop(future)
+            outcome = _outcome(future, job, client.scheduler.address)
+            future.release()  # else it would be done again if the worker that holds its result died
+            submit()
+            yield job, outcome
+    finally:
+        client.cancel(list(futures))
+
+
+def _outcome(future: Any, job: Job, address: str) -> Outcome | None:
+    from distributed import KilledWorker
+
+    if future.status in ("cancelled", "lost"):
+        raise ClusterError(
+            f"the Dask scheduler at {address} is gone; what was finished is kept, run the same command again"
+        )
+    error = future.exception() if future.status == "error" else None
+    if isinstance(error, KilledWorker):
+        return None
+    outcome: Outcome = Outcome(job.key, None, error=f"{type(error).__name__}: {error}") if error else future.result()
+    return outcome
+
+
+def _itself(obj: ObjectModel) -> ObjectModel:
+    return obj
+
+
+@contextmanager
+def _connected(address: str) -> Iterator[Any]:
+    """A client, closed at the end."""
+    from distributed import Client
+
+    try:
+        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise ClusterError(
+            f"there is no Dask scheduler at {address} ({type(error).__name__}); check it runs"
+        ) from error
+    try:
+        yield client
+    finally:
+        client.close()
+
+
+@contextmanager
+def _local_cluster(local: LocalWorkers) -> Iterator[str]:
+    """The address of a scheduler of this process with workers of their own processes, which end with the block.
+
+    Dask's limits of memory and of silence are switched off: a worker is killed when the machine says so.
+    """
+    _require_dask()
+    import dask
+    from distributed import LocalCluster
+
+    settings = {"distributed.scheduler.allowed-failures": LOCAL_FAILURES, "distributed.scheduler.worker-ttl": None}
+    begin = f"from {__name__} import detach; detach({str(local.log.absolute())!r})"
+    with _log_file(local.log) as handler, _dask_log(handler), _environment(local.threads), dask.config.set(settings):
+        try:
+            cluster = LocalCluster(
+                n_workers=local.workers, threads_per_worker=1, processes=True, memory_limit=0, preload=[begin],
+                dashboard_address=None, silence_logs=False,
+            )  # fmt: skip
+        except (OSError, RuntimeError) as error:
+            raise ClusterError(f"local workers do not start ({error}); see {local.log}") from error
+        try:
+            yield cluster.scheduler_address
+        finally:
+            _end(cluster)
+
+
+def detach(path: str) -> None:
+    """Begin a local worker: its output goes to the file `path`, and it ends with the sweep, not by Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    for stream in (1, 2):
+        os.dup2(file, stream)
+    os.close(file)
+    faulthandler.enable()
+
+
+def _end(cluster: Any) -> None:
+    """Kill the workers, then close the cluster: they hold nothing any more, and whatever is stored is whole at any
+    moment, while on a busy machine an orderly end takes longer than Dask waits for it."""
+    for nanny in cluster.workers.values():
+        nanny.close_gracefully("the sweep has ended")  # what ends now is not started again
+        if (pid := nanny.pid) is not None:
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+    with suppress(TimeoutError):
+        cluster.close()
+
+
+@contextmanager
+def _environment(threads: int) -> Iterator[None]:
+    """The environment in which workers start, also those that replace one that died: their numbers of threads."""
+    before = dict(os.environ)
+    os.environ.update(dict.fromkeys(THREADS, str(threads)))
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+
+
+@contextmanager
+def _log_file(path: Path) -> Iterator[logging.Handler]:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handler = logging.FileHandler(path, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written ({error.strerror or error}); choose another --out") from error
+    handler.setFormatter(logging.Formatter("%(asctime)s %(name)s: %(message)s"))
+    with closing(handler):
+        yield handler
+
+
+@contextmanager
+def _dask_log(handler: logging.Handler) -> Iterator[None]:
+    """Send what Dask logs to a handler: what concerns a sweep's user is said by its errors."""
+    loggers = [logging.getLogger(name) for name in LOGS]
+    before = [(logger.handlers, logger.propagate) for logger in loggers]
+    for logger in loggers:
+        logger.handlers, logger.propagate = [handler], False
+    try:
+        yield
+    finally:
+        for logger, (handlers, propagate) in zip(loggers, before, strict=True):
+            logger.handlers, logger.propagate = handlers, propagate
+
+
+def _require_dask() -> None:
+    try:
+        import distributed  # noqa: F401
+    except ImportError as error:
+        raise MissingLibraryError(
+            "a sweep runs on dask.distributed, which is not installed: pip install 'tactile-loc[sweep]'"
+        ) from error
