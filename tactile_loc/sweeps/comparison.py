@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.formatting import mm
 from tactile_loc.core.registry import SLOTS
-from tactile_loc.evaluation.tabular import markdown_table, mm
+from tactile_loc.evaluation.tabular import markdown_table
 from tactile_loc.store.files import write_atomically
 from tactile_loc.sweeps.table import IDENTITY
 

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactile_loc.core.errors import ConfigError, did_you_mean
+from tactile_loc.core.formatting import mm
 from tactile_loc.core.registry import SLOTS
 from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION
-from tactile_loc.evaluation.tabular import markdown_table, mm
+from tactile_loc.evaluation.tabular import markdown_table
 from tactile_loc.locate.result_json import versions
 from tactile_loc.store.files import write_atomically
 from tactile_loc.sweeps.figures import draw_effects, draw_error_time
