@@ -52,6 +52,11 @@ def _option(flag: str, metavar: str, about: str) -> Any:
     return typer.Option(flag, metavar=metavar, help=about)
 
 
+def set_option(about: str) -> Any:
+    """Return the declaration of `-o SLOT.OPTION=VALUE`, with its help."""
+    return typer.Option("-o", "--option", metavar="SLOT.OPTION=VALUE", help=about)
+
+
 Object = Annotated[
     str | None,
     _option("--object", "FILE|DEMO", "Mesh file (STL, OBJ, PLY, ...) or the name of a demo object; by default hook."),
@@ -80,12 +85,7 @@ Refiner = Annotated[str | None, _option("--refiner", "NAME", "What refines the b
 Fuser = Annotated[str | None, _option("--fuser", "NAME", "What combines touches and prior; by default product.")]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option(
-        "-o",
-        "--option",
-        metavar="SLOT.OPTION=VALUE",
-        help="A component's option, as grid.spacing_mm=3; may be repeated; `plugins SLOT NAME` lists them.",
-    ),
+    set_option("A component's option, as grid.spacing_mm=3; may be repeated; `plugins SLOT NAME` lists them."),
 ]
 Config = Annotated[
     Path | None,

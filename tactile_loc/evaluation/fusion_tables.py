@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from tactile_loc.core.formatting import mm
 from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES, FUSION_VERSION, FusionEvaluation
 from tactile_loc.evaluation.tabular import (
+    EvaluatedObject,
     Statistics,
     bracketed,
     columns,
@@ -28,15 +29,10 @@ NOTE = (
 
 
 @dataclass(frozen=True, eq=False)
-class FusionRun:
-    """One object evaluated with one encoder. `configuration` holds every setting as JSON values."""
+class FusionRun(EvaluatedObject):
+    """One object evaluated with one encoder, from several touches."""
 
-    object: str
-    symmetry: str
-    encoder: str
-    grid_poses: int
     evaluation: FusionEvaluation
-    configuration: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def statistics(self, line: str, contacts: int, normalised: bool = False) -> Statistics:
         """Return the statistics of a line: in metres, or as shares of the mean random error if `normalised`."""
@@ -112,9 +108,7 @@ def _run_record(run: FusionRun) -> dict[str, Any]:
         ]
         for line in FUSION_LINES
     }
-    named = {"object": run.object, "symmetry": run.symmetry, "encoder": run.encoder, "grid_poses": run.grid_poses}
-    numbers = {"examples": len(found.errors_m), "random_mean_m": found.scale_m()}
-    return {**named, **numbers, "lines": lines, "configuration": dict(run.configuration)}
+    return run.record(examples=len(found.errors_m), random_mean_m=found.scale_m(), lines=lines)
 
 
 def _long_rows(runs: Sequence[FusionRun]) -> Iterator[dict[str, Any]]:

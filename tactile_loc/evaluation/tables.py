@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from tactile_loc.core.formatting import mm
 from tactile_loc.evaluation.posterior_metrics import LEVELS, POSTERIOR_METRICS, PosteriorSummary
 from tactile_loc.evaluation.protocol import LINES, METRICS, PROTOCOL_VERSION, STAGES, Evaluation
 from tactile_loc.evaluation.tabular import (
+    EvaluatedObject,
     Statistics,
     bracketed,
     columns,
@@ -33,15 +34,10 @@ COVERAGE_NOTE = (
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
-    """One object evaluated with one encoder. `configuration` holds every setting as JSON values."""
+class Run(EvaluatedObject):
+    """One object evaluated with one encoder, from one touch."""
 
-    object: str
-    symmetry: str
-    encoder: str
-    grid_poses: int
     evaluation: Evaluation
-    configuration: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def statistics(self, line: str, metric: str = "add", normalised: bool = False) -> Statistics:
         """Return the statistics of a line: in metres, or as shares of the mean random error if `normalised`."""
@@ -131,31 +127,20 @@ def write_tables(folder: Path, runs: Sequence[Run], protocol: Mapping[str, Any],
 
 def _run_record(run: Run) -> dict[str, Any]:
     evaluation = run.evaluation
-    return {
-        "object": run.object,
-        "symmetry": run.symmetry,
-        "encoder": run.encoder,
-        "grid_poses": run.grid_poses,
-        "touches": len(evaluation.errors_m),
-        "random_mean_m": {metric: evaluation.scale_m(metric) for metric in METRICS},
-        "median_seconds": run.median_seconds(),
-        "lines": {
-            line: {
-                metric: {
-                    "metres": asdict(run.statistics(line, metric)),
-                    "normalised": asdict(run.statistics(line, metric, normalised=True)),
-                }
-                for metric in METRICS
-            }
-            for line in LINES
-        },
-        "posterior": {**asdict(run.posterior_summary()), "levels": list(LEVELS)},
-        "posterior_metrics": {
-            name: evaluation.posterior_metrics[:, i].tolist() for i, name in enumerate(POSTERIOR_METRICS)
-        },
-        "errors_m": {line: {m: evaluation.errors(line, m).tolist() for m in METRICS} for line in LINES},
-        "configuration": dict(run.configuration),
-    }
+    return run.record(
+        touches=len(evaluation.errors_m),
+        random_mean_m={metric: evaluation.scale_m(metric) for metric in METRICS},
+        median_seconds=run.median_seconds(),
+        lines={line: {metric: _statistics(run, line, metric) for metric in METRICS} for line in LINES},
+        posterior={**asdict(run.posterior_summary()), "levels": list(LEVELS)},
+        posterior_metrics=dict(zip(POSTERIOR_METRICS, evaluation.posterior_metrics.T.tolist(), strict=True)),
+        errors_m={line: {m: evaluation.errors(line, m).tolist() for m in METRICS} for line in LINES},
+    )
+
+
+def _statistics(run: Run, line: str, metric: str) -> dict[str, Any]:
+    metres, shares = run.statistics(line, metric), run.statistics(line, metric, normalised=True)
+    return {"metres": asdict(metres), "normalised": asdict(shares)}
 
 
 def _long_rows(runs: Sequence[Run]) -> Iterator[dict[str, Any]]:

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,23 @@ from tactile_loc.locate.result_json import versions
 from tactile_loc.store.files import write_atomically
 
 Rows = Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True, eq=False)
+class EvaluatedObject:
+    """One object evaluated with one encoder. `configuration` holds every setting as JSON values."""
+
+    object: str
+    symmetry: str
+    encoder: str
+    grid_poses: int
+    evaluation: Any
+    configuration: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    def record(self, **found: Any) -> dict[str, Any]:
+        """Return what was evaluated, what was found, and every setting, as JSON values."""
+        named = {key: getattr(self, key) for key in ("object", "symmetry", "encoder", "grid_poses")}
+        return {**named, **found, "configuration": dict(self.configuration)}
 
 
 @dataclass(frozen=True)

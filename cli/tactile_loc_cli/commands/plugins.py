@@ -11,6 +11,7 @@ import typer
 
 from tactile_loc_cli.console import say, say_table
 from tactile_loc_cli.failures import Finding
+from tactile_loc_cli.options import set_option
 
 if TYPE_CHECKING:
     from tactile_loc.core.interfaces import Component
@@ -25,15 +26,7 @@ Check = Annotated[
     bool,
     typer.Option("--check", help="Run the contract checks of SLOT NAME instead; exit code 1 if it breaks a contract."),
 ]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "-o",
-        "--option",
-        metavar="SLOT.OPTION=VALUE",
-        help="With --check: an option of the component; may be repeated.",
-    ),
-]
+SetOption = Annotated[list[str] | None, set_option("With --check: an option of the component; may be repeated.")]
 
 
 def plugins(slot: Slot = None, name: Name = None, check: Check = False, option: SetOption = None) -> dict[str, Any]:
