@@ -59,7 +59,12 @@ class SimulatedTouches:
         if self.images:
             geometry = localizer.scene.geometry
             untouched = np.full(geometry.shape, geometry.max_depth_m, np.float32)
-            localizer.sensor.simulated_image(ContactShape(untouched, geometry.max_depth_m), np.random.default_rng(0))
+            try:
+                localizer.sensor.simulated_image(
+                    ContactShape(untouched, geometry.max_depth_m), np.random.default_rng(0)
+                )
+            except ConfigError as error:
+                raise ConfigError(f"{localizer.config.sensor.name}: {error}") from error
 
     def in_words(self) -> str:
         """Return what kind of touches these are, for titles."""
