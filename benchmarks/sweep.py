@@ -2,9 +2,9 @@
 """One sweep three ways: on local processes, on a Dask cluster of this machine, and each with a worker killed meanwhile.
 
 Two renderers, three encoders, four refiners and three demo objects, with a coarse grid, few pixels and few touches: it
-is about the sweep, not about the numbers in it. Printed, and written to `--out`/counts.json, are the rows, failures,
-how often each stage was built, and whether all tables are the same. The exit code is 1 when anything is lost, differs
-or was built twice.
+is about the sweep, not about the numbers in it. `--small` takes two of each. Printed, and written to
+`--out`/counts.json, are the rows, failures, how often each stage was built, and whether all tables are the same. The
+exit code is 1 when anything is lost, differs or was built twice.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from typing import Any
 import psutil
 
 from tactile_loc.store.store import StageStore
+from tactile_loc.sweeps.combination import combine
 from tactile_loc.sweeps.plan import Plan
 from tactile_loc.sweeps.results import write_sweep
 from tactile_loc.sweeps.sweep import Sweep, Workers, run_sweep
@@ -33,16 +34,23 @@ from tactile_loc.sweeps.workers import DaskWorkers, LocalWorkers
 
 SENSOR = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
 MOCO = {"name": "moco", "epochs": 1, "queries": 32, "batch": 32, "channels": 4}
-ENCODERS = [{"name": "pixel", "cells": 12}, {"name": "pixel", "cells": 20}, MOCO]
+FACTORS = {
+    "object": ["pin", "head", "damping_pin"],
+    "renderer": ["pyrender", "raycast"],
+    "encoder": [MOCO, {"name": "pixel", "cells": 12}, {"name": "pixel", "cells": 20}],
+    "refiner": ["filterreg", "kiss-icp", "render", "none"],
+}
+QUIET = {"dashboard_address": "127.0.0.1:0", "scheduler_kwargs": {"dashboard": False}}
+KILL_AFTER = 0.25  # of the rows
 
 
 def plan_for(arguments: argparse.Namespace) -> Plan:
-    """Return the plan of 2 x 3 x 4 x 3 combinations."""
+    """Return the plan of 3 x 2 x 3 x 4 combinations, or of 2 x 2 x 2 x 2."""
     sensor = arguments.out / "sensor.toml"
     sensor.write_text(SENSOR)
     return Plan.from_values({
-        "object": ["pin", "head", "damping_pin"], "sensor": str(sensor), "renderer": ["pyrender", "raycast"],
-        "encoder": ENCODERS, "refiner": ["none", "filterreg", "kiss-icp", "render"], "count": arguments.count,
+        **{name: values[:2] if arguments.small else values for name, values in FACTORS.items()},
+        "sensor": str(sensor), "count": arguments.count,
         "option": {"grid": {"spacing_mm": arguments.spacing_mm}}, "shape_px": 32, "temperature": 0.01,
     })  # fmt: skip
 
@@ -72,15 +80,16 @@ def killing(rows: Path, after: int, victims: Callable[[], list[int]]) -> Iterato
 def local_workers() -> list[int]:
     """Return the process numbers of this process's local workers."""
     children = psutil.Process().children()
-    return [child.pid for child in children if "tactile_loc.sweeps.worker" in child.cmdline()]
+    return [child.pid for child in children if any("multiprocessing.spawn" in word for word in child.cmdline())]
 
 
 def measure(name: str, arguments: argparse.Namespace, workers: Workers, victims: Callable[[], list[int]] | None) -> Any:
     """Run the sweep into a folder and a store of its own, and return its table and its counts."""
     out, store = arguments.out / name, arguments.out / f"store-{name}"
     plan = plan_for(arguments)
+    after = int(KILL_AFTER * len(combine(plan)[0]))
     start_s = time.perf_counter()
-    with killing(out / "rows", 20, victims or list) as killed:
+    with killing(out / "rows", after, victims or list) as killed:
         swept = run_sweep(plan, out, store, workers)
     seconds = time.perf_counter() - start_s
     write_sweep(out, swept, "chosen")
@@ -111,9 +120,7 @@ def runs(arguments: argparse.Namespace) -> Iterator[tuple[list[dict[str, Any]], 
     if not arguments.only_killed:
         yield measure("local", arguments, local, None)
     yield measure("local-killed", arguments, local, local_workers)
-    with LocalCluster(
-        n_workers=arguments.workers, processes=True, threads_per_worker=1, dashboard_address=None
-    ) as cluster:
+    with LocalCluster(n_workers=arguments.workers, processes=True, threads_per_worker=1, **QUIET) as cluster:
         dask = DaskWorkers(cluster.scheduler_address)
         if not arguments.only_killed:
             yield measure("dask", arguments, dask, None)
@@ -133,6 +140,7 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--count", type=int, default=2, help="touches a combination")
     parser.add_argument("--spacing-mm", type=float, default=8.0)
+    parser.add_argument("--small", action="store_true", help="two of each instead of three or four")
     parser.add_argument("--only-killed", action="store_true", help="leave out the runs in which no worker is killed")
     arguments = parser.parse_args()
     arguments.out = arguments.out.absolute()

@@ -15,10 +15,8 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
-from tactile_loc.sweeps.choices import varied_options
-from tactile_loc.sweeps.plan import Plan
+from tactile_loc.sweeps.plan import Plan, split_all, varied_options
 from tactile_loc.sweeps.table import IDENTITY, MOMENTARY, columns_of
-from tactile_loc.sweeps.words import split_all
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "sweeps.md").read_text()
@@ -66,7 +64,9 @@ def test_the_extra_that_is_to_be_installed_exists():
     (words,) = [w for w in commands() if w[0] == "pip"]
     extra = re.fullmatch(r"tactile-loc\[(\w+)\]", words[-1])[1]
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert {"distributed", "pyarrow"} <= {re.split(r"[<>=]", r)[0] for r in project["optional-dependencies"][extra]}
+    assert {"distributed", "pandas", "pyarrow"} <= {
+        re.split(r"[<>=]", r)[0] for r in project["optional-dependencies"][extra]
+    }
 
 
 @pytest.mark.parametrize("text", blocks("toml"))
@@ -124,7 +124,7 @@ def test_clusters_are_given_to_a_command_that_is_understood(text, monkeypatch):
 def test_the_python_example_runs(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
     (example,) = [b for b in blocks("python") if not any(name in b for name in CLUSTERS)]
-    exec(compile(example, "docs/sweeps.md", "exec"), {})
+    exec(compile(example, "docs/sweeps.md", "exec"), {"__name__": "__main__"})
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert [name for name, _ in rows] == ["none", "icp"]
     assert all(float(value) > 0 for _, value in rows)

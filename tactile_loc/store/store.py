@@ -163,8 +163,8 @@ class StageStore:
         workspace.finish()
         with storing(f"stage {key}", folder):
             os.rename(partial, folder)
+            self.built.append(key)
             sync_folder(folder.parent)
-        self.built.append(key)
         artifact = read_artifact(folder)
         logger.info("Stage %s is built: %.1f MB in %.1f s.", key, artifact.nbytes / 1e6, time.monotonic() - start_s)
         return artifact

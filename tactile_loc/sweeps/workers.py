@@ -311,7 +311,7 @@ def _local_cluster(local: LocalWorkers) -> Iterator[str]:
         try:
             cluster = LocalCluster(
                 n_workers=local.workers, threads_per_worker=1, processes=True, memory_limit=0, preload=[begin],
-                dashboard_address=None, silence_logs=False,
+                dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False}, silence_logs=False,
             )  # fmt: skip
         except (OSError, RuntimeError) as error:
             raise ClusterError(f"local workers do not start ({error}); see {local.log}") from error
@@ -345,9 +345,9 @@ def _end(cluster: Any) -> None:
 
 @contextmanager
 def _environment(threads: int) -> Iterator[None]:
-    """The environment in which workers start, also those that replace one that died: their numbers of threads."""
+    """The environment in which workers start, also those that replace one that died: how many threads each has."""
     before = dict(os.environ)
-    os.environ.update(dict.fromkeys(THREADS, str(threads)))
+    os.environ.update(dict.fromkeys(THREADS, str(threads)), DASK_LOGGING__DISTRIBUTED="warning")
     try:
         yield
     finally:

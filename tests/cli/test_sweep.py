@@ -7,11 +7,14 @@ import os
 import signal
 import subprocess
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from cli_helpers import assert_refused, command, write_box
 
+psutil = pytest.importorskip("psutil")  # distributed brings it
+pytest.importorskip("pandas")
 pytest.importorskip("pyarrow")
 
 SENSOR = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
@@ -153,6 +156,9 @@ def test_failures_are_counted_and_the_exit_code_is_1(cli, plan, tmp_path):
     assert (as_json.exit_code, json.loads(as_json.stdout)["failed"]) == (1, 2)
 
 
+HANGING_S = 600
+
+
 def finished(out: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in out.glob("rows/[!.]*.json")}
 
@@ -163,32 +169,45 @@ def start(tmp_path: Path, store: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
         line, cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         env={**os.environ, "TACTILE_LOC_STORE": str(store)},
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL), start_new_session=True,
     )  # fmt: skip
 
 
 def workers_of(process: subprocess.Popen[str]) -> list[int]:
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-    return [int(pid) for pid in children]
+    """The numbers of a sweep's processes that work; beside them multiprocessing has one that tidies up."""
+    children = psutil.Process(process.pid).children()
+    return [child.pid for child in children if any("multiprocessing.spawn" in word for word in child.cmdline())]
 
 
-def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(plan, tmp_path, cli):
-    process = start(tmp_path, tmp_path / "store")
-    out, end_s = tmp_path / "sweep", time.monotonic() + 120
-    while len(finished(out)) < 2 and time.monotonic() < end_s:
+def wait_for(process: subprocess.Popen[str], reached: Callable[[], bool]) -> None:
+    """Wait until something holds while a process runs; the limit is against hangs only."""
+    end_s = time.monotonic() + HANGING_S
+    while not reached():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end_s
         time.sleep(0.02)
+
+
+@pytest.mark.parametrize("whom", ["the command", "everybody"])
+def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(plan, tmp_path, whom):
+    process = start(tmp_path, tmp_path / "store")
+    out = tmp_path / "sweep"
+    wait_for(process, lambda: len(finished(out)) >= 2)
     workers = workers_of(process)
-    process.send_signal(signal.SIGINT)
-    _, stderr = process.communicate(timeout=60)
+    if whom == "the command":
+        process.send_signal(signal.SIGINT)
+    else:
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    _, stderr = process.communicate(timeout=HANGING_S)
     assert process.returncode == 130, stderr
     assert stderr == "interrupted: what was finished is kept, run the same command again to resume\n"
     assert len(workers) == 2
-    assert not [pid for pid in workers if Path(f"/proc/{pid}").exists()]
+    assert not [pid for pid in workers if _runs(pid)]
     before = finished(out)
     assert 2 <= len(before) < 8
     assert not (out / "sweep.csv").exists()
     resumed = start(tmp_path, tmp_path / "store")
-    stdout, stderr = resumed.communicate(timeout=120)
+    stdout, stderr = resumed.communicate(timeout=HANGING_S)
     assert resumed.returncode == 0, stderr
     assert f"8 combinations: {8 - len(before)} evaluated now, {len(before)} before" in stdout
     assert {name: time_ns for name, time_ns in finished(out).items() if name in before} == before
@@ -196,13 +215,12 @@ def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(plan, tmp_path, cl
 
 def test_workers_end_when_their_parent_is_killed(plan, tmp_path):
     process = start(tmp_path, tmp_path / "store")
-    end_s = time.monotonic() + 120
-    while not finished(tmp_path / "sweep") and time.monotonic() < end_s:
-        time.sleep(0.02)
+    wait_for(process, lambda: len(finished(tmp_path / "sweep")) > 0)
     workers = workers_of(process)
     process.kill()
     process.communicate()
-    end_s = time.monotonic() + 30
+    assert len(workers) == 2
+    end_s = time.monotonic() + HANGING_S
     while any(_runs(pid) for pid in workers) and time.monotonic() < end_s:
         time.sleep(0.1)
     assert not [pid for pid in workers if _runs(pid)]
