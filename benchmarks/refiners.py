@@ -29,12 +29,12 @@ import numpy as np
 from numpy.typing import NDArray
 from single_touch import spacing_for
 
+from tactile_loc.core.cloud_refiner import Cloud, CloudRefiner, Registration
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.interfaces import Candidate, Refiner
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.registration import Cloud, CloudRefiner, Registration
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import Touch
 from tactile_loc.data import DEMO_OBJECTS

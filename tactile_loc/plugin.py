@@ -102,10 +102,10 @@ if TYPE_CHECKING:
 
     # for refiners that register point clouds
     from tactile_loc.core.clouds import contact_cloud as contact_cloud
-    from tactile_loc.core.registration import Cloud as Cloud
-    from tactile_loc.core.registration import CloudRefiner as CloudRefiner
-    from tactile_loc.core.registration import Registration as Registration
-    from tactile_loc.core.registration import orthonormal as orthonormal
+    from tactile_loc.core.cloud_refiner import Cloud as Cloud
+    from tactile_loc.core.cloud_refiner import CloudRefiner as CloudRefiner
+    from tactile_loc.core.cloud_refiner import Registration as Registration
+    from tactile_loc.core.cloud_refiner import orthonormal as orthonormal
 
     # for fusers
     from tactile_loc.core.common_poses import CommonPosesFuser as CommonPosesFuser

@@ -48,61 +48,62 @@ class Noise(StrEnum):
     STRONG = "strong"
 
 
-def _option(flag: str, metavar: str, about: str) -> Any:
-    return typer.Option(flag, metavar=metavar, help=about)
+def declare(flag: str, metavar: str | None, about: str, **limits: Any) -> Any:
+    """Return the declaration of an option that takes one value a time, with its help."""
+    return typer.Option(flag, metavar=metavar, help=about, **limits)
 
 
-def set_option(about: str) -> Any:
+def set_option(about: str, metavar: str = "SLOT.OPTION=VALUE") -> Any:
     """Return the declaration of `-o SLOT.OPTION=VALUE`, with its help."""
-    return typer.Option("-o", "--option", metavar="SLOT.OPTION=VALUE", help=about)
+    return typer.Option("-o", "--option", metavar=metavar, help=about)
 
 
 Object = Annotated[
     str | None,
-    _option("--object", "FILE|DEMO", "Mesh file (STL, OBJ, PLY, ...) or the name of a demo object; by default hook."),
+    declare("--object", "FILE|DEMO", "Mesh file (STL, OBJ, PLY, ...) or the name of a demo object; by default hook."),
 ]
 MeshUnits = Annotated[
     Units | None, typer.Option("--units", help="Unit of the mesh file; by default auto, a guess from its size.")
 ]
 Symmetry = Annotated[
     str | None,
-    _option("--symmetry", "GROUP", "Rotations onto itself: none, z2, z6*x2, zinf, ...; by default auto finds them."),
+    declare("--symmetry", "GROUP", "Rotations onto itself: none, z2, z6*x2, zinf, ...; by default auto finds them."),
 ]
 Sensor = Annotated[
     str | None,
-    _option(
+    declare(
         "--sensor",
         "NAME|FILE.toml|FOLDER",
         "A sensor, its description, or its calibration's folder (./NAME if it is called as a sensor is); by default "
         "gelslim.",
     ),
 ]
-Grid = Annotated[str | None, _option("--grid", "NAME", "Which poses are searched; by default face.")]
-Renderer = Annotated[str | None, _option("--renderer", "NAME", "What renders contact shapes; by default heightmap.")]
-Encoder = Annotated[str | None, _option("--encoder", "NAME", "What makes vectors of them; by default pixel.")]
-Matcher = Annotated[str | None, _option("--matcher", "NAME", "What compares the vectors; by default dense.")]
-Refiner = Annotated[str | None, _option("--refiner", "NAME", "What refines the best poses; by default filterreg.")]
-Fuser = Annotated[str | None, _option("--fuser", "NAME", "What combines touches and prior; by default product.")]
+Grid = Annotated[str | None, declare("--grid", "NAME", "Which poses are searched; by default face.")]
+Renderer = Annotated[str | None, declare("--renderer", "NAME", "What renders contact shapes; by default heightmap.")]
+Encoder = Annotated[str | None, declare("--encoder", "NAME", "What makes vectors of them; by default pixel.")]
+Matcher = Annotated[str | None, declare("--matcher", "NAME", "What compares the vectors; by default dense.")]
+Refiner = Annotated[str | None, declare("--refiner", "NAME", "What refines the best poses; by default filterreg.")]
+Fuser = Annotated[str | None, declare("--fuser", "NAME", "What combines touches and prior; by default product.")]
 SetOption = Annotated[
     list[str] | None,
     set_option("A component's option, as grid.spacing_mm=3; may be repeated; `plugins SLOT NAME` lists them."),
 ]
 Config = Annotated[
     Path | None,
-    _option("--config", "FILE.toml", "Settings from a TOML file; options on the command line override it."),
+    declare("--config", "FILE.toml", "Settings from a TOML file; options on the command line override it."),
 ]
 PressDepth = Annotated[
     float | None,
-    _option("--press-depth", "MM", "How deep the press was, in mm; by default as the file says, or the deepest."),
+    declare("--press-depth", "MM", "How deep the press was, in mm; by default as the file says, or the deepest."),
 ]
 TouchNoise = Annotated[
     Noise | None,
     typer.Option("--noise", help="How far simulated touches are from clean renders; by default none."),
 ]
-Seed = Annotated[int | None, _option("--seed", "N", "Seed of everything random; by default 0.")]
+Seed = Annotated[int | None, declare("--seed", "N", "Seed of everything random; by default 0.")]
 Store = Annotated[
     Path | None,
-    _option("--store", "FOLDER", "Where models are kept; by default $TACTILE_LOC_STORE or ~/.cache/tactile-loc."),
+    declare("--store", "FOLDER", "Where models are kept; by default $TACTILE_LOC_STORE or ~/.cache/tactile-loc."),
 ]
 
 

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.registry import SLOTS
-from tactile_loc_cli import options
-from tactile_loc_cli.commands import sweep_report
+from tactile_loc_cli import options, sweep_results
 from tactile_loc_cli.console import complain, progress
 from tactile_loc_cli.failures import UNEXPECTED, Finding
+from tactile_loc_cli.options import declare, set_option
 
 if TYPE_CHECKING:
     from tactile_loc.sweeps.plan import Plan
@@ -20,76 +19,55 @@ if TYPE_CHECKING:
 DEFAULT_OUT = Path("sweep")
 
 
-def _several(flag: str, metavar: str, about: str) -> Any:
-    return typer.Option(flag, metavar=metavar, help=about)
-
-
 PlanFile = Annotated[
     Path | None, typer.Argument(metavar="PLAN.toml", help="The plan; options on the command line override it.")
 ]
 Objects = Annotated[
     list[str] | None,
-    _several("--object", "FILE|DEMO,...", "Mesh files or demo objects; by default all demo objects."),
+    declare("--object", "FILE|DEMO,...", "Mesh files or demo objects; by default all demo objects."),
 ]
-Sensors = Annotated[list[str] | None, _several("--sensor", "NAME|PATH,...", "Sensors; by default gelslim.")]
-Renderers = Annotated[list[str] | None, _several("--renderer", "NAME,...", "Renderers; by default heightmap.")]
-Grids = Annotated[list[str] | None, _several("--grid", "NAME,...", "Grids; by default face.")]
-Encoders = Annotated[list[str] | None, _several("--encoder", "NAME,...", "Encoders; by default pixel.")]
-Matchers = Annotated[list[str] | None, _several("--matcher", "NAME,...", "Matchers; by default dense.")]
-Refiners = Annotated[list[str] | None, _several("--refiner", "NAME,...", "Refiners; by default filterreg.")]
-Fusers = Annotated[list[str] | None, _several("--fuser", "NAME,...", "Fusers; by default product.")]
+Sensors = Annotated[list[str] | None, declare("--sensor", "NAME|PATH,...", "Sensors; by default gelslim.")]
+Renderers = Annotated[list[str] | None, declare("--renderer", "NAME,...", "Renderers; by default heightmap.")]
+Grids = Annotated[list[str] | None, declare("--grid", "NAME,...", "Grids; by default face.")]
+Encoders = Annotated[list[str] | None, declare("--encoder", "NAME,...", "Encoders; by default pixel.")]
+Matchers = Annotated[list[str] | None, declare("--matcher", "NAME,...", "Matchers; by default dense.")]
+Refiners = Annotated[list[str] | None, declare("--refiner", "NAME,...", "Refiners; by default filterreg.")]
+Fusers = Annotated[list[str] | None, declare("--fuser", "NAME,...", "Fusers; by default product.")]
 Noises = Annotated[
-    list[str] | None, _several("--noise", "NAME,...", "Noises of the touches: none, mild, strong; by default strong.")
+    list[str] | None, declare("--noise", "NAME,...", "Noises of the touches: none, mild, strong; by default strong.")
 ]
-Seeds = Annotated[list[str] | None, _several("--seed", "N,...", "Seeds of the touches; by default 0.")]
+Seeds = Annotated[list[str] | None, declare("--seed", "N,...", "Seeds of the touches; by default 0.")]
 Options = Annotated[
     list[str] | None,
-    typer.Option(
-        "-o",
-        "--option",
-        metavar="SLOT.OPTION=VALUE,...",
-        help="Values of an option, as grid.spacing_mm=3,4; they go to the components that have it; may be repeated.",
+    set_option(
+        "Values of an option, as grid.spacing_mm=3,4; they go to the components that have it; may be repeated.",
+        "SLOT.OPTION=VALUE,...",
     ),
 ]
 Count = Annotated[
-    int | None,
-    typer.Option("--count", min=1, max=100_000, metavar="N", help="Simulated touches a combination; by default 150."),
+    int | None, declare("--count", "N", "Simulated touches a combination; by default 150.", min=1, max=100_000)
 ]
 Line = Annotated[
-    str,
-    typer.Option(
-        "--line",
-        metavar="LINE",
-        help="Whose errors sweep.md, pictures and comparisons show: best-1, reg-1, chosen, ...",
-    ),
+    str, declare("--line", "LINE", "Whose errors sweep.md, pictures and comparisons show: best-1, reg-1, chosen, ...")
 ]
-Workers_ = Annotated[
-    int | None, typer.Option("--workers", min=1, metavar="N", help="Local processes; by default one a core.")
-]
+Processes = Annotated[int | None, declare("--workers", "N", "Local processes; by default one a core.", min=1)]
 Threads = Annotated[
-    int | None,
-    typer.Option("--threads", min=1, metavar="N", help="Threads of each local process (OpenMP, numba); by default 1."),
+    int | None, declare("--threads", "N", "Threads of each local process (OpenMP, numba); by default 1.", min=1)
 ]
 Scheduler = Annotated[
-    str | None,
-    typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="Run on the workers of this Dask scheduler instead."),
+    str | None, declare("--scheduler", "tcp://HOST:PORT", "Run on the workers of this Dask scheduler instead.")
 ]
 DryRun = Annotated[
     bool, typer.Option("--dry-run", help="List the combinations and count the stages to be built; run nothing.")
 ]
 Compare = Annotated[
-    Path | None,
-    typer.Option(
-        "--compare", metavar="FOLDER", help="Compare --out with this older sweep; without a plan, only compare."
-    ),
+    Path | None, declare("--compare", "FOLDER", "Compare --out with this older sweep; without a plan, only compare.")
 ]
-Out = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where the rows, tables and pictures go.")]
+Out = Annotated[Path, declare("--out", "FOLDER", "Where the rows, tables and pictures go.")]
 Store = Annotated[
     Path | None,
-    typer.Option(
-        "--store",
-        metavar="FOLDER",
-        help="Where models are kept, the same folder for all workers; by default as for other commands.",
+    declare(
+        "--store", "FOLDER", "Where models are kept, the same folder for all workers; by default as for other commands."
     ),
 ]
 
@@ -111,7 +89,7 @@ def sweep(
     option: Options = None,
     count: Count = None,
     line: Line = "chosen",
-    workers: Workers_ = None,
+    workers: Processes = None,
     threads: Threads = None,
     scheduler: Scheduler = None,
     dry_run: DryRun = False,
@@ -125,31 +103,33 @@ def sweep(
     evaluated, as in docs/sweeps.md, on local processes or a Dask cluster. A combination that fails is a row with its
     error, and the exit code is then 1. Interrupted, the same command resumes.
     """
-    given = {key: value for key, value in locals().items() if key in _PLANNED and value is not None}
     from tactile_loc.sweeps.results import require_line
+
+    planned = {
+        "object": object, "sensor": sensor, "renderer": renderer, "grid": grid, "encoder": encoder, "matcher": matcher,
+        "refiner": refiner, "fuser": fuser, "noise": noise, "seed": seed, "count": count, "option": option,
+    }  # fmt: skip
+    given = {key: value for key, value in planned.items() if value is not None}
 
     require_line(line)
     if plan is None and not given:
-        return sweep_report.compare_with(compare, out, line)
+        return sweep_results.compare_with(compare, out, line)
     wanted = _plan(plan, given, units, symmetry)
     place = _store(store)
     if dry_run:
-        return sweep_report.dry_run(wanted, out, place)
+        return sweep_results.dry_run(wanted, out, place)
     if compare is not None:
-        sweep_report.require_sweep(compare)
+        sweep_results.require_sweep(compare)
     found = _run(wanted, out, place, _workers(workers, threads, scheduler, out))
-    report = sweep_report.report(found, out, line)
+    report = sweep_results.report(found, out, line)
     if compare is not None:
-        report["comparison"] = sweep_report.compare_with(compare, out, line)
+        report["comparison"] = sweep_results.compare_with(compare, out, line)
     if found.failed:
         complain(
             "failed", f"{found.failed} of {len(found.combinations)} combinations; the errors are in {out}/sweep.md"
         )
         raise Finding(UNEXPECTED, report)
     return report
-
-
-_PLANNED = ("object", *SLOTS, "noise", "seed", "count", "option")
 
 
 def _plan(path: Path | None, given: dict[str, Any], units: options.Units | None, symmetry: str | None) -> Plan:

@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tactile_loc.core.cloud_refiner import CloudRefiner, Registration, orthonormal
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry import translation
-from tactile_loc.core.registration import CloudRefiner, Registration, orthonormal
 from tactile_loc.core.registry import registry
 from tactile_loc.testing.problems import OFFSETS, pressed_block, with_depth
 
