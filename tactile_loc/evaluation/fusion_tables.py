@@ -8,17 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from tactile_loc.core.formatting import mm
+from tactile_loc.evaluation import tabular
 from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES, FUSION_VERSION, FusionEvaluation
-from tactile_loc.evaluation.tabular import (
-    EvaluatedObject,
-    Statistics,
-    bracketed,
-    columns,
-    csv_table,
-    document,
-    markdown_table,
-    write_all,
-)
 
 SCHEMA_VERSION = 1
 NOTE = (
@@ -29,15 +20,15 @@ NOTE = (
 
 
 @dataclass(frozen=True, eq=False)
-class FusionRun(EvaluatedObject):
+class FusionRun(tabular.EvaluatedObject):
     """One object evaluated with one encoder, from several touches."""
 
     evaluation: FusionEvaluation
 
-    def statistics(self, line: str, contacts: int, normalised: bool = False) -> Statistics:
+    def statistics(self, line: str, contacts: int, normalised: bool = False) -> tabular.Statistics:
         """Return the statistics of a line: in metres, or as shares of the mean random error if `normalised`."""
         found = self.evaluation
-        return Statistics.of(found.normalised(line, contacts) if normalised else found.errors(line, contacts))
+        return tabular.Statistics.of(found.normalised(line, contacts) if normalised else found.errors(line, contacts))
 
 
 def median_header(runs: Sequence[FusionRun]) -> list[str]:
@@ -61,32 +52,32 @@ def median_rows(runs: Sequence[FusionRun], normalised: bool) -> list[list[str]]:
 
 def markdown(runs: Sequence[FusionRun], heading: str) -> str:
     """Return all tables as Markdown, the lengths in mm."""
-    medians = bracketed(median_rows(runs, False), median_rows(runs, True), names=3)
-    parts = [f"# {heading}\n", f"{NOTE}\n", "Medians:\n", markdown_table(median_header(runs), medians)]
+    medians = tabular.bracketed(median_rows(runs, False), median_rows(runs, True), names=3)
+    parts = [f"# {heading}\n", f"{NOTE}\n", "Medians:\n", tabular.markdown_table(median_header(runs), medians)]
     for run in runs:
         random = mm(run.evaluation.scale_m())
         parts.append(f"## {run.object}, {run.encoder}\n")
         parts.append(f"{run.grid_poses} grid poses, symmetry {run.symmetry}; a random pose: {random} mm in the mean\n")
-        parts.append(markdown_table(_DETAILS, list(_detail_rows(run))))
+        parts.append(tabular.markdown_table(_DETAILS, list(_detail_rows(run))))
     return "\n".join(parts)
 
 
 def csv_text(runs: Sequence[FusionRun]) -> str:
     """Return one row for each object, encoder, line and number of contacts as CSV, lengths in mm."""
-    return csv_table(list(_long_rows(runs)))
+    return tabular.csv_table(list(_long_rows(runs)))
 
 
 def record(runs: Sequence[FusionRun], protocol: Mapping[str, Any]) -> dict[str, Any]:
     """Return everything as JSON values in SI units; `protocol` says how many examples, which noise and seed."""
     asked = {"version": FUSION_VERSION, "contacts": list(runs[0].evaluation.contacts), **protocol}
-    return document(SCHEMA_VERSION, asked, [_run_record(run) for run in runs])
+    return tabular.document(SCHEMA_VERSION, asked, [_run_record(run) for run in runs])
 
 
 def write_fusion_tables(
     folder: Path, runs: Sequence[FusionRun], protocol: Mapping[str, Any], heading: str
 ) -> list[Path]:
     """Write contacts.json, contacts.csv and contacts.md and return their paths. Raises OutputError."""
-    return write_all(folder, "contacts", record(runs, protocol), csv_text(runs), markdown(runs, heading))
+    return tabular.write_all(folder, "contacts", record(runs, protocol), csv_text(runs), markdown(runs, heading))
 
 
 def _contacts(count: int) -> str:
@@ -118,7 +109,7 @@ def _long_rows(runs: Sequence[FusionRun]) -> Iterator[dict[str, Any]]:
                 names = {"object": run.object, "encoder": run.encoder, "line": line, "contacts": n}
                 metres, shares = run.statistics(line, n), run.statistics(line, n, normalised=True)
                 without = run.evaluation.without_common(line, n)
-                yield {**names, **columns(metres, shares), "without_common": without}
+                yield {**names, **tabular.columns(metres, shares), "without_common": without}
 
 
 _DETAILS = [

@@ -10,18 +10,9 @@ from typing import Any
 import numpy as np
 
 from tactile_loc.core.formatting import mm
+from tactile_loc.evaluation import tabular
 from tactile_loc.evaluation.posterior_metrics import LEVELS, POSTERIOR_METRICS, PosteriorSummary
 from tactile_loc.evaluation.protocol import LINES, METRICS, PROTOCOL_VERSION, STAGES, Evaluation
-from tactile_loc.evaluation.tabular import (
-    EvaluatedObject,
-    Statistics,
-    bracketed,
-    columns,
-    csv_table,
-    document,
-    markdown_table,
-    write_all,
-)
 
 SCHEMA_VERSION = 2
 SHOWN = tuple(line for line in LINES if line != "random-10")  # in the summary
@@ -34,15 +25,15 @@ COVERAGE_NOTE = (
 
 
 @dataclass(frozen=True, eq=False)
-class Run(EvaluatedObject):
+class Run(tabular.EvaluatedObject):
     """One object evaluated with one encoder, from one touch."""
 
     evaluation: Evaluation
 
-    def statistics(self, line: str, metric: str = "add", normalised: bool = False) -> Statistics:
+    def statistics(self, line: str, metric: str = "add", normalised: bool = False) -> tabular.Statistics:
         """Return the statistics of a line: in metres, or as shares of the mean random error if `normalised`."""
         values = self.evaluation.errors(line, metric)
-        return Statistics.of(values / self.evaluation.scale_m(metric) if normalised else values)
+        return tabular.Statistics.of(values / self.evaluation.scale_m(metric) if normalised else values)
 
     def posterior_summary(self) -> PosteriorSummary:
         """Return the metrics of the posteriors, summed up."""
@@ -60,7 +51,7 @@ def summary_header() -> list[str]:
 
 def summary_rows(runs: Sequence[Run]) -> list[list[str]]:
     """Return a row of cells for each run: the median ADD of each line, "mm (normalised)"."""
-    return bracketed(medians_mm(runs), medians_normalised(runs), names=2)
+    return tabular.bracketed(medians_mm(runs), medians_normalised(runs), names=2)
 
 
 def medians_mm(runs: Sequence[Run]) -> list[list[str]]:
@@ -99,30 +90,33 @@ def posterior_header() -> list[str]:
 def markdown(runs: Sequence[Run], heading: str) -> str:
     """Return all tables as Markdown, the lengths in mm."""
     note = "Median ADD in mm and, in brackets, divided by the mean error of a random pose; symmetry regarded."
-    parts = [f"# {heading}\n", f"{note}\n", markdown_table(summary_header(), summary_rows(runs))]
-    parts += ["Median time of each stage, ms:\n", markdown_table(["object", "encoder", *STAGES], time_rows(runs))]
-    parts += [f"{COVERAGE_NOTE}\n", markdown_table(posterior_header(), posterior_rows(runs))]
+    parts = [f"# {heading}\n", f"{note}\n", tabular.markdown_table(summary_header(), summary_rows(runs))]
+    times = tabular.markdown_table(["object", "encoder", *STAGES], time_rows(runs))
+    parts += [f"Median time of each stage, ms:\n\n{times}"]
+    parts += [f"{COVERAGE_NOTE}\n", tabular.markdown_table(posterior_header(), posterior_rows(runs))]
     for run in runs:
         parts.append(
             f"## {run.object}, {run.encoder}\n\n{run.grid_poses} grid poses, symmetry {run.symmetry}; ADD, mm:\n"
         )
-        parts.append(markdown_table(_DETAILS, _detail_rows(run)))
+        parts.append(tabular.markdown_table(_DETAILS, _detail_rows(run)))
     return "\n".join(parts)
 
 
 def csv_text(runs: Sequence[Run]) -> str:
     """Return one row for each object, encoder, line and metric as CSV, lengths in mm."""
-    return csv_table(list(_long_rows(runs)))
+    return tabular.csv_table(list(_long_rows(runs)))
 
 
 def record(runs: Sequence[Run], protocol: Mapping[str, Any]) -> dict[str, Any]:
     """Return everything as JSON values in SI units; `protocol` says how many touches, which noise and seed."""
-    return document(SCHEMA_VERSION, {"version": PROTOCOL_VERSION, **protocol}, [_run_record(run) for run in runs])
+    return tabular.document(
+        SCHEMA_VERSION, {"version": PROTOCOL_VERSION, **protocol}, [_run_record(run) for run in runs]
+    )
 
 
 def write_tables(folder: Path, runs: Sequence[Run], protocol: Mapping[str, Any], heading: str) -> list[Path]:
     """Write results.json, results.csv and results.md and return their paths. Raises OutputError."""
-    return write_all(folder, "results", record(runs, protocol), csv_text(runs), markdown(runs, heading))
+    return tabular.write_all(folder, "results", record(runs, protocol), csv_text(runs), markdown(runs, heading))
 
 
 def _run_record(run: Run) -> dict[str, Any]:
@@ -149,7 +143,7 @@ def _long_rows(runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
             for metric in METRICS:
                 names = {"object": run.object, "encoder": run.encoder, "line": line, "metric": metric}
                 metres, shares = run.statistics(line, metric), run.statistics(line, metric, normalised=True)
-                yield {**names, **columns(metres, shares)}
+                yield {**names, **tabular.columns(metres, shares)}
 
 
 _DETAILS = [

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tactile_loc_cli.console import progress, say
-from tactile_loc_cli.options import Store
+from tactile_loc_cli.options import Store, declare, set_option
 
 if TYPE_CHECKING:
     from tactile_loc.calibration.estimator import GelEstimator
@@ -45,72 +45,64 @@ class Background(StrEnum):
     MEDIAN = "median"
 
 
+Folder = Annotated[
+    Path | None, typer.Argument(metavar="FOLDER", help="Images of presses, and presses.csv with what was pressed.")
+]
+Geometry = Annotated[
+    str | None,
+    declare(
+        "--sensor", "FILE.toml|NAME",
+        "The sensor's geometry; by default FOLDER/sensor.toml. With --simulated also a name, by default gelslim.",
+    ),
+]  # fmt: skip
+EstimatorName = Annotated[
+    Estimator, typer.Option("--estimator", help="What learns: slope from colour, or a network on the whole image.")
+]
+Untouched = Annotated[
+    Background, typer.Option("--background", help="The untouched gel: the table's, or the median of all presses.")
+]
+PublicFormat = Annotated[
+    Format | None, typer.Option("--format", help="FOLDER is a public set of this format, not a table.")
+]
+BallRadius = Annotated[float | None, declare("--ball-radius", "MM", "With --format: the ball's radius, in mm.")]
+PixelSize = Annotated[float | None, declare("--mm-per-px", "MM", "With --format: the size of a pixel, in mm.")]
+ImageSize = Annotated[
+    tuple[int, int] | None,
+    declare(
+        "--image-size", "WIDTH HEIGHT",
+        "Reduce the camera's images to this size, in pixels; the labels stay those of the camera's.", min=16,
+    ),
+]  # fmt: skip
+Simulated = Annotated[bool, typer.Option("--simulated", help="No FOLDER: press two calibration boards in simulation.")]
+Lamps = Annotated[
+    str | None, declare("--optics", "NAME", "With --simulated: whose lamps, gelslim, gelsight-mini or digit.")
+]
+Presses = Annotated[
+    int | None,
+    declare(
+        "--presses", "N", "With --simulated: how many presses; by default 200, or 2000 for cnn.", min=5, max=100_000
+    ),
+]
+EstimatorOption = Annotated[list[str] | None, set_option("The estimator's option, as steps=4000.", "OPTION=VALUE")]
+HeldOutSeed = Annotated[int, declare("--seed", "N", "Seed of what is held out.", min=0)]
+Out = Annotated[Path, declare("--out", "FOLDER", "Where the calibrated sensor goes.")]
+
+
 def calibrate(
-    folder: Annotated[
-        Path | None,
-        typer.Argument(metavar="FOLDER", help="Images of presses, and presses.csv with what was pressed."),
-    ] = None,
-    sensor: Annotated[
-        str | None,
-        typer.Option(
-            "--sensor",
-            metavar="FILE.toml|NAME",
-            help="The sensor's geometry; by default FOLDER/sensor.toml. With --simulated also a name, by default "
-            "gelslim.",
-        ),
-    ] = None,
-    estimator: Annotated[
-        Estimator, typer.Option("--estimator", help="What learns: slope from colour, or a network on the whole image.")
-    ] = Estimator.PHOTOMETRIC,
-    background: Annotated[
-        Background,
-        typer.Option("--background", help="The untouched gel: the table's, or the median of all presses."),
-    ] = Background.TABLE,
-    format: Annotated[
-        Format | None, typer.Option("--format", help="FOLDER is a public set of this format, not a table.")
-    ] = None,
-    ball_radius: Annotated[
-        float | None, typer.Option("--ball-radius", metavar="MM", help="With --format: the ball's radius, in mm.")
-    ] = None,
-    mm_per_px: Annotated[
-        float | None, typer.Option("--mm-per-px", metavar="MM", help="With --format: the size of a pixel, in mm.")
-    ] = None,
-    image_size: Annotated[
-        tuple[int, int] | None,
-        typer.Option(
-            "--image-size",
-            min=16,
-            metavar="WIDTH HEIGHT",
-            help="Reduce the camera's images to this size, in pixels; the labels stay those of the camera's.",
-        ),
-    ] = None,
-    simulated: Annotated[
-        bool, typer.Option("--simulated", help="No FOLDER: press two calibration boards in simulation.")
-    ] = False,
-    optics: Annotated[
-        str | None,
-        typer.Option(
-            "--optics", metavar="NAME", help="With --simulated: whose lamps, gelslim, gelsight-mini or digit."
-        ),
-    ] = None,
-    presses: Annotated[
-        int | None,
-        typer.Option(
-            "--presses",
-            min=5,
-            max=100_000,
-            metavar="N",
-            help="With --simulated: how many presses; by default 200, or 2000 for cnn.",
-        ),
-    ] = None,
-    option: Annotated[
-        list[str] | None,
-        typer.Option("-o", "--option", metavar="OPTION=VALUE", help="The estimator's option, as steps=4000."),
-    ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Seed of what is held out.")] = 0,
-    out: Annotated[
-        Path, typer.Option("--out", metavar="FOLDER", help="Where the calibrated sensor goes.")
-    ] = DEFAULT_OUT,
+    folder: Folder = None,
+    sensor: Geometry = None,
+    estimator: EstimatorName = Estimator.PHOTOMETRIC,
+    background: Untouched = Background.TABLE,
+    format: PublicFormat = None,
+    ball_radius: BallRadius = None,
+    mm_per_px: PixelSize = None,
+    image_size: ImageSize = None,
+    simulated: Simulated = False,
+    optics: Lamps = None,
+    presses: Presses = None,
+    option: EstimatorOption = None,
+    seed: HeldOutSeed = 0,
+    out: Out = DEFAULT_OUT,
     store: Store = None,
 ) -> dict[str, Any]:
     """Calibrate a sensor for images.

@@ -32,32 +32,26 @@ _PART = re.compile(r"(\d+)(?:\.\.(\d+))?")
 
 Objects = Annotated[
     list[str] | None,
-    typer.Option(
-        "--object", metavar="FILE|DEMO", help="Mesh file or demo object; may be repeated; by default all demo objects."
-    ),
+    options.declare("--object", "FILE|DEMO", "Mesh file or demo object; may be repeated; by default all demo objects."),
 ]
 Encoders = Annotated[
-    list[str] | None,
-    typer.Option("--encoder", metavar="NAME", help="What makes vectors; may be repeated; by default pixel."),
+    list[str] | None, options.declare("--encoder", "NAME", "What makes vectors; may be repeated; by default pixel.")
 ]
 Count = Annotated[
     int | None,
-    typer.Option(
-        "--count",
-        min=1,
-        max=100_000,
-        metavar="N",
-        help="How many simulated touches an object, by default 150; with --contacts how many examples, by default 100.",
+    options.declare(
+        "--count", "N",
+        "How many simulated touches an object, by default 150; with --contacts how many examples, by default 100.",
+        min=1, max=100_000,
     ),
-]
+]  # fmt: skip
 Contacts = Annotated[
     str | None,
-    typer.Option(
-        "--contacts",
-        metavar="RANGE",
-        help="Locate from several touches at once, of so many: 1..7, or 1,2,3 (1 to 20); beside contact alone.",
+    options.declare(
+        "--contacts", "RANGE",
+        "Locate from several touches at once, of so many: 1..7, or 1,2,3 (1 to 20); beside contact alone.",
     ),
-]
+]  # fmt: skip
 
 
 class TouchKind(enum.StrEnum):
@@ -78,10 +72,8 @@ TouchNoise = Annotated[
     options.Noise | None,
     typer.Option("--noise", help="How far shapes are from clean renders; by default strong. Images have their own."),
 ]
-Seed = Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Seed of the touches and the random poses.")]
-Out = Annotated[
-    Path, typer.Option("--out", metavar="FOLDER", help="Where results.json, .csv, .md and the pictures go.")
-]
+Seed = Annotated[int, options.declare("--seed", "N", "Seed of the touches and the random poses.", min=0)]
+Out = Annotated[Path, options.declare("--out", "FOLDER", "Where results.json, .csv, .md and the pictures go.")]
 
 
 def evaluate(

@@ -21,12 +21,21 @@ if TYPE_CHECKING:
 DEFAULT_OUT = Path("tactile-loc-touches")
 BATCH = 16  # images rendered at once
 
+Lamps = Annotated[
+    str | None,
+    options.declare(
+        "--optics", "NAME",
+        "Whose lights and gel the images show: gelslim, gelsight-mini or digit; by default the sensor's own if it is "
+        "one of these, else gelslim. Implies --images.",
+    ),
+]  # fmt: skip
+
 
 def simulate(
     object: options.Object = None,
     units: options.MeshUnits = None,
     symmetry: options.Symmetry = None,
-    count: Annotated[int, typer.Option("--count", min=1, max=100_000, metavar="N", help="How many touches.")] = 10,
+    count: Annotated[int, options.declare("--count", "N", "How many touches.", min=1, max=100_000)] = 10,
     press_depth: options.PressDepth = None,
     noise: options.TouchNoise = None,
     sensor: options.Sensor = None,
@@ -37,18 +46,10 @@ def simulate(
     images: Annotated[
         bool, typer.Option("--images", help="Also write what the camera sees: NAME.png for a touch, background.png.")
     ] = False,
-    optics: Annotated[
-        str | None,
-        typer.Option(
-            "--optics",
-            metavar="NAME",
-            help="Whose lights and gel the images show: gelslim, gelsight-mini or digit; by default the sensor's own "
-            "if it is one of these, else gelslim. Implies --images.",
-        ),
-    ] = None,
+    optics: Lamps = None,
     seed: options.Seed = None,
     out: Annotated[
-        Path, typer.Option("--out", metavar="FOLDER", help="Where touches, poses.json and touches.png go.")
+        Path, options.declare("--out", "FOLDER", "Where touches, poses.json and touches.png go.")
     ] = DEFAULT_OUT,
 ) -> dict[str, Any]:
     """Simulate touches with known poses.
