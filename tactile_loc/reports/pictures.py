@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.sensing import ContactShape, SensorGeometry
 from tactile_loc.drawing.pictures import extent_mm
+from tactile_loc.io.images import load_image
 from tactile_loc.reports.scene import number, outlines_mm, round_values
 
 log = logging.getLogger(__name__)
@@ -105,9 +106,8 @@ def gallery_picture(path: Path) -> str | None:
     from PIL import Image
 
     try:
-        with Image.open(path) as image:
-            small = image.convert("RGB")
-    except OSError:
+        small = Image.fromarray(load_image(path, "RGB")[1])
+    except (OSError, ValueError):
         log.warning(f"{path} cannot be read as a picture and is left out of the report")
         return None
     if small.width > WIDEST_PX:

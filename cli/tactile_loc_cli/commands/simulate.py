@@ -135,8 +135,7 @@ def _write_images(touches: list[Touch], optics: Optics, seed: int, out: Path) ->
 
 
 def _write_png(path: Path, image: NDArray[Any]) -> None:
-    from PIL import Image
-
+    from tactile_loc.io.images import write_image
     from tactile_loc.store.files import write_atomically
 
-    write_atomically(path, lambda temporary: Image.fromarray(image).save(temporary))
+    write_atomically(path, lambda temporary: write_image(temporary, image))
