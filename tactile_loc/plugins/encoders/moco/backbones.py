@@ -52,10 +52,6 @@ class Backbone(nn.Module):
         """Return the vectors (N, channels*h*w) of images (N, in_channels, H, W): the map flattened, not normalised."""
         return self.feature_map(images).flatten(1)
 
-    def map_shape(self, height_px: int, width_px: int) -> tuple[int, int, int]:
-        """Return (channels, h, w) of the map of an image `height_px` by `width_px`; their product is the dimension."""
-        return self.channels, -(-height_px // self.stride_px), -(-width_px // self.stride_px)
-
 
 def norm_layer(norm: Norm, width: int, groups: int) -> nn.Module:
     """Return batch normalisation, or group normalisation in `groups` groups, of `width` channels.
