@@ -157,7 +157,7 @@ def _draw_candidates(
         draw_outline(axes, touch)
         axes.set(xticks=[], yticks=[])
         axes.set_title(_caption(i, hypothesis.probability, hypothesis.imprint_iou, errors_m), size=8.5, pad=4)
-    _heading(panel, "best explanations" if columns == 2 else "best")
+    _heading(panel, "best explanations: probability, imprint IoU" if columns == 2 else "best")
     panel.text(0.5, 0.012, "red: observed outline", size=9, ha="center", va="bottom", color=OUTLINE)
 
 
@@ -166,7 +166,7 @@ def _heading(panel: SubFigure, text: str) -> None:
 
 
 def _caption(i: int, probability: float, imprint_iou: float, errors_m: NDArray[np.float64] | None) -> str:
-    text = f"{i + 1}:  {percent(probability)},  imprint IoU {100 * imprint_iou:.0f} %"
+    text = f"{i + 1}:  {percent(probability)},  IoU {100 * imprint_iou:.0f} %"
     return text if errors_m is None else f"{text},  {millimetres(errors_m[i])} off"
 
 

@@ -45,7 +45,7 @@ def test_everything_is_labelled_with_units(figure):
 
 
 def test_each_candidate_has_its_probability_score_and_error(figure, localization):
-    captions = [text for text in texts(figure) if "imprint IoU" in text]
+    captions = [text for text in texts(figure) if " %,  IoU " in text]
     assert len(captions) == min(4, len(localization.hypotheses))
     best = localization.best
     assert captions[0].startswith(f"1:  {percent(best.probability)}")
@@ -77,7 +77,7 @@ def test_a_photo_is_shown_with_the_outline_that_the_best_pose_makes(localizer, l
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_few_candidates(localizer, localization, count):
     few = dataclasses.replace(localization, hypotheses=(localization.best,) * count)
-    captions = [text for text in texts(draw_result(few, localizer.scene, "pin")) if "imprint IoU" in text]
+    captions = [text for text in texts(draw_result(few, localizer.scene, "pin")) if " %,  IoU " in text]
     assert len(captions) == count
 
 
