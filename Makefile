@@ -6,7 +6,7 @@ PYTHON ?=
 VENV := .venv
 STAMP := $(VENV)/.installed
 RUN := $(VENV)/bin/python -m
-PYTEST_FLAGS ?= -q -n 2 --dist loadfile
+PYTEST_FLAGS ?= -q -n 2 --dist loadfile --no-loadscope-reorder
 
 # ROS and others put their own packages, pytest plugins among them, in front of ours.
 unexport PYTHONPATH PYTHONHOME

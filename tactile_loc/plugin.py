@@ -97,6 +97,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.grids import contact_grid as contact_grid
     from tactile_loc.core.grids import random_contact_poses as random_contact_poses
     from tactile_loc.core.grids import random_contacts as random_contacts
+    from tactile_loc.core.noise import NoiseLevel as NoiseLevel
     from tactile_loc.core.noise import TouchNoise as TouchNoise
     from tactile_loc.core.noise import noise_level as noise_level
 

@@ -27,6 +27,12 @@ SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 MakeObject = Callable[..., ObjectModel]
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests come first: what comes last must not keep one process at work alone."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of larger meshes and real touches, which are not part of the project."""

@@ -147,6 +147,7 @@ def run(words: list[str]) -> None:
     assert done.exit_code == 0, (words, done.stderr)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if commands(page)])
 def test_commands_run(page, workplace):
     for words in commands(page):

@@ -14,7 +14,7 @@ from pydantic import Field
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry import make_transform, random_rotations
 from tactile_loc.core.interfaces import GridSampler
-from tactile_loc.core.objects import ObjectModel, TriangleMesh
+from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import SensorGeometry
 
@@ -164,25 +164,13 @@ def centroid_range(obj: ObjectModel, R: Float, geometry: SensorGeometry) -> tupl
 
     Between them, the turned object's bounding box overlaps the sensing rectangle; beyond, there can be no contact.
     """
-    points = _extreme_points(obj.mesh) - obj.mesh.centroid_m
+    points = obj.mesh.hull_corners_m - obj.mesh.centroid_m
     low, high = np.empty((len(R), 2)), np.empty((len(R), 2))
     step = max(1, MOST_TURNED // len(points))
     for s in range(0, len(R), step):
         turned = points @ np.swapaxes(R[s : s + step], -1, -2)
         low[s : s + step], high[s : s + step] = reachable_translations(turned, geometry.rectangle)
     return low, high
-
-
-def _extreme_points(mesh: TriangleMesh) -> Float:
-    """The vertices (V, 3) in metres that bound the surface from every side: those of its convex hull."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    used: Float = mesh.vertices_m[np.unique(mesh.faces)]
-    try:
-        hull: Float = used[ConvexHull(used).vertices]
-    except QhullError:  # a flat surface has no hull
-        return used
-    return hull
 
 
 def _drawn(obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Iterator[Poses]:

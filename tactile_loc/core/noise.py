@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -293,7 +293,8 @@ class TouchNoise:
             stamp(depth, gel, centres, radius, press[centres.image, 0, 0] * (1 - imprint), np.minimum)
 
 
-NOISE = {
+NoiseLevel = Literal["none", "mild", "strong"]
+NOISE: dict[str, TouchNoise] = {
     "none": TouchNoise(),
     "mild": TouchNoise(
         press_share=(0.75, 1.0), press_error=0.03, smoothing_m=1.5e-4, least_m=5e-5, edge_m=5e-5, drift_m=3e-5,

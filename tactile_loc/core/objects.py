@@ -39,6 +39,17 @@ class TriangleMesh:
         return np.ptp(self.vertices_m, axis=0)
 
     @cached_property
+    def hull_corners_m(self) -> NDArray[np.float64]:
+        """The corners (V, 3) of the surface's convex hull, metres; all its vertices when it is flat."""
+        from scipy.spatial import ConvexHull, QhullError
+
+        used = self.vertices_m[np.unique(self.faces)]
+        try:
+            return np.asarray(used[ConvexHull(used).vertices])
+        except QhullError:
+            return used
+
+    @cached_property
     def centroid_m(self) -> NDArray[np.float64]:
         """Centroid (3,) of the surface, metres: exact, not sampled."""
         return np.average(self.triangles_m.mean(axis=1), axis=0, weights=self.face_areas)

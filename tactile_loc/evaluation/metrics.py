@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry import transform_points
-from tactile_loc.core.objects import ObjectModel, TriangleMesh
+from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseMetric, Poses
 
 SYMMETRY_STEP_M = 2e-4
@@ -55,8 +55,8 @@ def symmetric_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_tru
 def mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
     """Largest distance (K,) in metres of surface at estimates (K, 4, 4) from the true pose (4, 4): MSSD.
 
-    Exact over the whole surface when `corners_m` (V, 3) are those of its hull (see `hull_corners`): the distance is a
-    convex function of the point. Symmetries are tried by rising root mean square distance, which bounds the largest
+    Exact over the whole surface when `corners_m` (V, 3) are its hull's (`TriangleMesh.hull_corners_m`): the distance is
+    a convex function of the point. Symmetries are tried by rising root mean square distance, which bounds the largest
     from below, so that none that could be better is left out.
     """
     same = _equivalents(obj, T_true)
@@ -71,17 +71,6 @@ def add_s(points_m: Points, T_estimates: Poses, T_true: Poses, every: int = 1) -
 
     tree, asked = cKDTree(points_m), points_m[::every]  # in the object's frame: rigid motions keep distances
     return np.array([tree.query(transform_points(np.linalg.solve(T, T_true), asked))[0].mean() for T in T_estimates])
-
-
-def hull_corners(mesh: TriangleMesh) -> Points:
-    """Return the corners (V, 3) in metres of a surface's convex hull; all its vertices when it is flat."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    used = mesh.vertices_m[np.unique(mesh.faces)]
-    try:
-        return np.asarray(used[ConvexHull(used).vertices])
-    except QhullError:
-        return used
 
 
 def _equivalents(obj: ObjectModel, T_true: Poses) -> Poses:

@@ -17,7 +17,7 @@ from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import Touch
-from tactile_loc.evaluation.metrics import add_s, hull_corners, mssd, symmetric_adds
+from tactile_loc.evaluation.metrics import add_s, mssd, symmetric_adds
 from tactile_loc.evaluation.oracle import oracle_poses, true_pose
 from tactile_loc.evaluation.posterior_metrics import posterior_metrics
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
@@ -116,7 +116,7 @@ class TouchEvaluator:
         distinct = distinct.reshape(-1, 4, 4)
         errors = (
             symmetric_adds(obj, self._points_m, distinct, T_true),
-            mssd(obj, self._corners_m, distinct, T_true),
+            mssd(obj, self.localizer.object.mesh.hull_corners_m, distinct, T_true),
             add_s(self._points_m, distinct, T_true, ASKED_EVERY),
         )
         return np.stack(errors, axis=1)[where.ravel()]
@@ -124,10 +124,6 @@ class TouchEvaluator:
     @cached_property
     def _points_m(self) -> NDArray[np.float64]:
         return surface_points(self.localizer.object)
-
-    @cached_property
-    def _corners_m(self) -> NDArray[np.float64]:
-        return hull_corners(self.localizer.object.mesh)
 
 
 @dataclass(frozen=True, eq=False)

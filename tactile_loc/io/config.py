@@ -9,6 +9,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from tactile_loc.core.errors import ConfigError, did_you_mean
+from tactile_loc.core.noise import NoiseLevel
 from tactile_loc.core.registry import SLOTS
 from tactile_loc.io.toml import read_toml, toml_value
 from tactile_loc.store.files import recover_folder
@@ -52,7 +53,7 @@ class TouchConfig(_Strict):
     path: str | None = None
     unit: Literal["m", "mm", "um"] | None = None
     press_depth_mm: float | None = None
-    noise: Literal["none", "mild", "strong"] = "none"
+    noise: NoiseLevel = "none"
 
 
 class RunConfig(_Strict):

@@ -142,7 +142,7 @@ class Localizer:
         truth: list[int] = []
         with self.progress.task("fitting probabilities", probabilities.TOUCHES) as advance:
             for seed, count in probabilities.batches():
-                for touch in self.simulate(count, seed, noise=probabilities.NOISE):
+                for touch in self.simulate(count, seed, noise=probabilities.TOUCH_NOISE):
                     scores += exact.scores([touch])
                     truth.append(int(self.model.grid.nearest(np.asarray(touch.T_sensor_object)[None])[1][0]))
                     advance(1)

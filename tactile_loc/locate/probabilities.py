@@ -20,7 +20,7 @@ from tactile_loc.core.posterior import PosePosterior
 
 STAGE, STAGE_VERSION = "temperature", 1
 TOUCHES, BATCH = 150, 25  # simulated, of known pose
-NOISE = "strong"  # real touches are as far from renders as that, at least
+TOUCH_NOISE = "strong"  # real touches are as far from renders as that, at least
 SEED = 0x5EED  # no evaluation's: its touches must not be those that were fitted
 
 TAIL_HEAT = 4.0
@@ -83,7 +83,7 @@ def batches() -> Iterator[tuple[int, int]]:
 
 def describe_touches() -> dict[str, Any]:
     """Return what decides which touches are fitted to, but for what draws them, as JSON values."""
-    return {"noise": noise_level(NOISE).describe(), "touches": TOUCHES, "batch": BATCH, "seed": SEED}
+    return {"noise": noise_level(TOUCH_NOISE).describe(), "touches": TOUCHES, "batch": BATCH, "seed": SEED}
 
 
 def _losses(scores: NDArray[np.float64], index: int, tried: Sequence[TemperatureScaling]) -> NDArray[np.float64]:

@@ -126,6 +126,7 @@ def test_a_training_can_be_watched_in_tensorboard(cli):
     assert [event.step for event in events.Scalars("loss")] == [1, 2]
 
 
+@pytest.mark.slow
 def test_several_processes_train_one_encoder(tmp_path, run_process):
     (tmp_path / "sure.toml").write_text("temperature = 1e-3")  # none is to be fitted
     words = ["--config", "sure.toml", "--store", "fresh"]

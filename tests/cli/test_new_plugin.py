@@ -55,6 +55,7 @@ def run(site: Path, line: list[str], **environment: str) -> subprocess.Completed
     )
 
 
+@pytest.mark.slow
 def test_every_new_package_passes_all_contract_checks_and_its_own_tests(site):
     folders = [Naming(slot, name_of(slot)).distribution for slot in SLOTS]
     quiet = ["-q", "-p", "no:cacheprovider", "-p", "no:dash", "--rootdir", str(site), "--durations=0", "-vv"]

@@ -32,6 +32,7 @@ def result(store: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
     return {**said, **json.loads((folder / "out/result.json").read_text())}
 
 
+@pytest.mark.slow
 def test_without_a_touch_it_simulates_one_and_finds_it_again(cli, tmp_path):
     done = cli("run", "-o", "grid.spacing_mm=5", "--out", "out")
     assert done.exit_code == 0, done.stderr

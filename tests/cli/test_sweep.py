@@ -188,6 +188,7 @@ def wait_for(process: subprocess.Popen[str], reached: Callable[[], bool]) -> Non
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("whom", ["the command", "everybody"])
 def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(plan, tmp_path, whom):
     process = start(tmp_path, tmp_path / "store")

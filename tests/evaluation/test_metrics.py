@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.geometry import make_transform, rotation_about, translation
-from tactile_loc.evaluation.metrics import add, add_s, hull_corners, mssd, symmetric_add, symmetric_adds
+from tactile_loc.evaluation.metrics import add, add_s, mssd, symmetric_add, symmetric_adds
 
 SHIFT_M = np.array([0.003, -0.004, 0.012])
 LENGTH_M = 0.013
@@ -30,22 +30,22 @@ def test_a_shift_moves_every_point_by_its_length(box, points_m, true_pose):
     shifted = translation(SHIFT_M) @ true_pose
     assert add(points_m, shifted, true_pose) == pytest.approx(LENGTH_M)
     assert symmetric_add(box, points_m, shifted, true_pose) == pytest.approx(LENGTH_M)
-    assert mssd(box, hull_corners(box.mesh), shifted[None], true_pose) == pytest.approx(LENGTH_M)
+    assert mssd(box, box.mesh.hull_corners_m, shifted[None], true_pose) == pytest.approx(LENGTH_M)
     assert add_s(points_m, shifted[None], true_pose)[0] < LENGTH_M
 
 
 def test_the_largest_distance_of_a_turned_box_is_its_corners(box, true_pose):
     turned = true_pose @ turn([0, 0, 1], np.pi / 2)  # 30 x 20 mm across: the chord of a right angle
     expected_m = np.sqrt(2) * np.hypot(0.015, 0.010)
-    assert mssd(box, hull_corners(box.mesh), turned[None], true_pose) == pytest.approx(expected_m)
+    assert mssd(box, box.mesh.hull_corners_m, turned[None], true_pose) == pytest.approx(expected_m)
 
 
 def test_the_hull_of_a_box_has_eight_corners_and_a_flat_surface_keeps_its_vertices(box, make_object):
-    assert len(hull_corners(box.mesh)) == 8
+    assert len(box.mesh.hull_corners_m) == 8
     from trimesh import Trimesh
 
     square = make_object(Trimesh([[0, 0, 0], [0.01, 0, 0], [0.01, 0.01, 0], [0, 0.01, 0]], [[0, 1, 2], [0, 2, 3]]))
-    assert len(hull_corners(square.mesh)) == 4
+    assert len(square.mesh.hull_corners_m) == 4
 
 
 def test_the_largest_distance_is_at_the_hull(cylinder, true_pose):
@@ -53,7 +53,7 @@ def test_the_largest_distance_is_at_the_hull(cylinder, true_pose):
     poses = make_transform(rotation_about([3, 1, 2], rng.uniform(0, 3, 6)), rng.normal(0, 0.01, (6, 3)))
     plain = make_plain(cylinder)
     everywhere = mssd(plain, cylinder.mesh.sample(20_000, rng), poses, true_pose)
-    largest = mssd(plain, hull_corners(cylinder.mesh), poses, true_pose)
+    largest = mssd(plain, cylinder.mesh.hull_corners_m, poses, true_pose)
     assert (largest >= everywhere - 1e-12).all()
     assert largest == pytest.approx(everywhere, rel=0.02)
 
@@ -73,7 +73,7 @@ def test_symmetry_is_regarded_where_there_is_one(make_box, true_pose, symmetry):
     turned = (true_pose @ turn([1, 0, 0], np.pi))[None]
     errors = (
         symmetric_adds(obj, points_m, turned, true_pose)[0],
-        mssd(obj, hull_corners(obj.mesh), turned, true_pose)[0],
+        mssd(obj, obj.mesh.hull_corners_m, turned, true_pose)[0],
     )
     same = symmetry != "none"
     assert all((error < 1e-9) == same for error in errors)
@@ -82,7 +82,7 @@ def test_symmetry_is_regarded_where_there_is_one(make_box, true_pose, symmetry):
 
 def test_turns_about_a_continuous_axis_are_no_error_and_shifts_along_it_are(cylinder, true_pose):
     points_m = cylinder.mesh.sample(2000, np.random.default_rng(0))
-    corners_m = hull_corners(cylinder.mesh)
+    corners_m = cylinder.mesh.hull_corners_m
     turned = true_pose @ turn([0, 0, 1], 1.2345) @ turn([1, 0, 0], np.pi)
     moved = turned @ translation([0, 0, 0.005])
     poses = np.stack([turned, moved])
@@ -102,7 +102,7 @@ def test_ranking_symmetries_loses_next_to_nothing(cylinder, true_pose):
     ranked = symmetric_adds(cylinder, points_m, poses, true_pose)
     assert (ranked >= every - 1e-12).all()
     assert ranked == pytest.approx(every, rel=0.02)
-    corners_m = hull_corners(cylinder.mesh)
+    corners_m = cylinder.mesh.hull_corners_m
     largest = [np.linalg.norm(corners_of(T, corners_m) - corners_of(same, corners_m), axis=-1) for T in poses]
     assert mssd(cylinder, corners_m, poses, true_pose) == pytest.approx([d.max(axis=-1).min() for d in largest])
 
@@ -123,4 +123,4 @@ def test_the_smaller_metrics_are_smaller(box, points_m, true_pose):
     poses = make_transform(rotation_about([1, 1, 0], rng.uniform(0, 3, 20)), rng.normal(0, 0.01, (20, 3))) @ true_pose
     mean = symmetric_adds(box, points_m, poses, true_pose)
     assert (add_s(points_m, poses, true_pose) <= mean + 1e-12).all()
-    assert (mean <= mssd(box, hull_corners(box.mesh), poses, true_pose) + 1e-12).all()
+    assert (mean <= mssd(box, box.mesh.hull_corners_m, poses, true_pose) + 1e-12).all()

@@ -130,6 +130,7 @@ def test_all_are_listed_with_their_distribution(site, tmp_path):
         assert re.search(rf"\b{component} +{name} ", listed.stdout), f"{component} of {name}:\n{listed.stdout}"
 
 
+@pytest.mark.slow
 @each
 def test_its_own_tests_pass(site, tmp_path, name):
     require_libraries(name)

@@ -50,6 +50,7 @@ def test_installed_plugin_is_listed_with_its_distribution_and_options(tactile_lo
     )
 
 
+@pytest.mark.slow
 def test_plugin_refines_what_was_found(tactile_loc, tmp_path):
     done = tactile_loc(*RUN, "-o", "refiner.steps=2", "--out", "out", "--store", "store")
     assert done.returncode == 0, done.stderr

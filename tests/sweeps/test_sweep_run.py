@@ -85,6 +85,7 @@ def lasting(rows: list[Row]) -> list[Row]:
     return [{name: value for name, value in row.items() if name not in MOMENTARY} for row in rows]
 
 
+@pytest.mark.slow
 def test_both_give_the_same_table(locally, on_dask):
     assert lasting(locally.rows) == lasting(on_dask.rows)
     assert [row["error"] for row in locally.rows] == [""] * 4

@@ -87,10 +87,12 @@ def test_a_local_worker_that_is_killed_costs_only_time(tiny, folder, tmp_path):
     assert (swept.built["grid"], swept.built["shapes"], swept.built["evaluation"]) == (2, 2, 4)
 
 
+@pytest.mark.slow
 def test_what_kills_its_worker_every_time_is_a_row_that_says_so(tiny, folder, tmp_path):
     lethal = {"name": "lethal", "tally": str(tmp_path / "tally"), "deaths": 99}
     swept = sweep(tiny, ["none", lethal], tmp_path / "out", folder / "store")
-    assert len((tmp_path / "tally").read_text()) == 8  # for each object twice among others and twice alone
+    deaths = len((tmp_path / "tally").read_text())  # for each object twice alone, and before that at most twice
+    assert 2 * 2 + 2 <= deaths <= 2 * 4  # who waits at a worker that dies is suspected as well
     for (_, refiner), error in errors(swept).items():
         assert ("worker died each time" in error and "workers.log" in error) == (refiner == "lethal")
     assert "killed by signal 9" in (tmp_path / "out" / "workers.log").read_text()
@@ -175,6 +177,6 @@ def test_errors_in_mm_and_as_shares_and_times_in_ms():
 
 
 def test_what_is_not_finite_has_no_value():
-    found = summarise(evaluation(nll=np.inf, level=0.9), 7)
+    found = summarise(evaluation(nll=np.inf, credible_level=0.9), 7)
     assert found["nll_nats"] is None
     assert [found[f"coverage_{level}"] for level in (50, 80, 95)] == [0, 0, 1]

@@ -67,6 +67,7 @@ class FileCheckpoints(Checkpoints):
             raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_it_learns_to_tell_the_poses_apart(problem):
     encoder = make(epochs=12, queries=256, noise="none", patience=12)
     encoder.recipe = encoder.recipe.changed(momentum=0.9, refresh=4)  # few steps: the keys must follow quickly

@@ -55,6 +55,7 @@ def train(store: Path, first: str) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.slow
 def test_it_learns_the_same_whether_numba_or_torch_started_first(tmp_path):
     before, *learned = train(tmp_path / "numba", "numba first")
     changed, *again = train(tmp_path / "torch", "torch first")

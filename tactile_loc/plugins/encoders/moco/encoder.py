@@ -25,6 +25,7 @@ from tactile_loc.plugin import (
     Encoder,
     Float32,
     GridError,
+    NoiseLevel,
     SensorGeometry,
     TrainingProblem,
     WeightsError,
@@ -56,9 +57,7 @@ class MocoEncoder(Encoder):
         queries: int | None = Field(default=None, ge=32, description="touches rendered an epoch")
         batch: int | None = Field(default=None, ge=2, description="touches a step")
         rate: float | None = Field(default=None, gt=0, description="learning rate at its highest")
-        noise: Literal["none", "mild", "strong"] = Field(
-            default="strong", description="noise of the touches to learn from"
-        )
+        noise: NoiseLevel = Field(default="strong", description="noise of the touches to learn from")
         negatives: int = Field(
             default=0, ge=0, description="grid poses in the softmax a step, drawn; 0: the whole grid"
         )
