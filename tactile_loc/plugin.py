@@ -76,8 +76,8 @@ if TYPE_CHECKING:
     from tactile_loc.core.geometry import translation as translation
 
     # for sensors and renderers
+    from tactile_loc.core.compiled import in_threads as in_threads
     from tactile_loc.core.compiled import njit as njit
-    from tactile_loc.core.compiled import prange as prange
     from tactile_loc.core.contact import bring_to_contact as bring_to_contact
     from tactile_loc.core.contact import group_rotations as group_rotations
     from tactile_loc.core.depth_sensor import DepthSensor as DepthSensor

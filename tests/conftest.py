@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -23,6 +24,9 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.testing.problems import LOPSIDED_CAMERAS
 
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
+
+# Several processes test at once: OpenMP's threads must not spin while they wait for one another.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 MakeObject = Callable[..., ObjectModel]
 

@@ -10,10 +10,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.compiled import njit, prange
+from tactile_loc.core.compiled import in_threads, njit
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import SensorGeometry
+
+BINS = 256  # into which triangles are sorted by height
 
 
 def bring_to_contact(
@@ -38,11 +40,8 @@ def lowest_points(
     rotations, starts, members = group_rotations(R)
     triangles, t = np.ascontiguousarray(mesh.triangles_m), np.ascontiguousarray(t)
     rectangle = np.asarray(rectangle_m, float)
-    if len(members) > 1:
-        return _lowest(triangles, rotations, starts, members, t, rectangle)
     result = np.full(len(members), np.inf)
-    for R_one in rotations:  # one pose: waking the other threads would cost more than it saves
-        _lowest_of_rotation(triangles, R_one, members, t, rectangle, result)
+    in_threads(_lowest, len(rotations), triangles, rotations, starts, members, t, rectangle, result)
     return result
 
 
@@ -59,24 +58,22 @@ def group_rotations(R: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
     return flat[first].reshape(-1, 3, 3), starts, np.argsort(inverse, kind="stable").astype(np.int64)
 
 
-@njit(parallel=True, cache=True)
-def _lowest(triangles, rotations, starts, members, t, rectangle):  # type: ignore[no-untyped-def]
-    """Lowest z (N,) of every pose, the rotations shared out among threads."""
-    result = np.full(len(members), np.inf)
-    for k in prange(len(rotations)):
+@njit
+def _lowest(first, last, triangles, rotations, starts, members, t, rectangle, result):  # type: ignore[no-untyped-def]
+    """Fill the lowest z (N,) of the poses that have one of the rotations from first to last."""
+    for k in range(first, last):
         _lowest_of_rotation(triangles, rotations[k], members[starts[k] : starts[k + 1]], t, rectangle, result)
-    return result
 
 
-@njit(cache=True)
+@njit
 def _lowest_of_rotation(triangles, R, members, t, rectangle, result):  # type: ignore[no-untyped-def]
-    """Search the triangles from the lowest up, and stop when no other can be lower; fill `result` at `members`."""
+    """Search the triangles roughly from the lowest up, and stop when no other can be lower; fill `result`."""
     turned = _turn(triangles, R)
     floor = np.empty(len(turned))
-    for f in range(len(turned)):
-        floor[f] = min(turned[f, 0, 2], turned[f, 1, 2], turned[f, 2, 2])
+    for k in range(len(turned)):
+        floor[k] = min(turned[k, 0, 2], turned[k, 1, 2], turned[k, 2, 2])
     ordered = len(members) > 4  # sorting pays only when several poses share it
-    order = np.argsort(floor) if ordered else np.arange(len(floor))
+    order, bin_m = _from_below(floor) if ordered else (np.arange(len(floor)), np.inf)
     for i in members:
         x0, x1 = rectangle[0] - t[i, 0], rectangle[1] - t[i, 0]
         y0, y1 = rectangle[2] - t[i, 1], rectangle[3] - t[i, 1]
@@ -84,12 +81,30 @@ def _lowest_of_rotation(triangles, R, members, t, rectangle, result):  # type: i
         for f in order:
             if floor[f] < best:
                 best = min(best, _lowest_of_triangle(turned[f], x0, x1, y0, y1))
-            elif ordered:
+            elif floor[f] >= best + bin_m:
                 break
         result[i] = best + t[i, 2]
 
 
-@njit(cache=True, inline="always")
+@njit
+def _from_below(heights):  # type: ignore[no-untyped-def]
+    """The order (F,) of heights (F,) sorted into bins, and how wide a bin is: numpy's sort takes seconds to compile."""
+    low, high = heights.min(), heights.max()
+    bin_m = (high - low) / BINS
+    ends, which = np.zeros(BINS + 1, np.int64), np.empty(len(heights), np.int64)
+    for f in range(len(heights)):
+        which[f] = min(BINS - 1, int((heights[f] - low) / bin_m)) if bin_m > 0.0 else 0
+        ends[which[f] + 1] += 1
+    for b in range(BINS):
+        ends[b + 1] += ends[b]
+    order = np.empty(len(heights), np.int64)
+    for f in range(len(heights)):
+        order[ends[which[f]]] = f
+        ends[which[f]] += 1
+    return order, bin_m
+
+
+@njit
 def _turn(triangles, R):  # type: ignore[no-untyped-def]
     turned = np.empty_like(triangles)
     for f in range(len(triangles)):
@@ -100,7 +115,7 @@ def _turn(triangles, R):  # type: ignore[no-untyped-def]
     return turned
 
 
-@njit(cache=True)
+@njit
 def _lowest_of_triangle(p, x0, x1, y0, y1):  # type: ignore[no-untyped-def]
     """Lowest z of one triangle (3, 3) over a rectangle; inf when it is nowhere over it."""
     if max(p[0, 0], p[1, 0], p[2, 0]) < x0 or min(p[0, 0], p[1, 0], p[2, 0]) > x1:
@@ -116,7 +131,7 @@ def _lowest_of_triangle(p, x0, x1, y0, y1):  # type: ignore[no-untyped-def]
     return best
 
 
-@njit(cache=True)
+@njit
 def _lowest_of_edge(a, b, x0, x1, y0, y1):  # type: ignore[no-untyped-def]
     """Lowest z of the part of the segment a-b over the rectangle (Liang-Barsky clipping); inf when no part is."""
     enter, leave = 0.0, 1.0
@@ -134,7 +149,7 @@ def _lowest_of_edge(a, b, x0, x1, y0, y1):  # type: ignore[no-untyped-def]
     return min(a[2] + enter * dz, a[2] + leave * dz)
 
 
-@njit(cache=True)
+@njit
 def _height_at(p, x, y):  # type: ignore[no-untyped-def]
     """Height z of the triangle's plane at (x, y) when that point lies in the triangle, else inf."""
     ax, ay = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1]

@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.compiled import njit, prange
+from tactile_loc.core.compiled import in_threads, njit
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import SensorGeometry
@@ -35,21 +35,18 @@ def nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorG
     vertices, faces = np.ascontiguousarray(mesh.vertices_m, float), np.ascontiguousarray(mesh.faces)
     ends = NEAREST * geometry.standoff_m, geometry.standoff_m + geometry.max_depth_m
     camera = geometry.is_pinhole, geometry.fx, geometry.fy, geometry.cx, geometry.cy, *ends
-    if len(T) == 1:  # waking the other threads would cost more than it saves
-        _draw_one(vertices, faces, T[0], camera, *geometry.pixel_slopes, depth[0])
-    elif len(T) > 1:
-        _draw(vertices, faces, T, camera, *geometry.pixel_slopes, depth)
+    in_threads(_draw, len(T), vertices, faces, T, camera, *geometry.pixel_slopes, depth)
     return depth
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
-def _draw(vertices, faces, T, camera, slopes_x, slopes_y, depth):
-    """Fill depths (N, H, W) of poses (N, 4, 4), by all threads."""
-    for i in prange(len(T)):
+@njit
+def _draw(first, last, vertices, faces, T, camera, slopes_x, slopes_y, depth):
+    """Fill depths (N, H, W) of the poses (N, 4, 4) from first to last."""
+    for i in range(first, last):
         _draw_one(vertices, faces, T[i], camera, slopes_x, slopes_y, depth[i])
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _draw_one(vertices, faces, T, camera, slopes_x, slopes_y, picture):
     """Fill a picture (H, W) with the nearest depth, metres, of the triangles that reach into the band."""
     picture.fill(np.inf)
@@ -65,7 +62,7 @@ def _draw_one(vertices, faces, T, camera, slopes_x, slopes_y, picture):
             _draw_triangle(placed[i], placed[j], placed[k], camera, slopes_x, slopes_y, picture)
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _draw_triangle(p, q, s, camera, slopes_x, slopes_y, picture):
     """Draw one triangle; its corners (3,) are in the camera's frame."""
     u0, u1, v0, v1 = _box(p, q, s, camera, picture.shape[1], picture.shape[0])
@@ -94,7 +91,7 @@ def _draw_triangle(p, q, s, camera, slopes_x, slopes_y, picture):
                 picture[v, u] = z
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _box(p, q, s, camera, width, height):
     """First and last column, first and last row, of the pixels whose centres a triangle may cover."""
     pinhole, fx, fy, cx, cy, near, _ = camera
@@ -106,7 +103,7 @@ def _box(p, q, s, camera, width, height):
     return u0, u1, v0, v1
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _span(a, b, c, scale, centre, size):
     """First and last pixel whose centre lies between the least and the greatest of three coordinates."""
     first = min(max(-1.0, min(a, b, c) * scale + centre - 0.5 - 1e-6), size * 1.0)

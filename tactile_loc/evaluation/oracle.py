@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.compiled import njit, prange
+from tactile_loc.core.compiled import in_threads, njit
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.sensing import Touch
 from tactile_loc.locate.localizer import Localizer
@@ -32,7 +32,8 @@ def oracle_poses(localizer: Localizer, touches: Sequence[Touch]) -> NDArray[np.i
     best, index = np.full(len(touches), np.inf), np.zeros(len(touches), np.int64)
     start = 0
     for depths in localizer.model.shapes.shards():  # at full press: cut at each touch's own while comparing
-        _search(np.ascontiguousarray(depths[:, observed]), wanted, press, start, best, index)
+        shapes = np.ascontiguousarray(depths[:, observed])
+        in_threads(_search, len(wanted), shapes, wanted, press, start, best, index)
         start += len(depths)
     return index
 
@@ -52,10 +53,10 @@ def _true_shapes(localizer: Localizer, touches: Sequence[Touch]) -> Float32:
     return np.minimum(scene.contact_depths(poses), press[:, None, None])
 
 
-@njit(parallel=True, cache=True)
-def _search(depths, wanted, press, start, best, index):  # type: ignore[no-untyped-def]
+@njit
+def _search(first, last, depths, wanted, press, start, best, index):  # type: ignore[no-untyped-def]
     """Look for nearer shapes among depths (S, P) for wanted (T, P); a sum that exceeds the best is not finished."""
-    for q in prange(len(wanted)):
+    for q in range(first, last):
         for i in range(len(depths)):
             total = 0.0
             for p in range(depths.shape[1]):

@@ -12,7 +12,6 @@ they are drawn triangle by triangle, which is exact.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +26,11 @@ from tactile_loc.plugin import (
     SensorGeometry,
     TriangleMesh,
     group_rotations,
+    in_threads,
     nearest_depths,
     njit,
-    prange,
 )
 
-# numbers are never NaN here, but infinite ones mean "no surface": inf must keep its meaning
-FAST: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"nnan", "nsz", "arcp", "contract"}}
 FINE, COARSE = 4, 16  # cells a side of a tile whose lowest height is known, at two levels
 BLOCKS = (32, 8, 4)  # pixels a side of the blocks that are skipped at once, at three levels
 WALL = 3.0  # a rise of more than this many cells from one cell to the next is a wall, not a slope
@@ -74,9 +71,10 @@ class HeightmapRenderer(Renderer):
             last = min(first + step, len(rotations))
             maps = np.empty((last - first, *cells), np.float32)
             poses = slice(starts[first], starts[last])
-            rasterise(triangles, rotations[some], low[some], ceilings[some], cell, maps)
+            in_threads(rasterise, len(maps), triangles, rotations[some], low[some], ceilings[some], cell, maps)
             tiles = _minima(maps, FINE), _minima(maps, COARSE)
-            sample(maps, *tiles, low[some], cell, slot[poses] - first, members[poses], t, *view, depth)
+            which = slot[poses] - first, members[poses]
+            in_threads(sample, len(which[0]), maps, *tiles, low[some], cell, *which, t, *view, depth)
         return depth
 
     def render_apart(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
@@ -87,7 +85,7 @@ class HeightmapRenderer(Renderer):
 def _minima(maps: Float32, tile: int) -> Float32:
     """Return the least height (K, rows / tile, columns / tile) of every tile of the maps."""
     lowest = np.empty((len(maps), maps.shape[1] // tile, maps.shape[2] // tile), np.float32)
-    minima(maps, tile, lowest)
+    in_threads(minima, len(maps), maps, tile, lowest)
     return lowest
 
 
@@ -126,14 +124,14 @@ def _view(geometry: SensorGeometry) -> tuple[Floats, Floats]:
 # (column + 1/2, row + 1/2) * cell, in the object's turned frame.
 
 
-@njit(parallel=True, **FAST)
-def rasterise(triangles, rotations, corners, ceilings, cell, maps):
-    """Draw the lower envelopes (K, rows, columns) of triangles (F, 3, 3) turned by each rotation, by all threads."""
-    for k in prange(len(rotations)):
+@njit(fast=True)
+def rasterise(first, last, triangles, rotations, corners, ceilings, cell, maps):
+    """Draw lower envelopes (K, rows, columns) of triangles (F, 3, 3) turned by the rotations from first to last."""
+    for k in range(first, last):
         _rasterise_one(triangles, rotations[k], corners[k], ceilings[k], cell, maps[k])
 
 
-@njit(**FAST)
+@njit(fast=True)
 def _rasterise_one(triangles, R, corner, ceiling, cell, envelope):
     """Draw the lower envelope (rows, columns) of triangles (F, 3, 3) turned by R; inf where there is none."""
     envelope.fill(np.inf)
@@ -149,7 +147,7 @@ def _rasterise_one(triangles, R, corner, ceiling, cell, envelope):
             _draw(p, envelope)
 
 
-@njit(**FAST)
+@njit(fast=True)
 def _draw(p, envelope):
     """Lower the map to one triangle whose corners (3, 3) are column, row, height."""
     rows, columns = envelope.shape
@@ -169,7 +167,7 @@ def _draw(p, envelope):
                 envelope[r, c] = z
 
 
-@njit(**FAST)
+@njit(fast=True)
 def _span(p, r):
     """Columns between which the scan line `r` lies in the triangle."""
     left, right = np.inf, -np.inf
@@ -185,14 +183,14 @@ def _span(p, r):
     return left, right
 
 
-@njit(parallel=True, **FAST)
-def minima(maps, tile, lowest):
-    """Fill the least height (K, rows / tile, columns / tile) of every tile of the maps, by all threads."""
-    for k in prange(len(maps)):
+@njit(fast=True)
+def minima(first, last, maps, tile, lowest):
+    """Fill the least height (K, rows / tile, columns / tile) of every tile of the maps from first to last."""
+    for k in range(first, last):
         _minima_one(maps[k], tile, lowest[k])
 
 
-@njit(**FAST)
+@njit(fast=True)
 def _minima_one(envelope, tile, lowest):
     """Fill the least height (rows / tile, columns / tile) of every tile of a map."""
     for i in range(len(lowest)):
@@ -204,15 +202,15 @@ def _minima_one(envelope, tile, lowest):
             lowest[i, j] = low
 
 
-@njit(parallel=True, **FAST)
-def sample(maps, fine, coarse, corners, cell, slot, members, t, camera, slopes_x, slopes_y, depth):
-    """Fill depth (N, H, W) at `members`, each from map `slot`, seen by `camera`, by all threads."""
-    for m in prange(len(members)):
+@njit(fast=True)
+def sample(first, last, maps, fine, coarse, corners, cell, slot, members, t, camera, slopes_x, slopes_y, depth):
+    """Fill depth (N, H, W) at the `members` from first to last, each from map `slot`, seen by `camera`."""
+    for m in range(first, last):
         i, k = members[m], slot[m]
         _sample_one(maps[k], fine[k], coarse[k], corners[k], cell, t[i], camera, slopes_x, slopes_y, depth[i])
 
 
-@njit(**FAST)
+@njit(fast=True)
 def _sample_one(envelope, fine, coarse, corner, cell, t, camera, slopes_x, slopes_y, picture):
     """Fill a picture (H, W) from one map, seen by `camera` (pinhole?, band begin, band end).
 
@@ -238,7 +236,7 @@ def _sample_one(envelope, fine, coarse, corner, cell, t, camera, slopes_x, slope
                                 _trace(envelope, low, slopes_x, slopes_y, u2, v2, camera, cell, offset, picture)
 
 
-@njit(**FAST)
+@njit(fast=True)
 def _lowest(tiles, tile, slopes_x, slopes_y, u, v, size, camera, cell, offset):
     """Least depth of all tiles that the rays of a block of pixels cross in the band, a cell of margin around."""
     pinhole, begin, end = camera
@@ -257,7 +255,7 @@ def _lowest(tiles, tile, slopes_x, slopes_y, u, v, size, camera, cell, offset):
     return low + offset[2]
 
 
-@njit(**FAST)
+@njit(fast=True)
 def _trace(envelope, low, slopes_x, slopes_y, u, v, camera, cell, offset, picture):
     """Trace every ray of a small block of pixels, from the least depth at which anything lies before them."""
     pinhole, begin, end = camera
@@ -274,7 +272,7 @@ def _trace(envelope, low, slopes_x, slopes_y, u, v, camera, cell, offset, pictur
                 picture[row, column] = _height(envelope, sx - x0 - 0.5, sy - y0 - 0.5, wall) + z0
 
 
-@njit(**FAST)
+@njit(fast=True)
 def _height(envelope, c, r, wall):
     """Height at a fractional cell: bilinear on a slope, the nearest cell's at a wall or an edge."""
     rows, columns = envelope.shape
@@ -288,7 +286,7 @@ def _height(envelope, c, r, wall):
     return float(envelope[i + (1 if y >= 0.5 else 0), j + (1 if x >= 0.5 else 0)])
 
 
-@njit(**FAST)
+@njit(fast=True)
 def _march(envelope, sx, sy, x0, y0, z0, low, end, wall):
     """Depth at which a pinhole ray first meets the map between two depths; inf when it meets none.
 
@@ -307,7 +305,7 @@ def _march(envelope, sx, sy, x0, y0, z0, low, end, wall):
     return np.inf
 
 
-@njit(**FAST)
+@njit(fast=True)
 def _crossing(envelope, sx, sy, x0, y0, z0, before, z, wall):
     """Depth near `before` ... `z` at which the ray crosses the map: extrapolated on a slope, halved thrice at a wall.
 

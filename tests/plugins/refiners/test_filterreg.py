@@ -13,8 +13,8 @@ from tactile_loc.core.interfaces import Candidate
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.sensing import ContactShape, Touch
 from tactile_loc.plugins.refiners.filterreg import kernels
-from tactile_loc.plugins.refiners.filterreg.kernels import exponential, solved
 from tactile_loc.plugins.refiners.filterreg.refiner import REACH, FilterRegRefiner, Mixtures
+from tactile_loc.plugins.refiners.filterreg.twists import exponential, solved
 
 Options = FilterRegRefiner.Options
 
@@ -36,11 +36,10 @@ def small_motion(scale: float = 1.0) -> np.ndarray:
 
 
 def normal_equations(source: Cloud, observed, along: float = 0.0) -> np.ndarray:
-    result = np.zeros((6, 7))
-    kernels.equations_of_one(
-        source.points_mm, source.normals, np.eye(4), source.points_mm.mean(axis=0), observed, along, result
-    )
-    return result
+    result, T = np.zeros((1, 6, 7)), np.eye(4)[None]
+    starts, which, centre = np.array([0, len(source)]), np.array([0]), source.points_mm.mean(axis=0)[None]
+    kernels.equations(0, 1, source.points_mm, source.normals, starts, which, T, centre, observed, along, result)
+    return result[0]
 
 
 def test_the_sums_are_those_of_all_points_within_reach():

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.plugin import Cloud, CloudRefiner, Registration
+from tactile_loc.plugin import Cloud, CloudRefiner, Registration, in_threads
 from tactile_loc.plugins.refiners.filterreg import kernels
+from tactile_loc.plugins.refiners.filterreg.twists import solved, turned_about
 
 REACH = 2.5  # standard deviations at which a Gaussian is cut off
 MOST_BOXES = 2_000_000  # into which points are merged; a cloud that spans more is left as it is
@@ -148,26 +149,18 @@ class _Moving:
         """
         T, middles = self.T[going], self.middles[going]
         centres = (T[:, :3, :3] @ middles[:, :, None])[:, :, 0] + T[:, :3, 3]
-        equations = self._equations(going, centres, observed, point_weight)
-        twists, moved_mm = kernels.solved(equations)
+        equations = np.zeros((len(going), 6, 7))
+        in_threads(
+            kernels.equations, len(going), self.points, self.normals, self.starts, going, self.T, centres, observed,
+            point_weight, equations,
+        )  # fmt: skip
+        twists, moved_mm = solved(equations)
         reached = np.isfinite(moved_mm)
         self.iterations[going] += 1
         self.found[going] |= reached
         these = going[reached]
-        self.T[these] = kernels.turned_about(self.T[these], centres[reached], twists[reached])
+        self.T[these] = turned_about(self.T[these], centres[reached], twists[reached])
         return moved_mm
-
-    def _equations(self, going: NDArray[np.int64], centres: Floats, observed: Mixture, point_weight: float) -> Floats:
-        if len(going) > 1:
-            return kernels.equations(
-                self.points, self.normals, self.starts, going, self.T, centres, observed, point_weight
-            )
-        c = going[0]  # one candidate: waking the other threads would cost more than it saves
-        some, result = slice(self.starts[c], self.starts[c + 1]), np.zeros((1, 6, 7))
-        kernels.equations_of_one(
-            self.points[some], self.normals[some], self.T[c], centres[0], observed, point_weight, result[0]
-        )
-        return result
 
     def results(self) -> list[Registration]:
         """What has been found of each candidate."""

@@ -13,10 +13,10 @@ from tactile_loc.plugin import (
     SensorGeometry,
     TriangleMesh,
     bring_to_contact,
+    in_threads,
     make_transform,
     nearest_depths,
     njit,
-    prange,
     translation,
 )
 
@@ -100,9 +100,10 @@ class Pictures:
     def _of_depths(self, depth_m: Float32) -> Float32:
         """The pictures (N, P) of contact depths (N, H, W), metres, which need not be cut."""
         small = np.empty((len(depth_m), *(side // self.block for side in self.geometry.shape)), np.float32)
-        _average(depth_m, self.geometry.observed_mask, np.float32(self.wanted.press_depth_m), self.block, small)
+        press = np.float32(self.wanted.press_depth_m)
+        in_threads(_average, len(small), depth_m, self.geometry.observed_mask, press, self.block, small)
         if len(self.taps) > 1:
-            _filter(small, self.taps)
+            in_threads(_filter, len(small), small, self.taps)
         return small.reshape(len(small), -1)
 
 
@@ -129,11 +130,11 @@ def _gaussian(width_px: float) -> Float32:
     return (weights / weights.sum()).astype(np.float32)
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
-def _average(depth, observed, press, block, small):  # type: ignore[no-untyped-def]
+@njit
+def _average(first, last, depth, observed, press, block, small):  # type: ignore[no-untyped-def]
     """Fill `small` (N, h, w) with the mean indentation, a share of the press, over blocks of depths (N, H, W)."""
     share = np.float32(1.0 / (block * block))
-    for i in prange(len(depth)):
+    for i in range(first, last):
         small[i] = 0.0
         for r in range(small.shape[1] * block):
             for c in range(small.shape[2] * block):
@@ -141,12 +142,12 @@ def _average(depth, observed, press, block, small):  # type: ignore[no-untyped-d
                     small[i, r // block, c // block] += share * min(np.float32(1.0), 1 - depth[i, r, c] / press)
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
-def _filter(pictures, taps):  # type: ignore[no-untyped-def]
+@njit
+def _filter(first, last, pictures, taps):  # type: ignore[no-untyped-def]
     """Filter pictures (N, h, w) by the same weights along rows and columns, in place; what lies beyond is zero."""
     half = len(taps) // 2
     height, width = pictures.shape[1:]
-    for i in prange(len(pictures)):
+    for i in range(first, last):
         rows = np.zeros((height, width), np.float32)
         for r in range(height):
             for k in range(max(-half, -r), min(half, height - 1 - r) + 1):
