@@ -16,6 +16,7 @@ from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.drawing import pose_panel
 from tactile_loc.locate import probabilities
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
@@ -25,8 +26,9 @@ from tactile_loc.testing.problems import LOPSIDED_CAMERAS
 
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 
-# Several processes test at once: OpenMP's threads must not spin while they wait for one another.
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+# Several processes test at once, and small problems: the libraries' threads would only wait for one another.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
 
 MakeObject = Callable[..., ObjectModel]
 
@@ -52,6 +54,14 @@ def shipped_touches() -> Iterator[int]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(probabilities, "TOUCHES", shipped // 10)
         yield shipped
+
+
+@pytest.fixture(autouse=True, scope="session")
+def small_pictures() -> Iterator[None]:
+    """Pictures of few pixels: a test that looks at them says how they are drawn."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pose_panel, "PIXELS", pose_panel.PIXELS // 4)
+        yield
 
 
 @pytest.fixture(scope="session")

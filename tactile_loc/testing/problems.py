@@ -26,7 +26,7 @@ _BOX_FACES = np.array([
     [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
 ])  # fmt: skip
 _ROUNDING = 1e-9
-RAYS = 512  # met with all triangles at once
+RAYS = 256  # met at once with all triangles that may be before them
 
 
 class ReferenceRenderer(Renderer):
@@ -48,8 +48,22 @@ class ReferenceRenderer(Renderer):
 def _first_hits(triangles_m: Array, geometry: SensorGeometry) -> Array:
     """Depths (H * W,) of the nearest triangles; rays are taken in parts whose products stay in the cache."""
     rays = np.stack([s.ravel() for s in np.meshgrid(*geometry.pixel_slopes)], axis=-1)
-    parts = np.split(rays, range(RAYS, len(rays), RAYS))
-    return np.concatenate([_first_hits_of(part, triangles_m, geometry.is_pinhole) for part in parts])
+    low, high = _outlines(triangles_m, geometry.is_pinhole)
+    depths = []
+    for part in np.split(rays, range(RAYS, len(rays), RAYS)):
+        before = ((low <= part.max(axis=0) + _ROUNDING) & (high >= part.min(axis=0) - _ROUNDING)).all(axis=1)
+        depths.append(_first_hits_of(part, triangles_m[before], geometry.is_pinhole))
+    return np.concatenate(depths)
+
+
+def _outlines(triangles_m: Array, is_pinhole: bool) -> tuple[Array, Array]:
+    """Least and greatest (F, 2) of what rays can meet a triangle; one that reaches behind a pinhole is everywhere."""
+    seen, z = triangles_m[..., :2], triangles_m[..., 2:]
+    if is_pinhole:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            seen = seen / z
+    everywhere = (z <= 0).any(axis=1) & is_pinhole
+    return np.where(everywhere, -np.inf, seen.min(axis=1)), np.where(everywhere, np.inf, seen.max(axis=1))
 
 
 def _first_hits_of(rays: Array, triangles_m: Array, is_pinhole: bool) -> Array:
