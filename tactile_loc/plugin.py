@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.interfaces import Scene as Scene
     from tactile_loc.core.interfaces import SensorModel as SensorModel
     from tactile_loc.core.interfaces import TrainingProblem as TrainingProblem
+    from tactile_loc.core.interfaces import View as View
     from tactile_loc.core.objects import ObjectModel as ObjectModel
     from tactile_loc.core.objects import TriangleMesh as TriangleMesh
     from tactile_loc.core.poses import PoseGrid as PoseGrid
@@ -83,6 +84,11 @@ if TYPE_CHECKING:
     from tactile_loc.core.depth_sensor import DepthSensor as DepthSensor
     from tactile_loc.core.sensing import contact_depth as contact_depth
     from tactile_loc.core.sensing import contact_shape_from_array as contact_shape_from_array
+    from tactile_loc.core.surface_field import NearestTriangles as NearestTriangles
+    from tactile_loc.core.surface_field import SurfaceField as SurfaceField
+    from tactile_loc.core.surface_field import closest_on_triangle as closest_on_triangle
+    from tactile_loc.core.surface_field import surface_field as surface_field
+    from tactile_loc.core.surface_field import triangle_near as triangle_near
     from tactile_loc.core.zbuffer import nearest_depths as nearest_depths
 
     # for grids

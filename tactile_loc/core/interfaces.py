@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.geometry import invert
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.poses import PoseGrid, Poses
 from tactile_loc.core.posterior import PosePosterior
@@ -26,6 +27,8 @@ from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch, contac
 Float32 = NDArray[np.float32]
 
 IOU_PX = 100
+# Of an indentation, what its measurement may be off by: a pose is as good if it explains a touch that much deeper.
+PRESS_ERROR, LEAST_PRESS_ERROR_M = 0.2, 5e-5
 # Of the press depth, what a pixel counts for being in contact at all: as much as the deepest imprint does. With less,
 # the depth, which noise falsifies first, decides between poses; with more, depth hardly matters.
 OUTLINE_SHARE = 1.0
@@ -155,6 +158,21 @@ class Scene:
 
         return bring_to_contact(self.object.mesh, T_sensor_object, self.geometry)
 
+    def nearly_in_contact(self, T_sensor_object: Poses, most_m: float) -> Poses:
+        """Move poses (N, 4, 4) along z towards contact, by at most `most_m` metres."""
+        T, touching = self.in_contact(T_sensor_object)
+        by_m = T[:, 2, 3] - T_sensor_object[:, 2, 3]
+        T[:, 2, 3] = T_sensor_object[:, 2, 3] + np.where(touching, np.clip(by_m, -most_m, most_m), 0.0)
+        return T
+
+    def pressed(self, indentation_m: float, press_depth_m: float | None = None) -> Scene:
+        """Return the scene with the object pressed in: see `SensorGeometry.pressed`. Metres."""
+        return dataclasses.replace(self, geometry=self.geometry.pressed(indentation_m, press_depth_m))
+
+    def of_touch(self, touch: Touch) -> Scene:
+        """Return the scene as the touch's sensor sees it: pressed as deep, with as many pixels."""
+        return dataclasses.replace(self, geometry=touch.geometry)
+
     def contact_depths(self, T_sensor_object: Poses, press_depth_m: float | None = None) -> NDArray[np.float32]:
         """Render contact depths (N, H, W) in metres of poses (N, 4, 4) that are in contact already."""
         depth = self.renderer.render_apart(self.object.mesh, T_sensor_object, self.geometry)
@@ -168,9 +186,10 @@ class Scene:
         return contact_depth(depth, self.geometry, self.geometry.max_depth_m)
 
     def contact_shape(self, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> ContactShape:
-        """Render the contact shape of one pose (4, 4), brought to contact, at a press depth in metres."""
-        T, _ = self.in_contact(T_sensor_object[None])
-        return ContactShape(self.contact_depths(T, press_depth_m)[0], press_depth_m)
+        """Render the contact shape of one pose (4, 4), brought to contact, pressed in by `press_depth_m` metres."""
+        pressed = self.pressed(press_depth_m)
+        T, _ = pressed.in_contact(T_sensor_object[None])
+        return ContactShape(pressed.contact_depths(T)[0], press_depth_m)
 
     def contact_iou(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> float:
         """Return the contact IoU of one pose (4, 4), metres: see `contact_ious`."""
@@ -179,8 +198,9 @@ class Scene:
     def contact_ious(self, T_sensor_object: Poses, touch: Touch) -> list[float]:
         """Return how well each of the poses (N, 4, 4), metres, explains a touch: 0 (not at all) to 1, unitless.
 
-        The intersection over union of the touch's contact and the one that the pose makes at the same press depth,
-        where the sensor observes, on about IOU_PX pixels a side.
+        The intersection over union of the touch's contact and the one that the pose makes, where the sensor observes,
+        on about IOU_PX pixels a side. A pose counts as it is, but for what the measured press may be off by: one that
+        hovers over the sensor explains nothing.
         """
         return self.ious(T_sensor_object, touch)[0]
 
@@ -188,16 +208,21 @@ class Scene:
         """Return how well poses (N, 4, 4), metres, explain a touch in depth and outline: (N,), 0 to 1, unitless.
 
         A generalised intersection over union: the sum of the smaller over the sum of the larger of what pose and touch
-        press in, raised by OUTLINE_SHARE of the press depth wherever there is contact. At the touch's press depth,
-        where the sensor observes, on about IOU_PX pixels a side. A pose without contact explains nothing.
+        press in, raised by OUTLINE_SHARE of the press depth wherever there is contact; otherwise as `contact_ious`.
         """
         return self.ious(T_sensor_object, touch)[1]
 
-    def ious(self, T_sensor_object: Poses, touch: Touch) -> tuple[list[float], NDArray[np.float64]]:
-        """Return contact IoUs and imprint IoUs of poses (N, 4, 4), metres, which are drawn once."""
-        geometry, wanted = touch.thinned(IOU_PX)
+    def ious(
+        self, T_sensor_object: Poses, touch: Touch, pixels: int = IOU_PX, freedom_m: float = 0.0
+    ) -> tuple[list[float], NDArray[np.float64]]:
+        """Return contact IoUs and imprint IoUs of poses (N, 4, 4), metres, which are drawn once.
+
+        Poses may be `freedom_m` metres farther off along z than the measured press allows.
+        """
+        geometry, wanted = touch.thinned(pixels)
         coarse, press_m = dataclasses.replace(self, geometry=geometry), touch.press_depth_m
-        made = coarse.contact_depths(coarse.in_contact(T_sensor_object)[0], press_m)
+        freedom_m += LEAST_PRESS_ERROR_M + PRESS_ERROR * touch.indentation_m
+        made = coarse.contact_depths(coarse.nearly_in_contact(T_sensor_object, freedom_m), press_m)
         contact_ious = [ContactShape(depth, press_m).contact_iou(wanted, geometry.observed_mask) for depth in made]
         a, b = (_imprint(depth_m, press_m, geometry.observed_mask) for depth_m in (made, wanted.depth_m))
         common, either = (np.sum(both, axis=(-2, -1), dtype=float) for both in (np.minimum(a, b), np.maximum(a, b)))
@@ -308,12 +333,36 @@ class Candidate:
 @dataclass(frozen=True, eq=False)
 class RefinedPose:
     """A refined pose (4, 4) in metres. `contact_iou`, 0 to 1 (unitless), tells how well it explains the touch's
-    outline: `Scene.contact_iou`."""
+    outline: `Scene.contact_iou`, the mean over several touches.
+
+    `covariance` (6, 6), if the refiner knows it, is that of the error x, y, z (m) and of a rotation vector (rad), both
+    along the sensor's axes, of a pose T = exp(error) T_sensor_object turned about the object's centroid.
+    """
 
     T_sensor_object: NDArray[np.float64]
     contact_iou: float
     converged: bool
     iterations: int
+    covariance: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One of several touches: what it shows, the object before its sensor, and where that is seen from the first.
+
+    `T_sensor_first` (4, 4) in metres is off by an error whose standard deviations are `sensor_std_m` metres along and
+    `sensor_std_rad` radians about each axis.
+    """
+
+    touch: Touch
+    scene: Scene
+    T_sensor_first: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    sensor_std_m: float = 0.0
+    sensor_std_rad: float = 0.0
+
+    def imprint_ious(self, T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0) -> NDArray[np.float64]:
+        """Return how well poses (N, 4, 4) in the first sensor's frame, metres, explain this touch: `Scene.ious`."""
+        return self.scene.ious(self.T_sensor_first @ T_first_object, self.touch, pixels, freedom_m)[1]
 
 
 class Refiner(Component):
@@ -331,6 +380,25 @@ class Refiner(Component):
         Override it where candidates together are faster than one after another.
         """
         return [self.refine(touch, candidate, scene) for candidate in candidates]
+
+    def refine_together(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
+        """Refine candidates, poses in the first touch's sensor frame, against several touches.
+
+        Each touch refines all of them. What one touch gains by that others may lose: of these poses and the candidate
+        itself the one is taken that all touches together like best. Override it to regard all touches at once.
+        """
+        if len(views) == 1:
+            return self.refine_many(views[0].touch, candidates, views[0].scene)
+        rows = [[RefinedPose(c.T_sensor_object, 0.0, False, 0) for c in candidates]]
+        for view in views:
+            T_first_sensor = invert(view.T_sensor_first)
+            seen = [dataclasses.replace(c, T_sensor_object=view.T_sensor_first @ c.T_sensor_object) for c in candidates]
+            found = self.refine_many(view.touch, seen, view.scene)
+            rows.append([dataclasses.replace(r, T_sensor_object=T_first_sensor @ r.T_sensor_object) for r in found])
+        poses = np.array([[r.T_sensor_object for r in row] for row in rows])
+        ious = np.array([np.mean([view.imprint_ious(T) for view in views], axis=0) for T in poses])
+        best = ious.argmax(axis=0)
+        return [rows[b][k] for k, b in enumerate(best)]
 
 
 Prior = Callable[[Poses], NDArray[np.float64]]

@@ -7,7 +7,7 @@ With centroid c and covariance C = L L^T of the surface, phi(T) = [R L, R c + t]
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -83,6 +83,7 @@ class PoseGrid:
 
     T_sensor_object: Poses
     metric: PoseMetric
+    _level: tuple[PoseGrid, float] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if len(self.T_sensor_object) == 0:
@@ -93,6 +94,23 @@ class PoseGrid:
     def __len__(self) -> int:
         return len(self.T_sensor_object)
 
+    def raised(self, height_m: float) -> PoseGrid:
+        """Return the grid with all poses `height_m` metres farther along z; what looks poses up is shared."""
+        if height_m == 0.0:
+            return self
+        T = self.T_sensor_object.copy()
+        T[:, 2, 3] += height_m
+        level, height = (self, 0.0) if self._level is None else self._level
+        return PoseGrid(T, self.metric, (level, height + height_m))
+
+    def _at_level(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points (..., D) of the metric's space as seen from the level at which the trees are."""
+        if self._level is None:
+            return points
+        lowered = points.copy()
+        lowered[..., -1] -= self._level[1]  # the last coordinate is that of the centroid along z
+        return lowered
+
     @cached_property
     def phi(self) -> NDArray[np.float64]:
         """The grid in the metric's space, (N, 12) metres."""
@@ -100,12 +118,16 @@ class PoseGrid:
 
     @cached_property
     def _tree(self) -> Any:
+        if self._level is not None:
+            return self._level[0]._tree
         from scipy.spatial import cKDTree
 
         return cKDTree(self.phi, leafsize=LEAF)
 
     @cached_property
     def _orbit_tree(self) -> Any:
+        if self._level is not None:
+            return self._level[0]._orbit_tree
         from scipy.spatial import cKDTree
 
         if self.metric.object.symmetry.continuous_axis is None:
@@ -119,7 +141,7 @@ class PoseGrid:
 
         Where none is nearer than `within_m` metres, the distance is inf and the index -1; a bound makes it faster.
         """
-        points = self.metric.embed_orbits(T_sensor_object)
+        points = self._at_level(self.metric.embed_orbits(T_sensor_object))
         distances, indices = self._orbit_tree.query(points, distance_upper_bound=within_m)
         best = distances.argmin(axis=0)
         columns = np.arange(len(best))
@@ -132,6 +154,8 @@ class PoseGrid:
 
         Of a large grid, some poses, spread evenly over its order, stand for all.
         """
+        if self._level is not None:
+            return self._level[0].spacing_m
         some = np.linspace(0, len(self) - 1, min(len(self), SPACING_SAMPLE)).astype(int)
         points = self.metric.embed_orbits(self.T_sensor_object[some])[0]
         return float(self._orbit_tree.query(points, k=2)[0][:, 1].mean())
@@ -150,13 +174,13 @@ class PoseGrid:
         points = self.phi if subset is None else self.phi[subset]
         if len(self) < 2:
             return np.full(len(points), np.inf)
-        distances: NDArray[np.float64] = self._tree.query(points, k=2)[0]
+        distances: NDArray[np.float64] = self._tree.query(self._at_level(points), k=2)[0]
         return distances[:, 1]
 
     def within(self, radius_m: float, index: int) -> NDArray[np.int64]:
         """Return the indices (K,) of poses within `radius_m` metres of grid pose `index`, symmetry regarded."""
         same = self.metric.equivalents(self.T_sensor_object[index : index + 1], step_m=0.5 * radius_m)[:, 0]
-        found = self._tree.query_ball_point(self.metric.embed(same), radius_m)
+        found = self._tree.query_ball_point(self._at_level(self.metric.embed(same)), radius_m)
         return np.unique(np.concatenate([np.asarray(f, np.int64) for f in found]))
 
 

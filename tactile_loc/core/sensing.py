@@ -29,6 +29,8 @@ class SensorGeometry:
 
     `fx`, `fy` are pixels for a pinhole camera and pixels per metre for an orthographic one; `cx`, `cy` are pixels.
     `standoff_m` is the distance from the camera to the undeformed surface, `max_depth_m` the deepest press in metres.
+    While an object is pressed in by `indentation_m` metres (see `pressed`), its deepest point is at z = `standoff_m`
+    and it is seen up to `max_depth_m` metres beyond; `surface_m` is where the undeformed surface is.
     `rectangle_m` (x_min, x_max, y_min, y_max) bounds the gel on the sensing surface; by default all that the image
     sees of it. `observed` (H, W) bool is False at pixels that carry no information; by default all pixels whose view
     of the sensing surface lies on the rectangle count. Raises SensorError when the numbers contradict one another.
@@ -45,6 +47,7 @@ class SensorGeometry:
     max_depth_m: float
     rectangle_m: tuple[float, float, float, float] | None = None
     observed: NDArray[np.bool_] | None = field(default=None, repr=False)
+    indentation_m: float = 0.0
 
     def __post_init__(self) -> None:
         if self.camera not in ("pinhole", "orthographic"):
@@ -68,6 +71,11 @@ class SensorGeometry:
             raise SensorError(f"the sensing rectangle {self.rectangle} is empty; give x_min < x_max and y_min < y_max")
         if not self.observed_mask.any():
             raise SensorError("no pixel of the sensor is observed; check the sensing rectangle and the mask")
+
+    @property
+    def surface_m(self) -> float:
+        """Distance from the camera to the undeformed surface, metres, pressed or not."""
+        return self.standoff_m + self.indentation_m
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -147,6 +155,23 @@ class SensorGeometry:
             cx=(self.cx - 0.5) / step + 0.5, cy=(self.cy - 0.5) / step + 0.5, rectangle_m=self.rectangle,
         )  # fmt: skip
 
+    def pressed(self, indentation_m: float, press_depth_m: float | None = None) -> SensorGeometry:
+        """Return the sensor as it sees an object that is pressed `indentation_m` metres into the gel.
+
+        What is seen begins at the object's deepest point, at z = surface - indentation, and ends `press_depth_m`
+        metres behind it, by default at the undeformed surface. Camera, rectangle and observed pixels stay. Raises
+        SensorError for an indentation that is not positive, or that reaches the camera.
+        """
+        if not 0 < indentation_m < self.surface_m:
+            raise SensorError(
+                f"an object cannot be pressed in by {indentation_m * 1e3:.3g} mm; the camera is "
+                f"{self.surface_m * 1e3:.3g} mm behind the surface"
+            )
+        return dataclasses.replace(
+            self, standoff_m=self.surface_m - indentation_m, indentation_m=indentation_m, rectangle_m=self.rectangle,
+            observed=self.observed_mask, max_depth_m=indentation_m if press_depth_m is None else press_depth_m,
+        )  # fmt: skip
+
     def with_long_side(self, pixels: int) -> SensorGeometry:
         """Return the same sensor, its longer image side `pixels` long, the shorter in proportion."""
         k = pixels / max(self.shape)
@@ -155,11 +180,14 @@ class SensorGeometry:
     def is_same_sensor(self, other: SensorGeometry) -> bool:
         """Tell whether `other` sees the same field, to within a pixel, in the same way.
 
-        The image's size and the mask may differ.
+        The image's size, the mask, and how deep an object is pressed may differ.
         """
-        ours, theirs = ((g.standoff_m, g.max_depth_m, *g.rectangle) for g in (self, other))
+        ours, theirs = ((g.surface_m, *g.rectangle) for g in (self, other))
         same = self.camera == other.camera and np.allclose(ours, theirs, rtol=1e-6, atol=1e-9)
-        apart_m = np.abs(np.subtract(self.view, other.view)).max()
+        if self.indentation_m == other.indentation_m:
+            same = same and math.isclose(self.max_depth_m, other.max_depth_m, rel_tol=1e-6)
+        k = self.standoff_m / other.standoff_m if self.is_pinhole else 1.0  # the views are of planes of their own
+        apart_m = np.abs(np.subtract(self.view, np.multiply(k, other.view))).max()
         return bool(same and apart_m < max(self.pixel_pitch_m, other.pixel_pitch_m))
 
     def describe(self) -> dict[str, Any]:
@@ -175,11 +203,13 @@ class ContactShape:
     """How far the object's surface lies from full penetration: `depth_m` (H, W) float32 in metres, 0 ... press depth.
 
     A pixel at `press_depth_m` or beyond is not in contact. Two contact shapes are comparable when both are cut at the
-    same press depth: see `pressed_to`.
+    same press depth: see `pressed_to`. `indentation_m` is how deep the object really was pressed in, if it is more
+    than what the shape shows: None means that nothing was cut off.
     """
 
     depth_m: Depth
     press_depth_m: float
+    indentation_m: float | None = None
 
     @property
     def contact(self) -> NDArray[np.bool_]:
@@ -188,7 +218,7 @@ class ContactShape:
 
     def every(self, step: int) -> ContactShape:
         """Return every `step`-th pixel; goes with `SensorGeometry.every`."""
-        return ContactShape(self.depth_m[::step, ::step], self.press_depth_m)
+        return dataclasses.replace(self, depth_m=self.depth_m[::step, ::step])
 
     def contact_iou(self, other: ContactShape, observed: NDArray[np.bool_]) -> float:
         """Return intersection over union (0 to 1, unitless) of two contacts where pixels (H, W) are observed."""
@@ -196,8 +226,14 @@ class ContactShape:
         return float((ours & theirs).sum() / max(1, (ours | theirs).sum()))
 
     def pressed_to(self, press_depth_m: float) -> ContactShape:
-        """Return what a lighter press would show: depths cut at `press_depth_m` metres."""
-        return ContactShape(np.minimum(self.depth_m, np.float32(press_depth_m)), min(press_depth_m, self.press_depth_m))
+        """Return what is nearer than `press_depth_m` metres to full penetration; the object is pressed as deep."""
+        cut_m = min(press_depth_m, self.press_depth_m)
+        return ContactShape(np.minimum(self.depth_m, np.float32(cut_m)), cut_m, self.deepest_m)
+
+    @property
+    def deepest_m(self) -> float:
+        """How deep the object's deepest point is pressed in, metres."""
+        return self.press_depth_m if self.indentation_m is None else self.indentation_m
 
 
 def contact_depth(depth_m: NDArray[np.floating[Any]], geometry: SensorGeometry, press_depth_m: float) -> Depth:
@@ -213,8 +249,9 @@ def contact_depth(depth_m: NDArray[np.floating[Any]], geometry: SensorGeometry, 
 class Touch:
     """One tactile observation.
 
-    `contact_shape` as seen by a sensor of `geometry`; `T_base_sensor` (4, 4) where the sensor was, if known;
-    `T_sensor_object` (4, 4) the true pose, known only in simulation or experiments. Lengths in metres. `image`
+    `contact_shape` as seen by a sensor of `geometry`, which becomes that of the pressed sensor: the object's deepest
+    point is at z = surface - indentation; `T_base_sensor` (4, 4) where the sensor was, if known; `T_sensor_object`
+    (4, 4) the true pose while it was pressed, known only in simulation or experiments. Lengths in metres. `image`
     (H, W, 3) uint8 is the photo that the contact shape was estimated from, if it was.
     Raises TouchError when the shape does not fit the sensor, has no contact, or nothing but contact.
     """
@@ -246,11 +283,19 @@ class Touch:
                 f"{self.name} is nothing but contact: every pixel has the same depth, which fits any flat face; "
                 "touch where an edge or a feature is on the sensor, or check how the file marks 'no contact'"
             )
+        if self.geometry.indentation_m != self.indentation_m or self.geometry.max_depth_m != self.press_depth_m:
+            pressed = self.geometry.pressed(self.indentation_m, self.press_depth_m)
+            object.__setattr__(self, "geometry", pressed)
 
     @property
     def press_depth_m(self) -> float:
-        """How deep the object was pressed, metres."""
+        """How deep the press is that the contact shape shows, metres."""
         return self.contact_shape.press_depth_m
+
+    @property
+    def indentation_m(self) -> float:
+        """How deep the object's deepest point was pressed into the gel, metres."""
+        return self.contact_shape.deepest_m
 
     def thinned(self, pixels: int) -> tuple[SensorGeometry, ContactShape]:
         """Return the sensor and the contact shape with so many pixels only that the longer side has about `pixels`."""

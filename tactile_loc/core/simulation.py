@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.grids import random_contact_poses
-from tactile_loc.core.interfaces import GridSampler, Scene
+from tactile_loc.core.interfaces import Float32, GridSampler, Scene
 from tactile_loc.core.noise import TouchNoise
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import ContactShape, Touch
@@ -21,6 +21,7 @@ def simulate_touches(
 ) -> list[Touch]:  # fmt: skip
     """Make `count` touches with known poses, pressed `press_depth_m` metres deep (by default the sensor's deepest).
 
+    A pose is where the object is while it is pressed, its deepest point at z = surface - press depth.
     With `noise`, what is rendered is the pose that the sensor's calibration error makes of the true one, its contact
     corrupted, cut at the press depth that the sensor measures; the press itself is drawn unless it is given. A touch
     that keeps less true contact than the sampler asks of a pose is drawn anew; but for those, the same `rng` draws the
@@ -45,7 +46,7 @@ def simulate_touches(
         rounds += 1
         poses = random_contact_poses(sampler, scene, count - len(touches), rng)
         percent = sampler.options.min_contact_percent
-        for T, shape in zip(poses, press_noise.shapes(poses, percent), strict=True):
+        for T, shape in zip(*press_noise.pressed(poses, percent), strict=True):
             touch = _touch(shape, scene, T, f"touch-{len(touches):04d}")
             touches += [touch] if touch is not None else []
     return touches
@@ -57,22 +58,36 @@ class _PressNoise:
     def __init__(self, noise: TouchNoise, scene: Scene, press_depth_m: float | None, rng: np.random.Generator) -> None:
         self.noise, self.scene, self.press_depth_m, self.rng = noise, scene, press_depth_m, rng
 
-    def shapes(self, T_sensor_object: Poses, least_percent: float) -> list[ContactShape | None]:
-        """The contact shape of each pose (N, 4, 4), metres; None where noise left less than this contact."""
+    def pressed(self, T_sensor_object: Poses, least_percent: float) -> tuple[Poses, list[ContactShape | None]]:
+        """Press poses (N, 4, 4) that just touch; return where they are then, metres, and the contact shape of each.
+
+        It is None where noise left less than this contact.
+        """
         noise, geometry = self.noise, self.scene.geometry
         seen, touching = self._misplaced(T_sensor_object)
         press = self._presses(len(seen))
-        clean = self.scene.contact_depths(seen)
+        clean = self._drawn(lowered(seen, press), press)
         noisy = noise.corrupt(clean, press, geometry, self.rng)
         measured = noise.measure_press(press, geometry.max_depth_m, self.rng)
         depths = noise.cut(noisy, press, measured)
         shapes = [ContactShape(depth, float(m)) for depth, m in zip(depths, measured, strict=True)]
+        poses = lowered(T_sensor_object, press)
         if noise == TouchNoise():
-            return list(shapes)
+            return poses, list(shapes)
         least = max(1.0, least_percent / 100 * geometry.observed_mask.sum())
         real = (clean < press.astype(np.float32)[:, None, None]) & geometry.observed_mask  # spurious contact is none
         kept = touching & [np.count_nonzero(s.contact & r) >= least for s, r in zip(shapes, real, strict=True)]
-        return [shape if ok else None for shape, ok in zip(shapes, kept, strict=True)]
+        return poses, [shape if ok else None for shape, ok in zip(shapes, kept, strict=True)]
+
+    def _drawn(self, T_sensor_object: Poses, press_m: NDArray[np.float64]) -> Float32:
+        """Contact depths (N, H, W) of poses pressed in by (N,), up to the sensor's deepest from their own; metres."""
+        depths = np.empty((len(press_m), *self.scene.geometry.shape), np.float32)
+        for m in np.unique(press_m):
+            these = press_m == m
+            depths[these] = self.scene.pressed(m, self.scene.geometry.max_depth_m).contact_depths(
+                T_sensor_object[these]
+            )
+        return depths
 
     def _misplaced(self, T_sensor_object: Poses) -> tuple[Poses, NDArray[np.bool_]]:
         """Where the poses (N, 4, 4) really are, in contact, and which (N,) touch. Metres."""
@@ -85,6 +100,13 @@ class _PressNoise:
         if self.press_depth_m is not None:
             return np.full(count, self.press_depth_m)
         return self.noise.draw_press(count, self.scene.geometry.max_depth_m, self.rng)
+
+
+def lowered(T_sensor_object: Poses, press_m: NDArray[np.float64]) -> Poses:
+    """Return poses (N, 4, 4) that are pressed (N,) metres deeper into the sensor."""
+    T = T_sensor_object.copy()
+    T[:, 2, 3] -= press_m
+    return T
 
 
 def _touch(shape: ContactShape | None, scene: Scene, T: NDArray[np.float64], name: str) -> Touch | None:

@@ -55,7 +55,7 @@ def _posed_mm(mesh: TriangleMesh, T: Array) -> Array:
 def _sensor_mm(geometry: SensorGeometry) -> list[Array]:
     """The gel under the sensing rectangle, and the housing around it."""
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
-    top = 1e3 * geometry.standoff_m
+    top = 1e3 * geometry.surface_m
     gel = box((x0, x1), (y0, y1), (top - GEL_MM, top))
     rim = RIM_MM
     return [gel, box((x0 - rim, x1 + rim), (y0 - rim, y1 + rim), (top - 2.2 * GEL_MM, top - 0.4 * GEL_MM))]
@@ -107,7 +107,7 @@ def _thicker(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _height_mm(geometry: SensorGeometry, *surfaces: Array | None) -> float:
     top = max(float(s[..., 2].max()) for s in surfaces if s is not None)
-    return max(top - 1e3 * geometry.standoff_m, 5.0)
+    return max(top - 1e3 * geometry.surface_m, 5.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ class _Picture:
 def _draw_axes(axes: Axes, view: View, geometry: SensorGeometry, height_mm: float, picture: _Picture) -> None:
     """Draw ticks along the near edges of the sensing rectangle (x, y) and up its left or right corner (z)."""
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
-    z0 = 1e3 * geometry.standoff_m
+    z0 = 1e3 * geometry.surface_m
     away = RIM_MM + 0.6
     towards = view.axes[2]
     near_x, near_y = (x1 if towards[0] > 0 else x0), (y1 if towards[1] > 0 else y0)

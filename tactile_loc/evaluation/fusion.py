@@ -124,7 +124,7 @@ class _Examples:
         self, number: int, posteriors: Sequence[PosePosterior], truths: Poses
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Errors (C, L) in metres and (C, 2) where a fuser found no common pose, of one example."""
-        grid = self.localizer.model.grid
+        grid = posteriors[0].grid
         rng = np.random.default_rng(self.source.random(MOST_FUSED * number, 1))
         guesses = rng.integers(len(grid), size=MOST_FUSED)
         lots = rng.random((MOST_FUSED, len(FUSED_LINES)))

@@ -48,9 +48,11 @@ def true_pose(touch: Touch) -> NDArray[np.float64]:
 def _true_shapes(localizer: Localizer, touches: Sequence[Touch]) -> Float32:
     """Clean contact depths (T, H, W) of the true poses, metres, each cut at its touch's press depth."""
     scene = localizer.coarse_scene
-    poses, _ = scene.in_contact(np.stack([true_pose(touch) for touch in touches]))
-    press = np.array([touch.press_depth_m for touch in touches], np.float32)
-    return np.minimum(scene.contact_depths(poses), press[:, None, None])
+    shapes = []
+    for touch in touches:
+        pressed = scene.pressed(touch.indentation_m, touch.press_depth_m)
+        shapes.append(pressed.contact_depths(pressed.in_contact(true_pose(touch)[None])[0])[0])
+    return np.stack(shapes)
 
 
 @njit

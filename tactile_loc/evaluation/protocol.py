@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.poses import Poses
+from tactile_loc.core.poses import PoseGrid, Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.registry import registry
@@ -76,7 +76,7 @@ class TouchEvaluator:
         guesses = rng.integers(len(posterior.grid), size=FEW)
         refined, times.seconds["refine"] = self._refine(touch, posterior, top[:FEW])
         chosen = int(self.localizer.scene.imprint_ious(refined, touch).argmax())
-        poses = self._lines(truth, top, guesses, oracle, refined, chosen)
+        poses = self._lines(posterior.grid, truth, top, guesses, oracle, refined, chosen)
         seconds = np.array([times.seconds[stage] for stage in STAGES])
         return MeasuredTouch(self._errors_m(poses, truth), poses, seconds, posterior_metrics(posterior, truth, rng))
 
@@ -89,12 +89,12 @@ class TouchEvaluator:
         return np.stack([pose.T_sensor_object for pose in (first, *others)]), seconds
 
     def _lines(
-        self, T_true: Poses, top: NDArray[np.int64], guesses: NDArray[np.int64], oracle: int, refined: Poses,
+        self, grid: PoseGrid, T_true: Poses, top: NDArray[np.int64], guesses: NDArray[np.int64], oracle: int, refined: Poses,
         chosen: int,
     ) -> Poses:  # fmt: skip
         """The pose (L, 4, 4) of each line: of those it may choose from, the one nearest to the truth by ADD."""
-        on_grid = np.concatenate([top, guesses, [oracle], self._near(T_true)])
-        poses = np.concatenate([self.localizer.model.grid.T_sensor_object[on_grid], refined])
+        on_grid = np.concatenate([top, guesses, [oracle], _near(grid, T_true)])
+        poses = np.concatenate([grid.T_sensor_object[on_grid], refined])
         errors = symmetric_adds(self.localizer.object, self._points_m, poses, T_true)
         k, n = len(top), len(on_grid)
         choices = {
@@ -103,11 +103,6 @@ class TouchEvaluator:
             "oracle": (k + FEW, k + FEW + 1), "random": (k, k + 1), "random-10": (k, k + FEW),
         }  # fmt: skip
         return np.stack([poses[a + errors[a:b].argmin()] for a, b in (choices[line] for line in LINES)])
-
-    def _near(self, T_true: Poses) -> NDArray[np.int64]:
-        """Indices of the grid poses with the least root mean square distance to the truth, symmetry regarded."""
-        distances = self.localizer.model.grid.distances(T_true, NEAR_STEP_M)
-        return np.argsort(distances, kind="stable")[:NEAR]
 
     def _errors_m(self, poses: Poses, T_true: Poses) -> NDArray[np.float64]:
         """Errors (L, M) in metres of poses (L, 4, 4); equal poses are measured once."""
@@ -180,6 +175,11 @@ def evaluation_key(localizer: Localizer, count: int, touches: SimulatedTouches) 
     """Return the key under which an evaluation is stored: everything that decides its errors."""
     refiner = {"refiner": localizer.refiner.describe()}
     return StageKey("evaluation", PROTOCOL_VERSION, {**describe_located(localizer, touches, count), **refiner})
+
+
+def _near(grid: PoseGrid, T_true: Poses) -> NDArray[np.int64]:
+    """Indices of the grid poses with the least root mean square distance to the truth, symmetry regarded."""
+    return np.argsort(grid.distances(T_true, NEAR_STEP_M), kind="stable")[:NEAR]
 
 
 def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: SimulatedTouches) -> list[NDArray[Any]]:

@@ -1,4 +1,4 @@
-"""From the modes of a posterior to distinct hypotheses: refined against every touch, merged, and put in order."""
+"""From the modes of posteriors to distinct hypotheses: proposed by all touches, refined together, merged and weighed."""
 
 from __future__ import annotations
 
@@ -9,94 +9,121 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry import invert
-from tactile_loc.core.interfaces import Candidate, Prior, RefinedPose, Refiner, Scene
+from tactile_loc.core.interfaces import Candidate, Prior, Refiner, View
 from tactile_loc.core.poses import PoseMetric, Poses
-from tactile_loc.core.posterior import Mode
+from tactile_loc.core.posterior import Mode, PosePosterior
 from tactile_loc.core.progress import StageTimes
-from tactile_loc.core.sensing import Touch
 from tactile_loc.locate.result import Hypothesis
 
-View = tuple[Touch, Scene, Refiner]  # a touch, the object before its sensor, and what refines poses against it
-
 SHARPNESS = 30.0
+REFINED = 40  # hypotheses of several touches
+LISTED, GLANCED_AT = 400, 200  # poses that a touch proposes, and those that are drawn at GLANCE_PX pixels a side
+GLANCE_PX = 40
+DOUBT = 8.0  # nats: no touch's grid makes a pose less likely than that
 
 
 def find_hypotheses(
-    views: Sequence[View], modes: Sequence[Mode], metric: PoseMetric, radius_m: float, prior: Prior | None,
-    times: StageTimes,
+    views: Sequence[View], modes: Sequence[Mode], refiner: Refiner, metric: PoseMetric, radius_m: float,
+    prior: Prior | None, times: StageTimes,
 ) -> tuple[Hypothesis, ...]:  # fmt: skip
-    """Refine modes, poses in the first touch's sensor frame, merge those that end within `radius_m` metres, and rank.
+    """Refine modes, poses in the first touch's sensor frame, merge those that end within `radius_m` metres, and weigh.
 
-    Of what refinement against each touch makes of a mode, the pose that all touches together like best is taken.
+    After refinement the right one of several explanations shows: see `weighed`.
     """
     with times.stage("refine"):
-        tried = _refined(views, modes)
+        candidates = [Candidate(m.T_sensor_object, m.index, float(np.log(max(m.probability, 1e-300)))) for m in modes]
+        refined = refiner.refine_together(views, candidates)
     with times.stage("choose"):
-        ious = np.stack([_imprint_ious(views, np.stack([r.T_sensor_object for r in row])) for row in tried])
-        best = ious.argmax(axis=0)
+        ious = explained(views, np.stack([pose.T_sensor_object for pose in refined]))
         hypotheses = [
-            Hypothesis(m.probability, m.T_sensor_object, tried[b][k], m.index, len(m.members), float(ious[b, k]))
-            for k, (m, b) in enumerate(zip(modes, best, strict=True))
+            Hypothesis(mode.probability, mode.T_sensor_object, pose, mode.index, len(mode.members), float(iou))
+            for mode, pose, iou in zip(modes, refined, ious, strict=True)
         ]
-        merged = merge_hypotheses(hypotheses, metric, radius_m)
-        log_prior = None if prior is None else prior(np.stack([h.T_sensor_object for h in merged]))
-        return ranked(merged, log_prior)
+        log_prior = None if prior is None else prior(np.stack([h.T_sensor_object for h in hypotheses]))
+        return merge_hypotheses(weighed(hypotheses, len(views), log_prior), metric, radius_m)
 
 
 def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radius_m: float) -> tuple[Hypothesis, ...]:
-    """Merge hypotheses whose refined poses came out within `radius_m` metres of a heavier one; it takes their mass."""
+    """Merge hypotheses whose refined poses came out within `radius_m` metres of a likelier one.
+
+    They are given in order, the most probable first. What ends at the same pose is the same explanation, however many
+    started towards it: it has the probability of its likeliest.
+    """
     merged: list[Hypothesis] = []
     for h in hypotheses:
         poses = np.array([m.T_sensor_object for m in merged]).reshape(-1, 4, 4)
         same = np.broadcast_to(h.T_sensor_object, poses.shape)
         near = np.flatnonzero(metric.symmetric_distance(poses, same) < radius_m)
         if h.refined.converged and len(near):
-            heavier = merged[near[0]]
-            mass, count = heavier.probability + h.probability, heavier.grid_poses + h.grid_poses
-            merged[near[0]] = dataclasses.replace(heavier, probability=mass, grid_poses=count)
+            likelier = merged[near[0]]
+            merged[near[0]] = dataclasses.replace(likelier, grid_poses=likelier.grid_poses + h.grid_poses)
         else:
             merged.append(h)
-    return tuple(sorted(merged, key=lambda h: -h.probability))
+    kept, total = sum(h.probability for h in merged), sum(h.probability for h in hypotheses)
+    share = total / kept if kept > 0 else 1.0
+    return tuple(dataclasses.replace(h, probability=min(1.0, share * h.probability)) for h in merged)
 
 
-def ranked(hypotheses: Sequence[Hypothesis], log_prior: NDArray[np.float64] | None = None) -> tuple[Hypothesis, ...]:
-    """Order hypotheses by how well their refined poses explain the touches, and by what was known before.
+def weighed(
+    hypotheses: Sequence[Hypothesis], touches: int, log_prior: NDArray[np.float64] | None = None
+) -> tuple[Hypothesis, ...]:
+    """Give hypotheses the probabilities of what their refined poses explain, the most probable first.
 
     The grid's posterior compares coarse shapes at poses that are all a little wrong; below the grid's resolution the
-    right one of several explanations shows. With a prior, `log_prior` (K,) of the refined poses, an imprint IoU better
-    by one SHARPNESS-th makes up for a pose e times less likely.
+    right one of several explanations shows. For each touch, an imprint IoU that is better by one SHARPNESS-th makes a
+    pose e times as likely; `log_prior` (K,) is added. Together they keep the probability that their modes had.
     """
-    known = np.zeros(len(hypotheses)) if log_prior is None else log_prior
-    worth = SHARPNESS * np.array([h.imprint_iou for h in hypotheses]) + known
-    return tuple(hypotheses[i] for i in np.lexsort((np.arange(len(hypotheses)), -worth)))
+    known = np.zeros(len(hypotheses)) if log_prior is None else np.maximum(log_prior, -1e300)
+    worth = SHARPNESS * touches * np.array([h.imprint_iou for h in hypotheses]) + known
+    weights = np.exp(worth - worth.max())
+    weights *= min(1.0, sum(h.probability for h in hypotheses)) / weights.sum()
+    order = np.lexsort((np.arange(len(hypotheses)), -worth))
+    return tuple(dataclasses.replace(hypotheses[i], probability=float(weights[i])) for i in order)
 
 
-def _refined(views: Sequence[View], modes: Sequence[Mode]) -> list[list[RefinedPose]]:
-    """What to choose each mode's pose from, in the first sensor's frame: rows of a pose for each mode.
+def explained(views: Sequence[View], T_first_object: Poses, **how: float) -> NDArray[np.float64]:
+    """Return how well poses (K, 4, 4) in the first sensor's frame explain the touches: mean (K,) over them, 0 to 1.
 
-    Each touch refines all of them. What one touch gains by that others may lose, so of several the grid's poses take
-    part as well.
+    `how` is as for `View.imprint_ious`.
     """
-    rows = [[RefinedPose(mode.T_sensor_object, 0.0, False, 0) for mode in modes]] if len(views) > 1 else []
-    for touch, scene, refiner in views:
-        T_sensor_first = _from_first(views, touch)
-        candidates = [Candidate(T_sensor_first @ m.T_sensor_object, m.index, np.log(m.probability)) for m in modes]
-        T_first_sensor = invert(T_sensor_first)
-        found = refiner.refine_many(touch, candidates, scene)
-        rows.append([dataclasses.replace(r, T_sensor_object=T_first_sensor @ r.T_sensor_object) for r in found])
-    return rows
+    return np.asarray(np.mean([view.imprint_ious(T_first_object, **how) for view in views], axis=0))
 
 
-def _imprint_ious(views: Sequence[View], T_first_object: Poses) -> NDArray[np.float64]:
-    """How well poses (K, 4, 4) in the first sensor's frame explain the touches: mean (K,) over them, 0 to 1."""
-    ious = [scene.imprint_ious(_from_first(views, touch) @ T_first_object, touch) for touch, scene, _ in views]
-    return np.asarray(np.mean(ious, axis=0))
+def proposed(
+    views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, radius_m: float, top: int
+) -> list[Mode]:
+    """Return modes to refine against several touches, at most `top`, in the first touch's sensor frame.
+
+    Every touch proposes its most probable poses, LISTED of them; those that the grids of all touches together find
+    likely, GLANCED_AT of them, are drawn coarsely, and the ones that explain all touches best are taken, none within
+    `radius_m` metres of a better one. The grid index of another touch's pose is that of the first grid's nearest.
+    """
+    poses = np.concatenate([
+        invert(view.T_sensor_first) @ posterior.grid.T_sensor_object[posterior.top(LISTED)]
+        for view, posterior in zip(views, alone, strict=True)
+    ])  # fmt: skip
+    likely = np.zeros(len(poses))
+    for view, posterior in zip(views, alone, strict=True):
+        far, nearest = posterior.grid.nearest(view.T_sensor_first @ poses)
+        likely += np.maximum(posterior.log_p[nearest], posterior.log_p.max() - DOUBT) - far / radius_m
+    poses = poses[_apart(poses, likely, fused.grid.metric, 0.5 * radius_m, GLANCED_AT)]
+    ious = explained(views, poses, pixels=GLANCE_PX, freedom_m=radius_m)
+    poses = poses[_apart(poses, ious, fused.grid.metric, radius_m, top)]
+    nearest = fused.grid.nearest(poses)[1]
+    p = fused.probabilities[nearest]
+    return [
+        Mode(int(index), float(mass), pose, np.array([index]))
+        for index, mass, pose in zip(nearest, p, poses, strict=True)
+    ]
 
 
-def _from_first(views: Sequence[View], touch: Touch) -> Poses:
-    """`T_sensor_first` (4, 4), metres, from the first touch's sensor frame to this touch's."""
-    first = views[0][0]
-    if touch is first:
-        return np.eye(4)
-    T: Poses = invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
-    return T
+def _apart(
+    poses: Poses, worth: NDArray[np.float64], metric: PoseMetric, radius_m: float, count: int
+) -> NDArray[np.int64]:
+    """The indices of poses (K, 4, 4), the worthiest first, none within a radius of a worthier one, at most `count`."""
+    points = metric.embed(poses)
+    left, chosen = np.argsort(-worth, kind="stable"), []
+    while len(left) and len(chosen) < count:
+        chosen.append(left[0])
+        left = left[np.linalg.norm(points[left] - points[left[0]], axis=1) > radius_m]
+    return np.array(chosen, np.int64)

@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from tactile_loc.core.errors import TouchError
-from tactile_loc.core.interfaces import Candidate, Matcher, Prior, RefinedPose, Scene
+from tactile_loc.core.geometry import invert
+from tactile_loc.core.interfaces import Candidate, Matcher, Prior, RefinedPose, Scene, View
 from tactile_loc.core.noise import noise_level
 from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.poses import PoseGrid
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.registry import registry
@@ -24,7 +26,7 @@ from tactile_loc.io.config import RunConfig, SlotConfig
 from tactile_loc.io.meshes import Units, load_object
 from tactile_loc.io.touches import read_touch
 from tactile_loc.locate import probabilities
-from tactile_loc.locate.hypotheses import find_hypotheses
+from tactile_loc.locate.hypotheses import REFINED, find_hypotheses, proposed
 from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel, build_bank, build_model, train_encoder
 from tactile_loc.locate.probabilities import TemperatureScaling, fit_temperature_scaling
 from tactile_loc.locate.result import Localization
@@ -36,6 +38,7 @@ from tactile_loc.store.workspace import Workspace
 logger = logging.getLogger(__name__)
 
 MODE_RADIUS = 2.0  # grid spacings between poses that count as one hypothesis
+PROPOSAL_RADIUS = 0.25  # mode radii between poses that are refined
 SAME_POSE = 0.25  # mode radii between refined poses that count as one
 
 
@@ -56,7 +59,8 @@ class Localizer:
         self.fuser = self._component("fuser")
         renderer = self._component("renderer")
         self.scene = Scene(obj, self.sensor.geometry, renderer)
-        self.coarse_scene = Scene(obj, self.sensor.geometry.with_long_side(config.shape_px), renderer)
+        coarse = self.sensor.geometry.with_long_side(config.shape_px)
+        self.coarse_scene = Scene(obj, coarse.pressed(coarse.max_depth_m), renderer)  # the grid's, at full press
 
     @classmethod
     def create(
@@ -144,7 +148,7 @@ class Localizer:
             for seed, count in probabilities.batches():
                 for touch in self.simulate(count, seed, noise=probabilities.TOUCH_NOISE):
                     scores += exact.scores([touch])
-                    truth.append(int(self.model.grid.nearest(np.asarray(touch.T_sensor_object)[None])[1][0]))
+                    truth.append(int(self.grid_of(touch).nearest(np.asarray(touch.T_sensor_object)[None])[1][0]))
                     advance(1)
         work.save_json(probabilities.STAGE, asdict(fit_temperature_scaling(scores, np.array(truth))))
 
@@ -183,8 +187,13 @@ class Localizer:
 
         Raises TouchError when another sensor took one of the touches.
         """
-        scaling, grid = self.temperature_scaling, self.model.grid
-        return [scaling.posterior(grid, scores) for scores in self.scores(touches, times)]
+        scaling = self.temperature_scaling
+        scored = zip(touches, self.scores(touches, times), strict=True)
+        return [scaling.posterior(self.grid_of(touch), scores) for touch, scores in scored]
+
+    def grid_of(self, touch: Touch) -> PoseGrid:
+        """Return the poses that are searched, in metres, pressed as deep as the touch."""
+        return self.model.grid.raised(self.scene.geometry.max_depth_m - touch.indentation_m)
 
     def posterior(self, touch: Touch, prior: Prior | None = None, times: StageTimes | None = None) -> PosePosterior:
         """Return the posterior over the grid's poses of a touch and a prior: encode, match, fuse; adds to `times`."""
@@ -222,7 +231,7 @@ class Localizer:
         """Refine poses of the posterior's grid against the touch, in the order of their indices."""
         poses = posterior.grid.T_sensor_object
         candidates = [Candidate(poses[index], int(index), float(posterior.log_p[index])) for index in indices]
-        refined: list[RefinedPose] = self.refiner.refine_many(touch, candidates, self.scene)
+        refined: list[RefinedPose] = self.refiner.refine_many(touch, candidates, self.scene.of_touch(touch))
         return refined
 
     def _require_own(self, touch: Touch) -> None:
@@ -261,11 +270,23 @@ def _located(
     touches = tuple(t for _, t in observations)
     with times.stage("fuse"):
         posterior = first.fuser.fuse(alone, [t.T_base_sensor for t in touches], prior)
+    top = top or first.config.top
+    views = [_view(touch, localizer, t) for localizer, t in observations]
     with times.stage("modes"):
-        modes = posterior.modes(first.mode_radius_m, top or first.config.top)
-    views = [(t, localizer.scene, localizer.refiner) for localizer, t in observations]
-    hypotheses = find_hypotheses(views, modes, first.model.grid.metric, first.same_pose_m, prior, times)
-    return Localization(touch, posterior, hypotheses, times.seconds, touches[1:])
+        if len(views) == 1:
+            modes = posterior.modes(first.mode_radius_m, top)
+        else:
+            modes = proposed(views, alone, posterior, PROPOSAL_RADIUS * first.mode_radius_m, REFINED)
+    found = find_hypotheses(views, modes, first.refiner, posterior.grid.metric, first.same_pose_m, prior, times)
+    return Localization(touch, posterior, found[:top], times.seconds, touches[1:])
+
+
+def _view(first: Touch, localizer: Localizer, touch: Touch) -> View:
+    """A touch as hypotheses in the first one's sensor frame are compared with it."""
+    scene = localizer.scene.of_touch(touch)
+    if touch is first:
+        return View(touch, scene)
+    return View(touch, scene, invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor))
 
 
 def _require_one_object(observations: Sequence[Observation]) -> None:

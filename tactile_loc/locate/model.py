@@ -22,7 +22,7 @@ from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
 SHARD = 1024  # poses rendered, saved and resumed at once
 NO_CONTACT = 65535
-STAGE_VERSIONS = {"grid": 2, "shapes": 1, "encoder": 2, "bank": 1}
+STAGE_VERSIONS = {"grid": 3, "shapes": 2, "encoder": 3, "bank": 2}
 
 
 def grid_key(scene: Scene, sampler: GridSampler) -> StageKey:
@@ -116,15 +116,31 @@ def build_bank(
     `trained` is as for `bank_key`.
     """
 
+    pressed = scene.pressed(press_depth_m)
+
     def encode(work: Workspace) -> None:
         rows = []
         with progress.task("encoding contact shapes", model.size) as advance:
-            for depths in model.shapes.shards(press_depth_m):
-                rows.append(encoder.encode(depths, press_depth_m, scene.geometry))
+            for depths in _pressed_shapes(model, pressed):
+                rows.append(encoder.encode(depths, press_depth_m, pressed.geometry))
                 advance(len(depths))
         work.save_array("bank", np.concatenate(rows))
 
     return np.asarray(store.build(bank_key(model.key, encoder, press_depth_m, trained), encode).array("bank"))
+
+
+def _pressed_shapes(model: ObjectPoseModel, pressed: Scene) -> Iterator[NDArray[np.float32]]:
+    """The contact depths (S, H, W), S > 0, of the grid's poses in a scene that presses them in; metres.
+
+    Seen by parallel rays, a lighter press is a full one cut off. A pinhole camera sees it from farther away.
+    """
+    press_m, deepest_m = pressed.geometry.indentation_m, model.shapes.max_depth_m
+    if press_m == deepest_m or not pressed.geometry.is_pinhole:
+        yield from model.shapes.shards(press_m)
+        return
+    poses = model.grid.raised(deepest_m - press_m).T_sensor_object
+    for start in range(0, len(poses), SHARD):
+        yield pressed.grid_depths(poses[start : start + SHARD])
 
 
 def _grid(scene: Scene, sampler: GridSampler, progress: Progress) -> NDArray[np.float64]:

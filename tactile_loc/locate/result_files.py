@@ -91,7 +91,8 @@ def gather(contacts: Sequence[Observation], localization: Localization) -> Resul
     touches = []
     for localizer, touch in contacts:
         T = _sensor_first(first, touch)
-        made_m = localizer.scene.contact_depths(localizer.scene.in_contact(T @ poses)[0], touch.press_depth_m)
+        scene = localizer.scene.of_touch(touch)
+        made_m = scene.contact_depths(scene.in_contact(T @ poses)[0], touch.press_depth_m)
         touches.append(TouchArrays(touch.contact_shape, touch.geometry, T, made_m, touch.image))
     kept = most_probable(localization.posterior)
     posterior = localization.posterior

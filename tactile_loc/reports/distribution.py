@@ -57,7 +57,7 @@ def touched_points(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorG
 def sensor_centre(geometry: SensorGeometry) -> Array:
     """Return the centre (3,) of the sensing rectangle on the undeformed gel, metres of the sensor frame."""
     x0, x1, y0, y1 = geometry.rectangle
-    return np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), geometry.standoff_m])
+    return np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), geometry.surface_m])
 
 
 def surface_distribution(

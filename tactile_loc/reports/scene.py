@@ -112,7 +112,7 @@ def rows_mm(T: Array) -> list[float]:
 def pad(touch: TouchArrays) -> dict[str, Any]:
     """Return a touch's sensor: its gel, the housing around it, and the outline of its contact; mm, first frame."""
     x0, x1, y0, y1 = (1e3 * value for value in touch.geometry.rectangle)
-    top, rim = 1e3 * touch.geometry.standoff_m, RIM_MM
+    top, rim = 1e3 * touch.geometry.surface_m, RIM_MM
     gel = box((x0, x1), (y0, y1), (top - GEL_MM, top))
     housing = box((x0 - rim, x1 + rim), (y0 - rim, y1 + rim), (top - 2.2 * GEL_MM, top - 0.4 * GEL_MM))
     T = invert(touch.T_sensor_first)
@@ -131,7 +131,7 @@ def outlines_mm(shape: ContactShape, geometry: SensorGeometry) -> list[Array]:
     found = []
     for line in borders:
         column, row = (np.clip(line - 0.5, 0, [width, height]) / [width, height]).T
-        z = np.full(len(line), 1e3 * geometry.standoff_m)
+        z = np.full(len(line), 1e3 * geometry.surface_m)
         found.append(np.stack([left + column * (right - left), top + row * (bottom - top), z], axis=1))
     return found
 
@@ -208,7 +208,7 @@ def triad(box_mm: Array, view: View, length_mm: float) -> dict[str, Any]:
 def pad_ticks(geometry: SensorGeometry, view: View) -> dict[str, list[Any]]:
     """Return numbers along the two edges of the first sensor's pad that are nearest to the viewer, mm."""
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
-    away, z = RIM_MM + 5.5, 1e3 * geometry.standoff_m - GEL_MM
+    away, z = RIM_MM + 5.5, 1e3 * geometry.surface_m - GEL_MM
     x = x1 + away if view.axes[2, 0] > 0 else x0 - away
     y = y1 + away if view.axes[2, 1] > 0 else y0 - away
     further = 1 + 9 / max(abs(x), abs(y))

@@ -236,8 +236,9 @@ def pressed_block(camera: str = "orthographic", scale: float = 1.0, press: float
     """Return the block pressed at POSE; `press` is the share (0 to 1) of the deepest press."""
     x, y, yaw = POSE
     scene = block_scene(camera, scale)
+    scene = scene.pressed(press * scene.geometry.max_depth_m)
     truth = scene.in_contact(planar_pose(x * scale, y * scale, yaw)[None])[0][0]
-    return PressedBlock(scene, touch_at(scene, truth, press * scene.geometry.max_depth_m), truth)
+    return PressedBlock(scene, touch_at(scene, truth, scene.geometry.indentation_m), truth)
 
 
 def planar_pose(x_m: float, y_m: float, yaw_rad: float) -> NDArray[np.float64]:
@@ -246,10 +247,11 @@ def planar_pose(x_m: float, y_m: float, yaw_rad: float) -> NDArray[np.float64]:
 
 
 def touch_at(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> Touch:
-    """Return the touch that the object at a pose (4, 4), brought to contact, makes at a press in metres."""
-    T = scene.in_contact(T_sensor_object[None])[0]
-    shape = ContactShape(scene.contact_depths(T, press_depth_m)[0], press_depth_m)
-    return Touch(shape, scene.geometry, "pressed block", T_sensor_object=T[0])
+    """Return the touch that the object at a pose (4, 4) makes that is pressed in by `press_depth_m` metres."""
+    pressed = scene.pressed(press_depth_m)
+    T = pressed.in_contact(T_sensor_object[None])[0]
+    shape = ContactShape(pressed.contact_depths(T)[0], press_depth_m)
+    return Touch(shape, pressed.geometry, "pressed block", T_sensor_object=T[0])
 
 
 def with_depth(touch: Touch, depth_m: NDArray[np.float32]) -> Touch:

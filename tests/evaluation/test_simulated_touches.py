@@ -88,7 +88,8 @@ def test_an_image_without_contact_is_drawn_anew_and_said(localizer, monkeypatch,
 def test_evaluating_images_is_another_evaluation_with_the_same_truth(localizer):
     shapes = evaluate(localizer, 3, SimulatedTouches(seed=3))
     images = evaluate(localizer, 3, IMAGES)
-    assert (shapes.errors("random") == images.errors("random")).all()
+    # how deep a photo was pressed is measured: its grid is as deep as that
+    np.testing.assert_allclose(shapes.errors("random"), images.errors("random"), atol=2e-4)
     assert evaluation_key(localizer, 3, IMAGES) != evaluation_key(localizer, 3, SimulatedTouches(seed=3))
     assert np.median(images.errors("best-1")) < np.median(images.errors("random"))
 

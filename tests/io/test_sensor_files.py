@@ -41,7 +41,7 @@ def test_a_sensor_survives_its_file(tmp_path: Path, name: str) -> None:
     assert path == tmp_path / "sensor.toml"
     found = read_sensor_file(path)
     assert numbers(found) == pytest.approx(numbers(geometry), rel=1e-14, abs=0)
-    assert len(numbers(found)) == 12
+    assert len(numbers(found)) == 13
     assert (found.camera, found.describe()["observed"]) == (geometry.camera, geometry.describe()["observed"])
     assert (found.rectangle_m is None) == (geometry.rectangle_m is None)
     np.testing.assert_array_equal(found.observed_mask, geometry.observed_mask)

@@ -10,7 +10,7 @@ from tactile_loc.core.interfaces import RefinedPose
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.symmetry import SymmetryGroup
-from tactile_loc.locate.hypotheses import SHARPNESS, merge_hypotheses, ranked
+from tactile_loc.locate.hypotheses import SHARPNESS, merge_hypotheses, weighed
 from tactile_loc.locate.result import Hypothesis
 from tactile_loc.testing.problems import box
 
@@ -27,10 +27,10 @@ def metric() -> PoseMetric:
     return PoseMetric(ObjectModel("box", mesh, SymmetryGroup.parse("z2", np.zeros(3))))
 
 
-def test_the_heavier_takes_the_mass_of_those_that_met_it(metric):
+def test_what_ends_at_the_same_pose_is_one_explanation_however_many_started_towards_it(metric):
     near, far = translation([2e-4, 0, 0]), translation([2e-3, 0, 0])
     found = merge_hypotheses([hypothesis(p, T) for p, T in ((0.5, np.eye(4)), (0.3, far), (0.2, near))], metric, 5e-4)
-    assert [h.probability for h in found] == [pytest.approx(0.7), 0.3]
+    assert [h.probability for h in found] == pytest.approx([0.625, 0.375])  # 5 to 3, of the same sum
     assert [h.grid_poses for h in found] == [10, 5]
     np.testing.assert_array_equal(found[0].refined.T_sensor_object, np.eye(4))
 
@@ -46,21 +46,28 @@ def test_what_did_not_converge_is_not_merged(metric):
     assert len(merge_hypotheses([hypothesis(0.6, np.eye(4)), stuck], metric, 5e-4)) == 2
 
 
-def test_merging_may_change_the_order(metric):
-    a, b = np.eye(4), translation([5e-3, 0, 0])
-    found = merge_hypotheses([hypothesis(p, T) for p, T in ((0.4, a), (0.35, b), (0.25, b))], metric, 5e-4)
-    assert found[0].probability == pytest.approx(0.6)
-
-
-def test_what_explains_the_touch_best_comes_first():
+def test_what_explains_the_touch_best_is_the_most_probable_and_comes_first():
     three = [hypothesis(p, np.eye(4), imprint_iou=e) for p, e in ((0.6, 0.7), (0.3, 0.9), (0.1, 0.8))]
-    assert [h.imprint_iou for h in ranked(three)] == [0.9, 0.8, 0.7]
-    assert [h.probability for h in ranked([hypothesis(p, np.eye(4)) for p in (0.6, 0.3)])] == [0.6, 0.3]
+    found = weighed(three, touches=1)
+    assert [h.imprint_iou for h in found] == [0.9, 0.8, 0.7]
+    p = np.array([h.probability for h in found])
+    assert p.sum() == pytest.approx(1)
+    np.testing.assert_allclose(np.log(p[:-1] / p[1:]), SHARPNESS * 0.1)
+    assert [h.probability for h in weighed([hypothesis(p, np.eye(4)) for p in (0.6, 0.3)], 1)] == pytest.approx(
+        [0.45, 0.45]
+    )
+
+
+def test_each_touch_adds_to_what_is_known():
+    two = [hypothesis(0.5, np.eye(4), imprint_iou=e) for e in (0.9, 0.8)]
+    one, three = (weighed(two, touches) for touches in (1, 3))
+    odds = [np.log(found[0].probability / found[1].probability) for found in (one, three)]
+    assert odds[1] == pytest.approx(3 * odds[0])
 
 
 def test_a_prior_outweighs_a_better_explanation_when_it_is_sure():
     two = [hypothesis(0.5, np.eye(4), imprint_iou=e) for e in (0.8, 0.9)]
     doubt = SHARPNESS * 0.1
-    assert ranked(two, np.array([0.0, -0.9 * doubt]))[0].imprint_iou == 0.9
-    assert ranked(two, np.array([0.0, -1.1 * doubt]))[0].imprint_iou == 0.8
-    assert ranked(two, np.array([0.0, -np.inf]))[0].imprint_iou == 0.8
+    assert weighed(two, 1, np.array([0.0, -0.9 * doubt]))[0].imprint_iou == 0.9
+    assert weighed(two, 1, np.array([0.0, -1.1 * doubt]))[0].imprint_iou == 0.8
+    assert weighed(two, 1, np.array([0.0, -np.inf]))[0].imprint_iou == 0.8

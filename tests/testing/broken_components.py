@@ -216,8 +216,8 @@ def needs_points(self, touch, candidate, scene):
 
 
 def full_press_only(self, touch, candidate, scene):
-    full = touch.press_depth_m == touch.geometry.max_depth_m
-    return (IcpRefiner if full else NoRefiner).refine(self, touch, candidate, scene)
+    deep = touch.press_depth_m > 1e-3
+    return (IcpRefiner if deep else NoRefiner).refine(self, touch, candidate, scene)
 
 
 def own_candidate(self, touch, candidate, scene):

@@ -157,6 +157,7 @@ def test_tilt_and_height_are_refined_too(camera):
     solid = trimesh.util.concatenate(parts)
     mesh = TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
     scene = Scene(ObjectModel("bumps", mesh, SymmetryGroup.parse("none", np.zeros(3))), g, RaycastRenderer())
+    scene = scene.pressed(0.002)
     true = scene.in_contact(translation([0.0005, 0.0002, 0.0])[None])[0][0]
     touch = Touch(scene.contact_shape(true, 0.002), g, T_sensor_object=true)
     tilt = make_transform(rotation_about([1, 0.5, 0.3], np.radians(2.5)), [0.0004, -0.0003, 0.0])

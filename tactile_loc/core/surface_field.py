@@ -1,0 +1,201 @@
+"""Where an object's surface is nearest: by the triangle that is nearest to each cell of a box about it.
+
+Built once an object, by a wave that carries triangles outwards from the cells that they cross; then the surface's
+nearest point is looked up in the time of one point and one triangle, whatever the mesh. Exact where the nearest
+triangle of a point and that of its cell's centre are the same one, which close to the surface they nearly always are.
+"""
+
+# mypy: disable-error-code="no-untyped-def,no-untyped-call"
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.compiled import njit
+from tactile_loc.core.objects import TriangleMesh
+
+MOST_CELLS = 6_000_000
+SIDES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
+
+
+class NearestTriangles(NamedTuple):
+    """What compiled code takes: `corners` (F, 3, 3) and unit `normals` (F, 3); cells of side `cell` from the corner
+    `low` (3,), each with the number of its nearest triangle, `nearest` (X, Y, Z), -1 beyond reach. One unit of length.
+    """
+
+    corners: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    low: NDArray[np.float64]
+    cell: float
+    nearest: NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceField:
+    """The nearest points of a mesh, up to `reach_m` metres from it."""
+
+    triangles: NearestTriangles
+    reach_m: float
+
+    @classmethod
+    def of(cls, mesh: TriangleMesh, reach_m: float = 4e-3, cell_m: float = 5e-4) -> SurfaceField:
+        """Build the field of a mesh with cells of `cell_m` metres, or larger ones where they would be too many."""
+        low = mesh.vertices_m.min(axis=0) - reach_m
+        size = mesh.extents_m + 2 * reach_m
+        cell_m = max(cell_m, float(np.cbrt(size.prod() / MOST_CELLS)))
+        corners = np.ascontiguousarray(mesh.triangles_m[mesh.face_areas > 0])
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        nearest = np.full(np.ceil(size / cell_m).astype(int) + 1, -1, np.int32)
+        carry(corners, normals, low, cell_m, reach_m, nearest)
+        return cls(NearestTriangles(corners, normals, low, cell_m, nearest), reach_m)
+
+    def closest(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Return the surface's nearest points (N, 3), metres, to points (N, 3) of the object's frame, and the number
+        (N,) of their triangle; NaN and -1 beyond reach."""
+        found, which = np.full((len(points_m), 3), np.nan), np.full(len(points_m), -1)
+        look_up(np.ascontiguousarray(points_m, float), self.triangles, found, which)
+        return found, which
+
+
+@lru_cache(maxsize=16)
+def surface_field(mesh: TriangleMesh) -> SurfaceField:
+    """Return the field of a mesh, built when it is first asked for."""
+    return SurfaceField.of(mesh)
+
+
+@njit
+def look_up(points, triangles, found, which):
+    """Fill nearest points (N, 3) and their triangles (N,)."""
+    for i in range(len(points)):
+        f = triangle_near(points[i], triangles)
+        which[i] = f
+        if f >= 0:
+            found[i] = closest_on_triangle(points[i], triangles.corners[f])
+
+
+@njit
+def triangle_near(x, triangles):
+    """The triangle nearest to the cell that x (3,) lies in; -1 beyond reach."""
+    i = math.floor((x[0] - triangles.low[0]) / triangles.cell)
+    j = math.floor((x[1] - triangles.low[1]) / triangles.cell)
+    k = math.floor((x[2] - triangles.low[2]) / triangles.cell)
+    a, b, c = triangles.nearest.shape
+    if i < 0 or j < 0 or k < 0 or i >= a or j >= b or k >= c:
+        return -1
+    return int(triangles.nearest[i, j, k])
+
+
+@njit
+def closest_on_triangle(x, corners):
+    """The point of a triangle (3, 3) that is nearest to x (3,): Ericson, Real-Time Collision Detection, 5.1.5."""
+    a, b, c = corners[0], corners[1], corners[2]
+    d1 = d2 = d3 = d4 = d5 = d6 = 0.0
+    for m in range(3):
+        ab, ac = b[m] - a[m], c[m] - a[m]
+        d1 += ab * (x[m] - a[m])
+        d2 += ac * (x[m] - a[m])
+        d3 += ab * (x[m] - b[m])
+        d4 += ac * (x[m] - b[m])
+        d5 += ab * (x[m] - c[m])
+        d6 += ac * (x[m] - c[m])
+    u = v = w = 0.0
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    if d1 <= 0.0 and d2 <= 0.0:
+        u = 1.0
+    elif d3 >= 0.0 and d4 <= d3:
+        v = 1.0
+    elif d6 >= 0.0 and d5 <= d6:
+        w = 1.0
+    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v = d1 / (d1 - d3)
+        u = 1.0 - v
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        w = d2 / (d2 - d6)
+        u = 1.0 - w
+    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        v = 1.0 - w
+    else:
+        total = va + vb + vc
+        v, w = vb / total, vc / total
+        u = 1.0 - v - w
+    return (u * a[0] + v * b[0] + w * c[0], u * a[1] + v * b[1] + w * c[1], u * a[2] + v * b[2] + w * c[2])
+
+
+@njit
+def carry(corners, normals, low, cell, reach, nearest):
+    """Fill the nearest triangle (X, Y, Z): of the cells that triangles cross, then outwards from cell to cell."""
+    X, Y, Z = nearest.shape
+    squared = np.empty(nearest.shape, np.float32)
+    squared[:] = np.inf
+    count = _cross(corners, normals, low, cell, nearest, squared)
+    wave, after = np.empty((count, 3), np.int32), np.empty((0, 3), np.int32)
+    count = 0
+    for i in range(X):
+        for j in range(Y):
+            for k in range(Z):
+                if nearest[i, j, k] >= 0:
+                    wave[count, 0], wave[count, 1], wave[count, 2] = i, j, k
+                    count += 1
+    queued = np.zeros(nearest.shape, np.int16)
+    x = np.empty(3)
+    for layer in range(1, 4 * math.ceil(reach / cell) + 2):
+        after, ahead = np.empty((6 * count, 3), np.int32), 0
+        for n in range(count):
+            f = nearest[wave[n, 0], wave[n, 1], wave[n, 2]]
+            for s in range(6):
+                i, j, k = wave[n, 0] + SIDES[s, 0], wave[n, 1] + SIDES[s, 1], wave[n, 2] + SIDES[s, 2]
+                if i < 0 or j < 0 or k < 0 or i >= X or j >= Y or k >= Z or nearest[i, j, k] == f:
+                    continue
+                x[0], x[1], x[2] = low[0] + (i + 0.5) * cell, low[1] + (j + 0.5) * cell, low[2] + (k + 0.5) * cell
+                d = _squared_distance(x, corners[f])
+                if d < squared[i, j, k] and d <= reach * reach:
+                    squared[i, j, k], nearest[i, j, k] = d, f
+                    if queued[i, j, k] != layer:
+                        queued[i, j, k] = layer
+                        after[ahead, 0], after[ahead, 1], after[ahead, 2] = i, j, k
+                        ahead += 1
+        wave, count = after, ahead
+        if count == 0:
+            break
+
+
+@njit
+def _cross(corners, normals, low, cell, nearest, squared):
+    """Give the cells within two sides of a triangle that triangle; return how many cells have one."""
+    x, first, last, count = np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64), 0
+    near = 2.0 * cell
+    for f in range(len(corners)):
+        for m in range(3):
+            least = min(corners[f, 0, m], corners[f, 1, m], corners[f, 2, m])
+            most = max(corners[f, 0, m], corners[f, 1, m], corners[f, 2, m])
+            first[m] = max(0, math.floor((least - low[m]) / cell) - 1)
+            last[m] = min(nearest.shape[m] - 1, math.floor((most - low[m]) / cell) + 1)
+        n, a = normals[f], corners[f, 0]
+        for i in range(first[0], last[0] + 1):
+            x[0] = low[0] + (i + 0.5) * cell
+            for j in range(first[1], last[1] + 1):
+                x[1] = low[1] + (j + 0.5) * cell
+                for k in range(first[2], last[2] + 1):
+                    x[2] = low[2] + (k + 0.5) * cell
+                    off = n[0] * (x[0] - a[0]) + n[1] * (x[1] - a[1]) + n[2] * (x[2] - a[2])
+                    if abs(off) > near:
+                        continue
+                    d = _squared_distance(x, corners[f])
+                    if d < squared[i, j, k] and d <= near * near:
+                        count += nearest[i, j, k] < 0
+                        squared[i, j, k], nearest[i, j, k] = d, f
+    return count
+
+
+@njit
+def _squared_distance(x, corners):
+    p = closest_on_triangle(x, corners)
+    return (x[0] - p[0]) ** 2 + (x[1] - p[1]) ** 2 + (x[2] - p[2]) ** 2

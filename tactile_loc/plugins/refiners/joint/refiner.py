@@ -1,0 +1,138 @@
+"""The joint refiner: one pose against all touches at once, point to plane on the object's own surface.
+
+What a touch shows lies on the object's surface, and no other surface reaches deeper into the gel than it shows: both
+are residuals of one robust Gauss-Newton problem, whose unknowns are the pose and, within their standard deviations, the
+press depth of every touch and the pose of every sensor but the first. One touch is the case of a single one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from tactile_loc.plugin import (
+    Candidate,
+    Capabilities,
+    ComponentOptions,
+    NearestTriangles,
+    RefinedPose,
+    Refiner,
+    Scene,
+    Touch,
+    TriangleMesh,
+    View,
+    in_threads,
+    surface_field,
+)
+from tactile_loc.plugins.refiners.joint.kernels import register
+from tactile_loc.plugins.refiners.joint.observed import MILLI, Seen, observe
+
+ROUGHLY = 0.02  # ious are counted in pixels: a loss this small is none
+SETTLED_MM = 1e-3
+SAMPLES = 4000  # points of the object's surface that must not reach into the gel
+Floats = NDArray[np.float64]
+
+
+class JointRefiner(Refiner):
+    """Registers the object's surface to all touches at once; knows how sure the pose is."""
+
+    capabilities = Capabilities(uses_normals=True)
+
+    class Options(ComponentOptions):
+        """What is measured of a touch and how far to trust it, and how the registration becomes narrower."""
+
+        image_px: int = Field(default=120, ge=16, description="the longer image side is thinned to about this, pixels")
+        points: int = Field(default=300, ge=20, description="points of each touch's surface, thinned evenly")
+        scale_mm: float = Field(default=3.0, gt=0, description="residuals beyond this are mistrusted at first, mm")
+        scale_end_mm: float = Field(default=0.2, gt=0, description="the same at last, mm")
+        iterations: int = Field(default=25, ge=2, description="most steps")
+        noise_mm: float = Field(default=0.05, gt=0, description="standard deviation of a point of a touch, mm")
+        patch_mm: float = Field(default=1.0, gt=0, description="points nearer to one another err alike, mm")
+        press_error: float = Field(default=0.05, ge=0, description="standard deviation of a press, share of it")
+
+    def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
+        """Return the pose (4, 4), metres, that explains the touch best near the candidate's."""
+        return self.refine_together([View(touch, scene)], [candidate])[0]
+
+    def refine_many(self, touch: Touch, candidates: Sequence[Candidate], scene: Scene) -> list[RefinedPose]:
+        """Refine several candidates of one touch, each as `refine` does."""
+        return self.refine_together([View(touch, scene)], candidates)
+
+    def refine_together(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
+        """Refine candidates against several touches; one that explains them worse afterwards is left as it was."""
+        if not candidates:
+            return []
+        given = np.stack([candidate.T_sensor_object for candidate in candidates])
+        poses, information, moved_mm = self._registered(views, given)
+        before, after = (_explained(views, T) for T in (given, poses))
+        good = after[1] >= before[1] - ROUGHLY
+        results = []
+        for k in range(len(given)):
+            T, iou = (poses[k], after[0][k]) if good[k] else (given[k].copy(), before[0][k])
+            settled = bool(good[k] and moved_mm[k] < SETTLED_MM and iou > 0)
+            covariance = _covariance(information[k]) if good[k] else None
+            results.append(RefinedPose(T, float(iou), settled, self.options.iterations, covariance))
+        return results
+
+    def _registered(self, views: Sequence[View], given: Floats) -> tuple[Floats, Floats, Floats]:
+        """The poses (K, 4, 4) in metres that the given ones end at, their information (K, 6, 6), mm and rad, and last
+        steps (K,), mm."""
+        options, mesh = self.options, views[0].scene.object.mesh
+        area_m2 = float(mesh.face_areas.sum()) / SAMPLES
+        seen = [self._seen(view) for view in views]
+        observed = observe(seen, options.points, options.noise_mm / MILLI, options.patch_mm / MILLI, area_m2)
+        T, count = given.copy(), len(given)
+        T[:, :3, 3] *= MILLI
+        each = np.empty((count, len(views), 4, 4))
+        information, moved = np.zeros((count, 6, 6)), np.full(count, np.inf)
+        scales = options.scale_mm * (options.scale_end_mm / options.scale_mm) ** np.clip(
+            np.arange(options.iterations) / (0.5 * options.iterations), 0, 1
+        )
+        samples, middle = _samples_mm(mesh), mesh.centroid_m * MILLI
+        in_threads(
+            register, count, T, observed, _triangles_mm(mesh), samples, middle, scales, each, information, moved
+        )  # fmt: skip
+        T[:, :3, 3] /= MILLI
+        return T, information, moved
+
+    def _seen(self, view: View) -> Seen:
+        geometry, shape = view.touch.thinned(self.options.image_px)
+        press_m = max(self.options.press_error * view.touch.indentation_m, 1e-6)
+        std = np.array([max(view.sensor_std_rad, 1e-6)] * 3 + [max(view.sensor_std_m, 1e-8)] * 3)
+        variance = std**2
+        variance[5] += press_m**2
+        return Seen(shape, geometry, view.T_sensor_first, np.diag(variance))
+
+
+def _explained(views: Sequence[View], T_first_object: Floats) -> tuple[Floats, Floats]:
+    """Contact IoUs and imprint IoUs (K,) of poses (K, 4, 4) in the first sensor's frame: means over the touches."""
+    both = [view.scene.ious(view.T_sensor_first @ T_first_object, view.touch) for view in views]
+    return np.mean([contact for contact, _ in both], axis=0), np.mean([imprint for _, imprint in both], axis=0)
+
+
+def _covariance(information: Floats) -> Floats | None:
+    """The covariance (6, 6), x, y, z in m before rotations in rad, of information in mm whose rotations come first."""
+    swapped = information[[3, 4, 5, 0, 1, 2]][:, [3, 4, 5, 0, 1, 2]]
+    values, vectors = np.linalg.eigh(swapped)
+    if not values[-1] > 0:
+        return None
+    # what no touch says anything of is known to some 30 mm, or 3 rad
+    covariance = (vectors / np.maximum(values, 1e-3)) @ vectors.T
+    unit = np.array([1 / MILLI] * 3 + [1.0] * 3)
+    result: Floats = covariance * unit * unit[:, None]
+    return result
+
+
+@lru_cache(maxsize=16)
+def _samples_mm(mesh: TriangleMesh) -> Floats:
+    return mesh.sample(SAMPLES, np.random.default_rng(0)) * MILLI
+
+
+@lru_cache(maxsize=16)
+def _triangles_mm(mesh: TriangleMesh) -> NearestTriangles:
+    found = surface_field(mesh).triangles
+    return found._replace(corners=found.corners * MILLI, low=found.low * MILLI, cell=found.cell * MILLI)
