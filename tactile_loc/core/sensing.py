@@ -250,7 +250,8 @@ class Touch:
     """One tactile observation.
 
     `contact_shape` as seen by a sensor of `geometry`, which becomes that of the pressed sensor: the object's deepest
-    point is at z = surface - indentation; `T_base_sensor` (4, 4) where the sensor was, if known; `T_sensor_object`
+    point is at z = surface - indentation; `T_base_sensor` (4, 4) where the sensor was, if known, with the standard
+    deviations of its error along (metres) and about (radians) each axis through the touch; `T_sensor_object`
     (4, 4) the true pose while it was pressed, known only in simulation or experiments. Lengths in metres. `image`
     (H, W, 3) uint8 is the photo that the contact shape was estimated from, if it was.
     Raises TouchError when the shape does not fit the sensor, has no contact, or nothing but contact.
@@ -261,6 +262,8 @@ class Touch:
     name: str = "touch"
     T_base_sensor: NDArray[np.float64] | None = None
     T_sensor_object: NDArray[np.float64] | None = None
+    T_base_sensor_std_m: float = 2e-4
+    T_base_sensor_std_rad: float = 3.5e-3
     image: NDArray[np.uint8] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:

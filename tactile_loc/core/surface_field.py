@@ -2,7 +2,8 @@
 
 Built once an object, by a wave that carries triangles outwards from the cells that they cross; then the surface's
 nearest point is looked up in the time of one point and one triangle, whatever the mesh. Exact where the nearest
-triangle of a point and that of its cell's centre are the same one, which close to the surface they nearly always are.
+triangle of a point and that of its cell's centre are the same one; beside an edge they may not be, which takes the
+point too far by a part of a cell.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"

@@ -89,8 +89,8 @@ class TouchEvaluator:
         return np.stack([pose.T_sensor_object for pose in (first, *others)]), seconds
 
     def _lines(
-        self, grid: PoseGrid, T_true: Poses, top: NDArray[np.int64], guesses: NDArray[np.int64], oracle: int, refined: Poses,
-        chosen: int,
+        self, grid: PoseGrid, T_true: Poses, top: NDArray[np.int64], guesses: NDArray[np.int64], oracle: int,
+        refined: Poses, chosen: int,
     ) -> Poses:  # fmt: skip
         """The pose (L, 4, 4) of each line: of those it may choose from, the one nearest to the truth by ADD."""
         on_grid = np.concatenate([top, guesses, [oracle], _near(grid, T_true)])

@@ -57,7 +57,10 @@ class TouchConfig(_Strict):
 
 
 class RunConfig(_Strict):
-    """Everything that decides a result. `shape_px` is the longer image side of the grid's contact shapes, pixels."""
+    """Everything that decides a result. `shape_px` is the longer image side of the grid's contact shapes, pixels.
+
+    `together` refines against several touches: "joint" all at once, "each" by what the refiner makes of each touch.
+    """
 
     object: ObjectConfig = ObjectConfig()
     touch: TouchConfig = TouchConfig()
@@ -72,6 +75,7 @@ class RunConfig(_Strict):
     seed: int = Field(default=0, ge=0)
     shape_px: int = Field(default=64, ge=16, le=1024)
     temperature: float | None = Field(default=None, gt=0)
+    together: Literal["joint", "each"] = "joint"
 
     @classmethod
     def from_toml(cls, path: str | Path) -> RunConfig:

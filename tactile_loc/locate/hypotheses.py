@@ -1,4 +1,4 @@
-"""From the modes of posteriors to distinct hypotheses: proposed by all touches, refined together, merged and weighed."""
+"""From posteriors to distinct hypotheses: proposed by all touches, refined together, merged and weighed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry import invert
-from tactile_loc.core.interfaces import Candidate, Prior, Refiner, View
+from tactile_loc.core.interfaces import IOU_PX, Candidate, Prior, Refiner, View
 from tactile_loc.core.poses import PoseMetric, Poses
 from tactile_loc.core.posterior import Mode, PosePosterior
 from tactile_loc.core.progress import StageTimes
@@ -81,12 +81,11 @@ def weighed(
     return tuple(dataclasses.replace(hypotheses[i], probability=float(weights[i])) for i in order)
 
 
-def explained(views: Sequence[View], T_first_object: Poses, **how: float) -> NDArray[np.float64]:
-    """Return how well poses (K, 4, 4) in the first sensor's frame explain the touches: mean (K,) over them, 0 to 1.
-
-    `how` is as for `View.imprint_ious`.
-    """
-    return np.asarray(np.mean([view.imprint_ious(T_first_object, **how) for view in views], axis=0))
+def explained(
+    views: Sequence[View], T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0
+) -> NDArray[np.float64]:
+    """Return how well poses (K, 4, 4) in the first sensor's frame explain the touches: mean (K,) over them, 0 to 1."""
+    return np.asarray(np.mean([view.imprint_ious(T_first_object, pixels, freedom_m) for view in views], axis=0))
 
 
 def proposed(
@@ -122,8 +121,9 @@ def _apart(
 ) -> NDArray[np.int64]:
     """The indices of poses (K, 4, 4), the worthiest first, none within a radius of a worthier one, at most `count`."""
     points = metric.embed(poses)
-    left, chosen = np.argsort(-worth, kind="stable"), []
+    left = np.argsort(-worth, kind="stable")
+    chosen: list[int] = []
     while len(left) and len(chosen) < count:
-        chosen.append(left[0])
+        chosen.append(int(left[0]))
         left = left[np.linalg.norm(points[left] - points[left[0]], axis=1) > radius_m]
     return np.array(chosen, np.int64)

@@ -13,7 +13,7 @@ import numpy as np
 
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry import invert
-from tactile_loc.core.interfaces import Candidate, Matcher, Prior, RefinedPose, Scene, View
+from tactile_loc.core.interfaces import Candidate, Matcher, Prior, RefinedPose, Refiner, Scene, View
 from tactile_loc.core.noise import noise_level
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseGrid
@@ -162,6 +162,15 @@ class Localizer:
             "encoder": self.encoder.describe(), "training": STAGE_VERSIONS["encoder"], "bank": STAGE_VERSIONS["bank"],
         }  # fmt: skip
 
+    @cached_property
+    def refiner_of_several(self) -> Refiner:
+        """What refines against several touches: a refiner that knows one at a time gives way to the joint one."""
+        one_at_a_time = type(self.refiner).refine_together is Refiner.refine_together
+        if self.config.together == "each" or not (one_at_a_time and self.refiner.capabilities.refines):
+            return self.refiner
+        joint: Refiner = registry().create("refiner", "joint", {})
+        return joint
+
     @property
     def mode_radius_m(self) -> float:
         """How near to one another poses count as one hypothesis, metres."""
@@ -277,7 +286,8 @@ def _located(
             modes = posterior.modes(first.mode_radius_m, top)
         else:
             modes = proposed(views, alone, posterior, PROPOSAL_RADIUS * first.mode_radius_m, REFINED)
-    found = find_hypotheses(views, modes, first.refiner, posterior.grid.metric, first.same_pose_m, prior, times)
+    refiner = first.refiner if len(views) == 1 else first.refiner_of_several
+    found = find_hypotheses(views, modes, refiner, posterior.grid.metric, first.same_pose_m, prior, times)
     return Localization(touch, posterior, found[:top], times.seconds, touches[1:])
 
 
@@ -286,7 +296,10 @@ def _view(first: Touch, localizer: Localizer, touch: Touch) -> View:
     scene = localizer.scene.of_touch(touch)
     if touch is first:
         return View(touch, scene)
-    return View(touch, scene, invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor))
+    std_m = np.hypot(first.T_base_sensor_std_m, touch.T_base_sensor_std_m)
+    std_rad = np.hypot(first.T_base_sensor_std_rad, touch.T_base_sensor_std_rad)
+    T_sensor_first = invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
+    return View(touch, scene, T_sensor_first, float(std_m), float(std_rad))
 
 
 def _require_one_object(observations: Sequence[Observation]) -> None:

@@ -13,6 +13,8 @@ from tactile_loc.plugins.refiners.joint.kernels import Observed
 
 MILLI = 1e3
 NOTHING_MM = 1e6  # the height of what is seen where nothing touches
+FEWEST_PATCHES = 3.0
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,43 +34,55 @@ def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float
 
     `noise_m` is the standard deviation of a measured surface point; noise is alike over patches of `patch_m` metres.
     """
-    parts = [_observe_one(touch, points, noise_m * MILLI, patch_m * MILLI) for touch in touches]
-    clouds, cameras, images, centres = ([part[k] for part in parts] for k in range(4))
+    clouds = [_cloud_mm(touch, points, noise_m * MILLI, patch_m * MILLI) for touch in touches]
     P, n, w = (np.concatenate([cloud[k] for cloud in clouds]) for k in range(3))
-    cameras = np.stack(cameras)
-    cameras[:, 10] = sample_area_m2 / (patch_m * noise_m * MILLI) ** 2
+    weight = sample_area_m2 / (patch_m * noise_m * MILLI) ** 2
+    images = [_image_mm(touch) for touch in touches]
     sizes = np.array([image.shape[:2] for image in images])
     T = np.stack([t.T_sensor_first for t in touches])
     T[:, :3, 3] *= MILLI
     unit = np.array([1.0, 1.0, 1.0, MILLI, MILLI, MILLI])
     return Observed(
         P, n, w, np.cumsum([0, *(len(cloud[0]) for cloud in clouds)]), T,
-        np.stack([t.freedom * unit * unit[:, None] for t in touches]), np.stack(centres), cameras,
+        np.stack([t.freedom * unit * unit[:, None] for t in touches]),
+        np.stack([cloud[0].mean(axis=0) for cloud in clouds]), np.stack([_camera_mm(t, weight) for t in touches]),
         np.concatenate([image.reshape(-1, 4) for image in images]), sizes,
         np.cumsum([0, *sizes.prod(axis=1)[:-1]]),
     )  # fmt: skip
 
 
-def _observe_one(touch: Seen, most: int, noise_mm: float, patch_mm: float):  # type: ignore[no-untyped-def]
+def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple[Floats, Floats, Floats]:
+    """Points (P, 3) in mm and normals (P, 3) of what is in contact, thinned evenly, and their weights (P,), 1/mm^2.
+
+    They weigh as much together as there are patches that err each for itself.
+    """
+    points, normals = contact_cloud(touch.shape, touch.geometry)
+    area_mm2 = len(points) * (touch.geometry.pixel_pitch_m * MILLI) ** 2
+    every = max(1, round(len(points) / most))
+    points, normals = points[::every] * MILLI, normals[::every]
+    patches = max(FEWEST_PATCHES, area_mm2 / patch_mm**2)
+    return points, normals, np.full(len(points), patches / len(points) / noise_mm**2)
+
+
+def _image_mm(touch: Seen) -> NDArray[np.float32]:
+    """What each pixel (H, W, 4) shows: the surface's height, and the place x, y, z of the nearest contact; mm."""
     from scipy.ndimage import distance_transform_edt
 
-    shape, geometry = touch.shape, touch.geometry
-    cloud, normals = contact_cloud(shape, geometry)
-    every = max(1, round(len(cloud) / most))
-    points, normals = cloud[::every] * MILLI, normals[::every]
-    area_mm2 = len(cloud) * (geometry.pixel_pitch_m * MILLI) ** 2
-    patches = max(3.0, area_mm2 / patch_mm**2)
-    weights = np.full(len(points), patches / len(points) / noise_mm**2)
-    contact = shape.contact & geometry.observed_mask
-    z = (shape.depth_m.astype(float) + geometry.standoff_m) * MILLI
-    xyz = geometry.backproject(z / MILLI) * MILLI
+    geometry = touch.geometry
+    contact = touch.shape.contact & geometry.observed_mask
+    z_m = touch.shape.depth_m.astype(float) + geometry.standoff_m
     rows, columns = distance_transform_edt(~contact, return_distances=False, return_indices=True)
-    height = np.where(geometry.observed_mask, np.where(contact, z, NOTHING_MM), np.nan)
-    image = np.concatenate([height[..., None], xyz[rows, columns]], axis=-1).astype(np.float32)
-    gel = (geometry.standoff_m + shape.press_depth_m) * MILLI
-    camera = np.array([
-        geometry.is_pinhole, geometry.fx if geometry.is_pinhole else geometry.fx / MILLI,
-        geometry.fy if geometry.is_pinhole else geometry.fy / MILLI, geometry.cx, geometry.cy, gel,
-        *np.array(geometry.rectangle) * MILLI, 0.0,
+    height = np.where(geometry.observed_mask, np.where(contact, z_m * MILLI, NOTHING_MM), np.nan)
+    places = geometry.backproject(z_m)[rows, columns] * MILLI
+    return np.concatenate([height[..., None], places], axis=-1).astype(np.float32)
+
+
+def _camera_mm(touch: Seen, weight: float) -> Floats:
+    """The row (11,) of `Observed.cameras`."""
+    geometry = touch.geometry
+    scale = 1.0 if geometry.is_pinhole else 1 / MILLI
+    gel_mm = (geometry.standoff_m + touch.shape.press_depth_m) * MILLI
+    return np.array([
+        geometry.is_pinhole, geometry.fx * scale, geometry.fy * scale, geometry.cx, geometry.cy, gel_mm,
+        *np.multiply(geometry.rectangle, MILLI), weight,
     ])  # fmt: skip
-    return (points, normals, weights), camera, image, points.mean(axis=0)

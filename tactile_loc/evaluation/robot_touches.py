@@ -1,0 +1,136 @@
+"""Touches as a robot makes them: from any direction, pressed in, edges and corners too, and drawn by another renderer.
+
+Nothing about them is chosen by the software that has to locate them: no face, no grid, no least contact but a few
+pixels. What a sensor could not tell from no touch at all is refused, and counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.contact import bring_to_contact
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.geometry import invert, make_transform, random_rotations, rotation_about
+from tactile_loc.core.interfaces import Renderer, Scene
+from tactile_loc.core.noise import TouchNoise
+from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.poses import Poses
+from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+
+INSIDE = 0.8  # of the sensing rectangle's sides, about its centre: where the object's lowest point is
+MOST_DRAWS = 1000
+NO_NOISE = TouchNoise()
+
+
+@dataclass(frozen=True, eq=False)
+class RobotTouches:
+    """Draws an object that sensors press from random directions, by a `renderer` of its own.
+
+    Each press is uniform between the shares `press` of the sensor's deepest; a touch has contact on at least
+    `least_percent` of the observed pixels, before `noise`. `sensor_std_m` and `sensor_std_rad` are how far off, along
+    and about each axis, the sensor poses are that come with the touches.
+    """
+
+    object: ObjectModel
+    geometry: SensorGeometry
+    renderer: Renderer
+    press: tuple[float, float] = (0.3, 0.9)
+    least_percent: float = 0.25
+    noise: TouchNoise = NO_NOISE
+    sensor_std_m: float = 0.0
+    sensor_std_rad: float = 0.0
+
+    def example(self, count: int, rng: np.random.Generator) -> tuple[list[Touch], int]:
+        """Return `count` touches of the object, which stands still, and how many presses showed no usable touch.
+
+        The base frame is the object's. Raises TouchError when hardly any press shows a touch.
+        """
+        touches: list[Touch] = []
+        refused = 0
+        for _ in range(MOST_DRAWS):
+            if len(touches) == count:
+                return touches, refused
+            T = self._random_pose(rng)
+            drawn = None if T is None else self._pressed(T, f"touch-{len(touches):02d}", rng)
+            if isinstance(drawn, Touch):
+                touches.append(drawn)
+            elif drawn is not None:
+                refused += 1
+        raise TouchError(f"hardly any press of {self.object.name} shows a touch; press deeper")
+
+    def opposed(self, rng: np.random.Generator, press_m: float) -> list[Touch]:
+        """Return the two touches of a gripper that closes on the object: the second sensor faces the first.
+
+        Raises TouchError when no such grip of the object shows two touches.
+        """
+        turned = make_transform(rotation_about([1, 0, 0], np.pi), np.zeros(3))
+        for _ in range(MOST_DRAWS):
+            T = self._random_pose(rng)
+            if T is None:
+                continue
+            scene = Scene(self.object, self.geometry, self.renderer)
+            poses, touching = scene.in_contact(np.stack([T, turned @ T]))
+            if not touching.all():
+                continue
+            poses[:, 2, 3] -= press_m
+            found = [self._shown(pose, press_m, f"finger-{k}", rng) for k, pose in enumerate(poses)]
+            touches = [touch for touch in found if isinstance(touch, Touch)]
+            if len(touches) == len(poses):
+                return touches
+        raise TouchError(f"no grip of {self.object.name} shows a touch of both fingers")
+
+    def _random_pose(self, rng: np.random.Generator) -> Poses | None:
+        """A random rotation, its lowest point over a random place of the sensor, just touching; None if it misses."""
+        R = random_rotations(1, rng)[0]
+        turned = self.object.mesh.vertices_m @ R.T
+        x0, x1, y0, y1 = self.geometry.rectangle
+        place = np.array([x0 + x1, y0 + y1]) / 2 + INSIDE * (rng.random(2) - 0.5) * [x1 - x0, y1 - y0]
+        lowest = turned[turned[:, 2].argmin()]
+        T = make_transform(R, [*(place - lowest[:2]), 0.0])
+        poses, touching = bring_to_contact(self.object.mesh, T[None], self.geometry)
+        return poses[0] if touching[0] else None
+
+    def _pressed(self, T: Poses, name: str, rng: np.random.Generator) -> Touch | TouchError | None:
+        press_m = self.geometry.max_depth_m * rng.uniform(*self.press)
+        T = T.copy()
+        T[2, 3] -= press_m
+        return self._shown(T, press_m, name, rng)
+
+    def _shown(self, T: Poses, press_m: float, name: str, rng: np.random.Generator) -> Touch | TouchError | None:
+        """The touch of a pressed pose (4, 4), metres; why there is none; None where the contact is too small."""
+        geometry, press = self.geometry.pressed(press_m, self.geometry.max_depth_m), np.array([press_m])
+        clean = Scene(self.object, geometry, self.renderer).contact_depths(T[None])
+        contact = (clean[0] < np.float32(press_m)) & geometry.observed_mask
+        if contact.sum() < max(1.0, self.least_percent / 100 * geometry.observed_mask.sum()):
+            return None
+        measured = self.noise.measure_press(press, self.geometry.max_depth_m, rng)
+        depth = self.noise.cut(self.noise.corrupt(clean, press, geometry, rng), press, measured)[0]
+        try:
+            shape = ContactShape(depth, float(measured[0]))
+            return Touch(
+                shape, self.geometry, name, T_base_sensor=self._measured(invert(T), rng), T_sensor_object=T,
+                **self._sensor_stds(),
+            )  # fmt: skip
+        except TouchError as error:
+            return error
+
+    def _sensor_stds(self) -> dict[str, float]:
+        """What the robot knows of its own errors; without any, what a touch says by itself."""
+        if self.sensor_std_m == self.sensor_std_rad == 0:
+            return {}
+        return {"T_base_sensor_std_m": self.sensor_std_m, "T_base_sensor_std_rad": self.sensor_std_rad}
+
+    def _measured(self, T_base_sensor: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+        """A sensor's pose as the robot believes it."""
+        turn, shift = rng.normal(size=3), rng.normal(size=3)
+        if self.sensor_std_m == self.sensor_std_rad == 0:
+            return T_base_sensor
+        angle = float(np.linalg.norm(turn)) * self.sensor_std_rad
+        # about the middle of the gel, where the touch is
+        gel = np.array([0.0, 0.0, self.geometry.standoff_m])
+        R = rotation_about(turn, angle)
+        off: NDArray[np.float64] = T_base_sensor @ make_transform(R, gel - R @ gel + self.sensor_std_m * shift)
+        return off

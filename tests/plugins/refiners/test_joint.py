@@ -1,0 +1,177 @@
+"""One pose against several pressed touches, where the truth is known in closed form or by construction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_loc.core.geometry import invert, make_transform, random_rotations, rotation_about, translation
+from tactile_loc.core.interfaces import Candidate, Scene, View
+from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.plugins.refiners.joint import kernels
+from tactile_loc.plugins.refiners.joint.refiner import JointRefiner
+from tactile_loc.testing.problems import ReferenceRenderer, stepped_block
+
+CAMERAS = {
+    "orthographic": SensorGeometry("orthographic", 96, 72, 5000.0, 5000.0, 48.0, 36.0, 0.010, 0.002),
+    "pinhole": SensorGeometry("pinhole", 96, 96, 105.0, 105.0, 48.0, 48.0, 0.025, 0.002),
+}
+DIRECTIONS = ([0, 0, 1], [1, 0, 0], [0.3, 1, 0.2])  # of the object, that are pressed into a sensor
+
+
+def pressed(obj, geometry, R, xy_m, press_m) -> Touch:
+    """The touch of an object turned by R, its centroid at x, y over the sensor, pressed in."""
+    scene = Scene(obj, geometry.pressed(press_m), ReferenceRenderer())
+    start = make_transform(R, [*xy_m, 0.0] - R @ obj.mesh.centroid_m)
+    T = scene.in_contact(start[None])[0]
+    shape = ContactShape(scene.contact_depths(T)[0], press_m)
+    return Touch(shape, geometry, T_base_sensor=invert(T[0]), T_sensor_object=T[0])
+
+
+def views_of(obj, touches, **errors) -> list[View]:
+    first = touches[0]
+    return [
+        View(t, Scene(obj, t.geometry, ReferenceRenderer()), invert(t.T_base_sensor) @ first.T_base_sensor, **errors)
+        for t in touches
+    ]
+
+
+def towards(direction) -> np.ndarray:
+    """A rotation that turns a direction of the object into the sensor, -z."""
+    d = np.array(direction, float) / np.linalg.norm(direction)
+    axis, angle = np.cross(d, [0, 0, -1]), np.arccos(-d[2])
+    return (
+        np.eye(3)
+        if np.linalg.norm(axis) < 1e-9 and d[2] < 0
+        else rotation_about(axis if np.linalg.norm(axis) > 1e-9 else [1, 0, 0], angle)
+    )
+
+
+def moved(T, obj, shift_m, turn_deg, about) -> np.ndarray:
+    centre = T[:3, :3] @ obj.mesh.centroid_m + T[:3, 3]
+    turn = make_transform(rotation_about(about, np.radians(turn_deg)), np.zeros(3))
+    return translation(centre + np.array(shift_m)) @ turn @ translation(-centre) @ T
+
+
+@pytest.fixture(scope="module")
+def block(make_object):
+    mesh = stepped_block()
+    return make_object(trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False), name="block")
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_three_pressed_touches_bring_a_candidate_home(block, camera):
+    touches = [pressed(block, CAMERAS[camera], towards(d), (0.0005, -0.0003), 0.001) for d in DIRECTIONS]
+    truth = touches[0].T_sensor_object
+    away = (
+        ([0.001, -0.0005, 0.0008], 6, [1, 0, 0]),
+        ([-0.0008, 0.001, -0.0005], 8, [0, 1, 1]),
+        ([0, 0, 0], 0, [0, 0, 1]),
+    )
+    starts = [moved(truth, block, *by) for by in away]
+    found = JointRefiner().refine_together(views_of(block, touches), [Candidate(T, 0, 0.0) for T in starts])
+    errors = [float(PoseMetric(block).distance(pose.T_sensor_object, truth)) for pose in found]
+    assert max(errors) < 1.5e-4
+    assert all(pose.contact_iou > 0.9 for pose in found)
+
+
+@pytest.mark.parametrize("press_m", [0.0005, 0.001, 0.002])
+def test_a_block_between_two_fingers_is_as_thick_as_it_is(make_box, press_m):
+    """Both fingers press a block of 12 mm: between their surfaces are 12 mm less both presses, and z is right."""
+    box = make_box(0.030, 0.020, 0.012)
+    below, above = (towards([0, 0, side]) for side in (-1, 1))
+    geometry = CAMERAS["orthographic"]
+    touches = [pressed(box, geometry, R, (0.012, 0.007), press_m) for R in (below, above)]
+    first, second = touches
+    T_first_second = invert(first.T_base_sensor) @ second.T_base_sensor
+    apart_m = T_first_second[2, 3] - 2 * geometry.standoff_m
+    assert apart_m == pytest.approx(0.012 - 2 * press_m, abs=1e-9)
+    start = moved(first.T_sensor_object, box, [0.0003, 0.0002, 0.001], 2, [1, 1, 0])
+    (found,) = JointRefiner().refine_together(views_of(box, touches), [Candidate(start, 0, 0.0)])
+    middle_m = (found.T_sensor_object @ [0, 0, 0, 1])[2]
+    assert middle_m == pytest.approx(geometry.standoff_m - press_m + 0.006, abs=3e-5)
+
+
+def test_a_ball_is_where_its_imprint_is(make_object):
+    ball = make_object(trimesh.creation.icosphere(4, 0.006), "none", "ball")
+    touch = pressed(ball, CAMERAS["orthographic"], np.eye(3), (0.002, -0.001), 0.001)
+    start = translation([0.0006, -0.0004, 0.0005]) @ touch.T_sensor_object
+    (found,) = JointRefiner().refine_together(views_of(ball, [touch]), [Candidate(start, 0, 0.0)])
+    centre_m = found.T_sensor_object[:3, 3]
+    np.testing.assert_allclose(centre_m, [0.002, -0.001, 0.010 - 0.001 + 0.006], atol=5e-5)
+
+
+def test_what_the_touches_leave_open_is_uncertain(make_box):
+    """A flat face says nothing of x, y and yaw, and holds z and the tilts."""
+    plate = make_box(0.080, 0.080, 0.005)
+    geometry = CAMERAS["orthographic"]
+    touch = pressed(plate, geometry, np.eye(3), (0.031, 0.0), 0.001)  # one edge in view, along y
+    view = views_of(plate, [touch])
+    (found,) = JointRefiner().refine_together(view, [Candidate(touch.T_sensor_object, 0, 0.0)])
+    std = np.sqrt(np.diag(found.covariance))
+    assert std[1] > 10 * std[0]  # along the edge nothing is known
+    assert std[2] < 1e-3
+
+
+def test_sensors_that_may_be_off_leave_the_pose_less_certain(block):
+    touches = [pressed(block, CAMERAS["orthographic"], towards(d), (0.0, 0.0), 0.001) for d in DIRECTIONS]
+    truth = touches[0].T_sensor_object
+    start = moved(truth, block, [0.0008, -0.0005, 0.0006], 4, [1, 0, 0])
+    spread = []
+    for std_m in (0.0, 2e-4, 1e-3):
+        views = views_of(block, touches, sensor_std_m=std_m)
+        (found,) = JointRefiner().refine_together(views, [Candidate(start, 0, 0.0)])
+        spread.append(np.sqrt(np.trace(found.covariance[:3, :3])))
+        assert float(PoseMetric(block).distance(found.T_sensor_object, truth)) < 2e-4
+    assert spread[0] < spread[1] < spread[2]
+
+
+def test_a_sensor_that_is_off_is_solved_for(make_box):
+    """Two fingers, the second taken for a millimetre too far away: what its press does not explain, its pose must."""
+    box = make_box(0.030, 0.020, 0.012)
+    geometry = CAMERAS["orthographic"]
+    touches = [pressed(box, geometry, towards([0, 0, side]), (0.012, 0.007), 0.001) for side in (-1, 1)]
+    truth = touches[0].T_sensor_object
+    believed, doubted = [], []
+    for std_m, into in ((1e-6, believed), (1e-3, doubted)):
+        views = views_of(box, touches, sensor_std_m=std_m)
+        T = translation([0.0, 0.0, -0.001]) @ views[1].T_sensor_first
+        views = [View(touches[0], views[0].scene), View(touches[1], views[1].scene, T, std_m)]
+        (found,) = JointRefiner().refine_together(views, [Candidate(truth, 0, 0.0)])
+        into.append(abs(found.T_sensor_object[2, 3] - truth[2, 3]))
+    assert doubted[0] < 1e-4
+    assert doubted[0] < 0.5 * believed[0]
+
+
+def test_motions_and_their_logarithms_undo_each_other():
+    rng = np.random.default_rng(1)
+    for x in 0.2 * rng.normal(size=(20, 6)):
+        centre, motion, again = rng.normal(size=3), np.empty((4, 4)), np.empty(6)
+        kernels.exponential(x, centre, motion)
+        kernels.logarithm(motion, centre, again)
+        np.testing.assert_allclose(again, x, atol=1e-12)
+        inverse, product = np.empty((4, 4)), np.empty((4, 4))
+        kernels.invert(motion, inverse)
+        kernels.multiply(motion, inverse, product)
+        np.testing.assert_allclose(product, np.eye(4), atol=1e-12)
+
+
+def test_a_twist_about_another_centre_in_another_frame_is_the_same_motion():
+    rng = np.random.default_rng(2)
+    T = make_transform(random_rotations(1, rng)[0], rng.normal(size=3))
+    here, there, x = rng.normal(size=3), rng.normal(size=3), 1e-6 * rng.normal(size=6)
+    Ad, motion, other = np.empty((6, 6)), np.empty((4, 4)), np.empty((4, 4))
+    kernels.adjoint(T, here, there, Ad)
+    kernels.exponential(x, here, motion)
+    kernels.exponential(Ad @ x, there, other)
+    np.testing.assert_allclose(T @ motion @ invert(T), other, atol=1e-11)
+
+
+def test_elimination_solves():
+    rng = np.random.default_rng(3)
+    M, right = rng.normal(size=(6, 6)), rng.normal(size=(6, 3))
+    solution = right.copy()
+    kernels.solve(M.copy(), solution)
+    np.testing.assert_allclose(M @ solution, right, atol=1e-10)
