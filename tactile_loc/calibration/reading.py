@@ -75,7 +75,8 @@ def contact_shape(
 
     The object is where the gel is, except at the skirt, where the gel hangs from the contact's edge to its untouched
     surface: `in_contact` tells them apart. The shape is cut at a lighter press, which leaves as much contact: a steep
-    edge is then where it is, and a ball's imprint as wide as at that press. An indentation that is of the contact alone
+    edge is then where it is, and a ball's imprint as wide as at that press; how deep the object really was is its
+    indentation. An indentation that is of the contact alone
     (`sees_skirt` False) is cut where it stands out of the noise. Raises TouchError when the gel is not pressed in.
     """
     press = press_depth_m(indentation_m, geometry)
@@ -99,7 +100,7 @@ def contact_shape(
         contact = geometry.observed_mask & (indentation_m > level)
     cut = np.float32(press - level)
     depth = np.clip(np.float32(press) - indentation_m, 0, np.nextafter(cut, np.float32(0)))
-    return ContactShape(np.where(contact, depth, cut).astype(np.float32), float(cut))
+    return ContactShape(np.where(contact, depth, cut).astype(np.float32), float(cut), press)
 
 
 def in_contact(indentation_m: NDArray[np.float32], press_m: float, geometry: SensorGeometry) -> NDArray[np.bool_]:

@@ -186,10 +186,13 @@ class Scene:
         return contact_depth(depth, self.geometry, self.geometry.max_depth_m)
 
     def contact_shape(self, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> ContactShape:
-        """Render the contact shape of one pose (4, 4), brought to contact, pressed in by `press_depth_m` metres."""
-        pressed = self.pressed(press_depth_m)
+        """Render the contact shape of one pose (4, 4), brought to contact, cut at `press_depth_m` metres.
+
+        It is pressed in as deep as the scene says, or by the press depth where the scene is that of no touch.
+        """
+        pressed = self if self.geometry.indentation_m else self.pressed(press_depth_m)
         T, _ = pressed.in_contact(T_sensor_object[None])
-        return ContactShape(pressed.contact_depths(T)[0], press_depth_m)
+        return ContactShape(pressed.contact_depths(T, press_depth_m)[0], press_depth_m, pressed.geometry.indentation_m)
 
     def contact_iou(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> float:
         """Return the contact IoU of one pose (4, 4), metres: see `contact_ious`."""
@@ -335,8 +338,8 @@ class RefinedPose:
     """A refined pose (4, 4) in metres. `contact_iou`, 0 to 1 (unitless), tells how well it explains the touch's
     outline: `Scene.contact_iou`, the mean over several touches.
 
-    `covariance` (6, 6), if the refiner knows it, is that of the error x, y, z (m) and of a rotation vector (rad), both
-    along the sensor's axes, of a pose T = exp(error) T_sensor_object turned about the object's centroid.
+    `covariance` (6, 6), if the refiner knows it, is that of the error of x, y, z of the object frame's origin (m) and
+    of a rotation vector (rad), both along the sensor's axes: the order and frame of ROS's PoseWithCovariance.
     """
 
     T_sensor_object: NDArray[np.float64]

@@ -112,16 +112,11 @@ class RobotTouches:
             shape = ContactShape(depth, float(measured[0]))
             return Touch(
                 shape, self.geometry, name, T_base_sensor=self._measured(invert(T), rng), T_sensor_object=T,
-                **self._sensor_stds(),
+                T_base_sensor_std_m=self.sensor_std_m or Touch.T_base_sensor_std_m,
+                T_base_sensor_std_rad=self.sensor_std_rad or Touch.T_base_sensor_std_rad,
             )  # fmt: skip
         except TouchError as error:
             return error
-
-    def _sensor_stds(self) -> dict[str, float]:
-        """What the robot knows of its own errors; without any, what a touch says by itself."""
-        if self.sensor_std_m == self.sensor_std_rad == 0:
-            return {}
-        return {"T_base_sensor_std_m": self.sensor_std_m, "T_base_sensor_std_rad": self.sensor_std_rad}
 
     def _measured(self, T_base_sensor: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
         """A sensor's pose as the robot believes it."""

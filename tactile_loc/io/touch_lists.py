@@ -23,7 +23,8 @@ class ListedTouch:
     """One touch of a list: its file, and what else the list says of it, None where it says nothing.
 
     `sensor` is a name, or the path of a .toml file or of a calibrated sensor's folder; `unit` is that of its depths;
-    `press_depth_m` metres; `T_base_sensor` (4, 4), metres, from the list or else from the touch's own file.
+    `press_depth_m` metres; `T_base_sensor` (4, 4), metres, from the list or else from the touch's own file, with the
+    standard deviations of its error, metres and radians.
     """
 
     path: Path
@@ -31,6 +32,8 @@ class ListedTouch:
     unit: TouchUnit | None = None
     press_depth_m: float | None = None
     T_base_sensor: Pose | None = None
+    T_base_sensor_std_m: float | None = None
+    T_base_sensor_std_rad: float | None = None
 
 
 class _TouchTable(PoseKeys):
@@ -39,6 +42,8 @@ class _TouchTable(PoseKeys):
     unit: TouchUnit | None = Field(None, description="'m', 'mm' or 'um'")
     press_depth_mm: Positive | None = Field(None, description="a positive number (mm)")
     T_base_sensor: Matrix | None = Field(None, description=MATRIX)
+    T_base_sensor_std_mm: Positive | None = Field(None, description="a positive number (mm)")
+    T_base_sensor_std_deg: Positive | None = Field(None, description="a positive number (degrees)")
 
 
 def read_touch_list(path: str | Path) -> tuple[ListedTouch, ...]:
@@ -89,7 +94,9 @@ def _listed(table: dict[str, Any], folder: Path, several: bool) -> ListedTouch:
             "quaternion_wxyz"
         )
     press_depth_m = None if keys.press_depth_mm is None else 1e-3 * keys.press_depth_mm
-    return ListedTouch(file, _sensor(keys.sensor, folder), keys.unit, press_depth_m, T)
+    std_m = None if keys.T_base_sensor_std_mm is None else 1e-3 * keys.T_base_sensor_std_mm
+    std_rad = None if keys.T_base_sensor_std_deg is None else float(np.radians(keys.T_base_sensor_std_deg))
+    return ListedTouch(file, _sensor(keys.sensor, folder), keys.unit, press_depth_m, T, std_m, std_rad)
 
 
 def _sensor(sensor: str | None, folder: Path) -> str | None:

@@ -5,6 +5,7 @@ Nothing is ever unpickled, and no unit is ever guessed.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,16 +34,19 @@ from tactile_loc.store.files import replacing
 if TYPE_CHECKING:
     from tactile_loc.core.interfaces import SensorModel
 
+LARGEST_INDENTATION_M = 0.05
+
 
 @dataclass(frozen=True, eq=False)
 class FileContents:
-    """What a file says: depths (H, W) and the press depth in `unit` (None when it names none), poses in metres."""
+    """What a file says: depths (H, W), press depth and indentation in `unit` (None: it names none), poses in metres."""
 
     depth: NDArray[Any]
     unit: str | None = None
     press_depth: float | None = None
     T_sensor_object: NDArray[np.float64] | None = None
     T_base_sensor: NDArray[np.float64] | None = None
+    indentation: float | None = None
 
 
 def read_contents(path: Path) -> FileContents:
@@ -78,6 +82,7 @@ def _read_npz(path: Path) -> FileContents:
     return FileContents(
         _find_depth(arrays, path), unit, _number(arrays, "press_depth", path),
         _pose(arrays, "T_sensor_object", path), _pose(arrays, "T_base_sensor", path),
+        _number(arrays, "indentation", path),
     )  # fmt: skip
 
 
@@ -167,6 +172,7 @@ def write_touch(path: str | Path, touch: Touch) -> Path:
         "depth": touch.contact_shape.depth_m.astype(np.float32),
         "unit": np.array("m"),
         "press_depth": np.array(touch.press_depth_m, np.float64),
+        "indentation": np.array(touch.indentation_m, np.float64),
         **{name: np.asarray(T, np.float64) for name, T in poses.items() if T is not None},
     }
     try:
@@ -190,7 +196,19 @@ def _shape(
     if contents.press_depth is None:
         return contact_shape_from_array(depth, max_depth_m, press_depth_m, str(path))
     shape = contact_shape_from_array(depth, max_depth_m, contents.press_depth * scale, str(path))
+    if contents.indentation is not None:
+        shape = dataclasses.replace(shape, indentation_m=_indentation_m(contents.indentation * scale, shape, path))
     return _cut(shape, path, press_depth_m)
+
+
+def _indentation_m(indentation_m: float, shape: ContactShape, path: Path) -> float:
+    """How deep the object was pressed, metres: no less than what the contact shape shows of it."""
+    if not shape.press_depth_m * (1 - 1e-6) <= indentation_m < LARGEST_INDENTATION_M:
+        raise TouchError(
+            f"{path} says that the object was pressed {indentation_m * 1e3:.3g} mm deep; that must be no less than its "
+            f"press depth of {shape.press_depth_m * 1e3:.3g} mm, and below {LARGEST_INDENTATION_M * 1e3:.0f} mm"
+        )
+    return max(indentation_m, shape.press_depth_m)
 
 
 def _cut(shape: ContactShape, path: Path, press_depth_m: float | None) -> ContactShape:

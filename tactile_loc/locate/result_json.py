@@ -52,7 +52,8 @@ class TouchRecord(_Record):
     path: str | None = Field(description="its file; null when it was simulated")
     noise: str | None = Field(description="the noise it was simulated with; null when it was read from a file")
     image_px: list[int] = Field(description="size of the contact shape (rows, columns), pixels")
-    press_depth_m: float = Field(description="how deep the object was pressed, m")
+    press_depth_m: float = Field(description="how deep the press is that its contact shape shows, m")
+    indentation_m: float = Field(description="how deep the object was pressed into the gel, m")
     T_base_sensor: Matrix | None = Field(description="where the sensor was, (4, 4), m; null when not known")
     T_sensor_object: Matrix | None = Field(description="the true pose, (4, 4), m; null when not known")
 
@@ -60,20 +61,26 @@ class TouchRecord(_Record):
 class HypothesisRecord(_Record):
     """One distinct explanation of the touch."""
 
-    rank: int = Field(description="1 is the one that explains the touch best")
+    rank: int = Field(description="1 is the most probable one")
     probability: float = Field(description="of this hypothesis with all grid poses that it holds, 0 to 1")
     grid_poses: int = Field(description="how many poses of the grid it holds")
     T_sensor_object_grid: Matrix = Field(description="its most probable pose on the grid, (4, 4), m")
     T_sensor_object: Matrix = Field(description="that pose refined, (4, 4), m: the answer")
     imprint_iou: float = Field(
         description="how well the refined pose explains the touch in depth and outline, 0 to 1: intersection over "
-        "union of imprints; hypotheses are in the order of this, and of the prior if there is one"
+        "union of imprints; with the prior, if there is one, it decides the probability"
     )
     contact_iou: float = Field(
         description="what the refiner reached: intersection over union of the observed contact and the pose's, 0 to 1"
     )
     converged: bool = Field(description="whether the refinement converged")
     iterations: int = Field(description="iterations of the refinement")
+    covariance: Matrix | None = Field(
+        default=None,
+        description="covariance (6, 6) of the answer's error, in the order and frame of ROS's PoseWithCovariance: "
+        "x, y, z of the object frame's origin (m), rotations about the sensor's x, y, z axes (rad); null when the "
+        "refiner does not know it",
+    )
     error_m: float | None = Field(description="surface distance to the true pose, m; null when that is not known")
 
 
@@ -180,7 +187,7 @@ def _object(obj: ObjectModel) -> ObjectRecord:
 def _touch(touch: Touch, source: TouchConfig) -> TouchRecord:
     return TouchRecord(
         name=touch.name, path=source.path, noise=source.noise if source.path is None else None,
-        image_px=list(touch.geometry.shape), press_depth_m=touch.press_depth_m,
+        image_px=list(touch.geometry.shape), press_depth_m=touch.press_depth_m, indentation_m=touch.indentation_m,
         T_base_sensor=_matrix(touch.T_base_sensor), T_sensor_object=_matrix(touch.T_sensor_object),
     )  # fmt: skip
 
@@ -191,6 +198,7 @@ def _hypotheses(localization: Localization, errors_m: NDArray[np.float64] | None
             rank=i + 1, probability=h.probability, grid_poses=h.grid_poses,
             T_sensor_object_grid=h.T_sensor_object_grid.tolist(), T_sensor_object=h.T_sensor_object.tolist(),
             imprint_iou=h.imprint_iou, contact_iou=h.refined.contact_iou,
+            covariance=None if h.refined.covariance is None else h.refined.covariance.tolist(),
             converged=h.refined.converged, iterations=h.refined.iterations,
             error_m=None if errors_m is None else float(errors_m[i]),
         )

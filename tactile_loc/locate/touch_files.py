@@ -143,4 +143,8 @@ def _observed(localizer: Localizer, listed: ListedTouch) -> Observation:
     touch = localizer.read_touch(listed.path, listed.unit, listed.press_depth_m)
     if listed.T_base_sensor is not None:
         touch = dataclasses.replace(touch, T_base_sensor=listed.T_base_sensor)
+    if listed.T_base_sensor_std_m is not None:
+        touch = dataclasses.replace(touch, T_base_sensor_std_m=listed.T_base_sensor_std_m)
+    if listed.T_base_sensor_std_rad is not None:
+        touch = dataclasses.replace(touch, T_base_sensor_std_rad=listed.T_base_sensor_std_rad)
     return localizer, touch

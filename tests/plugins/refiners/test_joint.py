@@ -115,6 +115,24 @@ def test_what_the_touches_leave_open_is_uncertain(make_box):
     assert std[2] < 1e-3
 
 
+def test_the_covariance_is_that_of_the_frames_origin(make_box, make_object):
+    """The same solid, its frame elsewhere: the rotation is as uncertain, and the origin turns with it."""
+    geometry = CAMERAS["orthographic"]
+    by_m = np.array([0.02, -0.01, 0.005])
+    found = []
+    for shift_m in (np.zeros(3), by_m):
+        solid = trimesh.creation.box((0.014, 0.010, 0.006)).apply_translation(shift_m)
+        obj = make_object(solid, name="box")
+        touch = pressed(obj, geometry, rotation_about([1, 0.3, 0], 0.2), (0.001, 0.0), 0.001)
+        found.append(JointRefiner().refine_together(views_of(obj, [touch]), [Candidate(touch.T_sensor_object, 0, 0.0)]))
+    (here,), (there,) = found
+    x, y, z = -here.T_sensor_object[:3, :3] @ by_m  # from the first origin to the second
+    moves = np.eye(6)
+    moves[:3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]  # w x that
+    np.testing.assert_allclose(there.covariance[3:, 3:], here.covariance[3:, 3:], rtol=0.05)
+    np.testing.assert_allclose(there.covariance, moves @ here.covariance @ moves.T, rtol=0.1, atol=1e-9)
+
+
 def test_sensors_that_may_be_off_leave_the_pose_less_certain(block):
     touches = [pressed(block, CAMERAS["orthographic"], towards(d), (0.0, 0.0), 0.001) for d in DIRECTIONS]
     truth = touches[0].T_sensor_object

@@ -39,16 +39,16 @@ def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float
     weight = sample_area_m2 / (patch_m * noise_m * MILLI) ** 2
     images = [_image_mm(touch) for touch in touches]
     sizes = np.array([image.shape[:2] for image in images])
+    starts = np.cumsum([0, *(len(cloud[0]) for cloud in clouds)])
+    middles = np.stack([_middle_mm(t, cloud[0]) for t, cloud in zip(touches, clouds, strict=True)])
+    cameras = np.stack([_camera_mm(t, weight) for t in touches])
     T = np.stack([t.T_sensor_first for t in touches])
     T[:, :3, 3] *= MILLI
     unit = np.array([1.0, 1.0, 1.0, MILLI, MILLI, MILLI])
-    return Observed(
-        P, n, w, np.cumsum([0, *(len(cloud[0]) for cloud in clouds)]), T,
-        np.stack([t.freedom * unit * unit[:, None] for t in touches]),
-        np.stack([cloud[0].mean(axis=0) for cloud in clouds]), np.stack([_camera_mm(t, weight) for t in touches]),
-        np.concatenate([image.reshape(-1, 4) for image in images]), sizes,
-        np.cumsum([0, *sizes.prod(axis=1)[:-1]]),
-    )  # fmt: skip
+    freedom = np.stack([t.freedom * unit * unit[:, None] for t in touches])
+    pixels = np.concatenate([image.reshape(-1, 4) for image in images])
+    offsets = np.cumsum([0, *sizes.prod(axis=1)[:-1]])
+    return Observed(P, n, w, starts, T, freedom, middles, cameras, pixels, sizes, offsets)
 
 
 def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple[Floats, Floats, Floats]:
@@ -61,7 +61,15 @@ def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple
     every = max(1, round(len(points) / most))
     points, normals = points[::every] * MILLI, normals[::every]
     patches = max(FEWEST_PATCHES, area_mm2 / patch_mm**2)
-    return points, normals, np.full(len(points), patches / len(points) / noise_mm**2)
+    return points, normals, np.full(len(points), patches / max(len(points), 1) / noise_mm**2)
+
+
+def _middle_mm(touch: Seen, points_mm: Floats) -> Floats:
+    """The middle (3,) of the contact, mm; of the gel where thinning left none of it."""
+    if len(points_mm):
+        return np.asarray(points_mm.mean(axis=0))
+    x0, x1, y0, y1 = touch.geometry.rectangle
+    return np.array([(x0 + x1) / 2, (y0 + y1) / 2, touch.geometry.surface_m]) * MILLI
 
 
 def _image_mm(touch: Seen) -> NDArray[np.float32]:

@@ -74,7 +74,8 @@ class JointRefiner(Refiner):
         for k in range(len(given)):
             T, iou = (poses[k], after[0][k]) if good[k] else (given[k].copy(), before[0][k])
             settled = bool(good[k] and moved_mm[k] < SETTLED_MM and iou > 0)
-            covariance = _covariance(information[k]) if good[k] else None
+            lever_m = T[:3, :3] @ views[0].scene.object.mesh.centroid_m
+            covariance = _covariance(information[k], lever_m) if good[k] else None
             results.append(RefinedPose(T, float(iou), settled, self.options.iterations, covariance))
         return results
 
@@ -114,8 +115,12 @@ def _explained(views: Sequence[View], T_first_object: Floats) -> tuple[Floats, F
     return np.mean([contact for contact, _ in both], axis=0), np.mean([imprint for _, imprint in both], axis=0)
 
 
-def _covariance(information: Floats) -> Floats | None:
-    """The covariance (6, 6), x, y, z in m before rotations in rad, of information in mm whose rotations come first."""
+def _covariance(information: Floats, lever_m: Floats) -> Floats | None:
+    """The covariance (6, 6), x, y, z in m before rotations in rad, of information in mm whose rotations come first.
+
+    The information is about the object's centroid, which is at `lever_m` (3,) from the frame's origin, whose
+    covariance it becomes.
+    """
     swapped = information[[3, 4, 5, 0, 1, 2]][:, [3, 4, 5, 0, 1, 2]]
     values, vectors = np.linalg.eigh(swapped)
     if not values[-1] > 0:
@@ -123,7 +128,10 @@ def _covariance(information: Floats) -> Floats | None:
     # what no touch says anything of is known to some 30 mm, or 3 rad
     covariance = (vectors / np.maximum(values, 1e-3)) @ vectors.T
     unit = np.array([1 / MILLI] * 3 + [1.0] * 3)
-    result: Floats = covariance * unit * unit[:, None]
+    x, y, z = lever_m
+    to_origin = np.eye(6)
+    to_origin[:3, 3:] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]  # w x (origin - centroid)
+    result: Floats = to_origin @ (covariance * unit * unit[:, None]) @ to_origin.T
     return result
 
 
