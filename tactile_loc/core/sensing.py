@@ -167,9 +167,11 @@ class SensorGeometry:
                 f"an object cannot be pressed in by {indentation_m * 1e3:.3g} mm; the camera is "
                 f"{self.surface_m * 1e3:.3g} mm behind the surface"
             )
+        every_pixel = self.observed is None and self.rectangle_m is None
         return dataclasses.replace(
             self, standoff_m=self.surface_m - indentation_m, indentation_m=indentation_m, rectangle_m=self.rectangle,
-            observed=self.observed_mask, max_depth_m=indentation_m if press_depth_m is None else press_depth_m,
+            observed=None if every_pixel else self.observed_mask,
+            max_depth_m=indentation_m if press_depth_m is None else press_depth_m,
         )  # fmt: skip
 
     def with_long_side(self, pixels: int) -> SensorGeometry:

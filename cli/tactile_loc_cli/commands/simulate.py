@@ -14,7 +14,7 @@ from tactile_loc_cli.console import say
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tactile_loc.core.sensing import Touch
+    from tactile_loc.core.sensing import SensorGeometry, Touch
     from tactile_loc.imaging.optics import Optics
     from tactile_loc.locate.localizer import Localizer
 
@@ -70,7 +70,7 @@ def simulate(
     touches = localizer.simulate(count, settings.seed, options.press_depth_m(settings), settings.touch.noise)
     record = _write(localizer, touches, out)
     if seen_by is not None:
-        _write_images(touches, seen_by, settings.seed, out)
+        _write_images(touches, localizer.scene.geometry, seen_by, settings.seed, out)
     written = (
         "poses.json and touches.png" if seen_by is None else "their images, background.png, poses.json, touches.png"
     )
@@ -117,13 +117,12 @@ def _optics(name: str, asked: bool) -> Optics:
     return optics(name) if asked else optics_of(name)
 
 
-def _write_images(touches: list[Touch], optics: Optics, seed: int, out: Path) -> None:
+def _write_images(touches: list[Touch], geometry: SensorGeometry, optics: Optics, seed: int, out: Path) -> None:
     import numpy as np
 
     from tactile_loc.imaging.shading import background
     from tactile_loc.imaging.simulate import touch_images
 
-    geometry = touches[0].geometry
     _write_png(out / "background.png", background(geometry, optics))
     rng = np.random.default_rng(seed)
     for start in range(0, len(touches), BATCH):
