@@ -6,6 +6,7 @@ import dataclasses
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -16,13 +17,16 @@ from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.core.symmetry import SymmetryGroup
-from tactile_loc.drawing import pose_panel
+from tactile_loc.drawing import pictures, pose_panel
 from tactile_loc.locate import probabilities
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.store.store import StageStore
 from tactile_loc.testing.problems import LOPSIDED_CAMERAS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 
@@ -58,9 +62,25 @@ def shipped_touches() -> Iterator[int]:
 
 @pytest.fixture(autouse=True, scope="session")
 def small_pictures() -> Iterator[None]:
-    """Pictures of few pixels: a test that looks at them says how they are drawn."""
+    """Pictures of few pixels, their panels left where they are: most tests only ask whether there is one."""
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    class LeftAlone(ConstrainedLayoutEngine):
+        def execute(self, fig: Figure) -> None:
+            pass
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pose_panel, "PIXELS", pose_panel.PIXELS // 4)
+        patch.setattr(pictures, "DPI", pictures.DPI // 2)
+        patch.setattr(pictures, "LAYOUT", LeftAlone())
+        yield
+
+
+@pytest.fixture(scope="module")
+def arranged_pictures() -> Iterator[None]:
+    """Pictures whose panels are arranged as users get them, for the tests of the pictures themselves."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pictures, "LAYOUT", "constrained")
         yield
 
 

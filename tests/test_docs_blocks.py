@@ -41,8 +41,8 @@ READERS = {  # by how the file begins
     "kind": lambda path: read_prior(path, load_object("pin")),
     "[[touch]]": read_touch_list,
 }
-COARSE = ["-o", "grid.spacing_mm=8"]
-TINY_TRAINING = [word for o in ("epochs=1", "queries=64", "batch=16", "backbone=small", "channels=8")
+COARSE = ["-o", "grid.spacing_mm=10"]
+TINY_TRAINING = [word for o in ("epochs=1", "queries=32", "batch=16", "backbone=small", "channels=4")
                  for word in ("-o", f"encoder.{o}")]  # fmt: skip
 CHEAPER = {
     "run": COARSE,
@@ -139,7 +139,9 @@ def run(words: list[str]) -> None:
     if "moco" in words:
         cheaper = [*cheaper, *TINY_TRAINING]
     if "--simulated" in words:
-        cheaper = ["-o", "epochs=1", "-o", "channels=4", "--presses", "10"]
+        cheaper = ["-o", "epochs=1", "-o", "channels=4", "--presses", "5"]
+    if words[1] == "evaluate" and "--object" not in words:
+        cheaper = [*cheaper, "--object", "pin", "--object", "head"]  # of the six
     done = CliRunner().invoke(app, [*words[1:], *cheaper], prog_name="tactile-loc")
     if "encoder.pretrained=hub" in words and done.exit_code:
         assert "hub" in done.stderr

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -136,6 +137,7 @@ def _transformed(images: Float32, rows: Float32, columns: Float32) -> Float32:
     return result
 
 
+@lru_cache(maxsize=64)
 def _blur_weights(count: int, sigma_px: float) -> Float32:
     """Weights (count, count) of pixel j's area in the Gaussian about pixel i's centre; the outer pixels go on forever.
 
@@ -148,6 +150,7 @@ def _blur_weights(count: int, sigma_px: float) -> Float32:
     z = (edge[None] - centre[:, None]) / sigma_px
     share = np.where(z < -REACH, 0.0, np.where(z > REACH, 1.0, ndtr(z)))
     weights: Float32 = np.diff(share, axis=1).astype(np.float32)
+    weights.flags.writeable = False  # the same for every touch
     return weights
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +23,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
     from matplotlib.image import AxesImage
+    from matplotlib.layout_engine import LayoutEngine
 
 NO_CONTACT, UNSEEN, OUTLINE = "#eceff1", "#b0bec5", "#e03131"
 EXPECTED = "#ffffff"  # on a photo
 MOST_TOUCHES = 30
 DPI = 130
+LAYOUT: LayoutEngine | Literal["constrained"] = "constrained"  # that keeps the labels of panels apart
 
 
 def draw_result(
@@ -112,9 +114,12 @@ def draw_contact_shape(
     return image
 
 
-def save_figure(path: str | Path, figure: Figure, dpi: int = DPI) -> Path:
-    """Write a figure as PNG, atomically, and return the path. Raises OutputError when that is impossible."""
-    return write_atomically(Path(path), lambda temporary: figure.savefig(temporary, dpi=dpi, facecolor="white"))
+def save_figure(path: str | Path, figure: Figure, dpi: int | None = None) -> Path:
+    """Write a figure as PNG, `DPI` or `dpi` dots an inch, atomically, and return the path.
+
+    Raises OutputError when that is impossible.
+    """
+    return write_atomically(Path(path), lambda temporary: figure.savefig(temporary, dpi=dpi or DPI, facecolor="white"))
 
 
 def _draw_observed(panel: SubFigure, touch: Touch) -> None:
@@ -206,6 +211,6 @@ def make_figure(width: float, height: float, constrained: bool = False) -> Figur
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout="constrained" if constrained else None)
+    figure = Figure(figsize=(width, height), layout=LAYOUT if constrained else None)
     FigureCanvasAgg(figure)
     return figure

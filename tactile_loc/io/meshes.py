@@ -19,6 +19,8 @@ log = logging.getLogger(__name__)
 Units = Literal["m", "mm", "cm", "inch", "auto"]
 METRES_PER_UNIT: dict[str, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2, "inch": 0.0254}
 
+_detected: dict[str, SymmetryGroup] = {}  # by the surface's digest: a sweep opens the same file again and again
+
 
 def load_object(
     path: str | Path, units: Units = "auto", symmetry: str = "auto", name: str | None = None
@@ -96,7 +98,9 @@ def _symmetry(declared: str, mesh: TriangleMesh, notes: list[str]) -> SymmetryGr
     from tactile_loc.core.symmetry_detection import detect_symmetry, require_symmetry
 
     if declared == "auto":
-        group = detect_symmetry(mesh.vertices_m, mesh.faces)
+        if mesh.digest not in _detected:
+            _detected[mesh.digest] = detect_symmetry(mesh.vertices_m, mesh.faces)
+        group = _detected[mesh.digest]
         if not group.is_trivial:
             notes.append(f"symmetry found: {group} (say --symmetry to be sure)")
         return group

@@ -27,7 +27,7 @@ def test_objects_are_evaluated_by_number_of_contacts_and_written(cli, tmp_path):
     with (out / "contacts.csv").open() as file:
         assert {row["contacts"] for row in csv.DictReader(file)} == {"1", "2", "3"}
     with Image.open(out / "contacts.png") as picture:
-        assert min(picture.size) > 300
+        assert min(picture.size) > 250
     lines = [line.split() for line in done.stdout.splitlines()]
     in_mm, shares = [line for line in lines if line[:3] == ["pin", "pixel", "best-1"]]
     third = record["runs"][0]["lines"]["best-1"][2]

@@ -39,6 +39,11 @@ def stores(prepared: Path, cli) -> None:
         shutil.copytree(prepared, name)
 
 
+@pytest.fixture(autouse=True)
+def few_touches_to_validate_with(monkeypatch):
+    monkeypatch.setattr(training, "VALIDATION_TOUCHES", 32)
+
+
 @pytest.fixture
 def no_pictures(monkeypatch):
     """Do not spend time on drawing what nobody looks at."""

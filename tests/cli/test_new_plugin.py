@@ -77,7 +77,9 @@ def test_every_new_component_is_found(site):
 
 def test_all_new_components_locate_an_object_together(site, tmp_path):
     chosen = [word for slot in SLOTS for word in (f"--{slot}", name_of(slot))]
-    line = command("run", *TINY, *chosen, "--out", tmp_path / "out", "--store", tmp_path / "store")
+    (tmp_path / "sure.toml").write_text("temperature = 0.1")  # none is to be fitted
+    words = ["--config", tmp_path / "sure.toml", "--out", tmp_path / "out", "--store", tmp_path / "store"]
+    line = command("run", "--object", "pin", *TINY, *chosen, *words)
     done = run(site, line)
     assert done.returncode == 0, done.stderr
     result = json.loads((tmp_path / "out" / "result.json").read_text())

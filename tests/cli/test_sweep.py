@@ -147,12 +147,13 @@ def test_bad_input_is_one_sentence_before_anything_runs(cli, tmp_path, words, me
 
 def test_failures_are_counted_and_the_exit_code_is_1(cli, plan, tmp_path):
     plan.write_text(PLAN.replace("8\n", "8\noption.grid.min_contact_percent = [2, 100]\n"))  # nothing touches that much
-    done = cli("sweep", "sweep.toml", "--object", "pin")
+    words = ["sweep", "sweep.toml", "--object", "pin", "--workers", 1]
+    done = cli(*words)
     assert done.exit_code == 1
     assert done.stderr.splitlines()[-1] == "failed: 2 of 4 combinations; the errors are in sweep/sweep.md"
     assert "failed" in done.stdout
     assert (tmp_path / "sweep" / "sweep.md").read_text().count("lower grid.min_contact_percent") == 2
-    as_json = cli("sweep", "sweep.toml", "--object", "pin", "--json")
+    as_json = cli(*words, "--json")
     assert (as_json.exit_code, json.loads(as_json.stdout)["failed"]) == (1, 2)
 
 
@@ -163,9 +164,12 @@ def finished(out: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in out.glob("rows/[!.]*.json")}
 
 
+EIGHT = ["sweep", "sweep.toml", "--encoder", "pixel", "-o", "encoder.cells=9,12"]
+
+
 def start(tmp_path: Path, store: Path) -> subprocess.Popen[str]:
     """Start a sweep as in a terminal: a shell's background jobs, these tests among them, would ignore Ctrl-C."""
-    line = command("sweep", "sweep.toml", "--encoder", "pixel", "-o", "encoder.cells=9,12", "--workers", "2")
+    line = command(*EIGHT, "--workers", "2")
     return subprocess.Popen(
         line, cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         env={**os.environ, "TACTILE_LOC_STORE": str(store)},
@@ -190,7 +194,7 @@ def wait_for(process: subprocess.Popen[str], reached: Callable[[], bool]) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("whom", ["the command", "everybody"])
-def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(plan, tmp_path, whom):
+def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(cli, plan, tmp_path, whom):
     process = start(tmp_path, tmp_path / "store")
     out = tmp_path / "sweep"
     wait_for(process, lambda: len(finished(out)) >= 2)
@@ -207,10 +211,9 @@ def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(plan, tmp_path, wh
     before = finished(out)
     assert 2 <= len(before) < 8
     assert not (out / "sweep.csv").exists()
-    resumed = start(tmp_path, tmp_path / "store")
-    stdout, stderr = resumed.communicate(timeout=HANGING_S)
-    assert resumed.returncode == 0, stderr
-    assert f"8 combinations: {8 - len(before)} evaluated now, {len(before)} before" in stdout
+    resumed = cli(*EIGHT, "--workers", 1, "--store", tmp_path / "store")
+    assert resumed.exit_code == 0, resumed.stderr
+    assert f"8 combinations: {8 - len(before)} evaluated now, {len(before)} before" in resumed.stdout
     assert {name: time_ns for name, time_ns in finished(out).items() if name in before} == before
 
 

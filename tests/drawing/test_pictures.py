@@ -23,6 +23,8 @@ from tactile_loc.drawing.pictures import (
 )
 from tactile_loc.drawing.pose_panel import draw_pose
 
+pytestmark = pytest.mark.usefixtures("arranged_pictures")
+
 # 2 px a mm; the optical axis is 2 mm from the left border and 1.5 mm from the top one
 FLAT = SensorGeometry("orthographic", 20, 12, 2000.0, 2000.0, 4.0, 3.0, 0.01, 0.001, (-0.001, 0.007, -0.001, 0.004))
 

@@ -16,6 +16,8 @@ from tactile_loc.evaluation.protocol import Evaluation, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.tables import Run
 
+pytestmark = pytest.mark.usefixtures("arranged_pictures")
+
 
 @pytest.fixture(scope="module")
 def runs() -> list[Run]:

@@ -16,7 +16,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "plugin"
 PIP = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "install"]
-RUN = ["run", "--object", "hook", "--refiner", "centroid", "-o", "grid.spacing_mm=6", "--seed", "3", "--top", "2"]
+RUN = ["run", "--object", "pin", "--refiner", "centroid", "-o", "grid.spacing_mm=8", "--seed", "3", "--top", "2"]
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,8 @@ def test_installed_plugin_is_listed_with_its_distribution_and_options(tactile_lo
 
 @pytest.mark.slow
 def test_plugin_refines_what_was_found(tactile_loc, tmp_path):
-    done = tactile_loc(*RUN, "-o", "refiner.steps=2", "--out", "out", "--store", "store")
+    (tmp_path / "sure.toml").write_text("temperature = 0.1")  # none is to be fitted
+    done = tactile_loc(*RUN, "-o", "refiner.steps=2", "--config", "sure.toml", "--out", "out", "--store", "store")
     assert done.returncode == 0, done.stderr
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert result["configuration"]["refiner"] == {"name": "centroid", "options": {"steps": 2}}

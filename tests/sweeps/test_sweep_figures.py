@@ -20,6 +20,8 @@ from tactile_loc.sweeps.figures import (
 )
 from tactile_loc.sweeps.results import require_line
 
+pytestmark = pytest.mark.usefixtures("arranged_pictures")
+
 VALUES = {
     "object": ["pin", "head"],
     "refiner": ["none", "icp", "filterreg"],

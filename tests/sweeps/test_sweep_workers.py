@@ -52,8 +52,13 @@ def folder(tmp_path_factory) -> Path:
     return tmp_path_factory.mktemp("faulty")
 
 
-def sweep(tiny: dict[str, Any], refiners: list[Any], out: Path, store: Path, workers: Any = None) -> Sweep:
-    values = {**tiny, "object": ["pin", "head"], "refiner": refiners, "count": 1, "noise": "none"}
+BOTH = ("pin", "head")
+
+
+def sweep(
+    tiny: dict[str, Any], refiners: list[Any], out: Path, store: Path, workers: Any = None, objects: Any = BOTH
+) -> Sweep:
+    values = {**tiny, "object": list(objects), "refiner": refiners, "count": 1, "noise": "none"}
     return run_sweep(Plan.from_values(values), out, store, workers or LocalWorkers(2, 3, out / "workers.log"))
 
 
@@ -73,7 +78,7 @@ def test_a_combination_that_fails_is_a_row_and_tried_again(tiny, folder, tmp_pat
     traces = {path.stem: path.read_text() for path in (tmp_path / "errors").iterdir()}
     assert set(traces) == {row["key"] for row in swept.rows if "ValueError" in row["error"]}
     assert all("sweep_faults_parts.py" in text for text in traces.values())
-    again = sweep(tiny, refiners, tmp_path, folder / "store")
+    again = sweep(tiny, refiners, tmp_path, folder / "store", LocalWorkers(1, 3, tmp_path / "workers.log"))
     assert again.done == 6
 
 
@@ -90,9 +95,9 @@ def test_a_local_worker_that_is_killed_costs_only_time(tiny, folder, tmp_path):
 @pytest.mark.slow
 def test_what_kills_its_worker_every_time_is_a_row_that_says_so(tiny, folder, tmp_path):
     lethal = {"name": "lethal", "tally": str(tmp_path / "tally"), "deaths": 99}
-    swept = sweep(tiny, ["none", lethal], tmp_path / "out", folder / "store")
-    deaths = len((tmp_path / "tally").read_text())  # for each object twice alone, and before that at most twice
-    assert 2 * 2 + 2 <= deaths <= 2 * 4  # who waits at a worker that dies is suspected as well
+    swept = sweep(tiny, ["none", lethal, "raising"], tmp_path / "out", folder / "store", objects=["pin"])
+    assert len((tmp_path / "tally").read_text()) == 2 * 2  # twice among the others, and twice alone
+    assert errors(swept)["pin", "raising"] == "ValueError: nothing works at all"
     for (_, refiner), error in errors(swept).items():
         assert ("worker died each time" in error and "workers.log" in error) == (refiner == "lethal")
     assert "killed by signal 9" in (tmp_path / "out" / "workers.log").read_text()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from tactile_loc.plugin import (
     Poses,
     SensorGeometry,
     SymmetryGroup,
+    TriangleMesh,
     align_to_z,
     make_transform,
     reachable_translations,
@@ -87,12 +89,18 @@ class FaceGrid(GridSampler):
         """Return the rotation (3, 3) that points the touching face's normal into the sensor, along -z."""
         face = self.options.face
         if face == "auto":
-            normal = resting_normal(obj.mesh.vertices_m, obj.mesh.centroid_m)
+            normal = _resting_normal(obj.mesh)
         elif face in SIDES:
             normal = SIDES[face]
         else:
             raise GridError(f"there is no face {face!r}; give one of {', '.join(SIDES)} or auto")
         return align_to_z(-normal)
+
+
+@lru_cache(maxsize=8)
+def _resting_normal(mesh: TriangleMesh) -> NDArray[np.float64]:
+    """The side (3,) of a mesh, looked for once: random poses may be drawn a few at a time."""
+    return resting_normal(mesh.vertices_m, mesh.centroid_m)
 
 
 def resting_normal(vertices_m: NDArray[np.float64], centroid_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -27,6 +27,11 @@ TINY = {"epochs": 3, "queries": 64, "batch": 32, "channels": 4, "noise": "mild"}
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
+@pytest.fixture(autouse=True)
+def few_touches_to_validate_with(monkeypatch):
+    monkeypatch.setattr(training, "VALIDATION_TOUCHES", 64)
+
+
 @pytest.fixture(scope="module")
 def problem(tmp_path_factory):
     """A coarse grid of the pin on a small sensor."""
@@ -69,7 +74,7 @@ class FileCheckpoints(Checkpoints):
 
 @pytest.mark.slow
 def test_it_learns_to_tell_the_poses_apart(problem):
-    encoder = make(epochs=12, queries=256, noise="none", patience=12)
+    encoder = make(epochs=8, queries=256, noise="none", patience=8)
     encoder.recipe = encoder.recipe.changed(momentum=0.9, refresh=4)  # few steps: the keys must follow quickly
     geometry, clean = problem.scene.geometry, np.concatenate(list(problem.shapes()))
     encoder.fit(problem)
