@@ -28,7 +28,7 @@ demo: $(STAMP) ## locate a shipped object from one shipped touch, and draw it in
 test: lint ## lint, check the types and run the tests
 	@PYTHON="$(PYTHON)" scripts/system-packages.sh --tests
 	@echo "test: pytest"
-	@$(RUN) pytest $(PYTEST_FLAGS)
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN) pytest $(PYTEST_FLAGS)
 
 lint: $(STAMP) ## check style, format and types
 	@echo "lint: ruff check"

@@ -81,11 +81,16 @@ def test_the_truth_explains_all_and_less_with_every_offset(problem):
     assert explained[-1] > 0
 
 
-def test_what_is_explained_does_not_depend_on_z_or_on_company(problem):
+def test_what_is_explained_depends_on_no_more_of_z_than_a_press_is_known_to_nor_on_company(problem):
     poses = np.stack([problem.candidate((x, 0.0, 0.02)).T_sensor_object for x in (0.0, 0.001, 0.002)])
     together = problem.scene.imprint_ious(poses, problem.touch)
-    lifted = translation([0.0, 0.0, 0.004]) @ poses
-    np.testing.assert_allclose(problem.scene.imprint_ious(lifted, problem.touch), together, atol=1e-6)
+    for off_m in (2e-4, -2e-4):
+        lifted = translation([0.0, 0.0, off_m]) @ poses
+        np.testing.assert_allclose(problem.scene.imprint_ious(lifted, problem.touch), together, atol=1e-6)
+    hovering = translation([0.0, 0.0, 0.004]) @ poses
+    np.testing.assert_array_equal(problem.scene.imprint_ious(hovering, problem.touch), 0.0)
+    half_pressed = translation([0.0, 0.0, 0.0012]) @ poses
+    assert problem.scene.imprint_ious(half_pressed, problem.touch)[0] < 0.8 * together[0]
     alone = [problem.scene.imprint_ious(T[None], problem.touch)[0] for T in poses]
     np.testing.assert_allclose(alone, together, atol=1e-6)
 
@@ -108,9 +113,9 @@ def test_unobserved_pixels_explain_nothing_and_ask_for_nothing(problem):
 
 def test_explained_in_numbers(make_box, make_scene, flat_camera):
     """A flat box, ten by ten pixels, against its touch moved by half its width, and against one half as deep."""
-    scene = make_scene(make_box(0.004, 0.004, 0.004), flat_camera)
-    T, _ = scene.in_contact(translation([[0.0, 0.0, 0.0], [0.002, 0.0, 0.0]]))
     press = 0.002
+    scene = make_scene(make_box(0.004, 0.004, 0.004), flat_camera).pressed(press)
+    T, _ = scene.in_contact(translation([[0.0, 0.0, 0.0], [0.002, 0.0, 0.0]]))
     full = scene.contact_shape(T[0], press)
     assert full.contact.sum() == 100
     assert (full.depth_m[full.contact] == 0).all()
