@@ -36,7 +36,7 @@ SENSOR = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\
 MOCO = {"name": "moco", "epochs": 1, "queries": 32, "batch": 32, "channels": 4}
 FACTORS = {
     "object": ["pin", "head", "damping_pin"],
-    "renderer": ["raycast", "pyrender"],
+    "renderer": ["zbuffer", "pyrender"],
     "encoder": [MOCO, {"name": "pixel", "cells": 12}, {"name": "pixel", "cells": 20}],
     "refiner": ["filterreg", "kiss-icp", "render", "none"],
 }

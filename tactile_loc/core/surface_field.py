@@ -78,7 +78,8 @@ def look_up(points, triangles, found, which):
         f = triangle_near(points[i], triangles)
         which[i] = f
         if f >= 0:
-            found[i] = closest_on_triangle(points[i], triangles.corners[f])
+            x, y, z = closest_on_triangle(points[i], triangles.corners[f])
+            found[i, 0], found[i, 1], found[i, 2] = x, y, z
 
 
 @njit
@@ -134,10 +135,13 @@ def closest_on_triangle(x, corners):
 def carry(corners, normals, low, cell, reach, nearest):
     """Fill the nearest triangle (X, Y, Z): of the cells that triangles cross, then outwards from cell to cell."""
     X, Y, Z = nearest.shape
-    squared = np.empty(nearest.shape, np.float32)
-    squared[:] = np.inf
+    squared = np.empty((X, Y, Z), np.float32)
+    for i in range(X):
+        for j in range(Y):
+            for k in range(Z):
+                squared[i, j, k] = np.inf
     count = _cross(corners, normals, low, cell, nearest, squared)
-    wave, after = np.empty((count, 3), np.int32), np.empty((0, 3), np.int32)
+    wave = np.empty((count, 3), np.int32)
     count = 0
     for i in range(X):
         for j in range(Y):

@@ -21,7 +21,7 @@ webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not in
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
     "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--host-resolver-rules=MAP * ~NOTFOUND",
-    "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--window-size=900,900",
+    "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--window-size=640,640",
 )  # fmt: skip
 LOCAL = ("file:", "data:", "blob:", "about:", "chrome:")
 CHANGED_PX = 300

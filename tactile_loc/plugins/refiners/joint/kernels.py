@@ -98,17 +98,19 @@ def step(T, observed, triangles, samples, middle, scale, T_each, information):
             for m in range(6):
                 right[r, 6] += A[i, r, m] * errors[i, m]
         solve(M, right)
-        left[i] = right
         for r in range(6):
+            for c in range(7):
+                left[i, r, c] = right[r, c]
             for c in range(6):
                 for m in range(6):
                     for n in range(6):
                         H[r, c] += Ad[i, m, r] * right[m, n] * Ad[i, n, c]
             for m in range(6):
                 g[r] += Ad[i, m, r] * right[m, 6]
-    information[:] = H
-    x = np.zeros((6, 1))
-    damped = H.copy()
+    x, damped = np.zeros((6, 1)), np.empty((6, 6))
+    for r in range(6):
+        for c in range(6):
+            information[r, c] = damped[r, c] = H[r, c]
     turning, sliding = H[0, 0] + H[1, 1] + H[2, 2], H[3, 3] + H[4, 4] + H[5, 5]
     if not sliding > 0.0:
         return 0.0
@@ -121,9 +123,12 @@ def step(T, observed, triangles, samples, middle, scale, T_each, information):
     shorter = min(1.0, 0.2 / max(angle, 1e-12), 3.0 / max(far, 1e-12))
     for r in range(6):
         x[r, 0] *= shorter
-    motion, before = np.empty((4, 4)), T.copy()
+    motion = np.empty((4, 4))
     exponential(x[:, 0], centre, motion)
-    multiply(motion, before, T)
+    multiply(motion, T, nominal)
+    for r in range(4):
+        for c in range(4):
+            T[r, c] = nominal[r, c]
     own = np.zeros((6, 1))
     for i in range(count):
         # the sensor's own error, given where the object is: S (1 + A S)^-1 (b + A e - A Ad x)
@@ -314,13 +319,13 @@ def logarithm(T, centre, x):
 @njit
 def adjoint(T, centre, other, out):
     """Fill out (6, 6): a twist about `centre` in one frame as a twist about `other` in the frame T leads to."""
-    out[:] = 0.0
     c = np.empty(3)
     for r in range(3):
         c[r] = other[r] - (T[r, 0] * centre[0] + T[r, 1] * centre[1] + T[r, 2] * centre[2] + T[r, 3])
     for r in range(3):
         for m in range(3):
             out[r, m] = out[3 + r, 3 + m] = T[r, m]
+            out[r, 3 + m] = 0.0
     for m in range(3):  # turning shifts the other centre: w x c
         out[3, m] = T[1, m] * c[2] - T[2, m] * c[1]
         out[4, m] = T[2, m] * c[0] - T[0, m] * c[2]
