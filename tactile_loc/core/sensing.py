@@ -90,7 +90,7 @@ class SensorGeometry:
     @property
     def scale_at_surface(self) -> tuple[float, float]:
         """Pixels per metre (x, y) on the undeformed sensing surface."""
-        k = self.standoff_m if self.is_pinhole else 1.0
+        k = self.surface_m if self.is_pinhole else 1.0
         return self.fx / k, self.fy / k
 
     @property
@@ -101,13 +101,13 @@ class SensorGeometry:
 
     @property
     def view(self) -> tuple[float, float, float, float]:
-        """What the image sees (x_min, x_max, y_min, y_max), in metres, of the plane z = standoff."""
+        """What the image sees (x_min, x_max, y_min, y_max), in metres, of the undeformed surface."""
         sx, sy = self.scale_at_surface
         return -self.cx / sx, (self.width_px - self.cx) / sx, -self.cy / sy, (self.height_px - self.cy) / sy
 
     @property
     def rectangle(self) -> tuple[float, float, float, float]:
-        """The sensing rectangle (x_min, x_max, y_min, y_max) in metres on the plane z = standoff."""
+        """The sensing rectangle (x_min, x_max, y_min, y_max) in metres on the undeformed surface."""
         return self.view if self.rectangle_m is None else self.rectangle_m
 
     @cached_property
@@ -120,7 +120,7 @@ class SensorGeometry:
     @cached_property
     def observed_mask(self) -> NDArray[np.bool_]:
         """Pixels (H, W) that carry information: on the sensing rectangle and not masked."""
-        k = self.standoff_m if self.is_pinhole else 1.0
+        k = self.surface_m if self.is_pinhole else 1.0
         x, y = (s * k for s in self.pixel_slopes)
         x0, x1, y0, y1 = self.rectangle
         inside = ((y >= y0) & (y <= y1))[:, None] & ((x >= x0) & (x <= x1))[None, :]
@@ -167,10 +167,8 @@ class SensorGeometry:
                 f"an object cannot be pressed in by {indentation_m * 1e3:.3g} mm; the camera is "
                 f"{self.surface_m * 1e3:.3g} mm behind the surface"
             )
-        every_pixel = self.observed is None and self.rectangle_m is None
         return dataclasses.replace(
-            self, standoff_m=self.surface_m - indentation_m, indentation_m=indentation_m, rectangle_m=self.rectangle,
-            observed=None if every_pixel else self.observed_mask,
+            self, standoff_m=self.surface_m - indentation_m, indentation_m=indentation_m,
             max_depth_m=indentation_m if press_depth_m is None else press_depth_m,
         )  # fmt: skip
 
@@ -188,8 +186,7 @@ class SensorGeometry:
         same = self.camera == other.camera and np.allclose(ours, theirs, rtol=1e-6, atol=1e-9)
         if self.indentation_m == other.indentation_m:
             same = same and math.isclose(self.max_depth_m, other.max_depth_m, rel_tol=1e-6)
-        k = self.standoff_m / other.standoff_m if self.is_pinhole else 1.0  # the views are of planes of their own
-        apart_m = np.abs(np.subtract(self.view, np.multiply(k, other.view))).max()
+        apart_m = np.abs(np.subtract(self.view, other.view)).max()
         return bool(same and apart_m < max(self.pixel_pitch_m, other.pixel_pitch_m))
 
     def describe(self) -> dict[str, Any]:
