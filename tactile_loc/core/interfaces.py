@@ -185,6 +185,14 @@ class Scene:
         depth = self.renderer.render(self.object.mesh, T_sensor_object, self.geometry)
         return contact_depth(depth, self.geometry, self.geometry.max_depth_m)
 
+    def depths_explaining(self, T_sensor_object: Poses, touch: Touch, freedom_m: float = 0.0) -> NDArray[np.float32]:
+        """Render contact depths (N, H, W) in metres of poses (N, 4, 4) as they are compared with a touch.
+
+        A pose counts as it is, but for what the measured press may be off by, and `freedom_m` metres more.
+        """
+        freedom_m += LEAST_PRESS_ERROR_M + PRESS_ERROR * touch.indentation_m
+        return self.contact_depths(self.nearly_in_contact(T_sensor_object, freedom_m), touch.press_depth_m)
+
     def contact_shape(self, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> ContactShape:
         """Render the contact shape of one pose (4, 4), brought to contact, cut at `press_depth_m` metres.
 
@@ -223,9 +231,8 @@ class Scene:
         Poses may be `freedom_m` metres farther off along z than the measured press allows.
         """
         geometry, wanted = touch.thinned(pixels)
-        coarse, press_m = dataclasses.replace(self, geometry=geometry), touch.press_depth_m
-        freedom_m += LEAST_PRESS_ERROR_M + PRESS_ERROR * touch.indentation_m
-        made = coarse.contact_depths(coarse.nearly_in_contact(T_sensor_object, freedom_m), press_m)
+        press_m = touch.press_depth_m
+        made = dataclasses.replace(self, geometry=geometry).depths_explaining(T_sensor_object, touch, freedom_m)
         contact_ious = [ContactShape(depth, press_m).contact_iou(wanted, geometry.observed_mask) for depth in made]
         a, b = (_imprint(depth_m, press_m, geometry.observed_mask) for depth_m in (made, wanted.depth_m))
         common, either = (np.sum(both, axis=(-2, -1), dtype=float) for both in (np.minimum(a, b), np.maximum(a, b)))

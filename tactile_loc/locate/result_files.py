@@ -92,7 +92,7 @@ def gather(contacts: Sequence[Observation], localization: Localization) -> Resul
     for localizer, touch in contacts:
         T = _sensor_first(first, touch)
         scene = localizer.scene.of_touch(touch)
-        made_m = scene.contact_depths(scene.in_contact(T @ poses)[0], touch.press_depth_m)
+        made_m = scene.depths_explaining(T @ poses, touch)
         touches.append(TouchArrays(touch.contact_shape, touch.geometry, T, made_m, touch.image))
     kept = most_probable(localization.posterior)
     posterior = localization.posterior
