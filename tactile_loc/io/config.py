@@ -60,6 +60,7 @@ class RunConfig(_Strict):
     """Everything that decides a result. `shape_px` is the longer image side of the grid's contact shapes, pixels.
 
     `together` refines against several touches: "joint" all at once, "each" by what the refiner makes of each touch.
+    `coverage` asks for all modes of a set of poses that holds the true one with that probability, 0 to 1.
     """
 
     object: ObjectConfig = ObjectConfig()
@@ -76,6 +77,7 @@ class RunConfig(_Strict):
     shape_px: int = Field(default=64, ge=16, le=1024)
     temperature: float | None = Field(default=None, gt=0)
     together: Literal["joint", "each"] = "joint"
+    coverage: float | None = Field(default=None, gt=0, lt=1)
 
     @classmethod
     def from_toml(cls, path: str | Path) -> RunConfig:
