@@ -17,6 +17,7 @@ from tactile_loc.plugin import closest_on_triangle, downhill, njit, triangle_nea
 # mypy: ignore-errors
 
 SETTLED_MM = 1e-4
+GROSS_MM = 0.5  # a point that is off by more is no more of a sign of noise
 NEAR_PLANE_MM = 0.1  # a point beside its triangle by less is measured to the triangle's plane
 
 
@@ -30,7 +31,8 @@ class Observed(NamedTuple):
     rectangle (4), the weight (1/mm^2) of a surface sample that reaches into it. `images` (Q, 4) hold, for every four
     neighbouring pixels, the least height of the surface that is seen (beyond the gel's: nothing; NaN: not observed),
     below which nothing between their centres can be, and the place x, y, z of the nearest contact; those of touch i are
-    rows of sizes[i] (height, width) from offsets[i].
+    rows of sizes[i] (height, width) from offsets[i]. `noise` is the least standard deviation of a point, which weights
+    assume.
     """
 
     points: NDArray[np.float64]
@@ -45,6 +47,7 @@ class Observed(NamedTuple):
     images: NDArray[np.float32]
     sizes: NDArray[np.int64]
     offsets: NDArray[np.int64]
+    noise: float
 
 
 @njit(fast=True)
@@ -71,19 +74,26 @@ def step(T, observed, triangles, samples, middle, scale, T_each, information):
     """One Gauss-Newton step of a pose and of every sensor's error; return how far it moved, mm.
 
     Of touch i with equations A u = b for a twist u of its own pose, whose error e has the covariance S, remains
-    (1 + A S)^-1 (A, b + A e) for the object's twist x, u = Ad x - e + (what S allows).
+    (1 + A S)^-1 (A, b + A e) for the object's twist x, u = Ad x - e + (what S allows). All touches' points are taken for
+    as noisy as they are off together.
     """
     count = len(observed.centres)
     A, b = np.zeros((count, 6, 6)), np.zeros((count, 6))
     Ad, errors = np.zeros((count, 6, 6)), np.zeros((count, 6))
-    left, H, g = np.zeros((count, 6, 7)), np.zeros((6, 6)), np.zeros(6)
+    misfit, left, H, g = np.zeros(2), np.zeros((count, 6, 7)), np.zeros((6, 6)), np.zeros(6)
     nominal, inverse, gap = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
     centre = np.empty(3)
     for a in range(3):
         centre[a] = T[a, 0] * middle[0] + T[a, 1] * middle[1] + T[a, 2] * middle[2] + T[a, 3]
     for i in range(count):
-        seen(i, T_each[i], observed, triangles, scale, A[i], b[i])
+        seen(i, T_each[i], observed, triangles, scale, A[i], b[i], misfit)
         kept_out(i, T_each[i], observed, samples, scale, A[i], b[i])
+    surer = min(1.0, observed.noise**2 * misfit[1] / max(misfit[0], 1e-30))
+    for i in range(count):
+        for r in range(6):
+            b[i, r] *= surer
+            for c in range(6):
+                A[i, r, c] *= surer
         multiply(observed.T_sensor_first[i], T, nominal)
         invert(nominal, inverse)
         multiply(T_each[i], inverse, gap)
@@ -150,8 +160,11 @@ def step(T, observed, triangles, samples, middle, scale, T_each, information):
 
 
 @njit(fast=True)
-def seen(i, T, observed, triangles, scale, A, b):
-    """Add the equations of touch i's points: each lies on the object's surface, which faces as the point does."""
+def seen(i, T, observed, triangles, scale, A, b, misfit):
+    """Add the equations of touch i's points: each lies on the object's surface, which faces as the point does.
+
+    To the misfit (2,) are added their weighted squared distances, mm^2, and their weights.
+    """
     x, y = np.empty(3), np.empty(3)
     J = np.empty(6)
     for j in range(observed.starts[i], observed.starts[i + 1]):
@@ -183,6 +196,9 @@ def seen(i, T, observed, triangles, scale, A, b):
             y[a] = T[a, 0] * d0 + T[a, 1] * d1 + T[a, 2] * d2
         row(p, observed.centres[i], y, J)
         add(J, r, weight, A, b)
+        weight = observed.weights[j] * facing
+        misfit[0] += weight * min(r * r, GROSS_MM**2)
+        misfit[1] += weight
 
 
 @njit(fast=True)

@@ -33,7 +33,8 @@ class Seen:
 def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float, sample_area_m2: float) -> Observed:
     """Return what touches show, in mm: at most about `points` of each on the surface.
 
-    `noise_m` is the standard deviation of a measured surface point; noise is alike over patches of `patch_m` metres.
+    `noise_m` is the least standard deviation of a measured surface point; noise is alike over patches of `patch_m`
+    metres.
     """
     clouds = [_cloud_mm(touch, points, noise_m * MILLI, patch_m * MILLI) for touch in touches]
     P, n, w, slack = (np.concatenate([cloud[k] for cloud in clouds]) for k in range(4))
@@ -49,7 +50,7 @@ def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float
     freedom = np.stack([t.freedom * unit * unit[:, None] for t in touches])
     pixels = np.concatenate([image.reshape(-1, 4) for image in images])
     offsets = np.cumsum([0, *sizes.prod(axis=1)[:-1]])
-    return Observed(P, n, w, slack, starts, T, freedom, middles, cameras, pixels, sizes, offsets)
+    return Observed(P, n, w, slack, starts, T, freedom, middles, cameras, pixels, sizes, offsets, noise_m * MILLI)
 
 
 def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple[Floats, Floats, Floats, Floats]:

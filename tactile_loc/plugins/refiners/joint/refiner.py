@@ -50,7 +50,7 @@ class JointRefiner(Refiner):
         scale_mm: float = Field(default=3.0, gt=0, description="residuals beyond this are mistrusted at first, mm")
         scale_end_mm: float = Field(default=0.1, gt=0, description="the same at last, mm")
         iterations: int = Field(default=15, ge=2, description="most steps")
-        noise_mm: float = Field(default=0.05, gt=0, description="standard deviation of a point of a touch, mm")
+        noise_mm: float = Field(default=0.03, gt=0, description="least standard deviation of a point of a touch, mm")
         patch_mm: float = Field(default=1.0, gt=0, description="points nearer to one another err alike, mm")
         press_error: float = Field(default=0.05, ge=0, description="standard deviation of a press, share of it")
 
