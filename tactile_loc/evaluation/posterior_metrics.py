@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.poses import Poses
+from tactile_loc.core.poses import PoseMetric, Poses
 from tactile_loc.core.posterior import PosePosterior
 
 POSTERIOR_METRICS = ("nll", "credible_level", "entropy", "expected_error", "spread")
@@ -29,6 +30,21 @@ def posterior_metrics(posterior: PosePosterior, T_true: Poses, rng: np.random.Ge
     best = posterior.grid.T_sensor_object[int(posterior.log_p.argmax())]
     expected, spread = (float(p @ posterior.grid.distances(T, STEP_M)) for T in (T_true, best))
     return np.array([-posterior.log_p[truth], level, posterior.entropy, expected, spread])
+
+
+def normalised_error_squared(
+    metric: PoseMetric, T_estimate: Poses, covariance: NDArray[np.float64], T_true: Poses
+) -> float:
+    """Return e^T C^-1 e (unitless) of an estimate (4, 4), metres, with its covariance C (6, 6), in ROS's order.
+
+    e (6,) is the error of x, y, z and the rotation vector, along the sensor's axes, from the pose that looks like the
+    true one (4, 4) and is nearest. With true covariances and Gaussian errors its mean is 6 (chi-squared).
+    """
+    same = metric.equivalents(T_true[None], STEP_M).reshape(-1, 4, 4)
+    T = same[np.linalg.norm(metric.embed(same) - metric.embed(T_estimate[None]), axis=1).argmin()]
+    turned = Rotation.from_matrix(T[:3, :3] @ T_estimate[:3, :3].T).as_rotvec()
+    e = np.concatenate([T[:3, 3] - T_estimate[:3, 3], turned])
+    return float(e @ np.linalg.solve(covariance, e))
 
 
 @dataclass(frozen=True)

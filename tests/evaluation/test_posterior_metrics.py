@@ -9,7 +9,13 @@ import trimesh
 from tactile_loc.core.geometry import make_transform, rotation_about
 from tactile_loc.core.poses import PoseGrid, PoseMetric
 from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.evaluation.posterior_metrics import LEVELS, POSTERIOR_METRICS, PosteriorSummary, posterior_metrics
+from tactile_loc.evaluation.posterior_metrics import (
+    LEVELS,
+    POSTERIOR_METRICS,
+    PosteriorSummary,
+    normalised_error_squared,
+    posterior_metrics,
+)
 
 P = np.array([0.1, 0.4, 0.2, 0.3])
 STEP_M = 2e-3
@@ -69,3 +75,19 @@ def test_many_touches_are_summed_up():
     metrics = np.array([[1.0, 0.4, 2.0, 1e-3, 2e-3], [3.0, 0.9, 4.0, 3e-3, 4e-3]])
     summary = PosteriorSummary.of(metrics, 100)
     assert summary == PosteriorSummary(2.0, pytest.approx(np.log(100)), (0.5, 0.5, 1.0), 3.0, pytest.approx(2e-3), 3e-3)
+
+
+@pytest.mark.parametrize("symmetry", ["none", "z2"])
+def test_errors_drawn_from_a_covariance_are_six_on_average(make_object, symmetry):
+    part = make_object(trimesh.creation.box((0.02, 0.01, 0.01)), symmetry)
+    metric, rng = PoseMetric(part), np.random.default_rng(7)
+    root = rng.normal(size=(6, 6)) * ([1e-4] * 3 + [3e-3] * 3)
+    covariance, found = root.T @ root, []
+    T = make_transform(rotation_about([1, 2, 3], 0.7), [0.01, 0.02, 0.03])
+    for _ in range(300):
+        e = root.T @ rng.normal(size=6)
+        turned = rotation_about(e[3:], np.linalg.norm(e[3:])) @ T[:3, :3]
+        truth = make_transform(turned, T[:3, 3] + e[:3]) @ part.symmetry.elements()[-1]
+        found.append(normalised_error_squared(metric, T, covariance, truth))
+    assert np.mean(found) == pytest.approx(6.0, abs=0.6)  # three standard deviations of the mean
+    assert np.median(found) == pytest.approx(5.35, abs=0.7)

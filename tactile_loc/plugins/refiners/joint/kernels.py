@@ -74,8 +74,8 @@ def step(T, observed, triangles, samples, middle, scale, T_each, information):
     """One Gauss-Newton step of a pose and of every sensor's error; return how far it moved, mm.
 
     Of touch i with equations A u = b for a twist u of its own pose, whose error e has the covariance S, remains
-    (1 + A S)^-1 (A, b + A e) for the object's twist x, u = Ad x - e + (what S allows). All touches' points are taken for
-    as noisy as they are off together.
+    (1 + A S)^-1 (A, b + A e) for the object's twist x, u = Ad x - e + (what S allows). All touches' points are taken
+    for as noisy as they are off together.
     """
     count = len(observed.centres)
     A, b = np.zeros((count, 6, 6)), np.zeros((count, 6))
