@@ -22,7 +22,7 @@ from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
 SHARD = 1024  # poses rendered, saved and resumed at once
 NO_CONTACT = 65535
-STAGE_VERSIONS = {"grid": 3, "shapes": 2, "encoder": 3, "bank": 2}
+STAGE_VERSIONS = {"grid": 4, "shapes": 2, "encoder": 3, "bank": 2}
 
 
 def grid_key(scene: Scene, sampler: GridSampler) -> StageKey:
