@@ -97,6 +97,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.lattices import centroid_range as centroid_range
     from tactile_loc.core.lattices import lattice_shape as lattice_shape
     from tactile_loc.core.lattices import plane_lattice as plane_lattice
+    from tactile_loc.core.lattices import random_places as random_places
     from tactile_loc.core.lattices import reachable_translations as reachable_translations
     from tactile_loc.core.lattices import shifted_lattice as shifted_lattice
 

@@ -266,7 +266,12 @@ class GridSampler(Component):
 
     @abstractmethod
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
-        """Draw `count` poses (count, 4, 4) uniformly from the continuous set that the grid samples; z is free."""
+        """Draw `count` poses (count, 4, 4) uniformly from the continuous set that the grid samples; z is free.
+
+        As many are drawn about each pose of the grid: probabilities fitted to touches at such poses, P(x | touch), have
+        a uniform P_train, which fusers take for granted where a posterior has no `log_train`. A rotation that has more
+        places over the sensor must be drawn more often: see `random_places`.
+        """
 
 
 class Checkpoints:
