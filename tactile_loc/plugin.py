@@ -48,7 +48,9 @@ if TYPE_CHECKING:
     from tactile_loc.core.progress import rank as rank
     from tactile_loc.core.sensing import ContactShape as ContactShape
     from tactile_loc.core.sensing import SensorGeometry as SensorGeometry
+    from tactile_loc.core.sensing import Drawing as Drawing
     from tactile_loc.core.sensing import Touch as Touch
+    from tactile_loc.core.sensing import as_drawn as as_drawn
     from tactile_loc.core.symmetry import SymmetryGroup as SymmetryGroup
 
     # errors that a component raises: each is one sentence for the user
