@@ -48,7 +48,9 @@ if TYPE_CHECKING:
     from tactile_loc.core.progress import rank as rank
     from tactile_loc.core.sensing import ContactShape as ContactShape
     from tactile_loc.core.sensing import SensorGeometry as SensorGeometry
+    from tactile_loc.core.sensing import Drawing as Drawing
     from tactile_loc.core.sensing import Touch as Touch
+    from tactile_loc.core.sensing import as_drawn as as_drawn
     from tactile_loc.core.symmetry import SymmetryGroup as SymmetryGroup
 
     # errors that a component raises: each is one sentence for the user
@@ -97,6 +99,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.lattices import centroid_range as centroid_range
     from tactile_loc.core.lattices import lattice_shape as lattice_shape
     from tactile_loc.core.lattices import plane_lattice as plane_lattice
+    from tactile_loc.core.lattices import random_places as random_places
     from tactile_loc.core.lattices import reachable_translations as reachable_translations
     from tactile_loc.core.lattices import shifted_lattice as shifted_lattice
 

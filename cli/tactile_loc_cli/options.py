@@ -86,7 +86,10 @@ Refiner = Annotated[str | None, declare("--refiner", "NAME", "What refines the b
 Fuser = Annotated[str | None, declare("--fuser", "NAME", "What combines touches and prior; by default product.")]
 SetOption = Annotated[
     list[str] | None,
-    set_option("A component's option, as grid.spacing_mm=3; may be repeated; `plugins SLOT NAME` lists them."),
+    set_option(
+        "A component's option, as grid.spacing_mm=3; may be repeated; `plugins SLOT NAME` lists them. Or a plain "
+        "setting of the configuration, as drawing=paper."
+    ),
 ]
 Config = Annotated[
     Path | None,
@@ -134,7 +137,7 @@ class RunOptions:
 
 def run_config(given: RunOptions) -> RunConfig:
     """Merge options over the configuration file that they name, if any. Raises ConfigError for unknown settings."""
-    from tactile_loc.io.config import RunConfig, parse_overrides
+    from tactile_loc.io.config import RunConfig, parse_overrides, parse_settings
     from tactile_loc.io.toml import read_toml
 
     settings = {} if given.config is None else read_toml(given.config)
@@ -145,10 +148,11 @@ def run_config(given: RunOptions) -> RunConfig:
     }  # fmt: skip
     for name, table in tables.items():
         settings[name] = {**_table(settings.get(name, {}), name), **_without_none(table)}
-    overrides = parse_overrides(given.option or [])
+    plain, words = parse_settings(given.option or [])
+    overrides = parse_overrides(words)
     for slot in SLOTS:
         settings[slot] = _component(slot, settings.get(slot), getattr(given, slot), overrides.get(slot, {}))
-    settings |= _without_none({"top": given.top, "coverage": given.coverage, "seed": given.seed})
+    settings |= plain | _without_none({"top": given.top, "coverage": given.coverage, "seed": given.seed})
     return RunConfig.from_dict(settings, "the command line" if given.config is None else str(given.config))
 
 

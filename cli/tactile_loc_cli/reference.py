@@ -54,6 +54,7 @@ seed = 0
 shape_px = 64          # the longer image side of the grid's contact shapes, pixels
 # coverage = 0.95       # list all modes of a set that holds the true pose with this probability
 # temperature = 1e-3   # of the softmax over scores; by default fitted to simulated touches
+# drawing = "paper"    # compare with the object where it just touches; by default "pressed", as the sensor sees it
 
 [object]
 path = "hook"          # a mesh file or a demo object

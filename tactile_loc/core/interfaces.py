@@ -22,7 +22,7 @@ from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.poses import PoseGrid, Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch, contact_depth
+from tactile_loc.core.sensing import ContactShape, Drawing, SensorGeometry, Touch, as_drawn, contact_depth
 
 Float32 = NDArray[np.float32]
 
@@ -146,11 +146,19 @@ class Renderer(Component):
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The object, the sensor's geometry and the renderer that draws the one for the other."""
+    """The object, the sensor's geometry and the renderer that draws the one for the other, pressed or as in the paper.
+
+    Poses are those of the pressed object either way: see `as_drawn`.
+    """
 
     object: ObjectModel
     geometry: SensorGeometry
     renderer: Renderer
+    drawing: Drawing = "pressed"
+
+    def as_seen(self) -> Scene:
+        """Return the scene that draws what the sensor really sees, as touches show it."""
+        return dataclasses.replace(self, drawing="pressed")
 
     def in_contact(self, T_sensor_object: Poses) -> tuple[Poses, NDArray[np.bool_]]:
         """Bring poses (N, 4, 4) to contact along z; also return which (N,) touch the sensing rectangle. Metres."""
@@ -175,15 +183,14 @@ class Scene:
 
     def contact_depths(self, T_sensor_object: Poses, press_depth_m: float | None = None) -> NDArray[np.float32]:
         """Render contact depths (N, H, W) in metres of poses (N, 4, 4) that are in contact already."""
-        depth = self.renderer.render_apart(self.object.mesh, T_sensor_object, self.geometry)
-        return contact_depth(
-            depth, self.geometry, self.geometry.max_depth_m if press_depth_m is None else press_depth_m
-        )
+        T, camera = as_drawn(T_sensor_object, self.geometry, self.drawing)
+        depth = self.renderer.render_apart(self.object.mesh, T, camera)
+        return contact_depth(depth, camera, camera.max_depth_m if press_depth_m is None else press_depth_m)
 
     def grid_depths(self, T_sensor_object: Poses) -> NDArray[np.float32]:
         """Render contact depths (N, H, W) in metres, at full press, of a grid's poses: many share a rotation."""
-        depth = self.renderer.render(self.object.mesh, T_sensor_object, self.geometry)
-        return contact_depth(depth, self.geometry, self.geometry.max_depth_m)
+        T, camera = as_drawn(T_sensor_object, self.geometry, self.drawing)
+        return contact_depth(self.renderer.render(self.object.mesh, T, camera), camera, camera.max_depth_m)
 
     def depths_explaining(self, T_sensor_object: Poses, touch: Touch, freedom_m: float = 0.0) -> NDArray[np.float32]:
         """Render contact depths (N, H, W) in metres of poses (N, 4, 4) as they are compared with a touch.
@@ -266,7 +273,12 @@ class GridSampler(Component):
 
     @abstractmethod
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
-        """Draw `count` poses (count, 4, 4) uniformly from the continuous set that the grid samples; z is free."""
+        """Draw `count` poses (count, 4, 4) uniformly from the continuous set that the grid samples; z is free.
+
+        As many are drawn about each pose of the grid: probabilities fitted to touches at such poses, P(x | touch), have
+        a uniform P_train, which fusers take for granted where a posterior has no `log_train`. A rotation that has more
+        places over the sensor must be drawn more often: see `random_places`.
+        """
 
 
 class Checkpoints:

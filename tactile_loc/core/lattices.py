@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
@@ -147,7 +147,7 @@ class AllRotationsGrid(GridSampler):
 
         A rotation is drawn as often as its region is large, as the grid has it.
         """
-        return np.concatenate([np.empty((0, 4, 4)), *_drawn(obj, geometry, count, rng)])[:count]
+        return random_places(obj, geometry, count, rng, lambda n: random_rotations(n, rng))
 
     def _refuse_too_many(self, count: int, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> None:
         limit = self.options.max_poses
@@ -173,18 +173,25 @@ def centroid_range(obj: ObjectModel, R: Float, geometry: SensorGeometry) -> tupl
     return low, high
 
 
-def _drawn(obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Iterator[Poses]:
-    """Yield batches of random poses, at least `count` in all: a rotation is kept by the area of its region."""
+def random_places(
+    obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator,
+    rotations: Callable[[int], Float],
+) -> Poses:  # fmt: skip
+    """Draw poses (count, 4, 4), metres, uniformly over rotations and the places where the boxes overlap; z is free.
+
+    `rotations(n)` draws R_sensor_object (n, 3, 3) uniformly. One is kept as often as its region is large, as a grid has
+    it: were it kept always, poses of a small region would be drawn too often.
+    """
     x0, x1, y0, y1 = geometry.rectangle
     longest_m = float(np.linalg.norm(obj.mesh.extents_m))
     bound_m2 = (x1 - x0 + longest_m) * (y1 - y0 + longest_m)
-    while count > 0:
-        R = random_rotations(min(max(2 * count, 64), MOST_DRAWN), rng)
+    found = [np.empty((0, 4, 4))]
+    while (missing := count - sum(map(len, found))) > 0:
+        R = rotations(min(max(2 * missing, 64), MOST_DRAWN))
         low, high = centroid_range(obj, R, geometry)
         keep = rng.random(len(R)) * bound_m2 < (high - low).prod(axis=-1)
-        xy = rng.uniform(low[keep], high[keep])
-        yield _poses_with_centroid_at(obj, R[keep], xy)
-        count -= int(keep.sum())
+        found.append(_poses_with_centroid_at(obj, R[keep], rng.uniform(low[keep], high[keep])))
+    return np.concatenate(found)[:count]
 
 
 def _poses_with_centroid_at(obj: ObjectModel, R: Float, xy_m: Float) -> Poses:

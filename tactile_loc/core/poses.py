@@ -71,10 +71,9 @@ class PoseMetric:
         S = self.object.symmetry.elements(max_step_rad=float(step_m / lever))
         return T_sensor_object[None] @ S[:, None]
 
-    def symmetric_distance(self, T1: Poses, T2: Poses, step_m: float = 2e-4) -> NDArray[np.float64]:
-        """Return the distance (N,) in metres between poses (N, 4, 4), the least over the symmetry group."""
-        same = self.equivalents(T1, step_m)
-        return np.linalg.norm(self.embed(same) - self.embed(T2)[None], axis=-1).min(axis=0)
+    def symmetric_distance(self, T1: Poses, T2: Poses) -> NDArray[np.float64]:
+        """Return the distance (N,) in metres between poses (N, 4, 4), the least over the symmetry group: exactly."""
+        return np.linalg.norm(self.embed_orbits(T1) - self.embed_orbits(T2)[0], axis=-1).min(axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,13 +159,11 @@ class PoseGrid:
         points = self.metric.embed_orbits(self.T_sensor_object[some])[0]
         return float(self._orbit_tree.query(points, k=2)[0][:, 1].mean())
 
-    def distances(self, T_sensor_object: Poses, step_m: float) -> NDArray[np.float64]:
-        """Return the distance (N,) in metres of every grid pose from one pose (4, 4), the least over the symmetry.
-
-        A continuous symmetry is sampled `step_m` metres apart.
-        """
-        same = self.metric.embed(self.metric.equivalents(T_sensor_object[None], step_m)[:, 0])
-        squared = (self.phi**2).sum(axis=1)[:, None] - 2 * self.phi @ same.T + (same**2).sum(axis=1)
+    def distances(self, T_sensor_object: Poses) -> NDArray[np.float64]:
+        """Return the distance (N,) in metres of every grid pose from one pose (4, 4), the least over the symmetry."""
+        points = self._orbit_tree.data
+        same = self._at_level(self.metric.embed_orbits(T_sensor_object[None])[:, 0])
+        squared = (points**2).sum(axis=1)[:, None] - 2 * points @ same.T + (same**2).sum(axis=1)
         return np.asarray(np.sqrt(np.maximum(squared.min(axis=1), 0.0)))
 
     def neighbour_spacing(self, subset: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
@@ -179,8 +176,8 @@ class PoseGrid:
 
     def within(self, radius_m: float, index: int) -> NDArray[np.int64]:
         """Return the indices (K,) of poses within `radius_m` metres of grid pose `index`, symmetry regarded."""
-        same = self.metric.equivalents(self.T_sensor_object[index : index + 1], step_m=0.5 * radius_m)[:, 0]
-        found = self._tree.query_ball_point(self._at_level(self.metric.embed(same)), radius_m)
+        same = self.metric.embed_orbits(self.T_sensor_object[index : index + 1])[:, 0]
+        found = self._orbit_tree.query_ball_point(self._at_level(same), radius_m)
         return np.unique(np.concatenate([np.asarray(f, np.int64) for f in found]))
 
 

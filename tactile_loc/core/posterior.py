@@ -125,8 +125,8 @@ def _uphill(grid: PoseGrid, ordered: NDArray[np.int64], radius_m: float) -> NDAr
     """Return the place (K,) of each one's peak among the grid indices `ordered` (K,), most probable first; metres."""
     from scipy.spatial import cKDTree
 
-    tree = cKDTree(grid.phi[ordered])
-    same = grid.metric.embed(grid.metric.equivalents(grid.T_sensor_object[ordered], 0.5 * radius_m))
+    same = grid.metric.embed_orbits(grid.T_sensor_object[ordered])
+    tree = cKDTree(same[0])
     parent = np.arange(len(ordered))
     for equivalents in same:
         for place, near in enumerate(tree.query_ball_point(equivalents, radius_m)):

@@ -197,6 +197,24 @@ class SensorGeometry:
         return {**fields, "rectangle_m": rectangle, "observed": mask}
 
 
+Drawing = Literal["pressed", "paper"]
+
+
+def as_drawn(
+    T_sensor_object: NDArray[np.float64], geometry: SensorGeometry, drawing: Drawing
+) -> tuple[NDArray[np.float64], SensorGeometry]:
+    """Return poses (..., 4, 4), metres, and the sensor as what is compared with touches is drawn of them.
+
+    "pressed" draws what the sensor sees: the pressed object. "paper" draws it as Bauza et al. (CoRL 2020) do, where it
+    just touches: an indentation farther off, which a pinhole camera sees smaller; parallel rays see no difference.
+    """
+    if drawing == "pressed" or geometry.indentation_m == 0.0:
+        return T_sensor_object, geometry
+    raised = T_sensor_object.copy()
+    raised[..., 2, 3] += geometry.indentation_m
+    return raised, dataclasses.replace(geometry, standoff_m=geometry.surface_m, indentation_m=0.0)
+
+
 @dataclass(frozen=True, eq=False)
 class ContactShape:
     """How far the object's surface lies from full penetration: `depth_m` (H, W) float32 in metres, 0 ... press depth.

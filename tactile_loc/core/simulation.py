@@ -34,7 +34,7 @@ def simulate_touches(
         raise TouchError(
             f"a press of {press * 1e3:.3g} mm is outside the sensor's range of 0 to {deepest * 1e3:.3g} mm"
         )
-    press_noise = _PressNoise(noise or TouchNoise(), scene, press_depth_m, rng.spawn(1)[0])
+    press_noise = _PressNoise(noise or TouchNoise(), scene.as_seen(), press_depth_m, rng.spawn(1)[0])
     touches: list[Touch] = []
     rounds = 0
     while len(touches) < count:

@@ -16,7 +16,10 @@ from tactile_loc.core.symmetry_surface import SurfaceProbe
 
 _logger = logging.getLogger(__name__)
 
-_IGNORED = 1e-3  # the fraction of the surface that may lie farther off than the tolerance: stray triangles
+RESOLUTION_M = 5e-5
+"""The deviation of a surface that a tactile sensor sees, where it is about half a millimetre wide."""
+
+_IGNORED = 1e-3  # the fraction of the few points that may lie farther off: whether that is a feature the many say
 _EQUAL_MOMENTS = 0.06
 _VERIFY_STEP_RAD = math.radians(16.0)
 _VERIFY_EVALUATIONS = 40_000
@@ -26,18 +29,19 @@ _LETTER_WEIGHTS = (1.002, 1.001, 1.0)  # of equivalent half turns, that about x 
 
 
 def detect_symmetry(
-    vertices_m: NDArray[np.float64], faces: NDArray[np.int64], tolerance_m: float | None = None, seed: int = 0
+    vertices_m: NDArray[np.float64], faces: NDArray[np.int64], tolerance_m: float = RESOLUTION_M, seed: int = 0
 ) -> SymmetryGroup:
     """Return the rotations about the surface's centroid that map the surface of a mesh onto itself.
 
-    `vertices_m` (V, 3), `faces` (F, 3). A rotation counts if all of the rotated surface but a thousandth lies within
-    `tolerance_m` of the surface, and its rms distance within half of that; the default is
-    `SurfaceProbe.default_tolerance_m`. Axes of up to 60-fold symmetry and continuous ones are found. A sphere is
-    reported as a cylinder, with a warning. `seed` draws the surface points that are looked at. Raises ObjectError for
-    a mesh without a surface.
+    `vertices_m` (V, 3), `faces` (F, 3). A rotation counts unless some patch of the rotated surface, half a millimetre
+    wide and more, lies farther than `tolerance_m` from the surface: a pocket breaks the symmetry of a plate however
+    large the plate is. What the facets of a tessellated curve leave open is forgiven beyond that, where they are.
+    Axes of up to 60-fold symmetry and continuous ones are found. A sphere is reported as a cylinder, with a warning.
+    `seed` draws the surface points that are looked at: 0.4 mm apart, or 40,000. Raises ObjectError for a mesh without
+    a surface.
     """
     probe = SurfaceProbe(vertices_m, faces, seed)
-    search = _Search(probe, probe.default_tolerance_m() if tolerance_m is None else tolerance_m)
+    search = _Search(probe, tolerance_m)
     moments_m2, axes = np.linalg.eigh(probe.covariance_m2())
     equal = np.diff(moments_m2) < _EQUAL_MOMENTS * moments_m2[2]
     if equal.all():
@@ -50,16 +54,15 @@ def detect_symmetry(
 
 
 def verify_symmetry(
-    group: SymmetryGroup, vertices_m: NDArray[np.float64], faces: NDArray[np.int64], tolerance_m: float | None = None
+    group: SymmetryGroup, vertices_m: NDArray[np.float64], faces: NDArray[np.int64], tolerance_m: float = RESOLUTION_M
 ) -> float:
     """Return how far, in metres, the surface lies from itself under the worst of the group's elements.
 
-    `vertices_m` (V, 3), `faces` (F, 3). A thousandth of the surface is left out of account, and a continuous axis is
-    sampled. Distances below `tolerance_m` (default as in `detect_symmetry`) may be reported a little too large.
-    Raises ObjectError for a mesh without a surface.
+    `vertices_m` (V, 3), `faces` (F, 3). The largest deviation of a patch half a millimetre wide, less what facets
+    leave open; a continuous axis is sampled. Deviations below `tolerance_m` may be reported a little too large or as
+    nil. Raises ObjectError for a mesh without a surface.
     """
-    probe = SurfaceProbe(vertices_m, faces)
-    return _worst(probe, group, probe.default_tolerance_m() if tolerance_m is None else tolerance_m)[0]
+    return _worst(SurfaceProbe(vertices_m, faces), group, tolerance_m)[0]
 
 
 def require_symmetry(
@@ -67,10 +70,12 @@ def require_symmetry(
 ) -> None:
     """Raise SymmetryError if the surface of a mesh differs from itself by more than `tolerance_m` under the group.
 
-    Arguments and default as in `verify_symmetry`; the error says under which turn, by how much and where.
+    Arguments as in `verify_symmetry`; by default what is forgiven is `SurfaceProbe.declared_tolerance_m`, which is
+    more than detection does: who declares the symmetry of a scan knows it better. The error says under which turn, by
+    how much and where.
     """
     probe = SurfaceProbe(vertices_m, faces)
-    tolerance_m = probe.default_tolerance_m() if tolerance_m is None else tolerance_m
+    tolerance_m = probe.declared_tolerance_m() if tolerance_m is None else tolerance_m
     deviation_m, R, point_m = _worst(probe, group, tolerance_m)
     if deviation_m > tolerance_m:
         place = ", ".join(f"{1e3 * value:.1f}" for value in point_m)
@@ -81,20 +86,52 @@ def require_symmetry(
         )
 
 
-def _worst(
-    probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float
-) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-    """Return the largest deviation over the elements, the element's rotation (3, 3), and where in the object frame."""
-    T_object_object = group.elements(_VERIFY_STEP_RAD)
-    points_m = probe.points_m[: _VERIFY_EVALUATIONS // len(T_object_object)] + probe.centre_m
-    worst = (0.0, np.eye(3), probe.centre_m)
-    for T in T_object_object[1:]:
-        mapped_m = points_m @ T[:3, :3].T + T[:3, 3]
-        distance_m = probe.distance_m(mapped_m - probe.centre_m, tolerance_m)
-        index = np.argsort(distance_m)[_kept(len(distance_m)) - 1]
-        if distance_m[index] > worst[0]:
-            worst = (float(distance_m[index]), T[:3, :3], mapped_m[index])
+Deviation = tuple[float, NDArray[np.float64], NDArray[np.float64]]  # how far, after which turn (3, 3), where (3,)
+
+
+def _worst(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
+    """Return the largest deviation over a group's elements, metres, and where in the object frame."""
+    both = (worst(probe, group, tolerance_m) for worst in (_worst_of_few, _worst_patch))
+    return max(both, key=lambda deviation: deviation[0])
+
+
+def _worst_of_few(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
+    """Move a few points by all elements, and leave a thousandth of them out of account."""
+    elements = group.elements(_VERIFY_STEP_RAD)[1:]
+    few = probe.few.first(_VERIFY_EVALUATIONS // (len(elements) + 1))
+    worst: Deviation = (0.0, np.eye(3), probe.centre_m)
+    for R in elements[:, :3, :3]:
+        mapped_m = _mapped(few.points_m, R, group.centre_m - probe.centre_m)
+        deviation_m = probe.deviation_m(mapped_m, few.open_m, tolerance_m)
+        index = int(np.argsort(deviation_m)[_kept(len(few)) - 1])
+        if deviation_m[index] > worst[0]:
+            worst = float(deviation_m[index]), R, mapped_m[index] + probe.centre_m
     return worst
+
+
+def _worst_patch(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
+    """Move many points by what generates the elements: a feature that any element moves, one of these does."""
+    worst: Deviation = (0.0, np.eye(3), probe.centre_m)
+    for R in _generators(group):
+        mapped_m = _mapped(probe.many.points_m, R, group.centre_m - probe.centre_m)
+        deviation_m, index = probe.patch_deviation_m(mapped_m, probe.many.open_m, tolerance_m)
+        if deviation_m > worst[0]:
+            worst = deviation_m, R, mapped_m[index] + probe.centre_m
+    return worst
+
+
+def _mapped(
+    points_m: NDArray[np.float64], R: NDArray[np.float64], centre_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Points (N, 3) turned by R (3, 3) about a centre (3,); metres."""
+    return (points_m - centre_m) @ R.T + centre_m
+
+
+def _generators(group: SymmetryGroup) -> NDArray[np.float64]:
+    """The turns (K, 3, 3) that generate a group, and their inverses; of a continuous axis one that meets no other."""
+    turns = [rotation_about(t.axis, _GOLDEN_RAD) if math.isinf(t.order) else t.rotation for t in group.terms]
+    both = [R for turn in turns for R in ((turn,) if np.allclose(turn, turn.T) else (turn, turn.T))]
+    return np.array(both).reshape(-1, 3, 3)
 
 
 def _kept(count: int) -> int:
@@ -121,35 +158,51 @@ class _Search:
                 if rotations is None or len(rotations) == group.order:
                     continue
                 larger = SymmetryGroup(self._probe.centre_m, (*group.terms, term))
-            if _worst(self._probe, larger, self._tolerance_m)[0] <= self._tolerance_m:
+            if _worst_of_few(self._probe, larger, self._tolerance_m)[0] <= self._tolerance_m:
                 group = larger
         return group
 
     def is_symmetry(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
         """Say whether a turn maps the surface onto itself, within the tolerance."""
-        R = rotation_about(axis, angle_rad)
-        few_m = self._probe.distance_m(self._probe.points_m[:150] @ R.T, math.inf)
-        if np.count_nonzero(few_m > 2.0 * self._tolerance_m) > 10:
+        return self._is_nearly_symmetry(axis, angle_rad) and self._has_no_feature(axis, angle_rad)
+
+    def _is_nearly_symmetry(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
+        """Say whether a turn maps few points of the surface onto it, but for a thousandth."""
+        R, few, half_m = rotation_about(axis, angle_rad), self._probe.few, 0.5 * self._tolerance_m
+        first = few.first(150)
+        deviation_m = self._probe.deviation_m(first.points_m @ R.T, first.open_m, half_m, candidates=24)
+        if np.count_nonzero(deviation_m > 2.0 * self._tolerance_m) > 10:
             return False
-        distance_m = self._probe.distance_m(self._probe.points_m @ R.T, self._tolerance_m)
-        kept_m = np.sort(distance_m)[: _kept(len(distance_m))]
-        return bool(kept_m[-1] <= self._tolerance_m and np.mean(kept_m**2) <= (0.5 * self._tolerance_m) ** 2)
+        deviation_m = self._probe.deviation_m(few.points_m @ R.T, few.open_m, half_m)
+        kept_m = np.sort(deviation_m)[: _kept(len(deviation_m))]
+        return bool(kept_m[-1] <= self._tolerance_m and np.mean(kept_m**2) <= half_m**2)
+
+    def _has_no_feature(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
+        """Say whether no patch of the surface, turned there or back, lies beyond the tolerance."""
+        many = self._probe.many
+        for sign in (1.0, -1.0)[: 1 if angle_rad == math.pi else 2]:
+            turned_m = many.points_m @ rotation_about(axis, sign * angle_rad).T
+            if self._probe.patch_deviation_m(turned_m, many.open_m, self._tolerance_m)[0]:
+                return False
+        return True
 
     def order_about(self, axis: NDArray[np.float64], multiple_of: int = 1) -> float:
         """Return the order of the symmetry about an axis (3,): math.inf, up to 60, or 1 for none."""
-        if all(self.is_symmetry(axis, k * _GOLDEN_RAD) for k in range(1, 7)):
+        turns_rad = [k * _GOLDEN_RAD for k in range(1, 7)]
+        if all(self._is_nearly_symmetry(axis, t) for t in turns_rad) and self._has_no_feature(axis, _GOLDEN_RAD):
             return math.inf
         largest = MAX_ORDER // 2
-        held = [p for p in _primes(largest) if self._has_order(axis, p)]
+        held = [p for p in _primes(largest) if self._has_nearly_order(axis, p)]
         for order in range(largest, 1, -1):
             factors = [p for p in _primes(order) if order % p == 0]
-            if order % multiple_of == 0 and set(factors) <= set(held) and self._has_order(axis, order):
+            possible = order % multiple_of == 0 and set(factors) <= set(held) and self._has_nearly_order(axis, order)
+            if possible and self._has_no_feature(axis, 2.0 * math.pi / order):
                 return order
         return 1
 
-    def _has_order(self, axis: NDArray[np.float64], order: int) -> bool:
+    def _has_nearly_order(self, axis: NDArray[np.float64], order: int) -> bool:
         # a screw thread passes a small turn, so every multiple is looked at, the half turn first
-        return all(self.is_symmetry(axis, 2.0 * math.pi * k / order) for k in range(order // 2, 0, -1))
+        return all(self._is_nearly_symmetry(axis, 2.0 * math.pi * k / order) for k in range(order // 2, 0, -1))
 
     def terms_about(self, axis: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], float]]:
         """Return the terms about an axis (3,) whose moment stands out, and about one perpendicular to it."""
@@ -160,11 +213,12 @@ class _Search:
 
     def terms_anywhere(self, extra: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], float]]:
         """Return the terms of a surface with three equal moments; `extra` (E, 3) directions are looked at first."""
-        if np.ptp(np.linalg.norm(self._probe.points_m, axis=1)) <= self._tolerance_m:
+        few = self._probe.few
+        if np.ptp(np.linalg.norm(few.points_m, axis=1)) <= self._tolerance_m + few.open_m.max():
             _logger.warning("The object is a sphere, whose symmetry is not supported: it is treated as a cylinder.")
             return [(np.array([0.0, 0.0, 1.0]), math.inf), (np.array([1.0, 0.0, 0.0]), 2.0)]
         terms: list[tuple[NDArray[np.float64], float]] = []
-        points_m = self._probe.points_m[:200]
+        points_m = few.points_m[:200]
         for scanned in _SCAN_ORDERS:
             if scanned > 3 and any(order > 2 for _, order in terms):
                 break  # half turns and third turns generate all groups but the cyclic and dihedral ones
@@ -198,9 +252,9 @@ class _Search:
 
     def _telling_points(self, axes: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return points (200, 3): half anywhere, half where half turns about arbitrary `axes` (K, 3) show most."""
-        points_m = self._probe.points_m[:1500]
+        points_m = self._probe.few.points_m[:1500]
         turned_m = np.concatenate([points_m @ rotation_about(axis, math.pi).T for axis in axes])
-        distance_m = self._probe.distance_m(turned_m, math.inf).reshape(len(axes), -1).max(axis=0)
+        distance_m = self._probe.distance_m(turned_m).reshape(len(axes), -1).max(axis=0)
         return points_m[np.concatenate([np.argsort(distance_m)[-100:], np.arange(100)])]
 
     def _scan(
@@ -208,7 +262,7 @@ class _Search:
     ) -> NDArray[np.float64]:
         """Return up to `count` directions (K, 3), some way apart, about which one turn of an order looks best."""
         turned_m = np.concatenate([points_m @ rotation_about(axis, 2.0 * math.pi / order).T for axis in directions])
-        distance_m = self._probe.distance_m(turned_m, math.inf, candidates=1)
+        distance_m = self._probe.distance_m(turned_m, candidates=1)
         scores = np.square(distance_m).reshape(len(directions), -1).mean(axis=1)
         spacing = np.sort(np.abs(directions @ directions[0]))[-min(4, len(directions))]
         chosen: list[NDArray[np.float64]] = []
@@ -239,11 +293,11 @@ class _Search:
         return axis
 
     def _term(self, axis: NDArray[np.float64], order: float) -> SymmetryTerm:
-        """Return a term about a coordinate axis if it is one within a twentieth of the tolerance."""
+        """Return a term about a coordinate axis if it is one within a fifth of the tolerance."""
         axis = axis / np.linalg.norm(axis)
         main = int(np.argmax(np.abs(axis).round(6)))
         axis = axis * np.sign(axis[main])
-        if np.linalg.norm(axis - np.eye(3)[main]) * self._probe.radius_m < 0.05 * self._tolerance_m:
+        if np.linalg.norm(axis - np.eye(3)[main]) * self._probe.radius_m < 0.2 * self._tolerance_m:
             axis = np.eye(3)[main]
         a, b, c = (round(float(value), 8) + 0.0 for value in axis)
         return SymmetryTerm((a, b, c), order)

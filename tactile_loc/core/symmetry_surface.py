@@ -1,8 +1,9 @@
-"""The surface of a mesh as symmetry detection sees it: moments, samples, tolerance, distance to the surface."""
+"""A mesh's surface as symmetry detection sees it: moments, samples, what facets leave open, distances to it."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +13,29 @@ from tactile_loc.core.errors import ObjectError
 
 _DENSE_COUNT = 40_000
 _POINT_COUNT = 3_000
+_PITCH_M, _MOST_CHECKED = 4e-4, 40_000  # of the points that find a local feature
+_PATCH = 1.5  # pitches: two deviating points that near are a patch that a sensor sees, one alone is a speck
+_FACETS = 1.5  # what facets leave open, in parts of the sagitta: a doubly curved surface has more than a cylinder
+_EVENLY = (0.7548776662466927, 0.5698402909980532)  # whose multiples fill a square evenly: 1 / p, 1 / p^2, p^3 = p + 1
+_FEW = 500  # points that are worth looking at closely
+_NEAR = 24  # samples about a point whose facets count: about a millimetre
 _SMOOTH_RAD = math.radians(25.0)  # a bend below this is a facet of a curve, not an edge: 15 facets and more to a turn
 _CURVE_EDGES = 12  # fewer such bends are draft angles and chamfers, not a tessellated curve
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceSample:
+    """Points (N, 3) of a surface about its centroid, and what the facets leave open there (N,); metres."""
+
+    points_m: NDArray[np.float64]
+    open_m: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.points_m)
+
+    def first(self, count: int) -> SurfaceSample:
+        """Return the first so many points."""
+        return SurfaceSample(self.points_m[:count], self.open_m[:count])
 
 
 class SurfaceProbe:
@@ -33,11 +55,17 @@ class SurfaceProbe:
         self.centre_m = np.average(corners[kept].mean(axis=1), axis=0, weights=self._area)
         self._corners = corners[kept] - self.centre_m
         self.radius_m = float(np.linalg.norm(self._corners, axis=2).max())
+        self._open_m = self._left_open_m()
         rng = np.random.default_rng(seed)
         dense, self._dense_face = self._sample(_DENSE_COUNT, rng, at_least=1)
         self._tree = cKDTree(dense)
-        points, _ = self._sample(_POINT_COUNT, rng, at_least=0)
-        self.points_m = points[rng.permutation(len(points))]  # any first few cover the surface evenly
+        points, face = self._sample(_POINT_COUNT, rng, at_least=0)
+        order = rng.permutation(len(points))
+        self.few = SurfaceSample(points[order], self._open_m[face[order]])  # any first few cover the surface evenly
+        count = int(np.clip(self._area.sum() / _PITCH_M**2, 1, _MOST_CHECKED))
+        self._pitch_m = math.sqrt(self._area.sum() / count)
+        points, face = self._sample(count, rng, at_least=0)
+        self.many = SurfaceSample(points, self._open_m[face])  # so many that no feature falls between them
 
     def covariance_m2(self) -> NDArray[np.float64]:
         """Return the covariance (3, 3) of the surface about its centroid, integrated exactly, in square metres."""
@@ -46,17 +74,15 @@ class SurfaceProbe:
         mean_part = np.einsum("f,fi,fj->ij", self._area, means, means)
         return (corner_part + 9.0 * mean_part) / (12.0 * self._area.sum())
 
-    def default_tolerance_m(self) -> float:
-        """Return how far a surface may differ from itself: 0.5 % of its length, or less on a slender or flat object.
+    def declared_tolerance_m(self) -> float:
+        """Return how far a surface may differ from itself under a symmetry that was declared: 0.5 % of its length.
 
-        Length is twice the largest distance from the centroid; a slender object's tolerance is 1 % of its smallest
-        width (twice the standard deviation). It is never below one and a half times the chordal error of the
-        tessellation, so that a cylinder of 16 facets or more is round, which may raise it to 1 % of the length.
+        Length is twice the largest distance from the centroid; a slender or flat object's tolerance is 1 % of its
+        smallest width (twice the standard deviation), if that is less.
         """
         length_m = 2.0 * self.radius_m
         width_m = 2.0 * math.sqrt(max(float(np.linalg.eigvalsh(self.covariance_m2())[0]), 0.0))
-        chordal_m = min(1.5 * self._chordal_error_m(), 0.01 * length_m)
-        return max(min(0.005 * length_m, 0.01 * width_m), chordal_m, 1e-4 * length_m)
+        return max(min(0.005 * length_m, 0.01 * width_m), 1e-4 * length_m)
 
     def plane_residuals(
         self, points_m: NDArray[np.float64]
@@ -65,34 +91,68 @@ class SurfaceProbe:
 
         A point that is not straight above its nearest face is nearest to one of its edges.
         """
-        squared_m2, face = self._nearest_face(points_m, 4)
+        squared_m2, face, _ = self._nearest_face(points_m, 4)
         normals = self._normals[face]
         height_m = np.einsum("ni,ni->n", points_m - self._corners[face, 0], normals)
         return height_m, normals, height_m**2 >= 0.99 * squared_m2
 
-    def distance_m(
-        self, points_m: NDArray[np.float64], exact_above_m: float, candidates: int = 4
-    ) -> NDArray[np.float64]:
+    def distance_m(self, points_m: NDArray[np.float64], candidates: int = 4) -> NDArray[np.float64]:
         """Return the distances (N,) of points (N, 3) to the faces of the nearest samples, `candidates` for each.
 
-        They may be too large, where triangles are slivers. Those above `exact_above_m` are looked at again among more
-        and, if they are few, so that the surfaces may agree, among very many candidates.
+        They may be too large, where triangles are slivers.
         """
-        distance_m = np.sqrt(self._nearest_face(points_m, candidates)[0])
-        for more, share in ((24, 1.0), (256, 0.1)):
-            far = np.flatnonzero(distance_m > exact_above_m)
-            if 0 < len(far) <= share * len(points_m):
-                distance_m[far] = np.sqrt(self._nearest_face(points_m[far], more)[0])
-        return distance_m
+        return np.sqrt(self._nearest_face(points_m, candidates)[0])
 
-    def _nearest_face(self, points_m: NDArray[np.float64], count: int) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-        """Return the squared distances (N,) to and indices (N,) of the nearest of the faces of the nearest samples."""
+    def deviation_m(
+        self, points_m: NDArray[np.float64], open_m: NDArray[np.float64], exact_above_m: float, candidates: int = 256
+    ) -> NDArray[np.float64]:
+        """Return how far (N,) points (N, 3) lie from the surface, less what facets leave open there.
+
+        `open_m` (N,): what those leave open where the points came from. Deviations above `exact_above_m` are looked
+        at again among the faces of more samples, up to `candidates`, and of very many only if the points are few, so
+        that the surfaces may agree.
+        """
+        deviation_m = self._beyond_facets(points_m, open_m, 1)
+        for more, most in ((4, len(points_m)), (_NEAR, len(points_m)), (256, _FEW)):
+            far = np.flatnonzero(deviation_m > exact_above_m)
+            if more <= candidates and 0 < len(far) <= most:
+                deviation_m[far] = self._beyond_facets(points_m[far], open_m[far], more)
+        return deviation_m
+
+    def patch_deviation_m(
+        self, points_m: NDArray[np.float64], open_m: NDArray[np.float64], above_m: float
+    ) -> tuple[float, int]:
+        """Return what two neighbours among the sample `many`, moved to points (N, 3), both deviate at most, and where.
+
+        A single point's deviation is a speck smaller than a sensor sees. Only those above `above_m` are looked at;
+        (0.0, 0) if no two are neighbours. Other arguments as of `deviation_m`.
+        """
+        deviation_m = self.deviation_m(points_m, open_m, above_m)
+        far = np.flatnonzero(deviation_m > above_m)
+        pairs = cKDTree(points_m[far]).query_pairs(_PATCH * self._pitch_m, output_type="ndarray")
+        if len(pairs) == 0:
+            return 0.0, 0
+        both_m = deviation_m[far[pairs]].min(axis=1)
+        return float(both_m.max()), int(far[pairs[both_m.argmax(), 0]])
+
+    def _beyond_facets(
+        self, points_m: NDArray[np.float64], open_m: NDArray[np.float64], count: int
+    ) -> NDArray[np.float64]:
+        squared_m2, _, faces = self._nearest_face(points_m, count)
+        here_m = self._open_m[faces[:, :_NEAR]].max(axis=1)
+        return np.maximum(np.sqrt(squared_m2) - np.maximum(here_m, open_m), 0.0)
+
+    def _nearest_face(
+        self, points_m: NDArray[np.float64], count: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.intp]]:
+        """Return the squared distances (N,) to and indices (N,) of the nearest of the nearest samples' faces (N, C)."""
         faces = self._dense_face[self._tree.query(points_m, k=count)[1]].reshape(-1)
         repeated_m = np.repeat(points_m, count, axis=0)
         squared_m2 = _squared_distance(repeated_m, self._corners[faces], self._normals[faces]).reshape(-1, count)
         nearest = squared_m2.argmin(axis=1)
         row = np.arange(len(nearest))
-        return squared_m2[row, nearest], faces.reshape(-1, count)[row, nearest]
+        faces = faces.reshape(-1, count)
+        return squared_m2[row, nearest], faces[row, nearest], faces
 
     def _sample(
         self, count: int, rng: np.random.Generator, at_least: int
@@ -103,19 +163,28 @@ class SurfaceProbe:
         face = np.searchsorted(cumulated, steps * cumulated[-1]).clip(max=len(cumulated) - 1)
         if at_least:
             face = np.concatenate([face, np.flatnonzero(np.bincount(face, minlength=len(cumulated)) == 0)])
-        u, v = rng.random((2, len(face)))
+        u, v = (rng.random((2, 1)) + np.outer(_EVENLY, np.arange(len(face)))) % 1.0
         u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
         weights = np.stack([1 - u - v, u, v], axis=1)
         return np.einsum("nc,nci->ni", weights, self._corners[face]), face
 
-    def _chordal_error_m(self) -> float:
-        """Estimate the sagitta of the facets that stand for a curve: (width / 2) tan(bend / 4) at its larger ones."""
+    def _left_open_m(self) -> NDArray[np.float64]:
+        """Estimate how far (F,) each face may be from the curve that it stands for.
+
+        That is some of the facets' sagitta, (width / 2) tan(bend / 4), where the face bends on into another. It is at
+        most 1 % of the object's length, and bends wider than all but a few are edges of the object's own.
+        """
         first, second, length_m = _shared_edges(self._corners, 1e-7 * self.radius_m)
         cosine = np.abs(np.einsum("ei,ei->e", self._normals[first], self._normals[second]))
         bend_rad = np.arccos(np.clip(cosine, 0.0, 1.0))
         width_m = 2.0 * np.minimum(self._area[first], self._area[second]) / length_m
         sagitta_m = np.where(bend_rad < _SMOOTH_RAD, 0.5 * width_m * np.tan(bend_rad / 4.0), 0.0)
-        return float(np.sort(sagitta_m)[-_CURVE_EDGES]) if len(sagitta_m) >= _CURVE_EDGES else 0.0
+        of_face_m = np.zeros(len(self._area))
+        if len(sagitta_m) >= _CURVE_EDGES:
+            most_m = min(float(np.sort(sagitta_m)[-_CURVE_EDGES]), 0.01 * 2.0 * self.radius_m / _FACETS)
+            for face in (first, second):
+                np.maximum.at(of_face_m, face, np.minimum(sagitta_m, most_m))
+        return _FACETS * of_face_m
 
 
 def _triangles(vertices_m: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:

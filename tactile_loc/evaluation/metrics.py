@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry import transform_points
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseMetric, Poses
+from tactile_loc.evaluation.rolls import least_largest, least_mean
 
-SYMMETRY_STEP_M = 2e-4
 FEW_SYMMETRIES = 8  # up to which all are measured with all points
 ALIKE = 1.25  # of the least root mean square distance: symmetries within it may have the least mean distance
 TRIED, TRIED_POINTS, MEASURED = 24, 300, 2  # of many symmetries: tried with few points, measured with all
@@ -39,10 +39,12 @@ def symmetric_add(obj: ObjectModel, points_m: Points, T_estimate: Poses, T_true:
 def symmetric_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
     """ADD (K,) in metres of estimates (K, 4, 4), each the least over the true poses (4, 4) that look the same.
 
-    Of many symmetries (a continuous one is sampled every SYMMETRY_STEP_M of surface), those near the least root mean
-    square distance, which is cheap, are tried with few of the points (P, 3), and the best of them measured with all.
+    Of many symmetries, those near the least root mean square distance, which is cheap, are tried with few of the points
+    (P, 3), and the best of them measured with all; a continuous axis is searched for the best roll.
     """
-    same = _equivalents(obj, T_true)
+    if obj.symmetry.continuous_axis is not None:
+        return np.array([least_mean(obj, points_m, T, T_true) for T in T_estimates])
+    same = T_true @ obj.symmetry.elements()
     chosen = np.broadcast_to(np.arange(len(same)), (len(T_estimates), len(same)))
     if len(same) > FEW_SYMMETRIES:
         chosen = _alike(_rms(obj, T_estimates, same))
@@ -57,9 +59,11 @@ def mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true: Poses)
 
     Exact over the whole surface when `corners_m` (V, 3) are its hull's (`TriangleMesh.hull_corners_m`): the distance is
     a convex function of the point. Symmetries are tried by rising root mean square distance, which bounds the largest
-    from below, so that none that could be better is left out.
+    from below, so that none that could be better is left out; rolls about a continuous axis likewise.
     """
-    same = _equivalents(obj, T_true)
+    if obj.symmetry.continuous_axis is not None:
+        return np.array([least_largest(obj, corners_m, T, T_true) for T in T_estimates])
+    same = T_true @ obj.symmetry.elements()
     rms = _rms(obj, T_estimates, same)
     return np.array([_least_largest(corners_m, T - same, r) for T, r in zip(T_estimates, rms, strict=True)])
 
@@ -71,11 +75,6 @@ def add_s(points_m: Points, T_estimates: Poses, T_true: Poses, every: int = 1) -
 
     tree, asked = cKDTree(points_m), points_m[::every]  # in the object's frame: rigid motions keep distances
     return np.array([tree.query(transform_points(np.linalg.solve(T, T_true), asked))[0].mean() for T in T_estimates])
-
-
-def _equivalents(obj: ObjectModel, T_true: Poses) -> Poses:
-    """The poses (E, 4, 4) that look the same as the true one, metres."""
-    return PoseMetric(obj).equivalents(T_true[None], SYMMETRY_STEP_M)[:, 0]
 
 
 def _rms(obj: ObjectModel, T_estimates: Poses, same: Poses) -> NDArray[np.float64]:

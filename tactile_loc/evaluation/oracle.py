@@ -47,7 +47,7 @@ def true_pose(touch: Touch) -> NDArray[np.float64]:
 
 def _true_shapes(localizer: Localizer, touches: Sequence[Touch]) -> Float32:
     """Clean contact depths (T, H, W) of the true poses, metres, each cut at its touch's press depth."""
-    scene = localizer.coarse_scene
+    scene = localizer.coarse_scene.as_seen()
     shapes = []
     for touch in touches:
         pressed = scene.pressed(touch.indentation_m, touch.press_depth_m)

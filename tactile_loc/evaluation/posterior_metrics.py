@@ -13,7 +13,6 @@ from tactile_loc.core.posterior import PosePosterior
 
 POSTERIOR_METRICS = ("nll", "credible_level", "entropy", "expected_error", "spread")
 LEVELS = (0.5, 0.8, 0.95)
-STEP_M = 1e-3  # of a continuous symmetry, in measuring distances
 
 
 def posterior_metrics(posterior: PosePosterior, T_true: Poses, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -28,7 +27,7 @@ def posterior_metrics(posterior: PosePosterior, T_true: Poses, rng: np.random.Ge
     truth = int(posterior.grid.nearest(T_true[None])[1][0])
     level = posterior.credible_level(truth, rng.random())
     best = posterior.grid.T_sensor_object[int(posterior.log_p.argmax())]
-    expected, spread = (float(p @ posterior.grid.distances(T, STEP_M)) for T in (T_true, best))
+    expected, spread = (float(p @ posterior.grid.distances(T)) for T in (T_true, best))
     return np.array([-posterior.log_p[truth], level, posterior.entropy, expected, spread])
 
 

@@ -28,7 +28,7 @@ from tactile_loc.store.workspace import Workspace
 
 Arrays = Sequence[NDArray[Any]]
 
-PROTOCOL_VERSION = 2  # raised when the same localizer would get other numbers
+PROTOCOL_VERSION = 3  # raised when the same localizer would get other numbers
 LINES = ("best-1", "best-10", "best-50", "reg-1", "chosen", "reg-10", "closest", "oracle", "random", "random-10")
 METRICS = ("add", "mssd", "add-s")
 STAGES = ("encode", "match", "fuse", "refine")
@@ -36,7 +36,6 @@ SURFACE_POINTS = 10_000
 ASKED_EVERY = 10  # of the surface points, for ADD-S
 MOST, FEW = 50, 10  # poses that best-50, and that best-10, chosen, reg-10 and random-10 choose from
 NEAR = 32  # nearest grid poses by root mean square distance, among which the nearest by ADD is looked for
-NEAR_STEP_M = 1e-3  # of a continuous symmetry, in looking for them
 SHARD = 25  # touches localised, saved and resumed at once
 ARRAYS = ("errors_m", "T_sensor_object", "seconds", "posterior_metrics")
 
@@ -179,7 +178,7 @@ def evaluation_key(localizer: Localizer, count: int, touches: SimulatedTouches) 
 
 def _near(grid: PoseGrid, T_true: Poses) -> NDArray[np.int64]:
     """Indices of the grid poses with the least root mean square distance to the truth, symmetry regarded."""
-    return np.argsort(grid.distances(T_true, NEAR_STEP_M), kind="stable")[:NEAR]
+    return np.argsort(grid.distances(T_true), kind="stable")[:NEAR]
 
 
 def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: SimulatedTouches) -> list[NDArray[Any]]:

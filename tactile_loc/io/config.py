@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.noise import NoiseLevel
 from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.sensing import Drawing
 from tactile_loc.io.toml import read_toml, toml_value
 from tactile_loc.store.files import recover_folder
 
@@ -61,6 +62,8 @@ class RunConfig(_Strict):
 
     `together` refines against several touches: "joint" all at once, "each" by what the refiner makes of each touch.
     `coverage` asks for all modes of a set of poses that holds the true one with that probability, 0 to 1.
+    `drawing` is what touches are compared with: the object "pressed", as the sensor sees it, or where it just touches,
+    as in the "paper".
     """
 
     object: ObjectConfig = ObjectConfig()
@@ -78,6 +81,7 @@ class RunConfig(_Strict):
     temperature: float | None = Field(default=None, gt=0)
     together: Literal["joint", "each"] = "joint"
     coverage: float | None = Field(default=None, gt=0, lt=1)
+    drawing: Drawing = "pressed"
 
     @classmethod
     def from_toml(cls, path: str | Path) -> RunConfig:
@@ -108,6 +112,22 @@ def kind_of_sensor(name: str) -> str | None:
         return "file"
     recover_folder(Path(name))
     return "calibrated" if Path(name).is_dir() or "/" in name else None
+
+
+def parse_settings(assignments: Iterable[str]) -> tuple[dict[str, Any], list[str]]:
+    """Split words into the values of RunConfig's plain settings, as "drawing=paper", and the other words.
+
+    Values are read as TOML, else as text.
+    """
+    plain = RunConfig.model_fields.keys() - {*SLOTS, "object", "touch"}
+    settings, others = {}, []
+    for word in assignments:
+        name, equals, text = word.partition("=")
+        if equals and name.strip() in plain:
+            settings[name.strip()] = toml_value(text.strip())
+        else:
+            others.append(word)
+    return settings, others
 
 
 def parse_overrides(assignments: Iterable[str]) -> dict[str, dict[str, Any]]:

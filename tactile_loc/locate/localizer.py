@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
@@ -67,9 +68,10 @@ class Localizer:
         self.refiner = self._component("refiner")
         self.fuser = self._component("fuser")
         renderer = self._component("renderer")
-        self.scene = Scene(obj, self.sensor.geometry, renderer)
+        self.scene = Scene(obj, self.sensor.geometry, renderer, config.drawing)
         coarse = self.sensor.geometry.with_long_side(config.shape_px)
-        self.coarse_scene = Scene(obj, coarse.pressed(coarse.max_depth_m), renderer)  # the grid's, at full press
+        coarse = coarse.pressed(coarse.max_depth_m)  # the grid's, at full press
+        self.coarse_scene = dataclasses.replace(self.scene, geometry=coarse)
 
     @classmethod
     def create(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.grids import contact_grid, enough_contact
-from tactile_loc.core.interfaces import Encoder, GridSampler, Renderer, Scene, TrainingProblem
+from tactile_loc.core.interfaces import Encoder, GridSampler, Scene, TrainingProblem
 from tactile_loc.core.poses import PoseGrid, PoseMetric
 from tactile_loc.core.progress import Progress, rank
 from tactile_loc.store.artifact import Artifact
@@ -22,7 +22,7 @@ from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
 SHARD = 1024  # poses rendered, saved and resumed at once
 NO_CONTACT = 65535
-STAGE_VERSIONS = {"grid": 3, "shapes": 2, "encoder": 3, "bank": 2}
+STAGE_VERSIONS = {"grid": 4, "shapes": 2, "encoder": 3, "bank": 2}
 
 
 def grid_key(scene: Scene, sampler: GridSampler) -> StageKey:
@@ -32,10 +32,10 @@ def grid_key(scene: Scene, sampler: GridSampler) -> StageKey:
     }, scene.object.name)  # fmt: skip
 
 
-def shapes_key(grid: StageKey, renderer: Renderer) -> StageKey:
-    """Return the key under which the contact shapes of a grid are stored, as `renderer` draws them."""
+def shapes_key(grid: StageKey, scene: Scene) -> StageKey:
+    """Return the key under which the contact shapes of a grid are stored, as `scene` draws them."""
     return StageKey("shapes", STAGE_VERSIONS["shapes"], {
-        "grid": grid.digest, "renderer": renderer.describe(), "shard": SHARD,
+        "grid": grid.digest, "renderer": scene.renderer.describe(), "drawing": scene.drawing, "shard": SHARD,
     })  # fmt: skip
 
 
@@ -90,7 +90,7 @@ def build_model(scene: Scene, sampler: GridSampler, store: StageStore, progress:
     grid = grid_key(scene, sampler)
     artifact = store.build(grid, lambda work: work.save_array("T_sensor_object", _grid(scene, sampler, progress)))
     contact = PoseGrid(np.array(artifact.array("T_sensor_object")), PoseMetric(scene.object))
-    key = shapes_key(grid, scene.renderer)
+    key = shapes_key(grid, scene)
     percent = sampler.options.min_contact_percent
     rendered = store.build(key, lambda work: _render_all(work, contact, scene, percent, progress))
     shapes = ShapeBank(rendered, scene.geometry.max_depth_m)
@@ -132,10 +132,11 @@ def build_bank(
 def _pressed_shapes(model: ObjectPoseModel, pressed: Scene) -> Iterator[NDArray[np.float32]]:
     """The contact depths (S, H, W), S > 0, of the grid's poses in a scene that presses them in; metres.
 
-    Seen by parallel rays, a lighter press is a full one cut off. A pinhole camera sees it from farther away.
+    Seen by parallel rays, or drawn where it just touches, a lighter press is a full one cut off. A pinhole camera sees
+    it from farther away.
     """
     press_m, deepest_m = pressed.geometry.indentation_m, model.shapes.max_depth_m
-    if press_m == deepest_m or not pressed.geometry.is_pinhole:
+    if press_m == deepest_m or not pressed.geometry.is_pinhole or pressed.drawing == "paper":
         yield from model.shapes.shards(press_m)
         return
     poses = model.grid.raised(deepest_m - press_m).T_sensor_object

@@ -111,7 +111,7 @@ def model_keys(localizer: Localizer) -> list[StageKey]:
     """Return the keys of a localizer's model, in the order of building: the bank at full press comes last."""
     scene, encoder = localizer.coarse_scene, localizer.encoder
     grid = grid_key(scene, localizer.sampler)
-    shapes = shapes_key(grid, scene.renderer)
+    shapes = shapes_key(grid, scene)
     training = encoder_key(shapes, encoder, localizer.sampler)
     trained = "" if training is None else training.digest
     bank = bank_key(shapes, encoder, localizer.scene.geometry.max_depth_m, trained)

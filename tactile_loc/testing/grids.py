@@ -9,19 +9,22 @@ import numpy as np
 from tactile_loc.core.contact import bring_to_contact
 from tactile_loc.core.geometry import is_rigid
 from tactile_loc.core.interfaces import Capabilities, GridSampler
+from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
 from tactile_loc.testing.contract import Check, Untouched, require, require_array
-from tactile_loc.testing.problems import CAMERAS, block, copied, larger
+from tactile_loc.testing.problems import CAMERAS, block, copied, larger, rod
 
 SPACING_M = 0.008
+DRAWN, SIGMAS = 6000, 4  # random poses, and by how many standard errors their share may be off
 LEAST_TOUCHING = 0.3  # share of the poses: bounding boxes overlap more often than objects touch
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for a grid of these capabilities."""
     chosen: list[Check] = [check_poses_are_rigid, check_spacing, check_denser_grid_has_more_poses,
-                           check_poses_reach_contact, check_covers_random_poses, check_random_follows_the_seed,
-                           check_random_poses_differ, check_object_untouched, check_scale]  # fmt: skip
+                           check_poses_reach_contact, check_covers_random_poses, check_random_is_uniform_over_the_grid,
+                           check_random_follows_the_seed, check_random_poses_differ, check_object_untouched,
+                           check_scale]  # fmt: skip
     return [*chosen, check_deterministic] if capabilities.deterministic else chosen
 
 
@@ -62,6 +65,21 @@ def check_covers_random_poses(sampler: GridSampler) -> None:
     covered = spacings[0] <= 1.0 and spacings[1] <= 2.0
     require(covered, "sample must cover what random draws from; the nearest grid pose is "
             f"{spacings[0]:.2g} spacings away in the median and {spacings[1]:.2g} for one in twenty")  # fmt: skip
+
+
+def check_random_is_uniform_over_the_grid(sampler: GridSampler) -> None:
+    """Of a rod's drawn poses, as many are near the half of the grid in which it spans more as that half has poses."""
+    obj, camera = rod(), CAMERAS["orthographic"]
+    grid = _touching(sampler.sample(obj, camera, SPACING_M), obj)
+    drawn = _touching(sampler.random(obj, camera, DRAWN, np.random.default_rng(0)), obj).T_sensor_object
+    turned = obj.mesh.vertices_m @ np.swapaxes(grid.T_sensor_object[:, :3, :3], -1, -2)
+    spanned = np.ptp(turned[..., :2], axis=1).sum(axis=-1)
+    half = spanned > np.median(spanned)
+    wanted, found = float(half.mean()), float(half[grid.nearest(drawn)[1]].mean())
+    error = float(np.sqrt(wanted * (1 - wanted) / len(drawn)))
+    require(abs(found - wanted) <= SIGMAS * error, "random must draw as many poses about each pose of the grid; "
+            f"{100 * found:.0f} % are nearest to {100 * wanted:.0f} % of them: draw a rotation as often as it has "
+            "places over the sensor, as tactile_loc.plugin.random_places does")  # fmt: skip
 
 
 def check_random_follows_the_seed(sampler: GridSampler) -> None:
@@ -110,8 +128,9 @@ def _random(sampler: GridSampler, count: int, seed: int = 0) -> Poses:
     return sampler.random(block(), CAMERAS["orthographic"], count, np.random.default_rng(seed))
 
 
-def _touching(poses: Poses) -> PoseGrid:
-    """Bring poses to contact and keep those that have any."""
-    contact, touching = bring_to_contact(block().mesh, poses, CAMERAS["orthographic"])
+def _touching(poses: Poses, obj: ObjectModel | None = None) -> PoseGrid:
+    """Bring poses of an object (by default the block) to contact and keep those that have any."""
+    obj = block() if obj is None else obj
+    contact, touching = bring_to_contact(obj.mesh, poses, CAMERAS["orthographic"])
     require(touching.sum() > 1, "hardly any pose can touch the sensor")
-    return PoseGrid(contact[touching], PoseMetric(block()))
+    return PoseGrid(contact[touching], PoseMetric(obj))

@@ -217,6 +217,13 @@ def block(scale: float = 1.0) -> ObjectModel:
     return ObjectModel("stepped block", mesh, SymmetryGroup.parse("none", mesh.centroid_m))
 
 
+@lru_cache(maxsize=1)
+def rod() -> ObjectModel:
+    """Return a rod of 60 x 8 x 6 mm, declared without symmetry: how much of a sensor it spans depends on its yaw."""
+    mesh = box((-0.030, -0.004, -0.003), (0.030, 0.004, 0.003))
+    return ObjectModel("rod", mesh, SymmetryGroup.parse("none", mesh.centroid_m))
+
+
 def larger(geometry: SensorGeometry, scale: float) -> SensorGeometry:
     """Return the sensor with all its lengths multiplied by a factor; the image stays as large in pixels."""
     k = 1.0 if geometry.is_pinhole else scale

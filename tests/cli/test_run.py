@@ -81,6 +81,16 @@ def test_the_picture_is_a_whole_png(result):
     assert sorted(path.name for path in result["folder"].iterdir()) == ["result.json", "result.npz", "result.png"]
 
 
+def test_a_plain_setting_is_given_like_a_components_option(cli, tmp_path):
+    done = cli("build", "--object", "pin", *TINY, "-o", "drawing=papr")
+    assert done.exit_code != 0
+    assert "drawing" in done.stderr
+    assert "pressed" in done.stderr
+    done = cli("run", "--object", "pin", *TINY, "-o", "drawing=paper", "--out", "out")
+    assert done.exit_code == 0, done.stderr
+    assert json.loads((tmp_path / "out/result.json").read_text())["configuration"]["drawing"] == "paper"
+
+
 def as_toml(value: object) -> str:
     """A JSON value as TOML writes it in one line; what is null is left out."""
     if isinstance(value, dict):

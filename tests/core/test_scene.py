@@ -125,3 +125,39 @@ def test_explained_in_numbers(make_box, make_scene, flat_camera):
     expected = (0.5 + OUTLINE_SHARE) / (1.0 + OUTLINE_SHARE)
     np.testing.assert_allclose(scene.imprint_ious(T[:1], shallow), expected, atol=1e-6)
     assert scene.contact_iou(T[0], shallow) == 1.0  # the outline alone does not see it
+
+
+def drawings(camera):
+    """The block's pressed scene, a pose in contact (1, 4, 4), metres, and the same scene drawn as in the paper."""
+    problem = pressed_block(camera)
+    return problem.scene, problem.scene.in_contact(problem.truth[None])[0], dataclasses.replace(
+        problem.scene, drawing="paper"
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("press_m", [0.002, 0.0012])
+def test_parallel_rays_see_the_same_however_it_is_drawn(press_m):
+    pressed, T, paper = drawings("orthographic")
+    for draw in (lambda scene: scene.contact_depths(T, press_m), lambda scene: scene.grid_depths(T)):
+        np.testing.assert_allclose(draw(paper), draw(pressed), atol=1e-8)
+
+
+def test_the_paper_s_drawing_is_of_the_object_where_it_just_touches():
+    pressed, T, paper = drawings("pinhole")
+    touching = dataclasses.replace(pressed, geometry=CAMERAS["pinhole"])
+    just, _ = touching.in_contact(T)
+    assert just[0, 2, 3] == pytest.approx(T[0, 2, 3] + pressed.geometry.indentation_m)
+    np.testing.assert_array_equal(paper.contact_depths(T), touching.contact_depths(just))
+    np.testing.assert_array_equal(paper.grid_depths(T), touching.grid_depths(just))
+    seen, drawn = (scene.contact_depths(T)[0] < np.float32(0.002) for scene in (pressed, paper))
+    ratio = np.sqrt(np.count_nonzero(drawn) / np.count_nonzero(seen))
+    assert 23 / 25 - 0.03 < ratio < 0.99, "an outline up to 8 % smaller"
+    np.testing.assert_array_equal(paper.as_seen().contact_depths(T), pressed.contact_depths(T))
+
+
+def test_poses_are_pressed_poses_however_they_are_drawn():
+    """What a touch's own drawing explains best is the true pose: nothing moves along z."""
+    pressed, T, paper = drawings("pinhole")
+    touch = Touch(ContactShape(paper.contact_depths(T)[0], 0.002), CAMERAS["pinhole"])
+    assert paper.imprint_ious(T, touch)[0] == pytest.approx(1.0)
+    assert pressed.imprint_ious(T, touch)[0] < 0.99

@@ -76,8 +76,9 @@ def test_closest_is_the_nearest_of_the_whole_grid(evaluation, localizer):
 
     points_m = localizer.object.mesh.sample(2000, np.random.default_rng(0))
     for number in range(COUNT):
-        truth = SimulatedTouches("strong", 3).touch(localizer, number).T_sensor_object
-        every = symmetric_adds(localizer.object, points_m, localizer.model.grid.T_sensor_object, truth)
+        touch = SimulatedTouches("strong", 3).touch(localizer, number)
+        poses = localizer.grid_of(touch).T_sensor_object  # pressed as deep
+        every = symmetric_adds(localizer.object, points_m, poses, touch.T_sensor_object)
         assert evaluation.errors("closest")[number] == pytest.approx(every.min(), rel=0.03)
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.registry import SLOTS
-from tactile_loc.io.config import RunConfig, parse_overrides
+from tactile_loc.io.config import RunConfig, parse_overrides, parse_settings
 from tactile_loc.io.toml import read_toml
 
 
@@ -117,3 +117,13 @@ def test_overrides_of_another_form_are_refused(word):
 def test_an_override_of_an_unknown_slot_is_answered_with_the_near_one():
     with pytest.raises(ConfigError, match=r"no slot 'refinr' in 'refinr.walls=true'. Did you mean 'refiner'"):
         parse_overrides(["refinr.walls=true"])
+
+
+def test_plain_settings_are_told_from_components_options():
+    words = ["drawing=paper", "grid.spacing_mm=3", "shape_px = 96", "grid=face", "drawing"]
+    assert parse_settings(words) == (
+        {"drawing": "paper", "shape_px": 96},
+        ["grid.spacing_mm=3", "grid=face", "drawing"],
+    )
+    with pytest.raises(ConfigError, match="drawing"):
+        RunConfig.from_dict({"drawing": "papr"})

@@ -115,7 +115,7 @@ def test_a_prior_on_a_region_keeps_the_answer_there(pin, touches):
     wrong = pin.model.grid.T_sensor_object[int(pin.posterior(touch).log_p.argmin())]
 
     def near_wrong(T):
-        return np.where(metric.symmetric_distance(T, np.broadcast_to(wrong, T.shape), 1e-3) < 0.008, 0.0, -np.inf)
+        return np.where(metric.symmetric_distance(T, np.broadcast_to(wrong, T.shape)) < 0.008, 0.0, -np.inf)
 
     found = pin.localize(touch, prior=near_wrong)
     excluded = near_wrong(found.posterior.grid.T_sensor_object) == -np.inf
@@ -140,7 +140,7 @@ def test_a_prior_for_the_truth_decides_between_alike_poses(pin):
         metric = pin.model.grid.metric
 
         def near_true(T, true=true, metric=metric):
-            return np.where(metric.symmetric_distance(T, np.broadcast_to(true, T.shape), 1e-3) < 0.006, 0.0, -np.inf)
+            return np.where(metric.symmetric_distance(T, np.broadcast_to(true, T.shape)) < 0.006, 0.0, -np.inf)
 
         found = pin.localize(touch, prior=near_true)
         assert errors_mm(pin, touch, found)[0] < 6.0

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -169,7 +170,20 @@ def test_what_is_built_again_depends_on_what_changed(make_pin_scene, sampler, ow
     assert built(Scene(make_pin_scene().object, smaller, Counting())) == ["grid", "shapes", "bank"]
     other = load_object("pin", symmetry="none")
     assert built(Scene(other, make_pin_scene().geometry, Counting())) == ["grid", "shapes", "bank"]
+    assert built(dataclasses.replace(make_pin_scene(), drawing="paper")) == ["shapes", "bank"]
     assert built(make_pin_scene()) == [], "all of it is kept"
+
+
+@pytest.mark.parametrize("drawing", ["pressed", "paper"])
+def test_a_bank_of_a_lighter_press_is_drawn_as_the_scene_draws(make_pin_scene, sampler, own_store, drawing):
+    scene = make_pin_scene()
+    scene = dataclasses.replace(scene, geometry=scene.geometry.pressed(scene.geometry.max_depth_m), drawing=drawing)
+    model, press_m = build(scene, sampler, own_store), 0.0007
+    bank = build_bank(model, scene, PixelEncoder(), press_m, own_store, Progress())
+    light = scene.pressed(press_m)
+    depths = light.grid_depths(model.grid.raised(scene.geometry.max_depth_m - press_m).T_sensor_object)
+    wrong = np.abs(bank - PixelEncoder().encode(depths, press_m, light.geometry)) > 1e-4
+    assert wrong.mean() < 1e-4, "but for a depth that is the press depth to the last digit"
 
 
 def test_an_interrupted_build_goes_on_where_it_stopped(make_pin_scene, sampler, own_store, tmp_path):

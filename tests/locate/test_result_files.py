@@ -111,7 +111,7 @@ def test_of_several_touches_each_sees_the_hypotheses_from_its_own_sensor(localiz
     from tactile_loc.core.geometry import invert
     from tactile_loc.locate.localizer import localize_together
 
-    touches = localizer.simulate(2, seed=3)
+    touches = localizer.simulate(2, seed=4)
     contacts = [
         (localizer, dataclasses.replace(t, T_base_sensor=invert(np.asarray(t.T_sensor_object)))) for t in touches
     ]

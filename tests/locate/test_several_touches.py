@@ -60,7 +60,8 @@ def test_where_the_base_is_does_not_matter(localizer, touches):
     moved = [dataclasses.replace(t, T_base_sensor=elsewhere @ t.T_base_sensor) for t in touches]
     a, b = together(localizer, touches), together(localizer, moved)
     np.testing.assert_allclose(a.posterior.probabilities, b.posterior.probabilities, atol=1e-9)
-    np.testing.assert_allclose(a.best.T_sensor_object, b.best.T_sensor_object, atol=1e-6)
+    apart_m = localizer.model.grid.metric.distance(a.best.T_sensor_object, b.best.T_sensor_object)
+    assert apart_m < 5e-6, "as near as iterations that end elsewhere come"
 
 
 def test_the_refined_pose_is_the_one_that_all_touches_like_best(localizer, touches):

@@ -10,6 +10,7 @@ from pydantic import ConfigDict
 
 from tactile_loc.core.geometry import make_transform, rotation_about, translation
 from tactile_loc.core.interfaces import Capabilities, ComponentOptions, RefinedPose
+from tactile_loc.core.lattices import centroid_range
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.sensing import ContactShape
@@ -140,6 +141,12 @@ def seeded(seed):
     return made(FaceGrid, random=lambda self, o, g, n, rng: FaceGrid.random(self, o, g, n, np.random.default_rng(seed)))
 
 
+def as_often_at_each_yaw(T, obj, geometry, count, rng):
+    """Places uniform within each yaw's own region, however large that is."""
+    R = T[:, :3, :3] @ rotation_about([0, 0, 1], rng.uniform(0, 2 * np.pi, count))
+    return make_transform(R, np.column_stack([rng.uniform(*centroid_range(obj, R, geometry)), np.zeros(count)]))
+
+
 GRID = [
     (grids.check_poses_are_rigid, then(FaceGrid, "sample", lambda T, *_: T * np.array([-1.0, 1, 1, 1])[:, None])),
     (grids.check_poses_are_rigid, then(FaceGrid, "random", lambda T, *_: T[1:])),
@@ -147,6 +154,7 @@ GRID = [
     (grids.check_denser_grid_has_more_poses, sampling(lambda s: 0.008)),
     (grids.check_poses_reach_contact, then(FaceGrid, "sample", lambda T, *_: translation([0.03, 0, 0]) @ T)),
     (grids.check_covers_random_poses, then(FaceGrid, "sample", lambda T, *_: T[T[:, 0, 3] > 0])),
+    (grids.check_random_is_uniform_over_the_grid, then(FaceGrid, "random", as_often_at_each_yaw)),
     (grids.check_random_follows_the_seed, seeded(None)),
     (grids.check_random_poses_differ, seeded(0)),
     (grids.check_random_poses_differ, then(FaceGrid, "random", lambda T, *_: np.repeat(T[:1], len(T), 0))),

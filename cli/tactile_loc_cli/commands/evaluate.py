@@ -165,14 +165,14 @@ def _jobs(
     given: options.RunOptions, objects: Objects, encoders: Encoders, touches: SimulatedTouches
 ) -> list[tuple[RunConfig, ObjectModel]]:
     """Every object with every encoder; what can be wrong is found before the first is evaluated."""
-    from tactile_loc.io.config import parse_overrides
+    from tactile_loc.io.config import parse_overrides, parse_settings
 
     paths = objects or _named(_in_file(given.config).get("object"), "path") or _demo_objects()
     if given.symmetry is not None and len(paths) > 1:
         raise _config_error("--symmetry is of one object; give one --object with it")
     words = list(given.option or [])
     names: list[str | None] = [*encoders] if encoders else [None]
-    overrides = parse_overrides(words).get("encoder", {})
+    overrides = parse_overrides(parse_settings(words)[1]).get("encoder", {})
     given = dataclasses.replace(given, noise=touches.noise)
     jobs = []
     for path in dict.fromkeys(paths):

@@ -20,6 +20,7 @@ from tactile_loc.plugin import (
     TriangleMesh,
     align_to_z,
     make_transform,
+    random_places,
     reachable_translations,
     rotation_about,
     shifted_lattice,
@@ -35,7 +36,7 @@ class FaceGrid(GridSampler):
     beside the face, would otherwise fall between the same rows at every yaw.
     """
 
-    version = 2
+    version = 3
 
     class Options(GridSampler.Options):
         """`face` is the object's side that touches the sensor, or "auto": the side on which it rests lowest."""
@@ -47,7 +48,9 @@ class FaceGrid(GridSampler):
             le=45.0,
             description="largest tilt about x and y, degrees; spacing_mm is then that of x, y and yaw alone",
         )
-        tilt_steps: int = Field(default=3, ge=2, le=15, description="tilts an axis from -tilt to +tilt")
+        tilt_steps: int = Field(
+            default=3, ge=2, le=15, description="tilts an axis: the middles of so many parts of -tilt to +tilt"
+        )
 
     @property
     def spacing_is_mean(self) -> bool:
@@ -73,13 +76,15 @@ class FaceGrid(GridSampler):
         """Draw poses (count, 4, 4) uniformly in x, y, yaw and tilt; metres."""
         R_face = self._face_rotation(obj)
         limit = np.radians(self.options.tilt_deg)
-        R = _tilted(R_face, rng.uniform(0, 2 * np.pi, count), *rng.uniform(-limit, limit, (2, count)))
-        low, high = reachable_translations(obj.mesh.vertices_m @ np.swapaxes(R, -1, -2), geometry.rectangle)
-        t_xy = rng.uniform(low, high)
-        return make_transform(R, np.column_stack([t_xy, np.zeros(count)]))
+
+        def rotations(n: int) -> NDArray[np.float64]:
+            return _tilted(R_face, rng.uniform(0, 2 * np.pi, n), *rng.uniform(-limit, limit, (2, n)))
+
+        return random_places(obj, geometry, count, rng, rotations)
 
     def _rotations(self, R_face: NDArray[np.float64], yaw_rad: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-        tilts = np.radians(np.linspace(-1, 1, self.options.tilt_steps) * self.options.tilt_deg)
+        steps = self.options.tilt_steps  # each tilt stands for an equal part of those that `random` draws
+        tilts = np.radians((2 * np.arange(steps) + 1 - steps) / steps * self.options.tilt_deg)
         if self.options.tilt_deg == 0.0:
             tilts = np.zeros(1)
         yaw, about_x, about_y = (a.ravel() for a in np.meshgrid(yaw_rad, tilts, tilts, indexing="ij"))

@@ -150,6 +150,16 @@ def test_a_sharp_picture_is_the_imprint_as_a_share_of_the_press(problem):
     np.testing.assert_allclose(pictures(problem).of_touch().reshape(shape.depth_m.shape), expected, atol=1e-6)
 
 
+@pytest.mark.parametrize("drawing", ["pressed", "paper"])
+def test_pictures_are_drawn_as_the_scene_draws(drawing):
+    problem = pressed_block("pinhole")
+    scene, touch = dataclasses.replace(problem.scene, drawing=drawing), problem.touch
+    p = Pictures.blurred(scene.object.mesh, touch.geometry, touch.contact_shape, 0.0, False, drawing)
+    expected = 1 - scene.contact_depths(problem.truth[None], touch.press_depth_m) / touch.press_depth_m
+    seen = p.of_poses(problem.truth[None])[0].reshape(expected.shape)
+    assert (np.abs(seen - expected) > 1e-4).mean() < 0.002
+
+
 def test_the_true_pose_makes_the_touchs_picture(problem):
     for width_m in (0.0, 0.5e-3, 1.5e-3):
         p = pictures(problem, width_m)

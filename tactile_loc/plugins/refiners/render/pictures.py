@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 
 from tactile_loc.plugin import (
     ContactShape,
+    Drawing,
     Poses,
     SensorGeometry,
     TriangleMesh,
+    as_drawn,
     bring_to_contact,
     in_threads,
     make_transform,
@@ -49,11 +51,13 @@ class Pictures:
     centre_m: Floats
     steps: Floats
     in_contact: bool
+    drawing: Drawing = "pressed"
 
     @classmethod
     def blurred(
-        cls, mesh: TriangleMesh, geometry: SensorGeometry, wanted: ContactShape, width_m: float, in_contact: bool
-    ) -> Pictures:
+        cls, mesh: TriangleMesh, geometry: SensorGeometry, wanted: ContactShape, width_m: float, in_contact: bool,
+        drawing: Drawing = "pressed",
+    ) -> Pictures:  # fmt: skip
         """Return what draws `wanted`'s like, blurred by a Gaussian of standard deviation `width_m` in metres."""
         pitch_m = geometry.pixel_pitch_m
         block = min(max(1, int(BLOCK * width_m / pitch_m)), *geometry.shape)
@@ -66,7 +70,7 @@ class Pictures:
         # A step moves the picture by half of what it is blurred by, or by half a pixel; depths are not blurred.
         across, along = 0.5 * max(width_m, pitch_m), 0.5 * pitch_m
         steps = np.array([across, across, along, along / lever_m, along / lever_m, across / lever_m])
-        return cls(mesh, geometry, wanted, block, taps, centre_m, steps, in_contact)
+        return cls(mesh, geometry, wanted, block, taps, centre_m, steps, in_contact, drawing)
 
     @property
     def directions(self) -> Floats:
@@ -85,8 +89,9 @@ class Pictures:
     def of_poses(self, T_sensor_object: Poses) -> tuple[Float32, Poses]:
         """Return the pictures (N, P) of poses (N, 4, 4), metres, and the poses that were drawn."""
         T = bring_to_contact(self.mesh, T_sensor_object, self.geometry)[0] if self.in_contact else T_sensor_object
-        depth = nearest_depths(self.mesh, T, self.geometry)
-        depth -= np.float32(self.geometry.standoff_m)
+        drawn, camera = as_drawn(T, self.geometry, self.drawing)
+        depth = nearest_depths(self.mesh, drawn, camera)
+        depth -= np.float32(camera.standoff_m)
         return self._of_depths(depth), T
 
     def moved(self, T_sensor_object: Poses, moves: Floats) -> Poses:

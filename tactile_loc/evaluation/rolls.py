@@ -1,0 +1,101 @@
+"""The roll about a continuous axis of symmetry that brings two poses nearest, by mean or by largest distance.
+
+Rolled by theta, a surface point's squared distance is a sinusoid, a + b cos(theta) + c sin(theta). The mean of these
+squares is least in closed form. That of the distances themselves, ADD, is reached by Weiszfeld's iteration: means of
+squares, each weighted by one over the distance before. The largest, MSSD, has kinks and several minima: over an
+interval it is no less than what any one sinusoid is there at least, and intervals that could hold a better roll are
+halved until none could be better by PRECISION_M.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.geometry import rotation_about, transform_points
+from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.poses import Poses
+
+TRIED, TRIED_POINTS = 64, 300  # rolls, and points, to choose where the least mean distance is
+ROUNDS_FEW, ROUNDS_ALL = 12, 3  # of Weiszfeld's iteration, with few of the points and with all
+COINCIDENT_M = 1e-9  # a distance that counts as none
+PRECISION_M, INTERVALS = 1e-7, 24  # of the largest distance; how many intervals a turn is cut into at first
+
+Array = NDArray[np.float64]
+
+
+def least_mean(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true: Poses) -> float:
+    """Return the least mean distance, metres, of points (P, 3) at a pose (4, 4) from the true one (4, 4), rolled.
+
+    Of an object with a continuous axis of symmetry.
+    """
+    few_m = points_m[:: max(1, len(points_m) // TRIED_POINTS)]
+    few = [_sinusoids(obj, few_m, T_estimate, T_true @ S) for S in _flips(obj)]
+    evenly = np.linspace(0.0, 2 * np.pi, TRIED, endpoint=False)
+    tried = [np.append(evenly, _lowest(f.mean(axis=0))) for f in few]
+    means_m = np.stack([_distances(f, rolls).mean(axis=1) for f, rolls in zip(few, tried, strict=True)])
+    best, place = np.unravel_index(int(means_m.argmin()), means_m.shape)
+    every = _sinusoids(obj, points_m, T_estimate, T_true @ _flips(obj)[best])
+    roll = _weiszfeld(every, _weiszfeld(few[best], tried[best][place], ROUNDS_FEW), ROUNDS_ALL)
+    return float(_distances(every, roll).mean())
+
+
+def least_largest(obj: ObjectModel, corners_m: Array, T_estimate: Poses, T_true: Poses) -> float:
+    """Return the least largest distance, metres, of points (P, 3) at a pose (4, 4) from the true one (4, 4), rolled.
+
+    Of an object with a continuous axis of symmetry; right to PRECISION_M.
+    """
+    flips = [_sinusoids(obj, corners_m, T_estimate, T_true @ S) for S in _flips(obj)]
+    best_m = min(float(_distances(s, _lowest(s.mean(axis=0))).max()) for s in flips)
+    for sinusoids in flips:
+        half = float(np.pi) / INTERVALS
+        middles: Array = (2 * np.arange(INTERVALS, dtype=np.float64) + 1) * half
+        while len(middles):
+            best_m = min(best_m, float(_distances(sinusoids, middles).max(axis=1).min()))
+            hopeful = _least_over(sinusoids, middles, half).max(axis=1) < best_m - PRECISION_M
+            half /= 2
+            middles = (middles[hopeful, None] + np.array([-half, half])).ravel()
+    return best_m
+
+
+def _flips(obj: ObjectModel) -> Poses:
+    """What the symmetry has beside its axis (F, 4, 4): nothing, or half a turn across it."""
+    return obj.symmetry.elements(np.pi)[::2]
+
+
+def _sinusoids(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true: Poses) -> Array:
+    """The squared distances (P, 3) of points (P, 3) between poses (4, 4): a, b and c, m^2."""
+    axis = np.asarray(obj.symmetry.continuous_axis)
+    offset = points_m - obj.symmetry.centre_m
+    along = (offset @ axis)[:, None] * axis
+    R = T_true[:3, :3]
+    fixed = transform_points(T_estimate, points_m) - transform_points(T_true, obj.symmetry.centre_m + along)
+    cosine, sine = (offset - along) @ R.T, offset @ (R @ rotation_about(axis, np.pi / 2) - R @ np.outer(axis, axis)).T
+    constant = np.einsum("pi,pi->p", fixed, fixed) + np.einsum("pi,pi->p", cosine, cosine)
+    return np.column_stack([constant, *(-2 * np.einsum("pi,pi->p", fixed, turned) for turned in (cosine, sine))])
+
+
+def _lowest(sinusoids: Array) -> Array:
+    """The rolls (...,), radians, at which sinusoids (..., 3) are least."""
+    return np.asarray(np.arctan2(-sinusoids[..., 2], -sinusoids[..., 1]))
+
+
+def _distances(sinusoids: Array, rolls: Array | float) -> Array:
+    """The distances (..., P), metres, of which sinusoids (P, 3) are the squares, at rolls (...,), radians."""
+    waves = np.stack([np.ones_like(rolls), np.cos(rolls), np.sin(rolls)], axis=-1)
+    return np.sqrt(np.maximum(waves @ sinusoids.T, 0.0))
+
+
+def _least_over(sinusoids: Array, middles: Array, half: float) -> Array:
+    """The least distances (I, P), metres, over the intervals of rolls middles (I,) - half to middles + half."""
+    ends = np.minimum(_distances(sinusoids, middles - half), _distances(sinusoids, middles + half))
+    lowest = sinusoids[:, 0] - np.hypot(sinusoids[:, 1], sinusoids[:, 2])
+    off = (_lowest(sinusoids) - middles[:, None] + np.pi) % (2 * np.pi) - np.pi
+    return np.where(np.abs(off) < half, np.sqrt(np.maximum(lowest, 0.0)), ends)
+
+
+def _weiszfeld(sinusoids: Array, roll: Array | float, rounds: int) -> Array | float:
+    """The roll, radians, after some rounds towards the least mean of the distances whose squares are (P, 3)."""
+    for _ in range(rounds):
+        roll = _lowest((1.0 / np.maximum(_distances(sinusoids, roll), COINCIDENT_M)) @ sinusoids)
+    return roll
