@@ -13,6 +13,7 @@ from tactile_loc.core.posterior import PosePosterior
 
 POSTERIOR_METRICS = ("nll", "credible_level", "entropy", "expected_error", "spread")
 LEVELS = (0.5, 0.8, 0.95)
+STEP_M = 2e-5  # of a continuous symmetry, in finding the nearest of the poses that look the same
 
 
 def posterior_metrics(posterior: PosePosterior, T_true: Poses, rng: np.random.Generator) -> NDArray[np.float64]:
