@@ -129,6 +129,7 @@ class RunOptions:
     config: Path | None = None
     top: int | None = None
     seed: int | None = None
+    drop_outliers: bool = False
 
 
 def run_config(given: RunOptions) -> RunConfig:
@@ -147,7 +148,7 @@ def run_config(given: RunOptions) -> RunConfig:
     overrides = parse_overrides(given.option or [])
     for slot in SLOTS:
         settings[slot] = _component(slot, settings.get(slot), getattr(given, slot), overrides.get(slot, {}))
-    settings |= _without_none({"top": given.top, "seed": given.seed})
+    settings |= _without_none({"top": given.top, "seed": given.seed, "drop_outliers": given.drop_outliers or None})
     return RunConfig.from_dict(settings, "the command line" if given.config is None else str(given.config))
 
 

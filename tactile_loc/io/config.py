@@ -60,6 +60,7 @@ class RunConfig(_Strict):
     """Everything that decides a result. `shape_px` is the longer image side of the grid's contact shapes, pixels.
 
     `together` refines against several touches: "joint" all at once, "each" by what the refiner makes of each touch.
+    `drop_outliers` leaves out those of several touches that contradict the others.
     """
 
     object: ObjectConfig = ObjectConfig()
@@ -76,6 +77,7 @@ class RunConfig(_Strict):
     shape_px: int = Field(default=64, ge=16, le=1024)
     temperature: float | None = Field(default=None, gt=0)
     together: Literal["joint", "each"] = "joint"
+    drop_outliers: bool = False
 
     @classmethod
     def from_toml(cls, path: str | Path) -> RunConfig:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,23 +24,27 @@ DOUBT = 8.0  # nats: no touch's grid makes a pose less likely than that
 
 def find_hypotheses(
     views: Sequence[View], modes: Sequence[Mode], refiner: Refiner, metric: PoseMetric, radius_m: float,
-    prior: Prior | None, times: StageTimes,
+    prior: Prior | None, times: StageTimes, outliers: Collection[int] = (),
 ) -> tuple[Hypothesis, ...]:  # fmt: skip
     """Refine modes, poses in the first touch's sensor frame, merge those that end within `radius_m` metres, and weigh.
 
-    After refinement the right one of several explanations shows: see `weighed`.
+    After refinement the right one of several explanations shows: see `weighed`. Views numbered `outliers` have no say.
     """
+    trusted = [number for number in range(len(views)) if number not in outliers]
     with times.stage("refine"):
         candidates = [Candidate(m.T_sensor_object, m.index, float(np.log(max(m.probability, 1e-300)))) for m in modes]
-        refined = refiner.refine_together(views, candidates)
+        refined = refiner.refine_together([views[number] for number in trusted], candidates)
     with times.stage("choose"):
         ious = explained(views, np.stack([pose.T_sensor_object for pose in refined]))
         hypotheses = [
-            Hypothesis(mode.probability, mode.T_sensor_object, pose, mode.index, len(mode.members), float(iou))
-            for mode, pose, iou in zip(modes, refined, ious, strict=True)
-        ]
+            Hypothesis(
+                mode.probability, mode.T_sensor_object, pose, mode.index, len(mode.members),
+                float(each[trusted].mean()), tuple(map(float, each)),
+            )
+            for mode, pose, each in zip(modes, refined, ious, strict=True)
+        ]  # fmt: skip
         log_prior = None if prior is None else prior(np.stack([h.T_sensor_object for h in hypotheses]))
-        return merge_hypotheses(weighed(hypotheses, len(views), log_prior), metric, radius_m)
+        return merge_hypotheses(weighed(hypotheses, len(trusted), log_prior), metric, radius_m)
 
 
 def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radius_m: float) -> tuple[Hypothesis, ...]:
@@ -84,8 +88,8 @@ def weighed(
 def explained(
     views: Sequence[View], T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0
 ) -> NDArray[np.float64]:
-    """Return how well poses (K, 4, 4) in the first sensor's frame explain the touches: mean (K,) over them, 0 to 1."""
-    return np.asarray(np.mean([view.imprint_ious(T_first_object, pixels, freedom_m) for view in views], axis=0))
+    """Return how well poses (K, 4, 4) in the first sensor's frame explain each of N touches: (K, N), 0 to 1."""
+    return np.stack([view.imprint_ious(T_first_object, pixels, freedom_m) for view in views], axis=1)
 
 
 def proposed(
@@ -105,9 +109,9 @@ def proposed(
     for view, posterior in zip(views, alone, strict=True):
         far, nearest = posterior.grid.nearest(view.T_sensor_first @ poses)
         likely += np.maximum(posterior.log_p[nearest], posterior.log_p.max() - DOUBT) - far / radius_m
-    poses = poses[_apart(poses, likely, fused.grid.metric, 0.5 * radius_m, GLANCED_AT)]
-    ious = explained(views, poses, pixels=GLANCE_PX, freedom_m=radius_m)
-    poses = poses[_apart(poses, ious, fused.grid.metric, radius_m, top)]
+    poses = poses[apart(poses, likely, fused.grid.metric, 0.5 * radius_m, GLANCED_AT)]
+    ious = explained(views, poses, pixels=GLANCE_PX, freedom_m=radius_m).mean(axis=1)
+    poses = poses[apart(poses, ious, fused.grid.metric, radius_m, top)]
     nearest = fused.grid.nearest(poses)[1]
     p = fused.probabilities[nearest]
     return [
@@ -116,10 +120,13 @@ def proposed(
     ]
 
 
-def _apart(
+def apart(
     poses: Poses, worth: NDArray[np.float64], metric: PoseMetric, radius_m: float, count: int
 ) -> NDArray[np.int64]:
-    """The indices of poses (K, 4, 4), the worthiest first, none within a radius of a worthier one, at most `count`."""
+    """Return the indices of at most `count` of the poses (K, 4, 4), by their `worth` (K,), the worthiest first.
+
+    None is within `radius_m` metres of a worthier one.
+    """
     points = metric.embed(poses)
     left = np.argsort(-worth, kind="stable")
     chosen: list[int] = []

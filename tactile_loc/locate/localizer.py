@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -10,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tactile_loc.core.errors import TouchError
+from tactile_loc.core.errors import GridError, TouchError
 from tactile_loc.core.geometry import invert
 from tactile_loc.core.interfaces import Candidate, Matcher, Prior, RefinedPose, Refiner, Scene, View
 from tactile_loc.core.noise import noise_level
@@ -26,10 +28,11 @@ from tactile_loc.io.config import RunConfig, SlotConfig
 from tactile_loc.io.meshes import Units, load_object
 from tactile_loc.io.touches import read_touch
 from tactile_loc.locate import probabilities
+from tactile_loc.locate.agreement import agreed, best_alone
 from tactile_loc.locate.hypotheses import REFINED, find_hypotheses, proposed
 from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel, build_bank, build_model, train_encoder
 from tactile_loc.locate.probabilities import TemperatureScaling, fit_temperature_scaling
-from tactile_loc.locate.result import Localization
+from tactile_loc.locate.result import Agreement, Hypothesis, Localization
 from tactile_loc.locate.scoring import GridScores, Scores
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
@@ -263,11 +266,53 @@ def localize_together(
     Each touch comes with the localizer of its object and its sensor, which may be of different kinds; of several, each
     knows `T_base_sensor` (4, 4), metres. The answer is in the first touch's sensor frame, over its localizer's grid;
     `prior` maps that grid's poses (N, 4, 4) to log-weights (N,). Raises TactileLocError when nothing fits all of them.
+
+    A touch that contradicts the others is named (`Localization.outliers`); if the first localizer's configuration says
+    `drop_outliers`, it is `left_out`, and the answer is that of the others alone, in the first one's frame of them.
     """
     _require_one_object(observations)
     times = StageTimes()
     alone = [localizer.posteriors([touch], times)[0] for localizer, touch in observations]
-    return _located(observations, alone, prior, top, times)
+    first, left = observations[0], list(range(len(observations)))
+    while True:
+        some, posteriors = [observations[k] for k in left], [alone[k] for k in left]
+        try:
+            found = _located(some, posteriors, _prior_of(prior, first[1], some[0][1]), top, times)
+            outliers = found.agreement.outliers
+        except GridError as error:
+            outliers = _excluding(some, posteriors)
+            if not outliers:
+                raise
+            if not first[0].config.drop_outliers:
+                name = some[outliers[0]][1].name
+                raise GridError(f"{error}; without {name} the others agree: --drop-outliers leaves it out") from error
+        if not outliers or not first[0].config.drop_outliers:
+            left_out = tuple(touch for k, (_, touch) in enumerate(observations) if k not in left)
+            return dataclasses.replace(found, left_out=left_out)
+        left = [k for place, k in enumerate(left) if place not in outliers]
+
+
+def _excluding(observations: Sequence[Observation], alone: Sequence[PosePosterior]) -> tuple[int, ...]:
+    """Which one of three touches or more excludes all poses of the others: its number; empty if none or several do."""
+    if len(observations) < 3:
+        return ()
+    excluding = []
+    for k in range(len(observations)):
+        rest = [observations[i] for i in range(len(observations)) if i != k]
+        try:
+            rest[0][0].fuser.fuse([*alone[:k], *alone[k + 1 :]], [touch.T_base_sensor for _, touch in rest])
+        except GridError:
+            continue
+        excluding.append(k)
+    return tuple(excluding) if len(excluding) == 1 else ()
+
+
+def _prior_of(prior: Prior | None, first: Touch, other: Touch) -> Prior | None:
+    """A prior over poses in the first touch's sensor frame as one over those in another's."""
+    if prior is None or other is first:
+        return prior
+    T_first_other = invert(np.asarray(first.T_base_sensor)) @ np.asarray(other.T_base_sensor)
+    return lambda T_other_object: prior(T_first_other @ T_other_object)
 
 
 def _located(
@@ -281,14 +326,25 @@ def _located(
         posterior = first.fuser.fuse(alone, [t.T_base_sensor for t in touches], prior)
     top = top or first.config.top
     views = [_view(touch, localizer, t) for localizer, t in observations]
+    radius_m = PROPOSAL_RADIUS * first.mode_radius_m
     with times.stage("modes"):
         if len(views) == 1:
             modes = posterior.modes(first.mode_radius_m, top)
         else:
-            modes = proposed(views, alone, posterior, PROPOSAL_RADIUS * first.mode_radius_m, REFINED)
+            modes = proposed(views, alone, posterior, radius_m, REFINED)
     refiner = first.refiner if len(views) == 1 else first.refiner_of_several
-    found = find_hypotheses(views, modes, refiner, posterior.grid.metric, first.same_pose_m, prior, times)
-    return Localization(touch, posterior, found[:top], times.seconds, touches[1:])
+
+    def find(outliers: tuple[int, ...] = ()) -> tuple[Hypothesis, ...]:
+        return find_hypotheses(
+            views, modes, refiner, posterior.grid.metric, first.same_pose_m, prior, times, outliers
+        )  # fmt: skip
+
+    def at_best() -> NDArray[np.float64]:
+        with times.stage("refine"):
+            return np.array([best_alone(v, p, refiner, radius_m) for v, p in zip(views, alone, strict=True)])
+
+    found, agreement = (find(), Agreement()) if len(views) == 1 else agreed(find, at_best)
+    return Localization(touch, posterior, found[:top], times.seconds, touches[1:], agreement)
 
 
 def _view(first: Touch, localizer: Localizer, touch: Touch) -> View:
