@@ -8,8 +8,8 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import invert
-from tactile_loc.core.interfaces import IOU_PX, Candidate, Prior, Refiner, View
+from tactile_loc.core.geometry import invert, rotation_angle
+from tactile_loc.core.interfaces import IOU_PX, Candidate, Prior, RefinedPose, Refiner, View
 from tactile_loc.core.poses import PoseMetric, Poses
 from tactile_loc.core.posterior import Mode, PosePosterior
 from tactile_loc.core.progress import StageTimes
@@ -35,7 +35,9 @@ def find_hypotheses(
         candidates = [Candidate(m.T_sensor_object, m.index, float(np.log(max(m.probability, 1e-300)))) for m in modes]
         refined = refiner.refine_together([views[number] for number in trusted], candidates)
     with times.stage("choose"):
-        ious = explained(views, np.stack([pose.T_sensor_object for pose in refined]))
+        T = np.stack([pose.T_sensor_object for pose in refined])
+        one = len(views) == 1
+        ious = explained(views, T) if one else explained_where_seen(views, T, _seen(views, refined, refiner, trusted))
         hypotheses = [
             Hypothesis(
                 mode.probability, mode.T_sensor_object, pose, mode.index, len(mode.members),
@@ -90,6 +92,45 @@ def explained(
 ) -> NDArray[np.float64]:
     """Return how well poses (K, 4, 4) in the first sensor's frame explain each of N touches: (K, N), 0 to 1."""
     return np.stack([view.imprint_ious(T_first_object, pixels, freedom_m) for view in views], axis=1)
+
+
+def explained_where_seen(views: Sequence[View], T_first_object: Poses, seen: Poses) -> NDArray[np.float64]:
+    """Return how well poses (K, 4, 4) explain each of N touches, (K, N), 0 to 1, if its sensor may have been elsewhere.
+
+    `seen` (K, N, 4, 4), metres, is where each sensor would see the object then: for each nat that such an error of its
+    pose costs, half its square in standard deviations, the imprint IoU is one SHARPNESS-th less.
+    """
+    ious = explained(views, T_first_object)
+    for number, view in enumerate(views):
+        nats = _sensor_error_nats(view, seen[:, number] @ invert(view.T_sensor_first @ T_first_object))
+        found = view.scene.imprint_ious(seen[:, number], view.touch) - nats / SHARPNESS
+        ious[:, number] = np.maximum(ious[:, number], found)
+    return ious
+
+
+def _seen(
+    views: Sequence[View], refined: Sequence[RefinedPose], refiner: Refiner, trusted: Sequence[int]
+) -> NDArray[np.float64]:
+    """Where sensors may see refined poses, (K, N, 4, 4): the trusted as the refiner says, others as fits them alone."""
+    seen = np.stack([view.T_sensor_first @ [pose.T_sensor_object for pose in refined] for view in views], axis=1)
+    for k, pose in enumerate(refined):
+        if pose.T_sensors_object is not None:
+            seen[k, trusted] = pose.T_sensors_object
+    for number in set(range(len(views))) - set(trusted):
+        alone = View(views[number].touch, views[number].scene)
+        fitted = refiner.refine_together([alone], [Candidate(T, -1, 0.0) for T in seen[:, number]])
+        seen[:, number] = [pose.T_sensor_object for pose in fitted]
+    return seen
+
+
+def _sensor_error_nats(view: View, error: Poses) -> NDArray[np.float64]:
+    """What errors (K, 4, 4) of a sensor's pose cost, metres, in nats (K,)."""
+    # the first sensor is where it is, unless its touch has no say
+    std_m = max(view.sensor_std_m or view.touch.T_base_sensor_std_m, 1e-6)
+    std_rad = max(view.sensor_std_rad or view.touch.T_base_sensor_std_rad, 1e-6)
+    gel = np.array([0.0, 0.0, view.touch.geometry.standoff_m])
+    shift_m = np.linalg.norm(error[:, :3, :3] @ gel + error[:, :3, 3] - gel, axis=-1)
+    return np.asarray((shift_m / std_m) ** 2 + (rotation_angle(error[:, :3, :3]) / std_rad) ** 2) / 2
 
 
 def proposed(
