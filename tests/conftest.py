@@ -18,7 +18,7 @@ from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.core.symmetry import SymmetryGroup
 from tactile_loc.drawing import pictures, pose_panel
-from tactile_loc.locate import probabilities
+from tactile_loc.locate import coverage, probabilities
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
@@ -57,6 +57,8 @@ def shipped_touches() -> Iterator[int]:
     shipped = probabilities.TOUCHES
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(probabilities, "TOUCHES", shipped // 10)
+        patch.setattr(probabilities, "FUSED_EXAMPLES", 3)
+        patch.setattr(coverage, "EXAMPLES", 20)
         yield shipped
 
 

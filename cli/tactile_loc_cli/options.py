@@ -128,6 +128,7 @@ class RunOptions:
     option: Sequence[str] | None = None
     config: Path | None = None
     top: int | None = None
+    coverage: float | None = None
     seed: int | None = None
     drop_outliers: bool = False
 
@@ -148,7 +149,8 @@ def run_config(given: RunOptions) -> RunConfig:
     overrides = parse_overrides(given.option or [])
     for slot in SLOTS:
         settings[slot] = _component(slot, settings.get(slot), getattr(given, slot), overrides.get(slot, {}))
-    settings |= _without_none({"top": given.top, "seed": given.seed, "drop_outliers": given.drop_outliers or None})
+    chosen = {"top": given.top, "coverage": given.coverage, "seed": given.seed}
+    settings |= _without_none({**chosen, "drop_outliers": given.drop_outliers or None})
     return RunConfig.from_dict(settings, "the command line" if given.config is None else str(given.config))
 
 

@@ -52,6 +52,7 @@ unknown ones are refused. Paths are relative to where the command runs.
 top = 10               # how many poses to list
 seed = 0
 shape_px = 64          # the longer image side of the grid's contact shapes, pixels
+# coverage = 0.95       # list all modes of a set that holds the true pose with this probability
 # drop_outliers = true # of several touches leave out those that contradict the others
 # temperature = 1e-3   # of the softmax over scores; by default fitted to simulated touches
 

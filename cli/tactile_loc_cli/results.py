@@ -43,6 +43,11 @@ def _summary(record: ResultRecord) -> Iterator[str]:
         f"normalised entropy: {record.normalised_entropy:.2f} (0: one pose is certain, 1: nothing is known), "
         f"{record.grid_poses} poses searched"
     )
+    if (found := record.pose_set) is not None:
+        yield (
+            f"{found.coverage:.1%} set: {found.grid_poses} of these poses, {len(record.hypotheses)} hypotheses; it "
+            f"holds the pose nearest to the truth so often, as judged by {found.examples} simulated examples"
+        )
     grid = record.configuration["grid"]
     if (grid["name"], grid["options"].get("face")) == ("face", "auto"):
         yield f"side searched: {_side(record)}, on which it rests lowest; another: -o grid.face=+z, all: --grid hopf"

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.poses import PoseGrid, Poses
 
+MOST_CLUSTERED = 2000
+
 
 @dataclass(frozen=True, eq=False)
 class Mode:
@@ -29,7 +31,7 @@ class PosePosterior:
     """Log-probabilities `log_p` (N,) over a grid's poses; -inf where a pose is excluded.
 
     `log_train` (N,) is the distribution of the poses that the probabilities were learned from, P_train, up to a
-    constant; None if they were all alike. Fusers divide by it.
+    constant; None if they were all alike. Fusers divide by it. `touches` tells from how many touches they come.
     Normalised on creation. Raises GridError when no pose has any probability, a value is NaN, or `log_train` is not
     finite.
     """
@@ -37,6 +39,7 @@ class PosePosterior:
     grid: PoseGrid
     log_p: NDArray[np.float64]
     log_train: NDArray[np.float64] | None = None
+    touches: int = 1
 
     def __post_init__(self) -> None:
         log_p = np.asarray(self.log_p, float)
@@ -64,6 +67,31 @@ class PosePosterior:
         best = np.flatnonzero(self.log_p >= least)  # more than `count` where several are as probable as the last
         return best[np.argsort(-self.log_p[best], kind="stable")][:count]
 
+    def credible_level(self, index: int, lot: float = 0.0) -> float:
+        """Return the probability of all poses that are likelier than pose `index` of the grid, 0 to below 1.
+
+        The share `lot` of its own, and of those as probable, is added: drawn uniformly from 0 to 1 it makes the level
+        uniform if probabilities are true (a randomised probability integral transform).
+        """
+        p = self.probabilities
+        return min(1.0, float(p[p > p[index]].sum() + lot * p[p == p[index]].sum()))
+
+    def credible_set(self, level: float) -> NDArray[np.int64]:
+        """Return the indices (K,), likeliest first, of the poses whose `credible_level` is at most `level`.
+
+        They hold that probability at least, and without the least likely of them less, or just as much.
+        """
+        order = self.top(len(self.log_p))
+        p = self.probabilities[order]
+        first = np.searchsorted(-p, -p, side="left")  # of those as probable
+        likelier = np.concatenate([[0.0], np.cumsum(p)])[first]
+        return order[(likelier <= level) & (p > 0)]
+
+    def tempered(self, power: float) -> PosePosterior:
+        """Return the posterior whose probabilities are these to the `power`, normalised: below 1 it is less sure."""
+        log_train = None if self.log_train is None else power * self.log_train
+        return PosePosterior(self.grid, power * self.log_p, log_train, self.touches)
+
     @property
     def entropy(self) -> float:
         """Shannon entropy in nats: 0 when one pose is certain, log N when nothing is known (unitless)."""
@@ -74,26 +102,23 @@ class PosePosterior:
         """Draw poses (count, 4, 4), metres, with the posterior's probabilities."""
         return self.grid.T_sensor_object[rng.choice(len(self.log_p), size=count, p=self.probabilities)]
 
-    def modes(self, radius_m: float, count: int = 10, mass: float = 0.99) -> list[Mode]:
-        """Cluster the posterior into at most `count` distinct hypotheses, the heaviest first.
+    def modes(
+        self, radius_m: float, count: int | None = 10, mass: float = 0.99, core: NDArray[np.int64] | None = None
+    ) -> list[Mode]:
+        """Cluster the posterior into at most `count` distinct hypotheses, the heaviest first; None: all of them.
 
         A mode is a peak and all poses from which steps uphill, each to the most probable pose within `radius_m` metres
-        (symmetry regarded), lead to it: quick shift (Vedaldi and Soatto, ECCV 2008). The least probable poses, beyond
-        `mass` of the probability or MOST_CLUSTERED in number, belong to none.
+        (symmetry regarded), lead to it: quick shift (Vedaldi and Soatto, ECCV 2008). What is clustered are the indices
+        `core` (K,), the most probable first; by default the poses that hold `mass`, at most MOST_CLUSTERED.
         """
         p = self.probabilities
-        order = self.top(len(p))
-        enough = int(np.searchsorted(np.cumsum(p[order]), mass)) + 1
-        core = order[: min(enough, MOST_CLUSTERED)]
+        core = self.credible_set(mass)[:MOST_CLUSTERED] if core is None else core
         peaks = _uphill(self.grid, core, radius_m)
         modes = []
         for peak in np.unique(peaks):
             members = core[peaks == peak]
             modes.append(Mode(int(members[0]), float(p[members].sum()), self.grid.T_sensor_object[members[0]], members))
         return sorted(modes, key=lambda m: (-m.probability, m.index))[:count]
-
-
-MOST_CLUSTERED = 2000
 
 
 def _uphill(grid: PoseGrid, ordered: NDArray[np.int64], radius_m: float) -> NDArray[np.int64]:

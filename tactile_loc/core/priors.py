@@ -7,8 +7,8 @@ frame than the sensor's. Only differences between log-weights count.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -37,6 +37,15 @@ class PosePrior(ABC):
     def __call__(self, T_sensor_object: Poses) -> Array:
         """Return log-weights (N,), unitless, of poses (N, 4, 4) in metres; -inf excludes."""
 
+    @property
+    def touches(self) -> int:
+        """How many touches it was learned from: 0 unless it is an earlier posterior."""
+        return 0
+
+    def tempered(self, power: Callable[[int], float]) -> PosePrior:
+        """Return the prior, what it learned from N touches raised to `power(N)`: see `FusedScaling`."""
+        return self
+
     def seen_from(self, T_base_sensor: Poses) -> SeenFrom:
         """Take this prior as one about T_base_object; return it for the T_sensor_object of a sensor at (4, 4)."""
         return SeenFrom(self, T_base_sensor)
@@ -63,6 +72,15 @@ class SeenFrom(PosePrior):
         """Return the log-weights (N,) of T_base_object."""
         return self.prior(self.T_base_sensor @ T_sensor_object)
 
+    @property
+    def touches(self) -> int:
+        """How many touches the prior in the base frame was learned from."""
+        return touches_behind(self.prior)
+
+    def tempered(self, power: Callable[[int], float]) -> PosePrior:
+        """Return the same with the prior in the base frame tempered."""
+        return replace(self, prior=tempered(self.prior, power))
+
 
 @dataclass(frozen=True, eq=False)
 class ProductPrior(PosePrior):
@@ -73,6 +91,15 @@ class ProductPrior(PosePrior):
     def __call__(self, T_sensor_object: Poses) -> Array:
         """Return the sums (N,) of the log-weights."""
         return np.sum([prior(T_sensor_object) for prior in self.priors], axis=0) + np.zeros(len(T_sensor_object))
+
+    @property
+    def touches(self) -> int:
+        """How many touches all of them were learned from."""
+        return sum(map(touches_behind, self.priors))
+
+    def tempered(self, power: Callable[[int], float]) -> PosePrior:
+        """Return the product of each of them tempered."""
+        return ProductPrior(tuple(tempered(prior, power) for prior in self.priors))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,13 +186,15 @@ class PosteriorPrior(PosePrior):
     stayed, inv(T_base_sensor_new) @ T_base_sensor_old. d is the root mean square distance of the object's surface,
     symmetry regarded; s is `std_m`, the uncertainty that the motion adds, and at least half the earlier grid's spacing,
     below which the two grids would miss one another. `floor`, f, keeps a share of 1 / N everywhere, N the number of the
-    earlier poses. Metres. Raises ConfigError when the motion is not rigid, std_m negative or f not in [0, 1).
+    earlier poses. All of it is raised to `power`. Metres. Raises ConfigError when the motion is not rigid, std_m
+    negative or f not in [0, 1).
     """
 
     posterior: PosePosterior
     T_new_old: Poses
     std_m: float = 0.0
     floor: float = 1e-3
+    power: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_new_old", _rigid(self.T_new_old, "T_new_old of a posterior prior"))
@@ -180,9 +209,18 @@ class PosteriorPrior(PosePrior):
         near = np.flatnonzero(self._moved.nearest(T_sensor_object, KERNEL_RADII * self.spread_m)[1] >= 0)
         for some, density in self._density(T_sensor_object[near]):
             log_w[near[some]] = np.log1p(-self.floor) + density
-        if self.floor == 0:
-            return log_w
-        return np.logaddexp(log_w, np.log(self.floor / len(self.posterior.grid)))
+        if self.floor > 0:
+            log_w = np.logaddexp(log_w, np.log(self.floor / len(self.posterior.grid)))
+        return self.power * log_w
+
+    @property
+    def touches(self) -> int:
+        """How many touches the earlier posterior was learned from."""
+        return self.posterior.touches
+
+    def tempered(self, power: Callable[[int], float]) -> PosePrior:
+        """Return the earlier posterior raised to `power(N)` for its N touches."""
+        return replace(self, power=power(self.touches))
 
     @cached_property
     def spread_m(self) -> float:
@@ -220,6 +258,16 @@ class PosteriorPrior(PosePrior):
             ones, less = np.ones((*x.shape[:2], 1)), -0.5 * (x**2).sum(axis=2, keepdims=True)
             log_terms = (np.concatenate([x, ones, less], axis=2) @ kernels).max(axis=0)  # the nearest equivalent's
             yield some, np.log(np.exp(np.maximum(log_terms, NOTHING)).sum(axis=1))
+
+
+def touches_behind(prior: Prior | None) -> int:
+    """Return how many touches a prior was learned from: 0 if it does not say."""
+    return prior.touches if isinstance(prior, PosePrior) else 0
+
+
+def tempered(prior: Prior, power: Callable[[int], float]) -> Prior:
+    """Return a prior, what it learned from N touches raised to `power(N)`; one that does not say stays as it is."""
+    return prior.tempered(power) if isinstance(prior, PosePrior) else prior
 
 
 def _rigid(T: ArrayLike, what: str) -> Array:

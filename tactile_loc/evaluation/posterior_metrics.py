@@ -19,16 +19,16 @@ def posterior_metrics(posterior: PosePosterior, T_true: Poses, rng: np.random.Ge
     """Return the numbers (5,) of POSTERIOR_METRICS of a posterior whose true pose (4, 4), metres, is known.
 
     `nll`, nats: of the grid pose nearest to the truth. `credible_level`: the probability of the smallest credible set
-    that holds that pose, drawn at random within its own share, so that it is uniform if probabilities are true (a
-    randomised probability integral transform). `entropy`, nats. `expected_error` and `spread`, metres: the mean
-    distance from the truth, and from the most probable pose, of poses drawn from the posterior; symmetry regarded.
+    that holds that pose, drawn at random within its own share. `entropy`, nats. `expected_error` and `spread`, metres:
+    the mean distance from the truth, and from the most probable pose, of poses drawn from the posterior; symmetry
+    regarded.
     """
     p = posterior.probabilities
     truth = int(posterior.grid.nearest(T_true[None])[1][0])
-    level = p[p > p[truth]].sum() + rng.random() * p[p == p[truth]].sum()
+    level = posterior.credible_level(truth, rng.random())
     best = posterior.grid.T_sensor_object[int(posterior.log_p.argmax())]
     expected, spread = (float(p @ posterior.grid.distances(T, STEP_M)) for T in (T_true, best))
-    return np.array([-posterior.log_p[truth], min(level, 1.0), posterior.entropy, expected, spread])
+    return np.array([-posterior.log_p[truth], level, posterior.entropy, expected, spread])
 
 
 @dataclass(frozen=True)

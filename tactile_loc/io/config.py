@@ -61,6 +61,7 @@ class RunConfig(_Strict):
 
     `together` refines against several touches: "joint" all at once, "each" by what the refiner makes of each touch.
     `drop_outliers` leaves out those of several touches that contradict the others.
+    `coverage` asks for all modes of a set of poses that holds the true one with that probability, 0 to 1.
     """
 
     object: ObjectConfig = ObjectConfig()
@@ -77,6 +78,7 @@ class RunConfig(_Strict):
     shape_px: int = Field(default=64, ge=16, le=1024)
     temperature: float | None = Field(default=None, gt=0)
     together: Literal["joint", "each"] = "joint"
+    coverage: float | None = Field(default=None, gt=0, lt=1)
     drop_outliers: bool = False
 
     @classmethod

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,8 @@ from tactile_loc.core.interfaces import Candidate, Matcher, Prior, RefinedPose, 
 from tactile_loc.core.noise import noise_level
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseGrid
-from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.posterior import Mode, PosePosterior
+from tactile_loc.core.priors import SeenFrom, tempered, touches_behind
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import Touch
@@ -27,11 +27,18 @@ from tactile_loc.core.simulation import simulate_touches
 from tactile_loc.io.config import RunConfig, SlotConfig
 from tactile_loc.io.meshes import Units, load_object
 from tactile_loc.io.touches import read_touch
+from tactile_loc.locate import coverage as conformal
 from tactile_loc.locate import probabilities
 from tactile_loc.locate.agreement import agreed, best_alone
+from tactile_loc.locate.coverage import ConformalSets, PoseSet
 from tactile_loc.locate.hypotheses import REFINED, find_hypotheses, proposed
 from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel, build_bank, build_model, train_encoder
-from tactile_loc.locate.probabilities import TemperatureScaling, fit_temperature_scaling
+from tactile_loc.locate.probabilities import (
+    FusedScaling,
+    TemperatureScaling,
+    fit_fused_scaling,
+    fit_temperature_scaling,
+)
 from tactile_loc.locate.result import Agreement, Hypothesis, Localization
 from tactile_loc.locate.scoring import GridScores, Scores
 from tactile_loc.store.keys import StageKey
@@ -43,6 +50,7 @@ logger = logging.getLogger(__name__)
 MODE_RADIUS = 2.0  # grid spacings between poses that count as one hypothesis
 PROPOSAL_RADIUS = 0.25  # mode radii between poses that are refined
 SAME_POSE = 0.25  # mode radii between refined poses that count as one
+EXAMPLE_TOUCHES = 50  # of simulated examples, in memory at once
 
 
 class Localizer:
@@ -155,6 +163,72 @@ class Localizer:
                     advance(1)
         work.save_json(probabilities.STAGE, asdict(fit_temperature_scaling(scores, np.array(truth))))
 
+    @cached_property
+    def fused_scaling(self) -> FusedScaling:
+        """How sure several touches together make: fitted to simulated examples, unless a temperature was asked for."""
+        if self.config.temperature is not None:
+            return FusedScaling()
+        key = StageKey(probabilities.FUSED_STAGE, probabilities.FUSED_VERSION, {
+            **self._describe_fused(), **probabilities.describe_examples(),
+        })  # fmt: skip
+        return FusedScaling(**self.store.build(key, self._fit_fused_scaling).json(probabilities.FUSED_STAGE))
+
+    def _fit_fused_scaling(self, work: Workspace) -> None:
+        """Fuse simulated touches of known pose, and save how sure they are to make."""
+        numbers, count, seed = probabilities.FUSED_TOUCHES, probabilities.FUSED_EXAMPLES, probabilities.FUSED_SEED
+        fused = [
+            (number, found.log_p, truth)
+            for number in numbers
+            for found, truth in self._examples(number, count, seed, probabilities.TOUCH_NOISE)
+            if found is not None
+        ]
+        work.save_json(probabilities.FUSED_STAGE, asdict(fit_fused_scaling(fused)))
+
+    def conformal_sets(self, touches: int) -> ConformalSets:
+        """Return how large sets of poses are to be, given so many touches, to hold the truth as often as asked for."""
+        number = min(touches, conformal.MOST_TOUCHES)
+        described = {**self._describe_fused(), **conformal.describe_examples(number)}
+        key = StageKey(conformal.STAGE, conformal.STAGE_VERSION, described)
+
+        def score(work: Workspace) -> None:
+            power = 1.0 if number == 1 else self.fused_scaling.power(number)
+            examples = self._examples(number, conformal.EXAMPLES, conformal.SEED, conformal.NOISE)
+            work.save_json(conformal.STAGE, [
+                1.0 if fused is None else fused.tempered(power).credible_level(truth) for fused, truth in examples
+            ])  # fmt: skip
+
+        return ConformalSets(self.store.build(key, score).json(conformal.STAGE))
+
+    def _describe_fused(self) -> dict[str, Any]:
+        """What decides what is fused of simulated touches, but for the touches, as JSON values."""
+        asked = self.config.temperature
+        scaling = {"asked": asked} if asked is not None else {"fitted": self.temperature_key().digest}
+        scores = {**self.describe_scores(), "sampler": self.sampler.describe()}
+        return {**scores, "temperature": scaling, "fuser": self.fuser.describe()}
+
+    def _examples(self, touches: int, count: int, seed: int, noise: str) -> Iterator[tuple[PosePosterior | None, int]]:
+        """What so many simulated touches of the object at rest say, fused but not tempered, and the true pose's index.
+
+        None where no pose touches all sensors. No touch is in two examples.
+        """
+        exact = self.with_matcher("dense")
+        at_once = max(1, EXAMPLE_TOUCHES // touches)
+        with self.progress.task(f"fusing examples of {touches} touches", count) as advance:
+            for start in range(0, count, at_once):
+                drawn = self.simulate(
+                    touches * min(at_once, count - start), seed + 100_000 * touches + start, None, noise
+                )
+                posteriors = exact.posteriors(drawn)
+                for first in range(0, len(drawn), touches):
+                    poses = np.stack([np.asarray(touch.T_sensor_object) for touch in drawn[first : first + touches]])
+                    alone = posteriors[first : first + touches]
+                    truth = int(alone[0].grid.nearest(poses[:1])[1][0])
+                    try:
+                        yield self.fuser.fuse(alone, list(invert(poses))), truth
+                    except GridError:
+                        yield None, truth
+                    advance(1)
+
     def describe_scores(self) -> dict[str, Any]:
         """Return what decides a touch's scores but for the touch, as JSON values; trains the encoder if need be.
 
@@ -209,18 +283,17 @@ class Localizer:
 
     def posterior(self, touch: Touch, prior: Prior | None = None, times: StageTimes | None = None) -> PosePosterior:
         """Return the posterior over the grid's poses of a touch and a prior: encode, match, fuse; adds to `times`."""
-        times = times or StageTimes()
-        alone = self.posteriors([touch], times)
-        with times.stage("fuse"):
-            posterior: PosePosterior = self.fuser.fuse(alone, [touch.T_base_sensor], prior)
-        return posterior
+        return posterior_together([(self, touch)], prior, times)
 
-    def localize(self, touch: Touch, prior: Prior | None = None, top: int | None = None) -> Localization:
+    def localize(
+        self, touch: Touch, prior: Prior | None = None, top: int | None = None, coverage: float | None = None
+    ) -> Localization:
         """Return the distribution over poses given a touch, and its `top` distinct hypotheses, refined.
 
-        `prior` maps poses (N, 4, 4) in metres to log-weights (N,). Raises TactileLocError when nothing fits.
+        `prior` maps poses (N, 4, 4) in metres to log-weights (N,). With a `coverage`, 0 to 1, the hypotheses are all
+        modes of a set that holds the truth as often: see `PoseSet`. Raises TactileLocError when nothing fits.
         """
-        return localize_together([(self, touch)], prior, top)
+        return localize_together([(self, touch)], prior, top, coverage)
 
     def localize_many(self, touches: Sequence[Touch], top: int | None = None) -> list[Localization]:
         """Localise touches of this sensor, each for itself, as `localize` does; those of one press are matched at once.
@@ -258,14 +331,26 @@ class Localizer:
 Observation = tuple[Localizer, Touch]
 
 
+def posterior_together(
+    observations: Sequence[Observation], prior: Prior | None = None, times: StageTimes | None = None
+) -> PosePosterior:
+    """Return the posterior over the first localizer's grid given touches of one object, as for `localize_together`."""
+    _require_one_object(observations)
+    times = times or StageTimes()
+    alone = [localizer.posteriors([touch], times)[0] for localizer, touch in observations]
+    return _fused(observations, alone, _beside(observations, prior), times)
+
+
 def localize_together(
-    observations: Sequence[Observation], prior: Prior | None = None, top: int | None = None
-) -> Localization:
+    observations: Sequence[Observation], prior: Prior | None = None, top: int | None = None,
+    coverage: float | None = None,
+) -> Localization:  # fmt: skip
     """Return the distribution over poses given touches of one object, and its `top` distinct hypotheses, refined.
 
     Each touch comes with the localizer of its object and its sensor, which may be of different kinds; of several, each
     knows `T_base_sensor` (4, 4), metres. The answer is in the first touch's sensor frame, over its localizer's grid;
-    `prior` maps that grid's poses (N, 4, 4) to log-weights (N,). Raises TactileLocError when nothing fits all of them.
+    `prior` maps that grid's poses (N, 4, 4) to log-weights (N,); `coverage` is as for `Localizer.localize`.
+    Raises TactileLocError when nothing fits all of them.
 
     A touch that contradicts the others is named (`Localization.outliers`); if the first localizer's configuration says
     `drop_outliers`, it is `left_out`, and the answer is that of the others alone, in the first one's frame of them.
@@ -277,7 +362,7 @@ def localize_together(
     while True:
         some, posteriors = [observations[k] for k in left], [alone[k] for k in left]
         try:
-            found = _located(some, posteriors, _prior_of(prior, first[1], some[0][1]), top, times)
+            found = _located(some, posteriors, _prior_of(prior, first[1], some[0][1]), top, times, coverage)
             outliers = found.agreement.outliers
         except GridError as error:
             outliers = _excluding(some, posteriors)
@@ -288,7 +373,7 @@ def localize_together(
                 raise GridError(f"{error}; without {name} the others agree: --drop-outliers leaves it out") from error
         if not outliers or not first[0].config.drop_outliers:
             left_out = tuple(touch for k, (_, touch) in enumerate(observations) if k not in left)
-            return dataclasses.replace(found, left_out=left_out)
+            return replace(found, left_out=left_out)
         left = [k for place, k in enumerate(left) if place not in outliers]
 
 
@@ -312,39 +397,65 @@ def _prior_of(prior: Prior | None, first: Touch, other: Touch) -> Prior | None:
     if prior is None or other is first:
         return prior
     T_first_other = invert(np.asarray(first.T_base_sensor)) @ np.asarray(other.T_base_sensor)
-    return lambda T_other_object: prior(T_first_other @ T_other_object)
+    return SeenFrom(prior, T_first_other)
 
 
 def _located(
     observations: Sequence[Observation], alone: Sequence[PosePosterior], prior: Prior | None, top: int | None,
-    times: StageTimes,
+    times: StageTimes, coverage: float | None = None,
 ) -> Localization:  # fmt: skip
     """What touches say together, of each one's posterior alone."""
     first, touch = observations[0]
     touches = tuple(t for _, t in observations)
-    with times.stage("fuse"):
-        posterior = first.fuser.fuse(alone, [t.T_base_sensor for t in touches], prior)
+    coverage = first.config.coverage if coverage is None else coverage
+    known = _beside(observations, prior)
+    posterior = _fused(observations, alone, known, times)
+    poses = None if coverage is None else PoseSet.of(posterior, first.conformal_sets(posterior.touches), coverage)
     top = top or first.config.top
     views = [_view(touch, localizer, t) for localizer, t in observations]
     radius_m = PROPOSAL_RADIUS * first.mode_radius_m
     with times.stage("modes"):
-        if len(views) == 1:
-            modes = posterior.modes(first.mode_radius_m, top)
-        else:
+        modes: list[Mode] = []
+        if len(views) > 1:
             modes = proposed(views, alone, posterior, radius_m, REFINED)
+        if poses is not None:
+            modes += posterior.modes(first.mode_radius_m, None, core=poses.indices)
+        elif len(views) == 1:
+            modes = posterior.modes(first.mode_radius_m, top)
     refiner = first.refiner if len(views) == 1 else first.refiner_of_several
 
     def find(outliers: tuple[int, ...] = ()) -> tuple[Hypothesis, ...]:
-        return find_hypotheses(
-            views, modes, refiner, posterior.grid.metric, first.same_pose_m, prior, times, outliers
-        )  # fmt: skip
+        metric = posterior.grid.metric
+        return find_hypotheses(views, modes, refiner, metric, first.same_pose_m, known, times, outliers)
 
     def at_best() -> NDArray[np.float64]:
         with times.stage("refine"):
             return np.array([best_alone(v, p, refiner, radius_m) for v, p in zip(views, alone, strict=True)])
 
     found, agreement = (find(), Agreement()) if len(views) == 1 else agreed(find, at_best)
-    return Localization(touch, posterior, found[:top], times.seconds, touches[1:], agreement)
+    listed = found if poses is not None else found[:top]
+    return Localization(touch, posterior, listed, times.seconds, touches[1:], poses, agreement)
+
+
+def _fused(
+    observations: Sequence[Observation], alone: Sequence[PosePosterior], prior: Prior | None, times: StageTimes
+) -> PosePosterior:
+    """What touches and a prior say of the first one's grid, as sure as so many touches can make."""
+    count = len(alone) + touches_behind(prior)
+    powers = [localizer.fused_scaling.power(count) if count > 1 else 1.0 for localizer, _ in observations]
+    with times.stage("fuse"):
+        each = [posterior.tempered(power) for posterior, power in zip(alone, powers, strict=True)]
+        fused: PosePosterior = observations[0][0].fuser.fuse(each, [t.T_base_sensor for _, t in observations], prior)
+    return replace(fused, touches=count)
+
+
+def _beside(observations: Sequence[Observation], prior: Prior | None) -> Prior | None:
+    """A prior as it counts beside touches: an earlier posterior was as sure as its own touches alone could make."""
+    told = touches_behind(prior)
+    if prior is None or not told:
+        return prior
+    power = observations[0][0].fused_scaling.power
+    return tempered(prior, lambda count: power(len(observations) + told) / power(count))
 
 
 def _view(first: Touch, localizer: Localizer, touch: Touch) -> View:

@@ -1,7 +1,10 @@
-"""From scores to probabilities that can be trusted: a temperature, fitted to scores of touches whose pose is known.
+"""From scores to probabilities that can be trusted: fitted to simulated touches whose pose is known.
 
 A temperature alone (Guo et al., ICML 2017) that is right for most touches is too sure of the few that look like
 another pose: their truth lies where it leaves nothing. So a share of the probability is spread TAIL_HEAT times as wide.
+
+Such a posterior regards how far the grid's nearest pose is off the truth. A product of several regards it several
+times, though it is the same pose that is off for all: what is fused is too sure, the more the more touches there are.
 """
 
 from __future__ import annotations
@@ -28,6 +31,11 @@ TAILS = (0.05, 0.1, 0.2, 0.3, 0.4)  # no less: a hundred touches cannot exclude 
 STEPS_PER_E = 6  # temperatures tried for each factor of e
 REACH = 12  # factors of e below the widest temperature that are tried
 LEAST = 1e-12  # probability of the truth, lest one touch decide alone
+
+FUSED_STAGE, FUSED_VERSION = "fused-temperature", 1
+FUSED_TOUCHES = (2, 3, 5, 7)  # of the examples that are fitted to
+FUSED_EXAMPLES, FUSED_SEED = 40, 0xF05ED  # of each number of touches
+EXPONENTS = np.linspace(0.0, 1.5, 61)
 
 
 @dataclass(frozen=True)
@@ -75,10 +83,45 @@ def fit_temperature_scaling(scores: Sequence[NDArray[np.floating]], truth: NDArr
     return tried[int(np.argmin(losses))]
 
 
+@dataclass(frozen=True)
+class FusedScaling:
+    """How sure a product of N touches' posteriors is to be: as sure as its N**-exponent-th power.
+
+    0: as sure as the product, as if nothing were common to the touches' errors; 1: as their geometric mean.
+    """
+
+    exponent: float = 0.0
+
+    def power(self, touches: int) -> float:
+        """Return the power to which a product of so many touches' probabilities is raised, above 0, at most 1."""
+        return float(max(1, touches) ** -self.exponent)
+
+
+def fit_fused_scaling(fused: Sequence[tuple[int, NDArray[np.float64], int]]) -> FusedScaling:
+    """Return the scaling that makes the true poses of fused examples most probable: least mean negative log-likelihood.
+
+    Each example is a number of touches, the log-probabilities (N,) of their product, and the index of the pose nearest
+    to the truth.
+    """
+    losses = np.zeros(len(EXPONENTS))
+    for touches, log_p, truth in fused:
+        known = log_p[np.isfinite(log_p)]
+        for k, exponent in enumerate(EXPONENTS):
+            power = FusedScaling(exponent).power(touches)
+            losses[k] -= max(power * log_p[truth] - _log_sum(power * known), np.log(LEAST))
+    return FusedScaling(float(EXPONENTS[np.argmin(losses)]))
+
+
 def batches() -> Iterator[tuple[int, int]]:
     """Yield seed and number of the touches to fit to, batch by batch."""
     for start in range(0, TOUCHES, BATCH):
         yield SEED + start, min(BATCH, TOUCHES - start)
+
+
+def describe_examples() -> dict[str, Any]:
+    """Return what decides which examples of several touches are fitted to, but for what draws them, as JSON values."""
+    noise = noise_level(TOUCH_NOISE).describe()
+    return {"noise": noise, "touches": list(FUSED_TOUCHES), "examples": FUSED_EXAMPLES, "seed": FUSED_SEED}
 
 
 def describe_touches() -> dict[str, Any]:
@@ -93,6 +136,11 @@ def _losses(scores: NDArray[np.float64], index: int, tried: Sequence[Temperature
     p = {t: np.exp(above[index] / t) / np.exp(above / t).sum() for t in temperatures}
     mixed = np.array([(1 - c.tail) * p[c.temperature] + c.tail * p[TAIL_HEAT * c.temperature] for c in tried])
     return -np.log(np.maximum(mixed, LEAST))
+
+
+def _log_sum(logits: NDArray[np.float64]) -> float:
+    peak = logits.max()
+    return float(peak + np.log(np.exp(logits - peak).sum()))
 
 
 def _log_softmax(logits: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.interfaces import RefinedPose
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.sensing import Touch
+from tactile_loc.locate.coverage import PoseSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +57,9 @@ class Agreement:
 class Localization:
     """The answer: the posterior, its distinct hypotheses, the best first, and seconds a stage.
 
-    Of several touches, `touch` is the first, in whose sensor's frame the answer is; `others` are the rest. Outliers of
-    their `agreement` are no part of the hypotheses, but of the posterior; touches that were `left_out`, because they
+    Of several touches, `touch` is the first, in whose sensor's frame the answer is; `others` are the rest. `pose_set`
+    are the poses that hold the truth as often as asked for, whose modes the hypotheses are. Outliers of the touches'
+    `agreement` are no part of the hypotheses, but of the posterior; touches that were `left_out`, because they
     contradict these, are part of nothing.
     """
 
@@ -66,6 +68,7 @@ class Localization:
     hypotheses: tuple[Hypothesis, ...]
     seconds: dict[str, float]
     others: tuple[Touch, ...] = ()
+    pose_set: PoseSet | None = None
     agreement: Agreement = Agreement()
     left_out: tuple[Touch, ...] = ()
 

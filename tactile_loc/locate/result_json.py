@@ -18,6 +18,7 @@ from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.registry import SLOTS, registry, validate_options
 from tactile_loc.core.sensing import Touch
 from tactile_loc.io.config import RunConfig, TouchConfig
+from tactile_loc.locate.coverage import PoseSet
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
 from tactile_loc.store.files import write_atomically
@@ -92,6 +93,15 @@ class HypothesisRecord(_Record):
     error_m: float | None = Field(description="surface distance to the true pose, m; null when that is not known")
 
 
+class PoseSetRecord(_Record):
+    """Grid poses that hold the one nearest to the truth as often as asked for, by split conformal prediction."""
+
+    coverage: float = Field(description="how probable it is that the set holds it, 0 to 1, as asked for")
+    level: float = Field(description="the credible level that this takes, 0 to 1")
+    examples: int = Field(description="simulated, held-out examples that vouch for it")
+    grid_poses: int = Field(description="poses in the set: the most probable ones, so the first of `result.npz`")
+
+
 class ErrorRecord(_Record):
     """How far off the answer is: root mean square distance of surface, the least over the object's symmetry."""
 
@@ -129,6 +139,9 @@ class ResultRecord(_Record):
     )
     entropy_nats: float = Field(description="Shannon entropy of the posterior, nats")
     hypotheses: list[HypothesisRecord] = Field(description="distinct explanations, the best first")
+    pose_set: PoseSetRecord | None = Field(
+        description="the set whose modes the hypotheses are; null unless a coverage was asked for"
+    )
     errors: ErrorRecord | None = Field(description="where the true pose is known, else null")
     seconds: dict[str, float] = Field(description="duration of each stage, s")
 
@@ -154,6 +167,7 @@ def result_record(
         normalised_entropy=localization.normalised_entropy,
         entropy_nats=posterior.entropy,
         hypotheses=_hypotheses(localization, errors_m),
+        pose_set=_pose_set(localization.pose_set),
         errors=_errors(localization, errors_m),
         seconds={**(seconds or {}), **localization.seconds},
     )
@@ -253,6 +267,14 @@ def _hypotheses(localization: Localization, errors_m: NDArray[np.float64] | None
         )
         for i, h in enumerate(localization.hypotheses)
     ]  # fmt: skip
+
+
+def _pose_set(found: PoseSet | None) -> PoseSetRecord | None:
+    if found is None:
+        return None
+    return PoseSetRecord(
+        coverage=found.coverage, level=found.level, examples=found.examples, grid_poses=len(found.indices)
+    )
 
 
 def _errors(localization: Localization, errors_m: NDArray[np.float64] | None) -> ErrorRecord | None:

@@ -115,6 +115,10 @@ def _numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
     turned = f"of the object in the sensor's frame, turned {angle_deg}° about {axis}"
     yield "best pose: x, y, z", f"{x}, {y}, {z} mm", turned
     yield "normalised entropy", f"{record.normalised_entropy:.2f}", "0: one pose is certain, 1: nothing is known"
+    if (found := record.pose_set) is not None:
+        size = f"{found.grid_poses} grid poses, {len(record.hypotheses)} hypotheses"
+        holds = f"holds the one nearest to the truth so often, as judged by {found.examples} simulated examples"
+        yield f"{found.coverage:.1%} set", size, holds
     explains = "how well the best pose explains the touch, in depth and outline"
     yield "imprint IoU", f"{100 * best.imprint_iou:.0f} %", explains
     yield "probability", percent(best.probability), f"of the best candidate, {best.grid_poses} grid poses together"

@@ -22,6 +22,11 @@ def refused(cli: Cli):
     return run
 
 
+@pytest.mark.parametrize("coverage", [0.999, 1.5])
+def test_a_coverage_that_cannot_be_promised(refused, coverage):
+    refused("--coverage", coverage, mentions=("coverage",))
+
+
 def test_missing_mesh_file(refused):
     refused("--object", "gear.stl", mentions=("gear.stl", "check the path", "pin"))
 

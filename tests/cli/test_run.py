@@ -189,3 +189,13 @@ def test_unknown_noise_is_refused(cli):
     assert_refused(cli("run", "--noise", "weak"), "weak", "mild")
     Path("run.toml").write_text('[touch]\nnoise = "weak"\n')
     assert_refused(cli("run", "--config", "run.toml"), "touch.noise", "weak", "mild")
+
+
+def test_all_modes_of_a_set_are_listed(cli, tmp_path):
+    done = cli("run", *TINY, "--top", 1, "--coverage", 0.9, "--out", "out")
+    assert done.exit_code == 0, done.stderr
+    result = json.loads((tmp_path / "out/result.json").read_text())
+    found = result["pose_set"]
+    assert found["coverage"] == 0.9
+    assert found["grid_poses"] == sum(h["grid_poses"] for h in result["hypotheses"])
+    assert f"90.0% set: {found['grid_poses']} of these poses" in done.stdout

@@ -72,6 +72,38 @@ def test_samples_come_as_often_as_they_are_probable(grid):
     assert not np.array_equal(other, drawn)
 
 
+def test_a_credible_set_is_the_fewest_poses_that_hold_so_much(grid):
+    with np.errstate(divide="ignore"):
+        posterior = PosePosterior(grid, np.log([0.5, 0.2, 0.0, 0.2, 0.1, 0.0]))
+    assert posterior.credible_set(0.0).tolist() == [0]
+    assert posterior.credible_set(0.49).tolist() == [0]
+    assert sorted(posterior.credible_set(0.6)) == [0, 1, 3], "of two as probable, both"
+    assert sorted(posterior.credible_set(1.0)) == [0, 1, 3, 4], "but none without any probability"
+
+
+def test_a_pose_is_in_the_credible_sets_from_its_level_on(grid):
+    posterior = PosePosterior(grid, np.random.default_rng(3).normal(size=6))
+    for index in range(6):
+        level = posterior.credible_level(index)
+        assert index in posterior.credible_set(level)
+        assert index not in posterior.credible_set(level - 1e-9)
+        assert posterior.credible_level(index, 0.5) == pytest.approx(level + 0.5 * posterior.probabilities[index])
+
+
+def test_a_tempered_posterior_has_the_powers_of_the_probabilities(grid):
+    with np.errstate(divide="ignore"):
+        posterior = PosePosterior(grid, np.log([0.5, 0.2, 0.0, 0.2, 0.1, 0.0]), touches=3)
+    found = posterior.tempered(0.5)
+    np.testing.assert_allclose(found.probabilities, (root := np.sqrt(posterior.probabilities)) / root.sum())
+    assert found.touches == 3
+    assert found.entropy > posterior.entropy
+
+
+def test_modes_can_be_those_of_given_poses(box):
+    posterior = PosePosterior(line(box, np.arange(4) * 0.1), np.log([0.4, 0.3, 0.2, 0.1]))
+    assert [m.index for m in posterior.modes(1e-3, None, core=np.array([1, 3]))] == [1, 3]
+
+
 def test_modes_are_the_clusters(box):
     x_m = np.array([0.0, 1, 2, 50, 51, 90]) * 1e-3
     weights = np.array([0.1, 0.3, 0.1, 0.15, 0.25, 0.1])

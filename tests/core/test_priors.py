@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,15 @@ from tactile_loc.core.geometry import (
 )
 from tactile_loc.core.poses import PoseGrid, PoseMetric
 from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.priors import GaussianPrior, PosteriorPrior, ProductPrior, RegionPrior, SeenFrom
+from tactile_loc.core.priors import (
+    GaussianPrior,
+    PosteriorPrior,
+    ProductPrior,
+    RegionPrior,
+    SeenFrom,
+    tempered,
+    touches_behind,
+)
 
 
 def random_poses(count: int, seed: int, spread_m: float = 0.01) -> np.ndarray:
@@ -151,6 +161,19 @@ class TestPosterior:
         T = earlier.grid.T_sensor_object
         sharp, flat = (np.ptp(PosteriorPrior(earlier, np.eye(4), std_m, 0.0)(T)) for std_m in (0.005, 0.05))
         assert flat < 0.2 * sharp
+
+    def test_beside_touches_only_what_touches_told_is_tempered(self, box):
+        earlier = dataclasses.replace(posterior_of(box), touches=3)
+        prior, vision = PosteriorPrior(earlier, np.eye(4)), GaussianPrior(np.eye(4), 0.01, 0.5)
+        both = (prior * vision).seen_from(random_poses(1, 15)[0])
+        asked = []
+        found = tempered(both, lambda touches: asked.append(touches) or 0.25)
+        T = random_poses(20, 16)
+        there = both.T_base_sensor @ T
+        np.testing.assert_allclose(found(T), 0.25 * prior(there) + vision(there))
+        assert asked == [touches_behind(both)] == [3]
+        assert tempered(len, lambda _: 0.25) is len
+        assert touches_behind(len) == touches_behind(None) == touches_behind(vision) == 0
 
     def test_two_grids_do_not_miss_one_another(self, box):
         """A motion without uncertainty, and a grid half a spacing off."""

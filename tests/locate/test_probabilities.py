@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import trimesh
@@ -9,9 +11,17 @@ import trimesh
 from tactile_loc.core.errors import ConfigError, GridError
 from tactile_loc.core.geometry import make_transform
 from tactile_loc.core.poses import PoseGrid, PoseMetric
+from tactile_loc.core.priors import PosteriorPrior
 from tactile_loc.locate import probabilities as module
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.probabilities import TAIL_HEAT, TAILS, TemperatureScaling, fit_temperature_scaling
+from tactile_loc.locate.localizer import Localizer, posterior_together
+from tactile_loc.locate.probabilities import (
+    TAIL_HEAT,
+    TAILS,
+    FusedScaling,
+    TemperatureScaling,
+    fit_fused_scaling,
+    fit_temperature_scaling,
+)
 from tactile_loc.store.store import StageStore
 
 COARSE = {"grid": {"name": "face", "spacing_mm": 8}, "refiner": "none"}
@@ -82,6 +92,55 @@ def test_what_is_said_to_be_95_percent_sure_is_true_as_often():
     rank = np.where(p > p[np.arange(4000), truth][:, None], p, 0).sum(axis=1)  # mass of what is more probable
     assert 0.92 < (rank < 0.95).mean() <= 1
     assert 0.4 < (rank < 0.5).mean() < 0.75
+
+
+@pytest.mark.parametrize(("alike", "exponent"), [(False, 0.0), (True, 1.0)])
+def test_what_errs_alike_adds_nothing_and_what_errs_apart_all(alike, exponent):
+    """Touches that all repeat the first one's scores, or whose scores are each their own."""
+    rng, made, fused = np.random.default_rng(5), TemperatureScaling(1.0), []
+    for touches in (2, 5):
+        for _ in range(400):
+            truth = int(rng.integers(40))
+            # Gaussian observations of the truth's unit vector: scores are exact log-likelihoods
+            seen = np.eye(40)[truth] + 0.5 * rng.normal(size=(touches, 40))
+            seen = np.repeat(seen[:1], touches, axis=0) if alike else seen
+            fused.append((touches, made.log_p(seen / 0.25).sum(axis=0), truth))
+    assert fit_fused_scaling(fused).exponent == pytest.approx(exponent, abs=0.12)
+
+
+def test_a_power_of_one_touch_is_one():
+    assert FusedScaling(0.8).power(1) == 1
+    assert FusedScaling(0.5).power(4) == pytest.approx(0.5)
+    assert FusedScaling().power(7) == 1
+
+
+def test_several_touches_are_fused_as_surely_as_was_fitted(tmp_path, monkeypatch):
+    localizer = Localizer.create("pin", store=StageStore(tmp_path), **COARSE)
+    touches = [
+        dataclasses.replace(t, T_base_sensor=np.linalg.inv(t.T_sensor_object)) for t in localizer.simulate(3, seed=2)
+    ]
+    observations = [(localizer, touch) for touch in touches]
+    product = localizer.fuser.fuse(localizer.posteriors(touches), [t.T_base_sensor for t in touches])
+    monkeypatch.setattr(localizer, "fused_scaling", FusedScaling(0.75))
+    fused = posterior_together(observations)
+    np.testing.assert_allclose(fused.probabilities, product.tempered(3**-0.75).probabilities, atol=1e-6)
+    assert fused.touches == 3
+    plain = Localizer.create("pin", store=localizer.store, temperature=0.01, **COARSE)
+    assert plain.fused_scaling == FusedScaling(0.0)
+
+
+def test_an_earlier_posterior_is_as_sure_as_all_touches_make(tmp_path, monkeypatch):
+    """Of the one seen first and handed on, and the second, no more is left than of both seen together."""
+    localizer = Localizer.create("pin", store=StageStore(tmp_path), **COARSE)
+    monkeypatch.setattr(localizer, "fused_scaling", FusedScaling(0.75))
+    first, second = localizer.simulate(2, seed=2)
+    earlier = localizer.posterior(first)
+    motion = second.T_sensor_object @ np.linalg.inv(first.T_sensor_object)
+    found = localizer.posterior(second, PosteriorPrior(earlier, motion))
+    assert found.touches == 2
+    known = PosteriorPrior(earlier, motion)(found.grid.T_sensor_object)
+    weights = 2**-0.75 * (localizer.posterior(second).log_p + known)
+    np.testing.assert_allclose(np.diff(found.log_p), np.diff(weights), atol=1e-6)
 
 
 def test_one_impossible_truth_does_not_decide_alone():

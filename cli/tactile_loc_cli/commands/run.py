@@ -42,6 +42,14 @@ PriorFile = Annotated[
     Path | None, typer.Option("--prior", metavar="FILE", help="What is known of the pose before: a TOML file.")
 ]
 Top = Annotated[int | None, typer.Option("--top", metavar="N", help="How many poses to list; by default 10.")]
+Coverage = Annotated[
+    float | None,
+    typer.Option(
+        "--coverage",
+        metavar="P",
+        help="List all modes of a set of poses that holds the true one with this probability, as 0.95.",
+    ),
+]
 Out = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where result.json, .npz and .png go.")]
 DropOutliers = Annotated[
     bool,
@@ -75,6 +83,7 @@ def run(
     prior: PriorFile = None,
     drop_outliers: DropOutliers = False,
     top: Top = None,
+    coverage: Coverage = None,
     seed: options.Seed = None,
     out: Out = DEFAULT_OUT,
     pictures: Pictures = False,
@@ -93,7 +102,7 @@ def run(
         options.RunOptions(
             object=object, units=units, symmetry=symmetry, touch=touch, touch_unit=touch_unit, press_depth=press_depth,
             noise=noise, sensor=sensor, grid=grid, renderer=renderer, encoder=encoder, matcher=matcher, refiner=refiner,
-            fuser=fuser, option=option, config=config, top=top, seed=seed,
+            fuser=fuser, option=option, config=config, top=top, coverage=coverage, seed=seed,
             drop_outliers=drop_outliers,
         )
     )  # fmt: skip

@@ -1,0 +1,116 @@
+#!/usr/bin/env python3
+"""How often the truth lies in the sets of poses that are said to hold it, by the number of touches.
+
+For each object, held-out examples of 1, 2, 3 and 7 simulated touches with strong noise, none of which took part in a
+fit. For every number of touches: the share of examples whose truth (the grid pose nearest to it) lies in the 50, 80 and
+95 % credible sets of the fused posterior; the same of the product of probabilities as it is, uncalibrated; and of split
+conformal sets: the share of all examples, the share in the quarter with the greatest entropy, and how many poses a set
+has, median. Meshes are given as FILE[:UNITS] or a demo object's name; by default the demo objects.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.geometry import invert
+from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.locate.coverage import PoseSet
+from tactile_loc.locate.localizer import Localizer, posterior_together
+from tactile_loc.store.store import StageStore
+
+LEVELS = (0.5, 0.8, 0.95)
+
+
+def examples(
+    localizer: Localizer, touches: int, count: int, seed: int
+) -> list[tuple[PosePosterior, PosePosterior, int]]:
+    """For each example what is fused, the plain product, and the index of the truth."""
+    found = []
+    drawn = localizer.simulate(touches * count, seed + touches, noise="strong")
+    for start in range(0, len(drawn), touches):
+        some = [replace(t, T_base_sensor=invert(np.asarray(t.T_sensor_object))) for t in drawn[start : start + touches]]
+        truth = np.asarray(some[0].T_sensor_object)
+        try:
+            fused = posterior_together([(localizer, touch) for touch in some])
+        except GridError:  # no pose touches all sensors
+            continue
+        alone = localizer.posteriors(some)
+        product = localizer.fuser.fuse(alone, [touch.T_base_sensor for touch in some])
+        found.append((fused, product, int(fused.grid.nearest(truth[None])[1][0])))
+    return found
+
+
+def covered(posteriors: list[PosePosterior], truths: list[int], rng: np.random.Generator) -> list[float]:
+    """The shares of truths in the credible sets of LEVELS."""
+    levels = np.array([p.credible_level(t, rng.random()) for p, t in zip(posteriors, truths, strict=True)])
+    return [float((levels <= level).mean()) for level in LEVELS]
+
+
+def measure(localizer: Localizer, touches: int, arguments: argparse.Namespace) -> dict[str, Any]:
+    """One row of the table."""
+    rng = np.random.default_rng(arguments.seed)
+    found = examples(localizer, touches, arguments.examples, arguments.seed)
+    fused, product, truths = [list(column) for column in zip(*found, strict=True)]
+    sets = [PoseSet.of(p, localizer.conformal_sets(touches), arguments.coverage) for p in fused]
+    held = np.array([t in s.indices for s, t in zip(sets, truths, strict=True)])
+    entropy = np.array([p.entropy for p in fused])
+    uncertain = entropy >= np.quantile(entropy, 0.75)
+    return {
+        "object": localizer.object.name, "touches": touches, "examples": len(found),
+        "without_common_pose": arguments.examples - len(found), "poses": localizer.model.size,
+        "exponent": localizer.fused_scaling.exponent, "levels": LEVELS, "fused": covered(fused, truths, rng),
+        "product": covered(product, truths, rng), "conformal": float(held.mean()),
+        "conformal_uncertain": float(held[uncertain].mean()), "held": held.tolist(), "entropy": entropy.tolist(),
+        "set_poses": float(np.median([len(s.indices) for s in sets])),
+    }  # fmt: skip
+
+
+def main() -> None:
+    """Measure, print a table, and write the rows as JSON if asked."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("meshes", nargs="*", default=list(DEMO_OBJECTS))
+    parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3, 7])
+    parser.add_argument("--examples", type=int, default=100)
+    parser.add_argument("--spacing-mm", type=float, default=4.0)
+    parser.add_argument("--coverage", type=float, default=0.95)
+    parser.add_argument("--seed", type=int, default=77)
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    print(f"{'object':14s} touches   fused 50 80 95 %     product 50 80 95 %   conformal, uncertain quarter, poses")
+    for mesh in arguments.meshes:
+        path, _, units = mesh.partition(":")
+        with tempfile.TemporaryDirectory() as store:
+            localizer = Localizer.create(
+                path, units=units or "auto", store=StageStore(Path(store)),
+                grid={"name": "face", "spacing_mm": arguments.spacing_mm},
+            )  # fmt: skip
+            for touches in arguments.touches:
+                rows.append(row := measure(localizer, touches, arguments))
+                shares = "   ".join(" ".join(f"{share:5.0%}" for share in row[name]) for name in ("fused", "product"))
+                print(
+                    f"{row['object']:14s} {touches:7d}  {shares}   {row['conformal']:5.0%} "
+                    f"{row['conformal_uncertain']:5.0%} {row['set_poses']:6.0f} of {row['poses']}", flush=True,
+                )  # fmt: skip
+                if arguments.out:
+                    arguments.out.write_text(json.dumps(rows, indent=1))
+    for touches in arguments.touches:
+        of_all = [row for row in rows if row["touches"] == touches]
+        fused = np.average([row["fused"] for row in of_all], axis=0, weights=[row["examples"] for row in of_all])
+        held = np.concatenate([row["held"] for row in of_all])
+        quarter = np.concatenate([np.array(r["entropy"]) >= np.quantile(r["entropy"], 0.75) for r in of_all])
+        shares = " ".join(f"{share:5.1%}" for share in fused)
+        print(f"{'all':14s} {touches:7d}  {shares}   conformal {held.mean():.1%}, quarter {held[quarter].mean():.1%}")
+
+
+if __name__ == "__main__":
+    main()
