@@ -87,6 +87,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.surface_field import NearestTriangles as NearestTriangles
     from tactile_loc.core.surface_field import SurfaceField as SurfaceField
     from tactile_loc.core.surface_field import closest_on_triangle as closest_on_triangle
+    from tactile_loc.core.surface_field import downhill as downhill
     from tactile_loc.core.surface_field import surface_field as surface_field
     from tactile_loc.core.surface_field import triangle_near as triangle_near
     from tactile_loc.core.zbuffer import nearest_depths as nearest_depths

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.plugin import closest_on_triangle, njit, triangle_near
+from tactile_loc.plugin import closest_on_triangle, downhill, njit, triangle_near
 
 # mypy: ignore-errors
 
@@ -24,17 +24,19 @@ class Observed(NamedTuple):
     """What N touches show, all in mm and each in its own sensor's frame.
 
     `points` (P, 3) on the surface in contact with unit `normals` (P, 3), which point into the sensor, and `weights`
-    (P,), 1/mm^2; those of touch i from starts[i] to starts[i + 1]. `T_sensor_first` (N, 4, 4) where its sensor is,
-    `freedom` (N, 6, 6) the covariance of a twist about `centres` (N, 3) by which that, and the press, may be off.
-    `cameras` (N, 11): pinhole?, fx, fy, cx, cy, the gel's height, its rectangle (4), the weight (1/mm^2) of a surface
-    sample that reaches into it. `images` (Q, 4) hold, for every pixel, the height of the surface that is seen
-    (beyond the gel's: nothing; NaN: not observed) and the place x, y, z of the nearest contact; those of touch i are
+    (P,), 1/mm^2, which may be `slack` (P,) off for nothing; those of touch i from starts[i] to starts[i + 1].
+    `T_sensor_first` (N, 4, 4) where its sensor is, `freedom` (N, 6, 6) the covariance of a twist about `centres` (N, 3)
+    by which that, and the press, may be off. `cameras` (N, 11): pinhole?, fx, fy, cx, cy, the gel's height, its
+    rectangle (4), the weight (1/mm^2) of a surface sample that reaches into it. `images` (Q, 4) hold, for every four
+    neighbouring pixels, the least height of the surface that is seen (beyond the gel's: nothing; NaN: not observed),
+    below which nothing between their centres can be, and the place x, y, z of the nearest contact; those of touch i are
     rows of sizes[i] (height, width) from offsets[i].
     """
 
     points: NDArray[np.float64]
     normals: NDArray[np.float64]
     weights: NDArray[np.float64]
+    slack: NDArray[np.float64]
     starts: NDArray[np.int64]
     T_sensor_first: NDArray[np.float64]
     freedom: NDArray[np.float64]
@@ -160,6 +162,7 @@ def seen(i, T, observed, triangles, scale, A, b):
         f = triangle_near(x, triangles)
         if f < 0:
             continue
+        f = downhill(x, f, triangles)
         m = triangles.normals[f]
         facing = m[0] * y[0] + m[1] * y[1] + m[2] * y[2]
         if facing <= 0.0:
@@ -173,6 +176,7 @@ def seen(i, T, observed, triangles, scale, A, b):
         if beside > (NEAR_PLANE_MM + 0.5 * abs(off)) ** 2:
             r = math.sqrt(squared)
             d0, d1, d2 = e0 / r, e1 / r, e2 / r
+        r = math.copysign(max(0.0, abs(r) - observed.slack[j]), r)
         weight = observed.weights[j] * facing / (1.0 + r * r / (scale * scale)) ** 2
         # back into the sensor's frame; the object moves by u, so that the residual falls by d . u(p)
         for a in range(3):
@@ -198,7 +202,7 @@ def kept_out(i, T, observed, samples, scale, A, b):
         if x < camera[6] or x > camera[7] or y < camera[8] or y > camera[9]:
             continue
         k = 1.0 / z if pinhole else 1.0
-        u, v = math.floor(fx * x * k + cx), math.floor(fy * y * k + cy)
+        u, v = math.floor(fx * x * k + cx - 0.5), math.floor(fy * y * k + cy - 0.5)
         if u < 0 or v < 0 or u >= width or v >= height:
             continue
         pixel = observed.images[offset + v * width + u]

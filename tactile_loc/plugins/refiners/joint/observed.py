@@ -14,6 +14,7 @@ from tactile_loc.plugins.refiners.joint.kernels import Observed
 MILLI = 1e3
 NOTHING_MM = 1e6  # the height of what is seen where nothing touches
 FEWEST_PATCHES = 3.0
+UNSEEN = 0.1  # what weight it has that nothing is seen: contacts are missed in patches, and edges wander
 Floats = NDArray[np.float64]
 
 
@@ -35,8 +36,8 @@ def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float
     `noise_m` is the standard deviation of a measured surface point; noise is alike over patches of `patch_m` metres.
     """
     clouds = [_cloud_mm(touch, points, noise_m * MILLI, patch_m * MILLI) for touch in touches]
-    P, n, w = (np.concatenate([cloud[k] for cloud in clouds]) for k in range(3))
-    weight = sample_area_m2 / (patch_m * noise_m * MILLI) ** 2
+    P, n, w, slack = (np.concatenate([cloud[k] for cloud in clouds]) for k in range(4))
+    weight = UNSEEN * sample_area_m2 / (patch_m * noise_m * MILLI) ** 2
     images = [_image_mm(touch) for touch in touches]
     sizes = np.array([image.shape[:2] for image in images])
     starts = np.cumsum([0, *(len(cloud[0]) for cloud in clouds)])
@@ -48,20 +49,23 @@ def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float
     freedom = np.stack([t.freedom * unit * unit[:, None] for t in touches])
     pixels = np.concatenate([image.reshape(-1, 4) for image in images])
     offsets = np.cumsum([0, *sizes.prod(axis=1)[:-1]])
-    return Observed(P, n, w, starts, T, freedom, middles, cameras, pixels, sizes, offsets)
+    return Observed(P, n, w, slack, starts, T, freedom, middles, cameras, pixels, sizes, offsets)
 
 
-def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple[Floats, Floats, Floats]:
-    """Points (P, 3) in mm and normals (P, 3) of what is in contact, thinned evenly, and their weights (P,), 1/mm^2.
+def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Points (P, 3) in mm and normals (P, 3) of what is in contact, thinned evenly, their weights (P,), 1/mm^2, and by
+    how much they may be off for nothing (P,), mm: a wall is somewhere between two pixels.
 
     They weigh as much together as there are patches that err each for itself.
     """
     points, normals = contact_cloud(touch.shape, touch.geometry)
-    area_mm2 = len(points) * (touch.geometry.pixel_pitch_m * MILLI) ** 2
+    pitch_mm = touch.geometry.pixel_pitch_m * MILLI
+    slack_mm = np.full(len(points), 0.5 * pitch_mm)
+    slack_mm[: np.count_nonzero(touch.shape.contact & touch.geometry.observed_mask)] = 0.0  # the surface; then walls
     every = max(1, round(len(points) / most))
-    points, normals = points[::every] * MILLI, normals[::every]
-    patches = max(FEWEST_PATCHES, area_mm2 / patch_mm**2)
-    return points, normals, np.full(len(points), patches / max(len(points), 1) / noise_mm**2)
+    patches = max(FEWEST_PATCHES, len(points) * (pitch_mm / patch_mm) ** 2)
+    points, normals, slack_mm = points[::every] * MILLI, normals[::every], slack_mm[::every]
+    return points, normals, np.full(len(points), patches / max(len(points), 1) / noise_mm**2), slack_mm
 
 
 def _middle_mm(touch: Seen, points_mm: Floats) -> Floats:
@@ -73,7 +77,7 @@ def _middle_mm(touch: Seen, points_mm: Floats) -> Floats:
 
 
 def _image_mm(touch: Seen) -> NDArray[np.float32]:
-    """What each pixel (H, W, 4) shows: the surface's height, and the place x, y, z of the nearest contact; mm."""
+    """What four neighbouring pixels (H - 1, W - 1, 4) show: the least height, and the nearest contact's place; mm."""
     from scipy.ndimage import distance_transform_edt
 
     geometry = touch.geometry
@@ -82,7 +86,8 @@ def _image_mm(touch: Seen) -> NDArray[np.float32]:
     rows, columns = distance_transform_edt(~contact, return_distances=False, return_indices=True)
     height = np.where(geometry.observed_mask, np.where(contact, z_m * MILLI, NOTHING_MM), np.nan)
     places = geometry.backproject(z_m)[rows, columns] * MILLI
-    return np.concatenate([height[..., None], places], axis=-1).astype(np.float32)
+    four = np.stack([height[:-1, :-1], height[1:, :-1], height[:-1, 1:], height[1:, 1:]])
+    return np.concatenate([four.min(axis=0)[..., None], places[:-1, :-1]], axis=-1).astype(np.float32)
 
 
 def _camera_mm(touch: Seen, weight: float) -> Floats:
