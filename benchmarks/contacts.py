@@ -8,12 +8,16 @@ localizer does not use. All rotations are searched. For every number of touches:
 search found it, the choice did not), presses that showed no touch, examples that ended in an error, and the time.
 
 `--clean`, `--strong` and `--misplaced` choose what the touches suffer from; by default all three. `--fingers` presses
-objects between two opposed sensors instead, and reports z. Meshes are given as FILE[:UNITS] or a demo object's name.
+objects between two opposed sensors instead, and reports z. `--outliers` makes one touch of each example wrong, by its
+sensor's pose (5 mm, 10 degrees) or by being of the next object, and none as well: how often the wrong one is named,
+a right one, or nobody while no pose explains all touches. Meshes are given as FILE[:UNITS] or a demo object's name.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import itertools
 import json
 import tempfile
 import time
@@ -24,7 +28,9 @@ from typing import Any
 import numpy as np
 
 from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.geometry import invert, make_transform, rotation_about
 from tactile_loc.core.noise import NOISE, TouchNoise
+from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import Touch
@@ -32,6 +38,7 @@ from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.result import Agreement
 from tactile_loc.store.store import StageStore
 
 WITHIN_MM = (0.5, 1.0)
@@ -40,6 +47,9 @@ LEVELS: dict[str, dict[str, Any]] = {
     "strong": {"noise": TouchNoise(**{**NOISE["strong"].__dict__, "press_share": (1.0, 1.0)})},
     "misplaced": {"sensor_std_m": 0.5e-3, "sensor_std_rad": np.radians(0.5)},
 }
+MOVED_MM, MOVED_DEG = 5.0, 10.0
+KINDS = ("none", "moved", "other object")
+VERDICTS = ("agree", "named", "wrongly named", "nobody named", "failed")
 
 
 def errors_mm(localizer: Localizer, touches: list[Touch]) -> tuple[float, float, float]:
@@ -98,6 +108,70 @@ def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> 
     return rows
 
 
+def moved(touch: Touch, rng: np.random.Generator) -> Touch:
+    """The touch, its sensor elsewhere than the robot believes: shifted, and turned about the middle of the gel."""
+    shift = rng.normal(size=3)
+    gel, R = np.array([0.0, 0.0, touch.geometry.standoff_m]), rotation_about(rng.normal(size=3), np.radians(MOVED_DEG))
+    off = make_transform(R, gel - R @ gel + 1e-3 * MOVED_MM * shift / np.linalg.norm(shift))
+    return dataclasses.replace(touch, T_base_sensor=np.asarray(touch.T_base_sensor) @ off)
+
+
+def spoilt(
+    touches: RobotTouches, strangers: RobotTouches, count: int, rng: np.random.Generator
+) -> tuple[int, dict[str, list[Touch]]]:
+    """One touch's number, and the touches of one example by KINDS of what is wrong with it."""
+    right, _ = touches.example(count, rng)
+    wrong = int(rng.integers(count))
+    (stranger,), _ = strangers.example(1, rng)
+    stranger = dataclasses.replace(stranger, T_base_sensor=right[wrong].T_base_sensor, name=right[wrong].name)
+    swapped = {"none": right[wrong], "moved": moved(right[wrong], rng), "other object": stranger}
+    return wrong, {kind: [*right[:wrong], touch, *right[wrong + 1 :]] for kind, touch in swapped.items()}
+
+
+def verdict(agreement: Agreement, wrong: int | None) -> str:
+    """Which of VERDICTS an example comes to whose touch number `wrong` is; none is, where that is None."""
+    if not agreement.contradictory:
+        return "agree"
+    if not agreement.outliers:
+        return "nobody named"
+    return "named" if agreement.outliers == (wrong,) else "wrongly named"
+
+
+def measure_outliers(
+    localizer: Localizer, other: ObjectModel, arguments: argparse.Namespace, level: str
+) -> list[dict[str, Any]]:
+    """Return a row for each number of touches and kind of what is wrong with one of them."""
+    raycast = registry().create("renderer", "raycast", {})
+    ours, theirs = (
+        RobotTouches(obj, localizer.scene.geometry, raycast, **LEVELS[level]) for obj in (localizer.object, other)
+    )
+    rows: dict[tuple[int, str], list[tuple[str, float]]] = {(n, kind): [] for n in arguments.touches for kind in KINDS}
+    for n, number in itertools.product(arguments.touches, range(arguments.examples)):
+        wrong, example = spoilt(ours, theirs, n, np.random.default_rng([arguments.seed, number]))
+        right = example["none"][1 if wrong == 0 else 0]
+        for kind, touches in example.items():
+            try:
+                found = localize_together([(localizer, touch) for touch in touches])
+            except TactileLocError as error:
+                print(f"  {n} touches, {kind}: {error}", flush=True)
+                rows[n, kind].append(("failed", np.inf))
+                continue
+            T_base_object = np.asarray(touches[0].T_base_sensor) @ found.best.T_sensor_object
+            T = invert(np.asarray(right.T_base_sensor)) @ T_base_object
+            error_m = PoseMetric(localizer.object).symmetric_distance(T[None], np.asarray(right.T_sensor_object)[None])
+            said = verdict(found.agreement, None if kind == "none" else wrong)
+            rows[n, kind].append((said, 1e3 * float(error_m[0])))
+    return [
+        {
+            "object": localizer.object.name, "sensor": localizer.config.sensor.name, "level": level, "touches": n,
+            "wrong": kind, "examples": len(found), **{v: sum(said == v for said, _ in found) for v in VERDICTS},
+            "within 1 mm": sum(error_mm < 1 for _, error_mm in found),
+            "within 1 mm, nobody named": sum(error_mm < 1 for said, error_mm in found if said == "nobody named"),
+        }
+        for (n, kind), found in rows.items()
+    ]  # fmt: skip
+
+
 def main() -> None:
     """Measure, print a table, and write the rows as JSON if asked."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -109,17 +183,16 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--together", default="joint", choices=["joint", "each"])
     parser.add_argument("--fingers", action="store_true")
+    parser.add_argument("--outliers", action="store_true")
     parser.add_argument("--press-mm", nargs="+", type=float, default=[0.5, 1.0, 2.0])
     parser.add_argument("--out", type=Path)
     for level in LEVELS:
         parser.add_argument(f"--{level}", dest="levels", action="append_const", const=level)
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
-    head = f"{'object':14s} {'sensor':14s} {'level':10s} touches  <0.5 mm  <1 mm  median  any<0.5  refused failed   s"
-    print(head + ("   z median, worst" if arguments.fingers else ""), flush=True)
-    for mesh in arguments.meshes:
+    print(heading(arguments), flush=True)
+    for mesh, after in zip(arguments.meshes, [*arguments.meshes[1:], arguments.meshes[0]], strict=True):
         path, _, units = mesh.partition(":")
-        obj = load_object(path, units or "auto")
         for sensor in arguments.sensors:
             with tempfile.TemporaryDirectory() as store:
                 localizer = Localizer.create(
@@ -128,18 +201,40 @@ def main() -> None:
                     grid={"name": "hopf", "spacing_mm": arguments.spacing_mm, "min_contact_percent": 0.25},
                 )  # fmt: skip
                 for level in arguments.levels or LEVELS:
-                    for row in measure(localizer, arguments, level):
-                        rows.append(row)
-                        near, far = row["within"].values()
-                        print(
-                            f"{obj.name:14s} {sensor:14s} {level:10s} {row['touches']:7d} {near:8.0%} {far:6.0%} "
-                            f"{row['median_mm']:7.3f} {row['among_hypotheses']['0.5 mm']:8.0%} {row['refused']:8d} "
-                            f"{row['failed']:6d} {row['median_s']:.2f}"
-                            + (f"   {row['z_median_mm']:.3f}, {row['z_worst_mm']:.3f}" if arguments.fingers else ""),
-                            flush=True,
-                        )
-                        if arguments.out:
-                            arguments.out.write_text(json.dumps(rows, indent=1))
+                    if arguments.outliers:
+                        other_path, _, other_units = after.partition(":")
+                        other = load_object(other_path, other_units or "auto")
+                        found = measure_outliers(localizer, other, arguments, level)
+                    else:
+                        found = measure(localizer, arguments, level)
+                    for row in found:
+                        print(line(row, arguments), flush=True)
+                    rows += found
+                    if arguments.out:
+                        arguments.out.write_text(json.dumps(rows, indent=1))
+
+
+def heading(arguments: argparse.Namespace) -> str:
+    """The table's first line."""
+    if arguments.outliers:
+        return f"{'object':14s} {'sensor':14s} {'level':10s} touches  {'wrong':13s}" + ", ".join([*VERDICTS, "<1 mm"])
+    head = f"{'object':14s} {'sensor':14s} {'level':10s} touches  <0.5 mm  <1 mm  median  any<0.5  refused failed   s"
+    return head + ("   z median, worst" if arguments.fingers else "")
+
+
+def line(row: dict[str, Any], arguments: argparse.Namespace) -> str:
+    """A row of the table."""
+    start = f"{row['object']:14s} {row['sensor']:14s} {row['level']:10s} {row['touches']:7d} "
+    if arguments.outliers:
+        counts = [*(str(row[said]) for said in VERDICTS), str(row["within 1 mm"])]
+        return f"{start} {row['wrong']:13s}" + ", ".join(counts) + f" of {row['examples']}"
+    near, far = row["within"].values()
+    return (
+        f"{start}{near:8.0%} {far:6.0%} "
+        f"{row['median_mm']:7.3f} {row['among_hypotheses']['0.5 mm']:8.0%} {row['refused']:8d} "
+        f"{row['failed']:6d} {row['median_s']:.2f}"
+        + (f"   {row['z_median_mm']:.3f}, {row['z_worst_mm']:.3f}" if arguments.fingers else "")
+    )
 
 
 if __name__ == "__main__":

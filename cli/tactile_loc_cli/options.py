@@ -133,6 +133,7 @@ class RunOptions:
     top: int | None = None
     coverage: float | None = None
     seed: int | None = None
+    drop_outliers: bool = False
 
 
 def run_config(given: RunOptions) -> RunConfig:
@@ -152,7 +153,8 @@ def run_config(given: RunOptions) -> RunConfig:
     overrides = parse_overrides(words)
     for slot in SLOTS:
         settings[slot] = _component(slot, settings.get(slot), getattr(given, slot), overrides.get(slot, {}))
-    settings |= plain | _without_none({"top": given.top, "coverage": given.coverage, "seed": given.seed})
+    chosen = {"top": given.top, "coverage": given.coverage, "seed": given.seed}
+    settings |= plain | _without_none({**chosen, "drop_outliers": given.drop_outliers or None})
     return RunConfig.from_dict(settings, "the command line" if given.config is None else str(given.config))
 
 

@@ -53,6 +53,7 @@ top = 10               # how many poses to list
 seed = 0
 shape_px = 64          # the longer image side of the grid's contact shapes, pixels
 # coverage = 0.95       # list all modes of a set that holds the true pose with this probability
+# drop_outliers = true # of several touches leave out those that contradict the others
 # temperature = 1e-3   # of the softmax over scores; by default fitted to simulated touches
 # drawing = "paper"    # compare with the object where it just touches; by default "pressed", as the sensor sees it
 

@@ -357,6 +357,8 @@ class RefinedPose:
     """A refined pose (4, 4) in metres. `contact_iou`, 0 to 1 (unitless), tells how well it explains the touch's
     outline: `Scene.contact_iou`, the mean over several touches.
 
+    `T_sensors_object` (N, 4, 4), metres, is where each sensor of several touches sees the object, if the refiner solves
+    for the errors of sensor poses; None: where they are said to be.
     `covariance` (6, 6), if the refiner knows it, is that of the error of x, y, z of the object frame's origin (m) and
     of a rotation vector (rad), both along the sensor's axes: the order and frame of ROS's PoseWithCovariance.
     """
@@ -366,6 +368,7 @@ class RefinedPose:
     converged: bool
     iterations: int
     covariance: NDArray[np.float64] | None = None
+    T_sensors_object: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)

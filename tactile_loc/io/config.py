@@ -61,6 +61,7 @@ class RunConfig(_Strict):
     """Everything that decides a result. `shape_px` is the longer image side of the grid's contact shapes, pixels.
 
     `together` refines against several touches: "joint" all at once, "each" by what the refiner makes of each touch.
+    `drop_outliers` leaves out those of several touches that contradict the others.
     `coverage` asks for all modes of a set of poses that holds the true one with that probability, 0 to 1.
     `drawing` is what touches are compared with: the object "pressed", as the sensor sees it, or where it just touches,
     as in the "paper".
@@ -82,6 +83,7 @@ class RunConfig(_Strict):
     together: Literal["joint", "each"] = "joint"
     coverage: float | None = Field(default=None, gt=0, lt=1)
     drawing: Drawing = "pressed"
+    drop_outliers: bool = False
 
     @classmethod
     def from_toml(cls, path: str | Path) -> RunConfig:

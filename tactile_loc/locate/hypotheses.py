@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import invert
-from tactile_loc.core.interfaces import IOU_PX, Candidate, Prior, Refiner, View
+from tactile_loc.core.geometry import invert, rotation_angle
+from tactile_loc.core.interfaces import IOU_PX, Candidate, Prior, RefinedPose, Refiner, View
 from tactile_loc.core.poses import PoseMetric, Poses
 from tactile_loc.core.posterior import Mode, PosePosterior
 from tactile_loc.core.progress import StageTimes
@@ -24,23 +24,29 @@ DOUBT = 8.0  # nats: no touch's grid makes a pose less likely than that
 
 def find_hypotheses(
     views: Sequence[View], modes: Sequence[Mode], refiner: Refiner, metric: PoseMetric, radius_m: float,
-    prior: Prior | None, times: StageTimes,
+    prior: Prior | None, times: StageTimes, outliers: Collection[int] = (),
 ) -> tuple[Hypothesis, ...]:  # fmt: skip
     """Refine modes, poses in the first touch's sensor frame, merge those that end within `radius_m` metres, and weigh.
 
-    After refinement the right one of several explanations shows: see `weighed`.
+    After refinement the right one of several explanations shows: see `weighed`. Views numbered `outliers` have no say.
     """
+    trusted = [number for number in range(len(views)) if number not in outliers]
     with times.stage("refine"):
         candidates = [Candidate(m.T_sensor_object, m.index, float(np.log(max(m.probability, 1e-300)))) for m in modes]
-        refined = refiner.refine_together(views, candidates)
+        refined = refiner.refine_together([views[number] for number in trusted], candidates)
     with times.stage("choose"):
-        ious = explained(views, np.stack([pose.T_sensor_object for pose in refined]))
+        T = np.stack([pose.T_sensor_object for pose in refined])
+        one = len(views) == 1
+        ious = explained(views, T) if one else explained_where_seen(views, T, _seen(views, refined, refiner, trusted))
         hypotheses = [
-            Hypothesis(mode.probability, mode.T_sensor_object, pose, mode.index, len(mode.members), float(iou))
-            for mode, pose, iou in zip(modes, refined, ious, strict=True)
-        ]
+            Hypothesis(
+                mode.probability, mode.T_sensor_object, pose, mode.index, len(mode.members),
+                float(each[trusted].mean()), tuple(map(float, each)),
+            )
+            for mode, pose, each in zip(modes, refined, ious, strict=True)
+        ]  # fmt: skip
         log_prior = None if prior is None else prior(np.stack([h.T_sensor_object for h in hypotheses]))
-        return merge_hypotheses(weighed(hypotheses, len(views), log_prior), metric, radius_m)
+        return merge_hypotheses(weighed(hypotheses, len(trusted), log_prior), metric, radius_m)
 
 
 def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radius_m: float) -> tuple[Hypothesis, ...]:
@@ -84,8 +90,47 @@ def weighed(
 def explained(
     views: Sequence[View], T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0
 ) -> NDArray[np.float64]:
-    """Return how well poses (K, 4, 4) in the first sensor's frame explain the touches: mean (K,) over them, 0 to 1."""
-    return np.asarray(np.mean([view.imprint_ious(T_first_object, pixels, freedom_m) for view in views], axis=0))
+    """Return how well poses (K, 4, 4) in the first sensor's frame explain each of N touches: (K, N), 0 to 1."""
+    return np.stack([view.imprint_ious(T_first_object, pixels, freedom_m) for view in views], axis=1)
+
+
+def explained_where_seen(views: Sequence[View], T_first_object: Poses, seen: Poses) -> NDArray[np.float64]:
+    """Return how well poses (K, 4, 4) explain each of N touches, (K, N), 0 to 1, if its sensor may have been elsewhere.
+
+    `seen` (K, N, 4, 4), metres, is where each sensor would see the object then: for each nat that such an error of its
+    pose costs, half its square in standard deviations, the imprint IoU is one SHARPNESS-th less.
+    """
+    ious = explained(views, T_first_object)
+    for number, view in enumerate(views):
+        nats = _sensor_error_nats(view, seen[:, number] @ invert(view.T_sensor_first @ T_first_object))
+        found = view.scene.imprint_ious(seen[:, number], view.touch) - nats / SHARPNESS
+        ious[:, number] = np.maximum(ious[:, number], found)
+    return ious
+
+
+def _seen(
+    views: Sequence[View], refined: Sequence[RefinedPose], refiner: Refiner, trusted: Sequence[int]
+) -> NDArray[np.float64]:
+    """Where sensors may see refined poses, (K, N, 4, 4): the trusted as the refiner says, others as fits them alone."""
+    seen = np.stack([view.T_sensor_first @ [pose.T_sensor_object for pose in refined] for view in views], axis=1)
+    for k, pose in enumerate(refined):
+        if pose.T_sensors_object is not None:
+            seen[k, trusted] = pose.T_sensors_object
+    for number in set(range(len(views))) - set(trusted):
+        alone = View(views[number].touch, views[number].scene)
+        fitted = refiner.refine_together([alone], [Candidate(T, -1, 0.0) for T in seen[:, number]])
+        seen[:, number] = [pose.T_sensor_object for pose in fitted]
+    return seen
+
+
+def _sensor_error_nats(view: View, error: Poses) -> NDArray[np.float64]:
+    """What errors (K, 4, 4) of a sensor's pose cost, metres, in nats (K,)."""
+    # the first sensor is where it is, unless its touch has no say
+    std_m = max(view.sensor_std_m or view.touch.T_base_sensor_std_m, 1e-6)
+    std_rad = max(view.sensor_std_rad or view.touch.T_base_sensor_std_rad, 1e-6)
+    gel = np.array([0.0, 0.0, view.touch.geometry.standoff_m])
+    shift_m = np.linalg.norm(error[:, :3, :3] @ gel + error[:, :3, 3] - gel, axis=-1)
+    return np.asarray((shift_m / std_m) ** 2 + (rotation_angle(error[:, :3, :3]) / std_rad) ** 2) / 2
 
 
 def proposed(
@@ -105,9 +150,9 @@ def proposed(
     for view, posterior in zip(views, alone, strict=True):
         far, nearest = posterior.grid.nearest(view.T_sensor_first @ poses)
         likely += np.maximum(posterior.log_p[nearest], posterior.log_p.max() - DOUBT) - far / radius_m
-    poses = poses[_apart(poses, likely, fused.grid.metric, 0.5 * radius_m, GLANCED_AT)]
-    ious = explained(views, poses, pixels=GLANCE_PX, freedom_m=radius_m)
-    poses = poses[_apart(poses, ious, fused.grid.metric, radius_m, top)]
+    poses = poses[apart(poses, likely, fused.grid.metric, 0.5 * radius_m, GLANCED_AT)]
+    ious = explained(views, poses, pixels=GLANCE_PX, freedom_m=radius_m).mean(axis=1)
+    poses = poses[apart(poses, ious, fused.grid.metric, radius_m, top)]
     nearest = fused.grid.nearest(poses)[1]
     p = fused.probabilities[nearest]
     return [
@@ -116,10 +161,13 @@ def proposed(
     ]
 
 
-def _apart(
+def apart(
     poses: Poses, worth: NDArray[np.float64], metric: PoseMetric, radius_m: float, count: int
 ) -> NDArray[np.int64]:
-    """The indices of poses (K, 4, 4), the worthiest first, none within a radius of a worthier one, at most `count`."""
+    """Return the indices of at most `count` of the poses (K, 4, 4), by their `worth` (K,), the worthiest first.
+
+    None is within `radius_m` metres of a worthier one.
+    """
     points = metric.embed(poses)
     left = np.argsort(-worth, kind="stable")
     chosen: list[int] = []

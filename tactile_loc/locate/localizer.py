@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_loc.core.errors import GridError, TouchError
 from tactile_loc.core.geometry import invert
@@ -19,7 +20,7 @@ from tactile_loc.core.noise import noise_level
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseGrid
 from tactile_loc.core.posterior import Mode, PosePosterior
-from tactile_loc.core.priors import tempered, touches_behind
+from tactile_loc.core.priors import SeenFrom, tempered, touches_behind
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import Touch
@@ -29,6 +30,7 @@ from tactile_loc.io.meshes import Units, load_object
 from tactile_loc.io.touches import read_touch
 from tactile_loc.locate import coverage as conformal
 from tactile_loc.locate import probabilities
+from tactile_loc.locate.agreement import agreed, best_alone
 from tactile_loc.locate.coverage import ConformalSets, PoseSet
 from tactile_loc.locate.hypotheses import REFINED, find_hypotheses, proposed
 from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel, build_bank, build_model, train_encoder
@@ -38,7 +40,7 @@ from tactile_loc.locate.probabilities import (
     fit_fused_scaling,
     fit_temperature_scaling,
 )
-from tactile_loc.locate.result import Localization
+from tactile_loc.locate.result import Agreement, Hypothesis, Localization
 from tactile_loc.locate.scoring import GridScores, Scores
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
@@ -351,11 +353,53 @@ def localize_together(
     knows `T_base_sensor` (4, 4), metres. The answer is in the first touch's sensor frame, over its localizer's grid;
     `prior` maps that grid's poses (N, 4, 4) to log-weights (N,); `coverage` is as for `Localizer.localize`.
     Raises TactileLocError when nothing fits all of them.
+
+    A touch that contradicts the others is named (`Localization.outliers`); if the first localizer's configuration says
+    `drop_outliers`, it is `left_out`, and the answer is that of the others alone, in the first one's frame of them.
     """
     _require_one_object(observations)
     times = StageTimes()
     alone = [localizer.posteriors([touch], times)[0] for localizer, touch in observations]
-    return _located(observations, alone, prior, top, times, coverage)
+    first, left = observations[0], list(range(len(observations)))
+    while True:
+        some, posteriors = [observations[k] for k in left], [alone[k] for k in left]
+        try:
+            found = _located(some, posteriors, _prior_of(prior, first[1], some[0][1]), top, times, coverage)
+            outliers = found.agreement.outliers
+        except GridError as error:
+            outliers = _excluding(some, posteriors)
+            if not outliers:
+                raise
+            if not first[0].config.drop_outliers:
+                name = some[outliers[0]][1].name
+                raise GridError(f"{error}; without {name} the others agree: --drop-outliers leaves it out") from error
+        if not outliers or not first[0].config.drop_outliers:
+            left_out = tuple(touch for k, (_, touch) in enumerate(observations) if k not in left)
+            return replace(found, left_out=left_out)
+        left = [k for place, k in enumerate(left) if place not in outliers]
+
+
+def _excluding(observations: Sequence[Observation], alone: Sequence[PosePosterior]) -> tuple[int, ...]:
+    """Which one of three touches or more excludes all poses of the others: its number; empty if none or several do."""
+    if len(observations) < 3:
+        return ()
+    excluding = []
+    for k in range(len(observations)):
+        rest = [observations[i] for i in range(len(observations)) if i != k]
+        try:
+            rest[0][0].fuser.fuse([*alone[:k], *alone[k + 1 :]], [touch.T_base_sensor for _, touch in rest])
+        except GridError:
+            continue
+        excluding.append(k)
+    return tuple(excluding) if len(excluding) == 1 else ()
+
+
+def _prior_of(prior: Prior | None, first: Touch, other: Touch) -> Prior | None:
+    """A prior over poses in the first touch's sensor frame as one over those in another's."""
+    if prior is None or other is first:
+        return prior
+    T_first_other = invert(np.asarray(first.T_base_sensor)) @ np.asarray(other.T_base_sensor)
+    return SeenFrom(prior, T_first_other)
 
 
 def _located(
@@ -371,18 +415,28 @@ def _located(
     poses = None if coverage is None else PoseSet.of(posterior, first.conformal_sets(posterior.touches), coverage)
     top = top or first.config.top
     views = [_view(touch, localizer, t) for localizer, t in observations]
+    radius_m = PROPOSAL_RADIUS * first.mode_radius_m
     with times.stage("modes"):
         modes: list[Mode] = []
         if len(views) > 1:
-            modes = proposed(views, alone, posterior, PROPOSAL_RADIUS * first.mode_radius_m, REFINED)
+            modes = proposed(views, alone, posterior, radius_m, REFINED)
         if poses is not None:
             modes += posterior.modes(first.mode_radius_m, None, core=poses.indices)
         elif len(views) == 1:
             modes = posterior.modes(first.mode_radius_m, top)
     refiner = first.refiner if len(views) == 1 else first.refiner_of_several
-    found = find_hypotheses(views, modes, refiner, posterior.grid.metric, first.same_pose_m, known, times)
+
+    def find(outliers: tuple[int, ...] = ()) -> tuple[Hypothesis, ...]:
+        metric = posterior.grid.metric
+        return find_hypotheses(views, modes, refiner, metric, first.same_pose_m, known, times, outliers)
+
+    def at_best() -> NDArray[np.float64]:
+        with times.stage("refine"):
+            return np.array([best_alone(v, p, refiner, radius_m) for v, p in zip(views, alone, strict=True)])
+
+    found, agreement = (find(), Agreement()) if len(views) == 1 else agreed(find, at_best)
     listed = found if poses is not None else found[:top]
-    return Localization(touch, posterior, listed, times.seconds, touches[1:], poses)
+    return Localization(touch, posterior, listed, times.seconds, touches[1:], poses, agreement)
 
 
 def _fused(

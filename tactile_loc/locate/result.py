@@ -21,7 +21,8 @@ class Hypothesis:
     `probability` is that of its whole mode, which holds `grid_poses` poses of the grid; `T_sensor_object_grid` (4, 4)
     the most probable of them, at `grid_index`; `refined` the pose below the grid's resolution, `T_sensor_object`, with
     what the refiner says of it; `imprint_iou`, 0 to 1, how well that pose explains the touches in depth and outline
-    (`Scene.imprint_ious`), the mean over several. Metres.
+    (`Scene.imprint_ious`); of several, `imprint_ious` are those of each, and this is their mean, without outliers'.
+    Metres.
     """
 
     probability: float
@@ -30,6 +31,7 @@ class Hypothesis:
     grid_index: int
     grid_poses: int
     imprint_iou: float
+    imprint_ious: tuple[float, ...] = ()
 
     @property
     def T_sensor_object(self) -> NDArray[np.float64]:  # noqa: N802 - the field's name
@@ -38,11 +40,27 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, eq=False)
+class Agreement:
+    """Whether N touches agree on a pose. Numbers count from 0, in the order in which touches were given.
+
+    `best_ious` (N,), 0 to 1, is the best imprint IoU with each touch of any pose that was tried. If the best hypothesis
+    explains a touch far worse than that, the touches are `contradictory`; `outliers` are the numbers of those that
+    contradict all others, which agree, empty where nobody can say which touch is wrong, as of two.
+    """
+
+    best_ious: tuple[float, ...] = ()
+    outliers: tuple[int, ...] = ()
+    contradictory: bool = False
+
+
+@dataclass(frozen=True, eq=False)
 class Localization:
     """The answer: the posterior, its distinct hypotheses, the best first, and seconds a stage.
 
     Of several touches, `touch` is the first, in whose sensor's frame the answer is; `others` are the rest. `pose_set`
-    are the poses that hold the truth as often as asked for, whose modes the hypotheses are.
+    are the poses that hold the truth as often as asked for, whose modes the hypotheses are. Outliers of the touches'
+    `agreement` are no part of the hypotheses, but of the posterior; touches that were `left_out`, because they
+    contradict these, are part of nothing.
     """
 
     touch: Touch
@@ -51,6 +69,18 @@ class Localization:
     seconds: dict[str, float]
     others: tuple[Touch, ...] = ()
     pose_set: PoseSet | None = None
+    agreement: Agreement = Agreement()
+    left_out: tuple[Touch, ...] = ()
+
+    @property
+    def touches(self) -> tuple[Touch, ...]:
+        """The touches that were localised together."""
+        return (self.touch, *self.others)
+
+    @property
+    def outliers(self) -> tuple[Touch, ...]:
+        """Those of the touches that contradict all others, which agree."""
+        return tuple(self.touches[number] for number in self.agreement.outliers)
 
     @property
     def best(self) -> Hypothesis:

@@ -57,6 +57,10 @@ class TouchRecord(_Record):
     indentation_m: float = Field(description="how deep the object was pressed into the gel, m")
     T_base_sensor: Matrix | None = Field(description="where the sensor was, (4, 4), m; null when not known")
     T_sensor_object: Matrix | None = Field(description="the true pose, (4, 4), m; null when not known")
+    best_imprint_iou: float | None = Field(
+        default=None, description="of several touches: how well any pose that was tried explains this one, 0 to 1"
+    )
+    outlier: bool = Field(default=False, description="whether it contradicts the other touches, which agree")
 
 
 class HypothesisRecord(_Record):
@@ -69,7 +73,11 @@ class HypothesisRecord(_Record):
     T_sensor_object: Matrix = Field(description="that pose refined, (4, 4), m: the answer")
     imprint_iou: float = Field(
         description="how well the refined pose explains the touch in depth and outline, 0 to 1: intersection over "
-        "union of imprints; with the prior, if there is one, it decides the probability"
+        "union of imprints; with the prior, if there is one, it decides the probability; of several touches the mean, "
+        "without outliers"
+    )
+    imprint_ious: list[float] = Field(
+        default_factory=list, description="the same of each touch: `touch`, then `other_touches`"
     )
     contact_iou: float = Field(
         description="what the refiner reached: intersection over union of the observed contact and the pose's, 0 to 1"
@@ -117,6 +125,14 @@ class ResultRecord(_Record):
     object: ObjectRecord = Field(description="the object")
     touch: TouchRecord = Field(description="the touch; of several the first, in whose sensor's frame poses are")
     other_touches: list[TouchRecord] = Field(description="the other touches that were fused with it")
+    contradictory: bool = Field(
+        default=False,
+        description="whether no pose was found that explains all touches; those that contradict the others are each an "
+        "`outlier`, none if nobody can say which",
+    )
+    left_out: list[TouchRecord] = Field(
+        default_factory=list, description="touches that contradict these, and are no part of the result"
+    )
     grid_poses: int = Field(description="poses that were searched")
     normalised_entropy: float = Field(
         description="entropy / log(grid_poses): 0 one pose is certain, 1 nothing is known"
@@ -135,6 +151,7 @@ def result_record(
 ) -> ResultRecord:
     """Gather what a localisation found. `seconds` adds durations of other stages to those of the localisation."""
     config, posterior = localizer.config, localization.posterior
+    touches = _touches(localization, config.touch)
     errors_m = pose_errors_m(localizer.object, localization)
     return ResultRecord(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -142,8 +159,10 @@ def result_record(
         configuration=resolved(config),
         distributions={slot: registry().find(slot, getattr(config, slot).name).distribution for slot in SLOTS},
         object=_object(localizer.object),
-        touch=_touch(localization.touch, config.touch),
-        other_touches=[_touch(touch, config.touch) for touch in localization.others],
+        touch=touches[0],
+        other_touches=touches[1:],
+        contradictory=localization.agreement.contradictory,
+        left_out=[_touch(touch, config.touch) for touch in localization.left_out],
         grid_poses=len(posterior.grid),
         normalised_entropy=localization.normalised_entropy,
         entropy_nats=posterior.entropy,
@@ -152,6 +171,26 @@ def result_record(
         errors=_errors(localization, errors_m),
         seconds={**(seconds or {}), **localization.seconds},
     )
+
+
+def contradictions(record: ResultRecord) -> list[str]:
+    """Return what is to be said of touches that contradict others, a sentence each; nothing of those that agree."""
+    touches = [record.touch, *record.other_touches]
+    fits = [
+        f"{touch.name} to {100 * iou:.0f} % (another pose to {100 * (touch.best_imprint_iou or iou):.0f} %)"
+        for touch, iou in zip(touches, record.hypotheses[0].imprint_ious, strict=False)
+    ]
+    outliers = [fit for touch, fit in zip(touches, fits, strict=False) if touch.outlier]
+    said = [f"{touch.name} contradicted the other touches and was left out" for touch in record.left_out]
+    if outliers:
+        said.append(
+            f"the pose on which {len(touches) - len(outliers)} of {len(touches)} touches agree explains "
+            f"{', '.join(outliers)}; was that sensor where T_base_sensor says, and did it touch this object?"
+        )
+    elif record.contradictory:
+        who = "which of two is wrong nobody can say" if len(touches) == 2 else "which is wrong does not show"
+        said.append(f"no pose was found that explains all touches: the best explains {', '.join(fits)}; {who}")
+    return said
 
 
 def write_result(path: str | Path, record: ResultRecord) -> Path:
@@ -206,12 +245,22 @@ def _touch(touch: Touch, source: TouchConfig) -> TouchRecord:
     )  # fmt: skip
 
 
+def _touches(localization: Localization, source: TouchConfig) -> list[TouchRecord]:
+    """The touches that were localised, with how they agree."""
+    agreement = localization.agreement
+    records = [_touch(touch, source) for touch in localization.touches]
+    return [
+        record.model_copy(update={"best_imprint_iou": best, "outlier": number in agreement.outliers})
+        for number, (record, best) in enumerate(zip(records, agreement.best_ious or [None] * len(records), strict=True))
+    ]
+
+
 def _hypotheses(localization: Localization, errors_m: NDArray[np.float64] | None) -> list[HypothesisRecord]:
     return [
         HypothesisRecord(
             rank=i + 1, probability=h.probability, grid_poses=h.grid_poses,
             T_sensor_object_grid=h.T_sensor_object_grid.tolist(), T_sensor_object=h.T_sensor_object.tolist(),
-            imprint_iou=h.imprint_iou, contact_iou=h.refined.contact_iou,
+            imprint_iou=h.imprint_iou, imprint_ious=list(h.imprint_ious), contact_iou=h.refined.contact_iou,
             covariance=None if h.refined.covariance is None else h.refined.covariance.tolist(),
             converged=h.refined.converged, iterations=h.refined.iterations,
             error_m=None if errors_m is None else float(errors_m[i]),

@@ -13,7 +13,7 @@ from tactile_loc.core.formatting import millimetres, percent
 from tactile_loc.core.geometry import axis_angle
 from tactile_loc.io.toml import toml_text
 from tactile_loc.locate.result_files import NAME, ResultArrays, TouchArrays, read_arrays, read_record
-from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord
+from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord, TouchRecord, contradictions
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.distribution import SurfaceDistribution, side_map, surface_distribution, yaw_histogram
 from tactile_loc.reports.page import Page, Section
@@ -36,8 +36,9 @@ def page_of_result(record: ResultRecord, arrays: ResultArrays) -> Page:
     """Return the page of a result that has been read."""
     data = run_data(record, arrays)
     truth = record.touch.T_sensor_object is not None
+    notes = [*record.object.notes, *contradictions(record)]
     sections = [
-        Section("summary", "", {"numbers": list(_numbers(record)), "notes": record.object.notes}),
+        Section("summary", "", {"numbers": list(_numbers(record)), "notes": notes}),
         Section("candidates", "Candidates", {"header": _header(record), "rows": _rows(record), "truth": truth}),
         Section("contact", "Contact shapes", _contact(record, arrays)),
         Section("distribution", "Distribution", _distribution(record, arrays, data)),
@@ -150,21 +151,25 @@ def _rows(record: ResultRecord) -> list[list[str]]:
 
 def _contact(record: ResultRecord, arrays: ResultArrays) -> dict[str, Any]:
     """The touches, what each candidate would show instead, and the differences."""
-    names = [record.touch.name, *(touch.name for touch in record.other_touches)]
+    records = [record.touch, *record.other_touches]
+    ious = record.hypotheses[0].imprint_ious or [record.hypotheses[0].imprint_iou]
     press_mm = 1e3 * max(touch.shape.press_depth_m for touch in arrays.touches)
     apart = f"{pictures.MOST_APART * press_mm:.2f}"
     words = (f"\N{MINUS SIGN}{apart} and less", "pressed in less … more than the touch (mm)", f"+{apart} and more")
     return {
-        "touches": [_observed(name, touch) for name, touch in zip(names, arrays.touches, strict=True)],
+        "touches": [_observed(*one) for one in zip(records, ious, arrays.touches, strict=True)],
         "depths": (pictures.gradient(pictures.DEPTHS), ("0", "depth from full penetration (mm)", f"{press_mm:.2f}")),
         "differences": (pictures.gradient(pictures.DIFFERENCES), words),
         "cards": [(h.rank, _card(h), _shown(i, arrays.touches)) for i, h in enumerate(record.hypotheses)],
     }
 
 
-def _observed(name: str, touch: TouchArrays) -> dict[str, Any]:
+def _observed(record: TouchRecord, imprint_iou: float, touch: TouchArrays) -> dict[str, Any]:
+    best = record.best_imprint_iou
     return {
-        "name": name,
+        "name": record.name,
+        "explained": "" if best is None else f"{100 * imprint_iou:.0f} % (another pose: {100 * best:.0f} %)",
+        "outlier": record.outlier,
         "frame": pictures.Frame.of(touch.geometry),
         "outline": pictures.outline_path(touch.shape, touch.geometry),
         "picture": pictures.shape_png(touch.shape, touch.geometry),

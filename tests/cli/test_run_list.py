@@ -24,6 +24,21 @@ def listed(cli):
     return {name: np.array(T) for name, T in poses.items()}
 
 
+@pytest.fixture
+def one_moved(cli):
+    """A list of four touches of one object, of which the third's sensor was 8 mm away; returns its name."""
+    assert cli("simulate", *OBJECT, "--count", 4, "--seed", 1, "--out", "touches").exit_code == 0
+    poses = json.loads(Path("touches/poses.json").read_text())["T_sensor_object"]
+    text, names = "", list(poses)
+    for name, T in poses.items():
+        T_base_sensor = np.linalg.inv(T)
+        if name == names[2]:
+            T_base_sensor[:3, 3] += T_base_sensor[:3, 0] * 8e-3
+        text += f'[[touch]]\npath = "touches/{name}.npz"\nT_base_sensor = {T_base_sensor.tolist()}\n'
+    Path("touches.toml").write_text(text)
+    return f"{names[2]}.npz"
+
+
 def prior(kind: str = "gaussian", **keys: object) -> Path:
     lines = [f"{key} = {json.dumps(value)}" for key, value in {"kind": kind, "frame": "sensor", **keys}.items()]
     Path("prior.toml").write_text("\n".join(lines) + "\n")
@@ -86,4 +101,39 @@ def test_bad_lists_and_priors_are_one_sentence(cli, listed):
     touch = ["--touch", f"touches/{name}.npz"]
     assert_refused(cli("run", *OBJECT, *touch, "--prior", based, "--out", "out"), "prior.toml", "T_base_sensor")
     assert_refused(cli("run", *OBJECT, "--touch", "touches", "--prior", based, "--out", "out"), "--prior")
+    assert not Path("out").exists()
+
+
+def test_a_touch_that_contradicts_the_others_is_named_and_can_be_left_out(cli, one_moved, monkeypatch):
+    monkeypatch.setattr("tactile_loc.locate.localizer.REFINED", 8)  # hypotheses are enough for an easy example
+    Path("run.toml").write_text("temperature = 1e-3\n")  # which need not be fitted then
+    several = ["run", *OBJECT, "--config", "run.toml", "--touch", "touches.toml", "--report"]
+    done = cli(*several, "--out", "all")
+    assert done.exit_code == 0, done.stderr
+    assert f"3 of 4 touches agree explains {one_moved} to" in done.stderr
+    assert "--drop-outliers" in done.stderr
+    result = json.loads(Path("all/result.json").read_text())
+    touches = [result["touch"], *result["other_touches"]]
+    assert [touch["outlier"] for touch in touches] == [False, False, True, False]
+    assert len(result["hypotheses"][0]["imprint_ious"]) == 4
+    assert result["contradictory"]
+    page = Path("all/report.html").read_text()
+    assert page.count("contradicts the other touches</strong>") == 1
+    assert f"agree explains {one_moved}" in page
+
+    dropped = cli(*several, "--drop-outliers", "--out", "dropped")
+    assert dropped.exit_code == 0, dropped.stderr
+    assert f"{one_moved} contradicted the other touches and was left out" in dropped.stderr
+    result = json.loads(Path("dropped/result.json").read_text())
+    assert [touch["name"] for touch in result["left_out"]] == [one_moved]
+    assert one_moved not in [touch["name"] for touch in (result["touch"], *result["other_touches"])]
+    assert not result["contradictory"]
+    assert result["configuration"]["drop_outliers"]
+    assert f"{one_moved} contradicted" in Path("dropped/report.html").read_text()
+
+
+def test_of_one_touch_or_a_folder_none_can_be_left_out(cli, listed):
+    name = next(iter(listed))
+    for touch in ([], ["--touch", f"touches/{name}.npz"], ["--touch", "touches"]):
+        assert_refused(cli("run", *OBJECT, *touch, "--drop-outliers", "--out", "out"), "--drop-outliers", "list")
     assert not Path("out").exists()

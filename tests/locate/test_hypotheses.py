@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.geometry import rotation_about, translation
-from tactile_loc.core.interfaces import RefinedPose
+from tactile_loc.core.interfaces import RefinedPose, View
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.sensing import Touch
 from tactile_loc.core.symmetry import SymmetryGroup
-from tactile_loc.locate.hypotheses import SHARPNESS, merge_hypotheses, weighed
+from tactile_loc.locate.hypotheses import SHARPNESS, explained_where_seen, merge_hypotheses, weighed
 from tactile_loc.locate.result import Hypothesis
 from tactile_loc.testing.problems import box
 
@@ -71,3 +72,19 @@ def test_a_prior_outweighs_a_better_explanation_when_it_is_sure():
     assert weighed(two, 1, np.array([0.0, -0.9 * doubt]))[0].imprint_iou == 0.9
     assert weighed(two, 1, np.array([0.0, -1.1 * doubt]))[0].imprint_iou == 0.8
     assert weighed(two, 1, np.array([0.0, -np.inf]))[0].imprint_iou == 0.8
+
+
+def test_a_touch_is_compared_where_its_sensor_may_have_been_at_what_that_costs(make_box, make_scene, flat_camera):
+    scene = make_scene(make_box(0.012, 0.008, 0.006), flat_camera)
+    true = scene.pressed(1e-3).in_contact(np.eye(4)[None])[0]
+    touch = Touch(scene.contact_shape(true[0], 1e-3), flat_camera)
+    beside = translation([1e-3, 0, 0]) @ true  # where it would be if the sensor were where it is said to be
+    nominal = scene.of_touch(touch).imprint_ious(beside, touch)[0]
+    for std_m in (1e-3, 0.5e-3, 0.1e-3):
+        view = View(touch, scene.of_touch(touch), sensor_std_m=std_m, sensor_std_rad=0.01)
+        found = explained_where_seen([view], beside, true[:, None])
+        exact = scene.of_touch(touch).imprint_ious(true, touch)[0]
+        costs = (1e-3 / std_m) ** 2 / 2
+        assert found == pytest.approx(np.array([[max(nominal, exact - costs / SHARPNESS)]]), abs=1e-9)
+        np.testing.assert_allclose(explained_where_seen([view], beside, beside[:, None])[0, 0], nominal)
+    assert nominal < exact

@@ -51,8 +51,10 @@ Coverage = Annotated[
     ),
 ]
 Out = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where result.json, .npz and .png go.")]
-
-
+DropOutliers = Annotated[
+    bool,
+    typer.Option("--drop-outliers", help="With a list of touches: leave out those that contradict all others."),
+]
 Pictures = Annotated[
     bool, typer.Option("--pictures", help="With a folder of touches: draw result.png for each of them, too.")
 ]
@@ -79,6 +81,7 @@ def run(
     option: options.SetOption = None,
     config: options.Config = None,
     prior: PriorFile = None,
+    drop_outliers: DropOutliers = False,
     top: Top = None,
     coverage: Coverage = None,
     seed: options.Seed = None,
@@ -100,9 +103,11 @@ def run(
             object=object, units=units, symmetry=symmetry, touch=touch, touch_unit=touch_unit, press_depth=press_depth,
             noise=noise, sensor=sensor, grid=grid, renderer=renderer, encoder=encoder, matcher=matcher, refiner=refiner,
             fuser=fuser, option=option, config=config, top=top, coverage=coverage, seed=seed,
+            drop_outliers=drop_outliers,
         )
     )  # fmt: skip
     _require_one_source(settings, noise)
+    _require_several(settings)
     require_writable(out)
     localizer = options.open_localizer(settings, store)
     if settings.touch.path is not None and is_folder(Path(settings.touch.path)):
@@ -133,6 +138,19 @@ def _require_one_source(settings: RunConfig, noise: options.Noise | None) -> Non
     if settings.touch.path is not None and (noise is not None or settings.touch.noise != "none"):
         raise ConfigError(
             f"--noise is for simulated touches, but {settings.touch.path} is a touch to be read; leave one of them out"
+        )
+
+
+def _require_several(settings: RunConfig) -> None:
+    """Refuse to leave out touches unless a list of several is given."""
+    from tactile_loc.core.errors import ConfigError
+    from tactile_loc.locate.touch_files import is_list
+
+    path = settings.touch.path
+    if settings.drop_outliers and (path is None or not is_list(Path(path))):
+        raise ConfigError(
+            "--drop-outliers (drop_outliers in a configuration) is for several touches of one object; give a list of "
+            "them (.toml) as --touch, or leave it out"
         )
 
 
@@ -178,12 +196,17 @@ def _report(
     """Show the result, write it (result.json, .npz, .png and, if asked for, the page), and return it and the paths."""
     from tactile_loc.drawing.pictures import draw_result, save_figure
     from tactile_loc.locate.result_files import NAME, gather, write_arrays
-    from tactile_loc.locate.result_json import pose_errors_m, result_record, write_result
+    from tactile_loc.locate.result_json import contradictions, pose_errors_m, result_record, write_result
     from tactile_loc_cli.results import say_result, title
 
+    observations = [pair for pair in observations if any(pair[1] is touch for touch in localization.touches)]
     localizer = observations[0][0]
     record = result_record(localizer, localization, seconds)
     say_result(record)
+    for sentence in contradictions(record):
+        logger.warning("%s", sentence)
+    if localization.outliers:
+        logger.warning("--drop-outliers locates the object without what contradicts the other touches")
     figure = draw_result(localization, localizer.scene, title(record), pose_errors_m(localizer.object, localization))
     written = [
         write_result(out / "result.json", record),

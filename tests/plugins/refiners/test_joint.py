@@ -161,6 +161,8 @@ def test_a_sensor_that_is_off_is_solved_for(make_box):
         into.append(abs(found.T_sensor_object[2, 3] - truth[2, 3]))
     assert doubted[0] < 1e-4
     assert doubted[0] < 0.5 * believed[0]
+    for touch, T in zip(touches, found.T_sensors_object, strict=True):
+        np.testing.assert_allclose(T[2, 3], touch.T_sensor_object[2, 3], atol=1e-4)
 
 
 def test_motions_and_their_logarithms_undo_each_other():

@@ -67,7 +67,7 @@ class JointRefiner(Refiner):
         if not candidates:
             return []
         given = np.stack([candidate.T_sensor_object for candidate in candidates])
-        poses, information, moved_mm = self._registered(views, given)
+        poses, each, information, moved_mm = self._registered(views, given)
         before, after = (_explained(views, T) for T in (given, poses))
         good = after[1] >= before[1] - ROUGHLY
         results = []
@@ -76,12 +76,13 @@ class JointRefiner(Refiner):
             settled = bool(good[k] and moved_mm[k] < SETTLED_MM and iou > 0)
             lever_m = T[:3, :3] @ views[0].scene.object.mesh.centroid_m
             covariance = _covariance(information[k], lever_m) if good[k] else None
-            results.append(RefinedPose(T, float(iou), settled, self.options.iterations, covariance))
+            seen = each[k] if good[k] else None
+            results.append(RefinedPose(T, float(iou), settled, self.options.iterations, covariance, seen))
         return results
 
-    def _registered(self, views: Sequence[View], given: Floats) -> tuple[Floats, Floats, Floats]:
-        """The poses (K, 4, 4) in metres that the given ones end at, their information (K, 6, 6), mm and rad, and last
-        steps (K,), mm."""
+    def _registered(self, views: Sequence[View], given: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """The poses (K, 4, 4) in metres that the given ones end at, where each sensor sees them (K, N, 4, 4), their
+        information (K, 6, 6), mm and rad, and last steps (K,), mm."""
         options, mesh = self.options, views[0].scene.object.mesh
         area_m2 = float(mesh.face_areas.sum()) / SAMPLES
         seen = [self._seen(view) for view in views]
@@ -98,7 +99,8 @@ class JointRefiner(Refiner):
             register, count, T, observed, _triangles_mm(mesh), samples, middle, scales, each, information, moved
         )  # fmt: skip
         T[:, :3, 3] /= MILLI
-        return T, information, moved
+        each[:, :, :3, 3] /= MILLI
+        return T, each, information, moved
 
     def _seen(self, view: View) -> Seen:
         geometry, shape = view.touch.thinned(self.options.image_px)

@@ -1,0 +1,86 @@
+"""Whether several touches agree on a pose, and which of them contradicts the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.interfaces import Candidate, Refiner, View
+from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.locate.hypotheses import LISTED, apart
+from tactile_loc.locate.result import Agreement, Hypothesis
+
+FAR = 0.45  # imprint IoU: a touch contradicts a pose that explains it so much worse than another one does
+WELL = 0.7  # imprint IoU: what a pose explains of touches that agree on it, their mean
+ALONE = 8  # poses that are refined to a touch alone
+
+Hypotheses = tuple[Hypothesis, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """The hypotheses of all touches but `outliers`, and which touches their best contradicts."""
+
+    outliers: tuple[int, ...]
+    hypotheses: Hypotheses
+    far: frozenset[int]
+
+    @property
+    def rest_agree(self) -> bool:
+        """Whether the others agree well, and none of those left out agrees with them."""
+        return self.far == set(self.outliers) and self.hypotheses[0].imprint_iou >= WELL
+
+
+def agreed(
+    find: Callable[[tuple[int, ...]], Hypotheses], best_alone: Callable[[], NDArray[np.float64]]
+) -> tuple[Hypotheses, Agreement]:
+    """Return the hypotheses of all touches but those that contradict the others, and what is to be said of that.
+
+    `find` returns the hypotheses refined to all touches but some, given by number; `best_alone` the imprint IoUs (N,)
+    of the pose that explains each touch best for itself, asked for only if it matters. A touch is an outlier if the
+    others, more than half of all, agree on a pose that explains it far worse than another one does, and if no other
+    touch could be blamed instead.
+    """
+    found = find(())
+    ious = np.array([h.imprint_ious for h in found])
+    best = ious.max(axis=0)
+    if (ious[0] < 1 - FAR).any():
+        best = np.maximum(best, best_alone())
+    if not _tried((), found, best).far:
+        return found, Agreement(_floats(best))
+    left_out: tuple[int, ...] = ()
+    while len(left_out) < (len(best) - 1) // 2:
+        more = [(*left_out, k) for k in range(len(best)) if k not in left_out]
+        trials = [_tried(outliers, find(outliers), best) for outliers in more]
+        blamed = [trial for trial in trials if trial.rest_agree]
+        if len(blamed) == 1:
+            return blamed[0].hypotheses, Agreement(_floats(best), tuple(sorted(blamed[0].outliers)), True)
+        if blamed:
+            break
+        left_out = max(trials, key=lambda trial: trial.hypotheses[0].imprint_iou).outliers
+    return found, Agreement(_floats(best), (), True)
+
+
+def best_alone(view: View, posterior: PosePosterior, refiner: Refiner, radius_m: float) -> float:
+    """Return the best imprint IoU, 0 to 1, of the most probable poses of a touch's own grid, refined to it alone.
+
+    Of its LISTED most probable ones these are ALONE, none within `radius_m` metres of a more probable one.
+    """
+    listed = posterior.top(LISTED)
+    poses = posterior.grid.T_sensor_object[listed]
+    poses = poses[apart(poses, posterior.log_p[listed], posterior.grid.metric, radius_m, ALONE)]
+    alone = View(view.touch, view.scene)
+    refined = refiner.refine_together([alone], [Candidate(T, -1, 0.0) for T in poses])
+    return float(alone.imprint_ious(np.concatenate([poses, [r.T_sensor_object for r in refined]])).max())
+
+
+def _tried(outliers: tuple[int, ...], hypotheses: Hypotheses, best: NDArray[np.float64]) -> _Trial:
+    short = best - hypotheses[0].imprint_ious
+    return _Trial(outliers, hypotheses, frozenset(map(int, np.flatnonzero(short > FAR))))
+
+
+def _floats(values: NDArray[np.float64]) -> tuple[float, ...]:
+    return tuple(map(float, values))

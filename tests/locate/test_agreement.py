@@ -1,0 +1,180 @@
+"""Touches that contradict the others are named, and can be left out."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.geometry import invert, make_transform, rotation_about
+from tactile_loc.core.interfaces import RefinedPose
+from tactile_loc.core.priors import GaussianPrior
+from tactile_loc.io.config import RunConfig
+from tactile_loc.locate import localizer
+from tactile_loc.locate.agreement import agreed
+from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.result import Hypothesis
+
+ELSEWHERE = make_transform(rotation_about([0, 0, 1], np.radians(30)), [0.006, 0.004, 0.0])
+
+
+class Search:
+    """Hypotheses whose best explains each touch as `found` says, by the numbers of those that have no say."""
+
+    def __init__(self, found: dict[tuple[int, ...], tuple[float, ...]], alone: float = 0.9) -> None:
+        self.found, self.alone = found, alone
+        self.asked: list[tuple[int, ...]] = []
+
+    def find(self, outliers: tuple[int, ...]) -> tuple[Hypothesis, ...]:
+        self.asked.append(outliers)
+        ious = self.found.get(tuple(sorted(outliers)), (0.0,) * len(self.found[()]))
+        mean = float(np.mean([iou for number, iou in enumerate(ious) if number not in outliers]))
+        refined = RefinedPose(np.eye(4), 1.0, True, 3)
+        return (Hypothesis(1.0, np.eye(4), refined, grid_index=0, grid_poses=1, imprint_iou=mean, imprint_ious=ious),)
+
+    def best_alone(self) -> np.ndarray:
+        return np.full(len(self.found[()]), self.alone)
+
+    def agreed(self):
+        return agreed(self.find, self.best_alone)
+
+
+def test_touches_that_one_pose_explains_agree_without_more_search():
+    search = Search({(): (0.9, 0.8, 0.7)})
+    found, agreement = search.agreed()
+    assert (agreement.outliers, agreement.contradictory) == ((), False)
+    assert agreement.best_ious == found[0].imprint_ious == (0.9, 0.8, 0.7)
+    assert search.asked == [()]
+
+
+def test_the_one_that_contradicts_the_others_is_named_and_has_no_say():
+    search = Search({(): (0.7, 0.2, 0.7, 0.6), (1,): (0.9, 0.0, 0.9, 0.8)})
+    found, agreement = search.agreed()
+    assert (agreement.outliers, agreement.contradictory) == ((1,), True)
+    assert found[0].imprint_ious == (0.9, 0.0, 0.9, 0.8)
+    assert found[0].imprint_iou == pytest.approx(np.mean([0.9, 0.9, 0.8]))
+    assert agreement.best_ious == (0.9, 0.9, 0.9, 0.9)
+
+
+def test_a_touch_that_no_pose_explains_any_better_contradicts_nothing():
+    assert not Search({(): (0.7, 0.2, 0.7)}, alone=0.3).agreed()[1].contradictory
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        {(): (0.9, 0.1)},  # of two nobody knows
+        {(): (0.5, 0.1, 0.5), (1,): (0.9, 0.0, 0.9), (0,): (0.0, 0.9, 0.9)},  # either of two could be the one
+        {(): (0.6, 0.1, 0.6, 0.5), (1,): (0.6, 0.0, 0.6, 0.6)},  # the others hardly agree: all are noisy
+        {(): (0.9, 0.0, 0.9, 0.0), (1,): (0.9, 0.0, 0.9, 0.0)},  # two against two
+    ],
+)
+def test_nobody_is_named_without_reason(found):
+    hypotheses, agreement = Search(found).agreed()
+    assert (agreement.outliers, agreement.contradictory) == ((), True)
+    assert hypotheses[0].imprint_ious == found[()]
+
+
+def test_two_of_five_can_be_named():
+    five = {(): (0.6, 0.1, 0.6, 0.2, 0.6), (3,): (0.8, 0.0, 0.8, 0.0, 0.8), (1, 3): (0.9, 0.0, 0.9, 0.0, 0.9)}
+    found, agreement = Search(five).agreed()
+    assert agreement.outliers == (1, 3)
+    assert found[0].imprint_iou == pytest.approx(0.9)
+
+
+@pytest.fixture(scope="module")
+def block(make_box, store) -> Iterator[Localizer]:
+    """A block before a sensor of few pixels; fewer hypotheses than usual are enough for it."""
+    coarse = {
+        "sensor": {"name": "gelslim", "image_size_px": [100, 100]}, "grid": {"name": "face", "spacing_mm": 5.0},
+        "temperature": 1e-3,
+    }  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(localizer, "REFINED", 8)
+        yield Localizer(RunConfig.from_dict(coarse), make_box(0.024, 0.014, 0.008, symmetry="z2"), store)
+
+
+@pytest.fixture(scope="module")
+def touches(block):
+    """Four touches of a block that lies at the base's origin."""
+    simulated = block.simulate(4, seed=0, noise="mild")
+    return [dataclasses.replace(touch, T_base_sensor=invert(touch.T_sensor_object)) for touch in simulated]
+
+
+def with_moved(touches, number: int):
+    """The touches, of which one's sensor was elsewhere than is said."""
+    moved = dataclasses.replace(touches[number], T_base_sensor=touches[number].T_base_sensor @ ELSEWHERE)
+    return [*touches[:number], moved, *touches[number + 1 :]]
+
+
+def together(located_by, touches, **more):
+    return localize_together([(located_by, touch) for touch in touches], **more)
+
+
+def dropping(block: Localizer) -> Localizer:
+    config = block.config.model_copy(update={"drop_outliers": True})
+    return Localizer(config, block.object, block.store)
+
+
+def error_m(block, found) -> float:
+    """How far off the object is that lies at the base's origin."""
+    T = found.touch.T_base_sensor @ found.best.T_sensor_object
+    return float(block.model.grid.metric.symmetric_distance(T[None], np.eye(4)[None])[0])
+
+
+def test_touches_of_a_block_agree(block, touches):
+    found = together(block, touches)
+    assert (found.outliers, found.left_out, found.agreement.contradictory) == ((), (), False)
+    assert error_m(block, found) < 1e-3
+    assert found.best.imprint_iou == pytest.approx(np.mean(found.best.imprint_ious))
+
+
+def test_a_touch_whose_sensor_was_elsewhere_is_named_and_does_not_drag_the_pose_along(block, touches):
+    found = together(block, with_moved(touches, 1))
+    assert [touch.name for touch in found.outliers] == [touches[1].name]
+    assert found.best.imprint_ious[1] < 0.5 < found.agreement.best_ious[1]
+    assert found.best.imprint_iou == pytest.approx(np.mean([found.best.imprint_ious[k] for k in (0, 2, 3)]))
+    assert found.left_out == ()
+    assert error_m(block, found) < 1e-3
+
+
+def test_of_two_touches_none_is_named(block, touches):
+    found = together(block, with_moved(touches, 1)[:2])
+    assert found.outliers == ()
+
+
+@pytest.mark.parametrize("wrong", [0, 1])
+def test_left_out_is_as_never_given(block, touches, wrong):
+    given = with_moved(touches, wrong)
+    rest = [touch for number, touch in enumerate(given) if number != wrong]
+    found, alone = together(dropping(block), given), together(block, rest)
+    assert found.left_out == (given[wrong],)
+    assert found.touches == tuple(rest)
+    np.testing.assert_array_equal(found.posterior.log_p, alone.posterior.log_p)
+    np.testing.assert_array_equal(
+        [h.T_sensor_object for h in found.hypotheses], [h.T_sensor_object for h in alone.hypotheses]
+    )
+
+
+def test_what_is_known_before_holds_in_the_frame_of_the_first_that_is_left(block, touches):
+    given = with_moved(touches, 0)
+    of_second = GaussianPrior(np.asarray(touches[1].T_sensor_object), 2e-3, 0.1, block.object.symmetry)
+    T_second_first = invert(given[1].T_base_sensor) @ given[0].T_base_sensor
+    found = together(dropping(block), given, prior=lambda T: of_second(T_second_first @ T))
+    alone = together(block, given[1:], prior=of_second)
+    assert found.left_out == (given[0],)
+    np.testing.assert_allclose(found.posterior.log_p, alone.posterior.log_p, atol=1e-9)
+
+
+def test_a_sensor_that_is_out_of_reach_is_named(block, touches):
+    far = dataclasses.replace(touches[2], T_base_sensor=make_transform(np.eye(3), [5.0, 0.0, 0.0]), name="far away")
+    given = [touches[0], touches[1], far]
+    with pytest.raises(GridError, match="without far away the others agree"):
+        together(block, given)
+    assert together(dropping(block), given).left_out == (far,)
+    with pytest.raises(GridError) as raised:
+        together(dropping(block), [touches[0], far])
+    assert "without" not in str(raised.value)
