@@ -247,8 +247,27 @@ class Localizer:
         one_at_a_time = type(self.refiner).refine_together is Refiner.refine_together
         if self.config.together == "each" or not (one_at_a_time and self.refiner.capabilities.refines):
             return self.refiner
-        joint: Refiner = registry().create("refiner", "joint", {})
+        joint: Refiner = self._joint
         return joint
+
+    @cached_property
+    def _joint(self) -> Any:
+        return registry().create("refiner", "joint", {})
+
+    def with_covariances(self, views: Sequence[View], hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+        """Return hypotheses with the covariances that the joint registration finds where the refiner says none.
+
+        They are of the touches `views`. A pose that was not refined has none.
+        """
+        unknown = [k for k, h in enumerate(hypotheses) if h.refined.covariance is None]
+        if not unknown or not self.refiner.capabilities.refines:
+            return tuple(hypotheses)
+        found = list(hypotheses)
+        poses = np.stack([hypotheses[k].T_sensor_object for k in unknown])
+        for k, covariance in zip(unknown, self._joint.covariances(views, poses), strict=True):
+            refined = replace(hypotheses[k].refined, covariance=covariance)
+            found[k] = replace(hypotheses[k], refined=refined)
+        return tuple(found)
 
     @property
     def mode_radius_m(self) -> float:
@@ -435,7 +454,8 @@ def _located(
             return np.array([best_alone(v, p, refiner, radius_m) for v, p in zip(views, alone, strict=True)])
 
     found, agreement = (find(), Agreement()) if len(views) == 1 else agreed(find, at_best)
-    listed = found if poses is not None else found[:top]
+    with times.stage("choose"):
+        listed = first.with_covariances(views, found if poses is not None else found[:top])
     return Localization(touch, posterior, listed, times.seconds, touches[1:], poses, agreement)
 
 

@@ -35,7 +35,7 @@ LEAST = 1e-12  # probability of the truth, lest one touch decide alone
 FUSED_STAGE, FUSED_VERSION = "fused-temperature", 1
 FUSED_TOUCHES = (2, 3, 5, 7)  # of the examples that are fitted to
 FUSED_EXAMPLES, FUSED_SEED = 40, 0xF05ED  # of each number of touches
-EXPONENTS = np.linspace(0.0, 1.5, 61)
+EXPONENTS = np.linspace(0.0, 1.0, 41)
 
 
 @dataclass(frozen=True)

@@ -88,7 +88,7 @@ class HypothesisRecord(_Record):
         default=None,
         description="covariance (6, 6) of the answer's error, in the order and frame of ROS's PoseWithCovariance: "
         "x, y, z of the object frame's origin (m), rotations about the sensor's x, y, z axes (rad); null when the "
-        "refiner does not know it",
+        "pose was not refined, or the touches say nothing of it",
     )
     error_m: float | None = Field(description="surface distance to the true pose, m; null when that is not known")
 

@@ -11,6 +11,7 @@ from tactile_loc.core.geometry import make_transform, rotation_about, transform_
 from tactile_loc.core.interfaces import Capabilities
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.sensing import ContactShape, Touch
+from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
 from tactile_loc.io.meshes import load_object
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
@@ -320,3 +321,26 @@ def test_only_the_matchers_used_last_are_kept_in_memory(coarse):
         coarse.matcher(step * 1e-4)
         assert coarse.matcher(0.002) is kept
     assert len(coarse.grid_scores._matchers) == MOST_MATCHERS
+
+
+def test_what_was_refined_has_a_covariance(pin, touches):
+    """Every refiner's poses: in half of the touches the true pose is within a few of its standard deviations."""
+    found = [pin.localize(touch) for touch in touches[:6]]
+    for one in found:
+        for h in one.hypotheses:
+            covariance = h.refined.covariance
+            if h.imprint_iou > 0:
+                np.testing.assert_allclose(covariance, covariance.T, atol=1e-12)
+                assert (np.linalg.eigvalsh(covariance) > 0).all()
+    metric = PoseMetric(pin.object)
+    squared = [
+        normalised_error_squared(metric, one.best.T_sensor_object, one.best.refined.covariance, touch.T_sensor_object)
+        for one, touch in zip(found, touches, strict=False)
+    ]
+    assert np.median(squared) < 40
+
+
+def test_what_was_not_refined_has_none(store):
+    localizer = Localizer.create("pin", store=store, refiner="none", **COARSE)
+    found = localizer.localize(localizer.simulate(1, seed=0)[0])
+    assert all(h.refined.covariance is None for h in found.hypotheses)

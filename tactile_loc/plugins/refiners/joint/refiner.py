@@ -67,22 +67,37 @@ class JointRefiner(Refiner):
         if not candidates:
             return []
         given = np.stack([candidate.T_sensor_object for candidate in candidates])
-        poses, each, information, moved_mm = self._registered(views, given)
+        poses, each, information, moved_mm = self._registered(views, given, self._scales_mm)
         before, after = (_explained(views, T) for T in (given, poses))
         good = after[1] >= before[1] - ROUGHLY
         results = []
         for k in range(len(given)):
             T, iou = (poses[k], after[0][k]) if good[k] else (given[k].copy(), before[0][k])
             settled = bool(good[k] and moved_mm[k] < SETTLED_MM and iou > 0)
-            lever_m = T[:3, :3] @ views[0].scene.object.mesh.centroid_m
-            covariance = _covariance(information[k], lever_m) if good[k] else None
+            covariance = _covariance(information[k], _lever_m(views[0], T)) if good[k] else None
             seen = each[k] if good[k] else None
             results.append(RefinedPose(T, float(iou), settled, self.options.iterations, covariance, seen))
         return results
 
-    def _registered(self, views: Sequence[View], given: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """The poses (K, 4, 4) in metres that the given ones end at, where each sensor sees them (K, N, 4, 4), their
-        information (K, 6, 6), mm and rad, and last steps (K,), mm."""
+    def covariances(self, views: Sequence[View], T_first_object: Floats) -> list[Floats | None]:
+        """Return the covariance (6, 6), as RefinedPose's, of each pose (K, 4, 4), metres, that was refined to touches.
+
+        None where they say nothing of it.
+        """
+        information = self._registered(views, T_first_object, self._scales_mm[-1:])[2]
+        return [_covariance(A, _lever_m(views[0], T)) for A, T in zip(information, T_first_object, strict=True)]
+
+    @property
+    def _scales_mm(self) -> Floats:
+        """The scale of the robust weights (I,), iteration by iteration: narrower up to the middle."""
+        start, end, count = self.options.scale_mm, self.options.scale_end_mm, self.options.iterations
+        return np.asarray(start * (end / start) ** np.clip(np.arange(count) / (0.5 * count), 0, 1))
+
+    def _registered(
+        self, views: Sequence[View], given: Floats, scales_mm: Floats
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        """The poses (K, 4, 4) in metres that the given ones end at, where each sensor sees them (K, N, 4, 4), the
+        information (K, 6, 6), mm and rad, of where they were before their last steps (K,), mm."""
         options, mesh = self.options, views[0].scene.object.mesh
         area_m2 = float(mesh.face_areas.sum()) / SAMPLES
         seen = [self._seen(view) for view in views]
@@ -91,12 +106,9 @@ class JointRefiner(Refiner):
         T[:, :3, 3] *= MILLI
         each = np.empty((count, len(views), 4, 4))
         information, moved = np.zeros((count, 6, 6)), np.full(count, np.inf)
-        scales = options.scale_mm * (options.scale_end_mm / options.scale_mm) ** np.clip(
-            np.arange(options.iterations) / (0.5 * options.iterations), 0, 1
-        )
         samples, middle = _samples_mm(mesh), mesh.centroid_m * MILLI
         in_threads(
-            register, count, T, observed, _triangles_mm(mesh), samples, middle, scales, each, information, moved
+            register, count, T, observed, _triangles_mm(mesh), samples, middle, scales_mm, each, information, moved
         )  # fmt: skip
         T[:, :3, 3] /= MILLI
         each[:, :, :3, 3] /= MILLI
@@ -115,6 +127,11 @@ def _explained(views: Sequence[View], T_first_object: Floats) -> tuple[Floats, F
     """Contact IoUs and imprint IoUs (K,) of poses (K, 4, 4) in the first sensor's frame: means over the touches."""
     both = [view.scene.ious(view.T_sensor_first @ T_first_object, view.touch) for view in views]
     return np.mean([contact for contact, _ in both], axis=0), np.mean([imprint for _, imprint in both], axis=0)
+
+
+def _lever_m(view: View, T: Floats) -> Floats:
+    """From the object frame's origin to the centroid (3,), metres, along the sensor's axes."""
+    return np.asarray(T[:3, :3] @ view.scene.object.mesh.centroid_m)
 
 
 def _covariance(information: Floats, lever_m: Floats) -> Floats | None:
