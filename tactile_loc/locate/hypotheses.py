@@ -108,6 +108,13 @@ def explained_where_seen(views: Sequence[View], T_first_object: Poses, seen: Pos
     return ious
 
 
+def likeliest(modes: Sequence[Mode], views: Sequence[View], freedom_m: float, count: int) -> list[Mode]:
+    """Return the modes, at most `count`, that explain touches best at a glance, `freedom_m` metres free along z."""
+    poses = np.stack([mode.T_sensor_object for mode in modes])
+    ious = explained(views, poses, GLANCE_PX, freedom_m).mean(axis=1)
+    return [modes[k] for k in np.argsort(-ious, kind="stable")[:count]]
+
+
 def _seen(
     views: Sequence[View], refined: Sequence[RefinedPose], refiner: Refiner, trusted: Sequence[int]
 ) -> NDArray[np.float64]:

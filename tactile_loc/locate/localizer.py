@@ -32,7 +32,7 @@ from tactile_loc.locate import coverage as conformal
 from tactile_loc.locate import probabilities
 from tactile_loc.locate.agreement import agreed, best_alone
 from tactile_loc.locate.coverage import ConformalSets, PoseSet
-from tactile_loc.locate.hypotheses import REFINED, find_hypotheses, proposed
+from tactile_loc.locate.hypotheses import REFINED, find_hypotheses, likeliest, proposed
 from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel, build_bank, build_model, train_encoder
 from tactile_loc.locate.probabilities import (
     FusedScaling,
@@ -51,6 +51,7 @@ logger = logging.getLogger(__name__)
 MODE_RADIUS = 2.0  # grid spacings between poses that count as one hypothesis
 PROPOSAL_RADIUS = 0.25  # mode radii between poses that are refined
 SAME_POSE = 0.25  # mode radii between refined poses that count as one
+DOUBTED = 12  # modes that are refined again without a touch that may contradict the others
 EXAMPLE_TOUCHES = 50  # of simulated examples, in memory at once
 
 
@@ -446,8 +447,10 @@ def _located(
     refiner = first.refiner if len(views) == 1 else first.refiner_of_several
 
     def find(outliers: tuple[int, ...] = ()) -> tuple[Hypothesis, ...]:
-        metric = posterior.grid.metric
-        return find_hypotheses(views, modes, refiner, metric, first.same_pose_m, known, times, outliers)
+        metric, some = posterior.grid.metric, modes
+        if outliers:
+            some = likeliest(modes, [v for k, v in enumerate(views) if k not in outliers], radius_m, DOUBTED)
+        return find_hypotheses(views, some, refiner, metric, first.same_pose_m, known, times, outliers)
 
     def at_best() -> NDArray[np.float64]:
         with times.stage("refine"):
