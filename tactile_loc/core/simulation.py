@@ -34,7 +34,7 @@ def simulate_touches(
         raise TouchError(
             f"a press of {press * 1e3:.3g} mm is outside the sensor's range of 0 to {deepest * 1e3:.3g} mm"
         )
-    press_noise = _PressNoise(noise or TouchNoise(), scene, press_depth_m, rng.spawn(1)[0])
+    press_noise = PressNoise(noise or TouchNoise(), scene, press_depth_m, rng.spawn(1)[0])
     touches: list[Touch] = []
     rounds = 0
     while len(touches) < count:
@@ -52,8 +52,11 @@ def simulate_touches(
     return touches
 
 
-class _PressNoise:
-    """Presses an object on a sensor that is not quite what it is believed to be."""
+class PressNoise:
+    """Presses an object on a sensor that is not quite what it is believed to be.
+
+    All presses are `press_depth_m` metres deep, or as deep as `noise` draws them; nothing is pressed yet in `scene`.
+    """
 
     def __init__(self, noise: TouchNoise, scene: Scene, press_depth_m: float | None, rng: np.random.Generator) -> None:
         self.noise, self.scene, self.press_depth_m, self.rng = noise, scene, press_depth_m, rng

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.noise import noise_level
@@ -71,7 +72,7 @@ class SimulatedTouches:
         return "as images" if self.images else f"noise: {self.noise}"
 
     def random(self, number: int, purpose: int) -> np.random.SeedSequence:
-        """Return the randomness of a touch (purpose 0), beside it (1) and of its image (2)."""
+        """Return the randomness of a touch (purpose 0), beside it (1), of its image (2), of measuring it again (3)."""
         return np.random.SeedSequence([self.seed, number, purpose])
 
     def describe(self, localizer: Localizer) -> dict[str, Any]:
@@ -83,6 +84,13 @@ class SimulatedTouches:
         sequence = self.random(number, 0)
         seed = int((sequence.spawn(draw)[-1] if draw else sequence).generate_state(1, np.uint64)[0])
         return dataclasses.replace(localizer.simulate(1, seed, noise=self.noise)[0], name=f"touch-{number:04d}")
+
+
+def true_pose(touch: Touch) -> NDArray[np.float64]:
+    """Return a touch's true pose (4, 4), metres. Raises TouchError when it is not known."""
+    if touch.T_sensor_object is None:
+        raise TouchError(f"{touch.name} has no true pose to compare with; simulate it")
+    return touch.T_sensor_object
 
 
 def _seen(localizer: Localizer, touch: Touch, rng: np.random.Generator) -> Touch:

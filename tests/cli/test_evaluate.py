@@ -22,7 +22,7 @@ def test_several_objects_are_evaluated_and_written(cli, tmp_path):
     pictures = {"violins.png", "reliability.png", "gallery-pin-pixel.png", "gallery-head-pixel.png"}
     assert {path.name for path in out.iterdir()} == {"results.json", "results.csv", "results.md", *pictures}
     record = json.loads((out / "results.json").read_text())
-    assert record["protocol"] == {"version": 2, "touches": 3, "noise": "strong", "seed": 2, "images": False}
+    assert record["protocol"] == {"version": 3, "touches": 3, "noise": "strong", "seed": 2, "images": False}
     assert [run["object"] for run in record["runs"]] == ["pin", "head"]
     configuration = record["runs"][0]["configuration"]
     assert configuration["grid"]["options"]["spacing_mm"] == 8
@@ -53,7 +53,7 @@ def test_images_are_read_by_a_sensor_calibrated_on_simulated_ones(cli, tmp_path)
     done = cli("evaluate", "--object", "pin", "--touches", "images", "--sensor", "mine", *FEW)
     assert done.exit_code == 0, done.stderr
     record = json.loads((tmp_path / "evaluation" / "results.json").read_text())
-    assert record["protocol"] == {"version": 2, "touches": 3, "noise": "none", "seed": 0, "images": True}
+    assert record["protocol"] == {"version": 3, "touches": 3, "noise": "none", "seed": 0, "images": True}
     assert "3 simulated touches (as images)" in (tmp_path / "evaluation" / "results.md").read_text()
 
 

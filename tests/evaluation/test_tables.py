@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
 
@@ -15,6 +16,8 @@ from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.evaluation.tables import (
     Run,
+    ambiguity_header,
+    ambiguity_rows,
     csv_text,
     markdown,
     posterior_header,
@@ -36,7 +39,7 @@ def make_run(name: str, encoder: str, seed: int) -> Run:
         rng.uniform(0, 0.01, (12, len(STAGES))),
         rng.uniform(0, 1, (12, len(POSTERIOR_METRICS))),
     )
-    return Run(name, "z2", encoder, 500, Evaluation(errors, poses, seconds, posterior_metrics))
+    return Run(name, "z2", encoder, 500, Evaluation(errors, poses, seconds, posterior_metrics, rng.uniform(0, 3, 12)))
 
 
 def test_trust_is_said_in_table_json_and_mm(runs):
@@ -50,6 +53,31 @@ def test_trust_is_said_in_table_json_and_mm(runs):
     assert found["posterior"]["coverage"] == trust.coverage
     assert found["posterior_metrics"]["nll"] == runs[0].evaluation.posterior_metrics[:, 0].tolist()
     assert " | ".join(row) in markdown(runs, "title")
+
+
+def test_ambiguous_touches_are_counted_and_left_out(runs):
+    run, found = runs[0], record(runs, PROTOCOL)["runs"][0]
+    ratios = np.array(found["ambiguity_ratios"])
+    clear = np.array(found["errors_m"]["chosen"]["add"])[ratios >= 1]
+    assert 0 < len(clear) < len(ratios)
+    assert found["ambiguity"]["ambiguous"] == (ratios < 1).mean()
+    assert found["ambiguity"]["unambiguous"]["chosen"]["median"] == np.median(clear)
+    row = dict(zip(ambiguity_header(), ambiguity_rows(runs)[0], strict=True))
+    assert row["ambiguous"] == f"{100 * (ratios < 1).mean():.0f} %"
+    assert row["chosen, all"] == mm(run.statistics("chosen").median)
+    assert row["chosen, unambiguous"] == mm(np.median(clear))
+    assert " | ".join(row.values()) in markdown(runs, "title")
+
+
+def test_nothing_is_said_of_no_touches_and_infinity_is_no_number():
+    run = make_run("pin", "pixel", 0)
+    for ratio, shown in ((0.0, "-"), (np.inf, mm(run.statistics("chosen").median))):
+        evaluation = dataclasses.replace(run.evaluation, ambiguity=np.full(12, ratio))
+        one = dataclasses.replace(run, evaluation=evaluation)
+        assert ambiguity_rows([one])[0][-1] == shown
+        found = json.loads(json.dumps(record([one], PROTOCOL), allow_nan=False))["runs"][0]
+        assert (found["ambiguity"]["unambiguous"]["chosen"] is None) == (ratio == 0)
+        assert (found["ambiguity_ratios"][0] is None) == (ratio > 0)
 
 
 @pytest.fixture(scope="module")
