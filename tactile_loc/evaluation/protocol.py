@@ -40,7 +40,7 @@ NEAR = 32  # nearest grid poses by root mean square distance, among which the ne
 NEAR_STEP_M = 1e-3  # of a continuous symmetry, in looking for them
 SHARD = 25  # touches localised, saved and resumed at once
 MEASURED = ("errors_m", "T_sensor_object", "seconds", "posterior_metrics")
-ARRAYS = (*MEASURED, "ambiguity")
+ARRAYS = (*MEASURED, "ambiguity", "contact_share", "refused")
 
 
 def surface_points(obj: ObjectModel) -> NDArray[np.float64]:
@@ -129,7 +129,8 @@ class Evaluation:
     `errors_m` (T, L, M) in metres of every line of LINES by every metric of METRICS; `T_sensor_object` (T, L, 4, 4) the
     pose that a line ended with, metres; `seconds` (T, S) of every stage of STAGES, refining one pose;
     `posterior_metrics` (T, B) what POSTERIOR_METRICS names, of each posterior, metres and nats; `ambiguity` (T,) the
-    touches' `ambiguity_ratios`, unitless.
+    touches' `ambiguity_ratios`, unitless; `contact_share` (T,) the share of the observed pixels that a touch shows in
+    contact, 0 to 1; `refused` (T,) how many presses before each showed no touch, and do not count.
     """
 
     errors_m: NDArray[np.float64]
@@ -137,6 +138,8 @@ class Evaluation:
     seconds: NDArray[np.float64]
     posterior_metrics: NDArray[np.float64]
     ambiguity: NDArray[np.float64]
+    contact_share: NDArray[np.float64]
+    refused: NDArray[np.int64]
 
     @property
     def ambiguous(self) -> NDArray[np.bool_]:
@@ -193,7 +196,7 @@ def _near(grid: PoseGrid, T_true: Poses) -> NDArray[np.int64]:
 def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: SimulatedTouches) -> list[NDArray[Any]]:
     """The ARRAYS of some touches."""
     localizer = evaluator.localizer
-    touches = [source.touch(localizer, number) for number in numbers]
+    touches, refused = zip(*(source.drawn(localizer, number) for number in numbers), strict=True)
     for touch in touches:
         localizer.matcher(touch.press_depth_m)  # what is built once is no part of a touch's time
     localizer.most_probable_pose(touches[0])  # nor is loading libraries
@@ -207,7 +210,13 @@ def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: Simulat
         for number, touch in zip(numbers, touches, strict=True):
             rows.append(evaluator.measure(touch, np.random.default_rng(source.random(number, 1))))
             advance(1)
-    return [*(np.stack([getattr(row, name) for row in rows]) for name in MEASURED), ambiguity]
+    measured = (np.stack([getattr(row, name) for row in rows]) for name in MEASURED)
+    return [*measured, ambiguity, np.array([contact_share(touch) for touch in touches]), np.array(refused)]
+
+
+def contact_share(touch: Touch) -> float:
+    """Return the share of the observed pixels that a touch shows in contact, 0 to 1, unitless."""
+    return float(touch.contact_shape.contact[touch.geometry.observed_mask].mean())
 
 
 def _read(artifact: Artifact) -> Evaluation:

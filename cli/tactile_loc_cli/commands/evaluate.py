@@ -27,7 +27,7 @@ DEFAULT_OUT = Path("evaluation")
 DEFAULT_NOISE = "strong"
 DEFAULT_COUNT, CONTACT_COUNT = 150, 100
 # Keys of the files whose lists are as long as there are touches.
-OF_EACH_TOUCH = ("errors_m", "posterior_metrics", "ambiguity_ratios")
+OF_EACH_TOUCH = ("errors_m", "posterior_metrics", "ambiguity_ratios", "contact_shares")
 
 _PART = re.compile(r"(\d+)(?:\.\.(\d+))?")
 
@@ -258,6 +258,8 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
     from tactile_loc.evaluation.tables import (
         ambiguity_header,
         ambiguity_rows,
+        area_header,
+        area_rows,
         medians_mm,
         medians_normalised,
         posterior_header,
@@ -278,6 +280,8 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
     say_table([summary_header(), *medians_normalised(runs)])
     say("\nambiguous touches, and median ADD over all touches and over those that are not, mm")
     say_table([ambiguity_header(), *ambiguity_rows(runs)])
+    say("\nby the share of the sensor in contact: median ADD of chosen, mm, and touches within 1 mm")
+    say_table([area_header(), *area_rows(runs)])
     say("\ncoverage: true poses in the sets that hold so much of the probability, and means")
     say_table([posterior_header(), *posterior_rows(runs)])
     say(f"\nwritten: {', '.join(map(str, written))}")
