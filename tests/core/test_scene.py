@@ -7,9 +7,10 @@ import pytest
 import trimesh
 
 from tactile_loc.core.geometry import make_transform, rotation_about, translation
-from tactile_loc.core.interfaces import OUTLINE_SHARE
+from tactile_loc.core.interfaces import OUTLINE_SHARE, Scene
 from tactile_loc.core.sensing import ContactShape, Touch
-from tactile_loc.testing.problems import CAMERAS, pressed_block, with_depth
+from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
+from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, pressed_block, with_depth
 
 RADIUS_M = 0.008
 
@@ -125,3 +126,21 @@ def test_explained_in_numbers(make_box, make_scene, flat_camera):
     expected = (0.5 + OUTLINE_SHARE) / (1.0 + OUTLINE_SHARE)
     np.testing.assert_allclose(scene.imprint_ious(T[:1], shallow), expected, atol=1e-6)
     assert scene.contact_iou(T[0], shallow) == 1.0  # the outline alone does not see it
+
+
+def test_a_tiny_contact_is_explained_by_its_true_pose(make_object):
+    """Of a ball's tip, a quarter of a percent of the sensor: some thirty pixels are compared, drawn in another way."""
+    camera = CAMERAS["orthographic"].resized(240, 180)
+    ball = make_object(trimesh.creation.icosphere(5, RADIUS_M), name="ball")
+    scene, other = (Scene(ball, camera, renderer) for renderer in (HeightmapRenderer(), ReferenceRenderer()))
+    share, press_m = 1.0, 8e-4
+    while share > 0.0035:
+        press_m *= 0.8
+        pressed = other.pressed(press_m)
+        T, _ = pressed.in_contact(translation([[0.001, 0.0005, 0.0]]))
+        shape = ContactShape(pressed.contact_depths(T)[0], press_m)
+        share = float(shape.contact[camera.observed_mask].mean())
+    assert share > 0.0015
+    contact, imprint = scene.of_touch(touch := Touch(shape, camera)).ious(T, touch)
+    assert contact[0] > 0.9
+    assert imprint[0] > 0.9
