@@ -32,7 +32,7 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
 
 ENCODERS = {"pixel": {"name": "pixel"}, "pixel, depth": {"name": "pixel", "signal": "depth"}, "moco": {"name": "moco"}}
-LINES = ("best-1", "best-10", "best-50", "reg-1", "reg-10", "closest", "oracle", "random")
+LINES = ("best-1", "best-10", "best-50", "reg-1", "reg-10", "closest", "random")
 MATCHED = 20_000  # keys in the matcher's timing
 
 

@@ -39,9 +39,8 @@ from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import Touch
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.metrics import symmetric_adds
-from tactile_loc.evaluation.oracle import true_pose
 from tactile_loc.evaluation.protocol import SURFACE_POINTS
-from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches, true_pose
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import MODE_RADIUS, Localizer
@@ -61,7 +60,7 @@ OURS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 CHOOSING = ("icp", "filterreg", "render")  # refine the ten most probable poses, too
 REFERENCE = "icp"
-LINES = ("reg-1", "chosen of 10", "oracle reg-10")
+LINES = ("reg-1", "chosen of 10", "nearest of 10")
 TEN = 10
 RIGHT_MODE_MM = 6.0
 DISTINCTIVE = 0.1  # of the first mode's probability: a touch with a less probable second mode is distinctive

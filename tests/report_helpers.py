@@ -54,7 +54,8 @@ def write_evaluation(folder: Path, names: tuple[str, ...] = ("pin", "hook"), tou
             rng.uniform(0, 0.01, (touches, len(STAGES))),
             rng.uniform(0, 1, (touches, len(POSTERIOR_METRICS))),
         )
-        found = Evaluation(errors, poses, seconds, posterior_metrics)
+        ratios, shares = rng.uniform(0, (3, 0.2), (touches, 2)).T
+        found = Evaluation(errors, poses, seconds, posterior_metrics, ratios, shares, np.zeros(touches, int))
         runs.append(Run(name, "z2", "pixel", 500, found, {"grid": {"name": "face"}}))
     write_tables(folder, runs, {"touches": touches, "noise": "mild", "seed": 1, "images": False}, "title")
     Image.new("RGB", (2000, 300), "white").save(folder / "gallery-pin-pixel.png")

@@ -256,7 +256,7 @@ class GridSampler(Component):
 
         spacing_mm: float = Field(default=3.0, gt=0, description="mean distance between neighbouring poses, mm")
         min_contact_percent: float = Field(
-            default=2.0, ge=0, le=100, description="least share of the observed pixels in contact, percent"
+            default=0.25, ge=0, le=100, description="least share of the observed pixels in contact, percent"
         )
 
     @property

@@ -19,14 +19,23 @@ def simulate_touches(
     sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator, press_depth_m: float | None = None,
     noise: TouchNoise | None = None,
 ) -> list[Touch]:  # fmt: skip
-    """Make `count` touches with known poses, pressed `press_depth_m` metres deep (by default the sensor's deepest).
+    """Make `count` touches with known poses; see `draw_touches`."""
+    return draw_touches(sampler, scene, count, rng, press_depth_m, noise)[0]
 
-    A pose is where the object is while it is pressed, its deepest point at z = surface - press depth.
-    With `noise`, what is rendered is the pose that the sensor's calibration error makes of the true one, its contact
-    corrupted, cut at the press depth that the sensor measures; the press itself is drawn unless it is given. A touch
-    that keeps less true contact than the sampler asks of a pose is drawn anew; but for those, the same `rng` draws the
-    same poses whatever the noise. Raises TouchError for a press beyond the sensor's range or one that hardly ever
-    leaves an imprint, GridError when the object hardly ever touches.
+
+def draw_touches(
+    sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator, press_depth_m: float | None = None,
+    noise: TouchNoise | None = None,
+) -> tuple[list[Touch], int]:  # fmt: skip
+    """Make `count` touches with known poses, and say how many presses were refused on the way.
+
+    They are pressed `press_depth_m` metres deep (by default the sensor's deepest). A pose is where the object is while
+    it is pressed, its deepest point at z = surface - press depth. With `noise`, what is rendered is the pose that the
+    sensor's calibration error makes of the true one, its contact corrupted, cut at the press depth that the sensor
+    measures; the press itself is drawn unless it is given. A press is refused, and another drawn, when noise leaves
+    less true contact than the sampler asks of a pose, or when all that shows is a flat face; but for those, the same
+    `rng` draws the same poses whatever the noise. Raises TouchError for a press beyond the sensor's range or one that
+    hardly ever leaves an imprint, GridError when the object hardly ever touches.
     """
     deepest = scene.geometry.max_depth_m
     press = deepest if press_depth_m is None else press_depth_m
@@ -34,9 +43,9 @@ def simulate_touches(
         raise TouchError(
             f"a press of {press * 1e3:.3g} mm is outside the sensor's range of 0 to {deepest * 1e3:.3g} mm"
         )
-    press_noise = _PressNoise(noise or TouchNoise(), scene.as_seen(), press_depth_m, rng.spawn(1)[0])
+    press_noise = PressNoise(noise or TouchNoise(), scene.as_seen(), press_depth_m, rng.spawn(1)[0])
     touches: list[Touch] = []
-    rounds = 0
+    rounds = tried = 0
     while len(touches) < count:
         if rounds == MOST_ROUNDS:
             raise TouchError(
@@ -45,15 +54,19 @@ def simulate_touches(
             )
         rounds += 1
         poses = random_contact_poses(sampler, scene, count - len(touches), rng)
+        tried += len(poses)
         percent = sampler.options.min_contact_percent
         for T, shape in zip(*press_noise.pressed(poses, percent), strict=True):
             touch = _touch(shape, scene, T, f"touch-{len(touches):04d}")
             touches += [touch] if touch is not None else []
-    return touches
+    return touches, tried - len(touches)
 
 
-class _PressNoise:
-    """Presses an object on a sensor that is not quite what it is believed to be."""
+class PressNoise:
+    """Presses an object on a sensor that is not quite what it is believed to be.
+
+    All presses are `press_depth_m` metres deep, or as deep as `noise` draws them; nothing is pressed yet in `scene`.
+    """
 
     def __init__(self, noise: TouchNoise, scene: Scene, press_depth_m: float | None, rng: np.random.Generator) -> None:
         self.noise, self.scene, self.press_depth_m, self.rng = noise, scene, press_depth_m, rng

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-DRAWN = ("best-1", "best-10", "best-50", "reg-1", "chosen", "reg-10", "oracle")
+DRAWN = ("best-1", "best-10", "best-50", "reg-1", "chosen", "reg-10")
 COLOURS = ("#2b6cb0", "#dd6b20", "#2f855a", "#6b46c1", "#b83280", "#4a5568")
 RANDOM, CLOSEST = "#c53030", "#1a202c"
 FLOOR = 1e-4  # errors below this share of a random pose's are drawn here

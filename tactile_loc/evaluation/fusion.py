@@ -17,9 +17,8 @@ from tactile_loc.core.poses import Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.registry import registry
 from tactile_loc.evaluation.metrics import symmetric_adds
-from tactile_loc.evaluation.oracle import true_pose
 from tactile_loc.evaluation.protocol import describe_located, save_in_shards, surface_points
-from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches, true_pose
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey

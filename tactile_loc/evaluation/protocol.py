@@ -11,16 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.noise import noise_level
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseGrid, Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import Touch
+from tactile_loc.evaluation.ambiguity import AMBIGUOUS, ambiguity_ratios, judging_noise
 from tactile_loc.evaluation.metrics import add_s, mssd, symmetric_adds
-from tactile_loc.evaluation.oracle import oracle_poses, true_pose
 from tactile_loc.evaluation.posterior_metrics import posterior_metrics
-from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches, true_pose
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
@@ -29,7 +30,7 @@ from tactile_loc.store.workspace import Workspace
 Arrays = Sequence[NDArray[Any]]
 
 PROTOCOL_VERSION = 3  # raised when the same localizer would get other numbers
-LINES = ("best-1", "best-10", "best-50", "reg-1", "chosen", "reg-10", "closest", "oracle", "random", "random-10")
+LINES = ("best-1", "best-10", "best-50", "reg-1", "chosen", "reg-10", "closest", "random", "random-10")
 METRICS = ("add", "mssd", "add-s")
 STAGES = ("encode", "match", "fuse", "refine")
 SURFACE_POINTS = 10_000
@@ -37,7 +38,8 @@ ASKED_EVERY = 10  # of the surface points, for ADD-S
 MOST, FEW = 50, 10  # poses that best-50, and that best-10, chosen, reg-10 and random-10 choose from
 NEAR = 32  # nearest grid poses by root mean square distance, among which the nearest by ADD is looked for
 SHARD = 25  # touches localised, saved and resumed at once
-ARRAYS = ("errors_m", "T_sensor_object", "seconds", "posterior_metrics")
+MEASURED = ("errors_m", "T_sensor_object", "seconds", "posterior_metrics")
+ARRAYS = (*MEASURED, "ambiguity", "contact_share", "refused")
 
 
 def surface_points(obj: ObjectModel) -> NDArray[np.float64]:
@@ -61,11 +63,10 @@ class TouchEvaluator:
 
     localizer: Localizer
 
-    def measure(self, touch: Touch, oracle: int, rng: np.random.Generator) -> MeasuredTouch:
+    def measure(self, touch: Touch, rng: np.random.Generator) -> MeasuredTouch:
         """Localise a touch of known pose and measure it.
 
-        `oracle` is the grid index of the oracle's pose; `rng` draws the random poses. The refinement's time is that of
-        one pose. Raises TouchError without a true pose.
+        `rng` draws the random poses. The refinement's time is that of one pose. Raises TouchError without a true pose.
         """
         truth = true_pose(touch)
         times = StageTimes()
@@ -75,7 +76,7 @@ class TouchEvaluator:
         guesses = rng.integers(len(posterior.grid), size=FEW)
         refined, times.seconds["refine"] = self._refine(touch, posterior, top[:FEW])
         chosen = int(self.localizer.scene.imprint_ious(refined, touch).argmax())
-        poses = self._lines(posterior.grid, truth, top, guesses, oracle, refined, chosen)
+        poses = self._lines(posterior.grid, truth, top, guesses, refined, chosen)
         seconds = np.array([times.seconds[stage] for stage in STAGES])
         return MeasuredTouch(self._errors_m(poses, truth), poses, seconds, posterior_metrics(posterior, truth, rng))
 
@@ -88,18 +89,18 @@ class TouchEvaluator:
         return np.stack([pose.T_sensor_object for pose in (first, *others)]), seconds
 
     def _lines(
-        self, grid: PoseGrid, T_true: Poses, top: NDArray[np.int64], guesses: NDArray[np.int64], oracle: int,
-        refined: Poses, chosen: int,
+        self, grid: PoseGrid, T_true: Poses, top: NDArray[np.int64], guesses: NDArray[np.int64], refined: Poses,
+        chosen: int,
     ) -> Poses:  # fmt: skip
         """The pose (L, 4, 4) of each line: of those it may choose from, the one nearest to the truth by ADD."""
-        on_grid = np.concatenate([top, guesses, [oracle], _near(grid, T_true)])
+        on_grid = np.concatenate([top, guesses, _near(grid, T_true)])
         poses = np.concatenate([grid.T_sensor_object[on_grid], refined])
         errors = symmetric_adds(self.localizer.object, self._points_m, poses, T_true)
         k, n = len(top), len(on_grid)
         choices = {
             "best-1": (0, 1), "best-10": (0, min(FEW, k)), "best-50": (0, k), "reg-1": (n, n + 1),
             "chosen": (n + chosen, n + chosen + 1), "reg-10": (n, len(poses)), "closest": (0, n),
-            "oracle": (k + FEW, k + FEW + 1), "random": (k, k + 1), "random-10": (k, k + FEW),
+            "random": (k, k + 1), "random-10": (k, k + FEW),
         }  # fmt: skip
         return np.stack([poses[a + errors[a:b].argmin()] for a, b in (choices[line] for line in LINES)])
 
@@ -126,13 +127,23 @@ class Evaluation:
 
     `errors_m` (T, L, M) in metres of every line of LINES by every metric of METRICS; `T_sensor_object` (T, L, 4, 4) the
     pose that a line ended with, metres; `seconds` (T, S) of every stage of STAGES, refining one pose;
-    `posterior_metrics` (T, B) what POSTERIOR_METRICS names, of each posterior, metres and nats.
+    `posterior_metrics` (T, B) what POSTERIOR_METRICS names, of each posterior, metres and nats; `ambiguity` (T,) the
+    touches' `ambiguity_ratios`, unitless; `contact_share` (T,) the share of the observed pixels that a touch shows in
+    contact, 0 to 1; `refused` (T,) how many presses before each showed no touch, and do not count.
     """
 
     errors_m: NDArray[np.float64]
     T_sensor_object: Poses
     seconds: NDArray[np.float64]
     posterior_metrics: NDArray[np.float64]
+    ambiguity: NDArray[np.float64]
+    contact_share: NDArray[np.float64]
+    refused: NDArray[np.int64]
+
+    @property
+    def ambiguous(self) -> NDArray[np.bool_]:
+        """The touches (T,) that a distant pose explains as well as the true one, within noise."""
+        return self.ambiguity < AMBIGUOUS
 
     def errors(self, line: str, metric: str = "add") -> NDArray[np.float64]:
         """Return the errors (T,) of a line, metres."""
@@ -184,19 +195,27 @@ def _near(grid: PoseGrid, T_true: Poses) -> NDArray[np.int64]:
 def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: SimulatedTouches) -> list[NDArray[Any]]:
     """The ARRAYS of some touches."""
     localizer = evaluator.localizer
-    touches = [source.touch(localizer, number) for number in numbers]
+    touches, refused = zip(*(source.drawn(localizer, number) for number in numbers), strict=True)
     for touch in touches:
         localizer.matcher(touch.press_depth_m)  # what is built once is no part of a touch's time
     localizer.most_probable_pose(touches[0])  # nor is loading libraries
-    oracle = oracle_poses(localizer, touches)
+    noise = noise_level(judging_noise(source.noise))
+    rngs = [np.random.default_rng(source.random(number, 3)) for number in numbers]
+    ambiguity = ambiguity_ratios(localizer, touches, noise, rngs)
     rows = []
     what = f"{localizer.object.name} ({localizer.config.encoder.name})"
     task = f"locating {what}, touches {numbers[0] + 1} to {numbers[-1] + 1}"
     with localizer.progress.task(task, len(touches)) as advance:
-        for number, touch, index in zip(numbers, touches, oracle, strict=True):
-            rows.append(evaluator.measure(touch, int(index), np.random.default_rng(source.random(number, 1))))
+        for number, touch in zip(numbers, touches, strict=True):
+            rows.append(evaluator.measure(touch, np.random.default_rng(source.random(number, 1))))
             advance(1)
-    return [np.stack([getattr(row, name) for row in rows]) for name in ARRAYS]
+    measured = (np.stack([getattr(row, name) for row in rows]) for name in MEASURED)
+    return [*measured, ambiguity, np.array([contact_share(touch) for touch in touches]), np.array(refused)]
+
+
+def contact_share(touch: Touch) -> float:
+    """Return the share of the observed pixels that a touch shows in contact, 0 to 1, unitless."""
+    return float(touch.contact_shape.contact[touch.geometry.observed_mask].mean())
 
 
 def _read(artifact: Artifact) -> Evaluation:

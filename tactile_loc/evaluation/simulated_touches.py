@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.noise import noise_level
 from tactile_loc.core.sensing import ContactShape, Touch
+from tactile_loc.core.simulation import draw_touches
 from tactile_loc.locate.localizer import Localizer
 
 log = logging.getLogger(__name__)
@@ -39,18 +41,25 @@ class SimulatedTouches:
             )
 
     def touch(self, localizer: Localizer, number: int) -> Touch:
-        """Return touch `number` with its true pose.
+        """Return touch `number` with its true pose; see `drawn`."""
+        return self.drawn(localizer, number)[0]
+
+    def drawn(self, localizer: Localizer, number: int) -> tuple[Touch, int]:
+        """Return touch `number` with its true pose, and how many presses were refused before it showed a touch.
 
         One whose image shows no contact is drawn anew, with a warning. Raises CalibrationError, ConfigError or
         TouchError when no image can be made or read.
         """
+        refused = 0
         for draw in range(MOST_DRAWS):
-            drawn = self._drawn(localizer, number, draw)
+            drawn, without_touch = self._drawn(localizer, number, draw)
+            refused += without_touch
             if not self.images:
-                return drawn
+                return drawn, refused
             try:
-                return _seen(localizer, drawn, np.random.default_rng(self.random(number, 2)))
+                return _seen(localizer, drawn, np.random.default_rng(self.random(number, 2))), refused
             except TouchError as error:
+                refused += 1
                 log.warning("%s of %s is drawn anew: %s", drawn.name, localizer.object.name, error)
         raise TouchError(f"hardly any image of {localizer.object.name} shows contact; calibrate the sensor better")
 
@@ -71,7 +80,7 @@ class SimulatedTouches:
         return "as images" if self.images else f"noise: {self.noise}"
 
     def random(self, number: int, purpose: int) -> np.random.SeedSequence:
-        """Return the randomness of a touch (purpose 0), beside it (1) and of its image (2)."""
+        """Return the randomness of a touch (purpose 0), beside it (1), of its image (2), of measuring it again (3)."""
         return np.random.SeedSequence([self.seed, number, purpose])
 
     def describe(self, localizer: Localizer) -> dict[str, Any]:
@@ -79,10 +88,20 @@ class SimulatedTouches:
         described: dict[str, Any] = {"noise": noise_level(self.noise).describe(), "seed": self.seed}
         return described | ({"images": localizer.sensor.describe()} if self.images else {})
 
-    def _drawn(self, localizer: Localizer, number: int, draw: int) -> Touch:
+    def _drawn(self, localizer: Localizer, number: int, draw: int) -> tuple[Touch, int]:
+        """The touch of one draw, and how many presses were refused before it."""
         sequence = self.random(number, 0)
         seed = int((sequence.spawn(draw)[-1] if draw else sequence).generate_state(1, np.uint64)[0])
-        return dataclasses.replace(localizer.simulate(1, seed, noise=self.noise)[0], name=f"touch-{number:04d}")
+        rng, noise = np.random.default_rng(seed), noise_level(self.noise)
+        (touch,), refused = draw_touches(localizer.sampler, localizer.scene, 1, rng, noise=noise)
+        return dataclasses.replace(touch, name=f"touch-{number:04d}"), refused
+
+
+def true_pose(touch: Touch) -> NDArray[np.float64]:
+    """Return a touch's true pose (4, 4), metres. Raises TouchError when it is not known."""
+    if touch.T_sensor_object is None:
+        raise TouchError(f"{touch.name} has no true pose to compare with; simulate it")
+    return touch.T_sensor_object
 
 
 def _seen(localizer: Localizer, touch: Touch, rng: np.random.Generator) -> Touch:

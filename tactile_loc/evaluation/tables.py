@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,6 +17,19 @@ from tactile_loc.evaluation.protocol import LINES, METRICS, PROTOCOL_VERSION, ST
 
 SCHEMA_VERSION = 2
 SHOWN = tuple(line for line in LINES if line != "random-10")  # in the summary
+JUDGED = ("best-1", "reg-1", "chosen")  # told apart by whether the touches are ambiguous
+AREAS = (0.0, 0.01, 0.02, 0.05, 0.15, 1.0)  # limits of shares of the observed pixels in contact
+AREA_LINE, WITHIN_M = "chosen", 1e-3  # what is told by contact area
+AREA_NOTE = (
+    "By how much of the sensor is in contact: the median ADD of `chosen` in mm, the share of touches within 1 mm, and "
+    "in brackets how many touches there are. Refused: presses that showed no touch, since noise left less contact than "
+    "the grid asks for, or nothing but a flat face; they count nowhere else:"
+)
+AMBIGUITY_NOTE = (
+    "Ambiguous: touches whose contact a pose more than 5 mm away makes as well, within the noise (that of the touches, "
+    "or mild for clean ones). Median ADD in mm over all touches, and over those that are not ambiguous, by which a "
+    "method is to be judged:"
+)
 COVERAGE_NOTE = (
     "Coverage: how many true poses lie in the smallest sets of poses that hold 50, 80 "
     "and 95 % of the probability, the mean negative log-likelihood of the grid pose nearest to the truth beside that "
@@ -34,6 +48,11 @@ class Run(tabular.EvaluatedObject):
         """Return the statistics of a line: in metres, or as shares of the mean random error if `normalised`."""
         values = self.evaluation.errors(line, metric)
         return tabular.Statistics.of(values / self.evaluation.scale_m(metric) if normalised else values)
+
+    def unambiguous(self, line: str) -> tabular.Statistics | None:
+        """Return a line's statistics over the touches that are not ambiguous, metres; None if all are."""
+        errors = self.evaluation.errors(line)[~self.evaluation.ambiguous]
+        return tabular.Statistics.of(errors) if len(errors) else None
 
     def posterior_summary(self) -> PosteriorSummary:
         """Return the metrics of the posteriors, summed up."""
@@ -70,6 +89,42 @@ def time_rows(runs: Sequence[Run]) -> list[list[str]]:
     return [[run.object, run.encoder, *(f"{1e3 * s:.1f}" for s in run.median_seconds().values())] for run in runs]
 
 
+def ambiguity_header() -> list[str]:
+    """Return the heads of the columns of `ambiguity_rows`."""
+    return ["object", "encoder", "ambiguous", *(f"{line}, {of}" for line in JUDGED for of in ("all", "unambiguous"))]
+
+
+def ambiguity_rows(runs: Sequence[Run]) -> list[list[str]]:
+    """Return a row of cells for each run: the share of ambiguous touches, medians over all and over the others, mm."""
+    rows = []
+    for run in runs:
+        row = [run.object, run.encoder, f"{100 * run.evaluation.ambiguous.mean():.0f} %"]
+        for line in JUDGED:
+            others = run.unambiguous(line)
+            row += [mm(run.statistics(line).median), mm(others.median) if others else "-"]
+        rows.append(row)
+    return rows
+
+
+def area_header() -> list[str]:
+    """Return the heads of the columns of `area_rows`."""
+    limits = [f"{100 * share:g}" for share in AREAS]
+    between = [f"{low} to {high} %" for low, high in itertools.pairwise(limits[1:-1])]
+    return ["object", "encoder", "refused", f"below {limits[1]} %", *between, f"above {limits[-2]} %"]
+
+
+def area_rows(runs: Sequence[Run]) -> list[list[str]]:
+    """Return a row of cells for each run: presses refused, and for each contact area "median mm, share (touches)"."""
+    rows = []
+    for run in runs:
+        cells = []
+        for area in _areas(run):
+            near = f"{mm(area['median_m'])}, {100 * area['within_1_mm']:.0f} %" if area["touches"] else ""
+            cells.append(f"{near} ({area['touches']})" if near else "-")
+        rows.append([run.object, run.encoder, str(run.evaluation.refused.sum()), *cells])
+    return rows
+
+
 def posterior_rows(runs: Sequence[Run]) -> list[list[str]]:
     """Return a row of cells for each run: how often each of LEVELS holds, and mean metrics, lengths in mm."""
     rows = []
@@ -91,6 +146,8 @@ def markdown(runs: Sequence[Run], heading: str) -> str:
     """Return all tables as Markdown, the lengths in mm."""
     note = "Median ADD in mm and, in brackets, divided by the mean error of a random pose; symmetry regarded."
     parts = [f"# {heading}\n", f"{note}\n", tabular.markdown_table(summary_header(), summary_rows(runs))]
+    parts += [f"{AMBIGUITY_NOTE}\n", tabular.markdown_table(ambiguity_header(), ambiguity_rows(runs))]
+    parts += [f"{AREA_NOTE}\n", tabular.markdown_table(area_header(), area_rows(runs))]
     times = tabular.markdown_table(["object", "encoder", *STAGES], time_rows(runs))
     parts += [f"Median time of each stage, ms:\n\n{times}"]
     parts += [f"{COVERAGE_NOTE}\n", tabular.markdown_table(posterior_header(), posterior_rows(runs))]
@@ -126,10 +183,34 @@ def _run_record(run: Run) -> dict[str, Any]:
         random_mean_m={metric: evaluation.scale_m(metric) for metric in METRICS},
         median_seconds=run.median_seconds(),
         lines={line: {metric: _statistics(run, line, metric) for metric in METRICS} for line in LINES},
+        ambiguity=_ambiguity(run),
+        ambiguity_ratios=[r if np.isfinite(r) else None for r in evaluation.ambiguity.tolist()],
+        refused=int(evaluation.refused.sum()),
+        contact_areas=_areas(run),
+        contact_shares=evaluation.contact_share.tolist(),
         posterior={**asdict(run.posterior_summary()), "levels": list(LEVELS)},
         posterior_metrics=dict(zip(POSTERIOR_METRICS, evaluation.posterior_metrics.T.tolist(), strict=True)),
         errors_m={line: {m: evaluation.errors(line, m).tolist() for m in METRICS} for line in LINES},
     )
+
+
+def _ambiguity(run: Run) -> dict[str, Any]:
+    """The share of ambiguous touches, and each of JUDGED over the others, metres; null where all are ambiguous."""
+    others = {line: run.unambiguous(line) for line in JUDGED}
+    unambiguous = {line: None if found is None else asdict(found) for line, found in others.items()}
+    return {"ambiguous": float(run.evaluation.ambiguous.mean()), "unambiguous": unambiguous}
+
+
+def _areas(run: Run) -> list[dict[str, Any]]:
+    """The touches of each of AREAS, and the errors of AREA_LINE over them, metres; null where there is none."""
+    errors, share = run.evaluation.errors(AREA_LINE), run.evaluation.contact_share
+    found = []
+    for low, high in itertools.pairwise(AREAS):
+        some = errors[(share >= low) & ((share < high) | (high == AREAS[-1]))]
+        within = float((some < WITHIN_M).mean()) if len(some) else None
+        median_m = float(np.median(some)) if len(some) else None
+        found.append({"from": low, "to": high, "touches": len(some), "median_m": median_m, "within_1_mm": within})
+    return found
 
 
 def _statistics(run: Run, line: str, metric: str) -> dict[str, Any]:

@@ -111,6 +111,7 @@ def _first(lines: Sequence[str]) -> str:
 
 def _numbers(runs: Sequence[Run], line: str) -> list[tuple[str, str, str]]:
     medians = [run["lines"][line]["add"] for run in runs]
+    ambiguous = float(np.mean([run["ambiguity"]["ambiguous"] for run in runs]))
     middle_mm = mm(float(np.median([m["metres"]["median"] for m in medians])))
     share = float(np.median([m["normalised"]["median"] for m in medians]))
     covered = np.mean([run["posterior"]["coverage"] for run in runs], axis=0)
@@ -122,6 +123,7 @@ def _numbers(runs: Sequence[Run], line: str) -> list[tuple[str, str, str]]:
     return [
         (f"median ADD, {line}", f"{middle_mm} mm", of_all),
         ("of a random pose's mean", f"{share:.3f}", "the same, as a share"),
+        ("ambiguous", f"{100 * ambiguous:.0f} %", "of the touches: a distant pose makes that contact, within noise"),
         *sets,
     ]
 

@@ -10,7 +10,7 @@ from tactile_loc.core import simulation
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry import is_rigid
 from tactile_loc.core.noise import NOISE, TouchNoise
-from tactile_loc.core.simulation import simulate_touches
+from tactile_loc.core.simulation import draw_touches, simulate_touches
 from tactile_loc.plugins.grids.face import FaceGrid
 
 
@@ -61,6 +61,18 @@ def test_imprints_of_a_face_that_covers_the_sensor_are_no_touches(make_scene, fl
     for touch in simulate_touches(sampler, scene, 10, np.random.default_rng(4)):
         contact = touch.contact_shape.contact
         assert 0 < contact.mean() < 1
+
+
+def test_presses_that_are_no_touches_are_counted(make_scene, flat_camera, make_box, sampler):
+    """Of a face that covers the sensor at most places; a small one is a touch wherever it is."""
+    large, small = (make_scene(make_box(side, side, 0.01), flat_camera) for side in (0.06, 0.01))
+    touches, refused = draw_touches(sampler, large, 10, np.random.default_rng(4))
+    assert refused > 0
+    again = simulate_touches(sampler, large, 10, np.random.default_rng(4))
+    assert all((a.T_sensor_object == b.T_sensor_object).all() for a, b in zip(touches, again, strict=True))
+    assert draw_touches(sampler, small, 10, np.random.default_rng(4))[1] == 0
+    shy = TouchNoise(missing=4.0, patch_m=0.008)
+    assert draw_touches(sampler, small, 10, np.random.default_rng(4), None, shy)[1] > 0
 
 
 def test_a_press_that_leaves_no_imprint_is_refused(make_scene, flat_camera, make_object, sampler, monkeypatch):

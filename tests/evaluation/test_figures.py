@@ -72,9 +72,7 @@ def test_violins_of_a_single_exact_touch(tmp_path):
 @pytest.mark.parametrize(("count", "columns"), [(6, 6), (3, 3), (1, 1)])
 def test_a_gallery_shows_the_best_the_median_and_the_worst_touch(localizer, tmp_path, count, columns):
     six = evaluate(localizer, 6, SimulatedTouches("strong", 3))
-    evaluation = Evaluation(
-        *(a[:count] for a in (six.errors_m, six.T_sensor_object, six.seconds, six.posterior_metrics))
-    )
+    evaluation = Evaluation(**{field.name: getattr(six, field.name)[:count] for field in dataclasses.fields(six)})
     figure = draw_gallery(localizer, evaluation, SimulatedTouches("strong", 3), "pin")
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
     assert len(titles) == columns

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
 
@@ -15,6 +16,10 @@ from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.evaluation.tables import (
     Run,
+    ambiguity_header,
+    ambiguity_rows,
+    area_header,
+    area_rows,
     csv_text,
     markdown,
     posterior_header,
@@ -36,7 +41,13 @@ def make_run(name: str, encoder: str, seed: int) -> Run:
         rng.uniform(0, 0.01, (12, len(STAGES))),
         rng.uniform(0, 1, (12, len(POSTERIOR_METRICS))),
     )
-    return Run(name, "z2", encoder, 500, Evaluation(errors, poses, seconds, posterior_metrics))
+    return Run(
+        name,
+        "z2",
+        encoder,
+        500,
+        Evaluation(errors, poses, seconds, posterior_metrics, *rng.uniform(0, (3, 0.2), (12, 2)).T, np.arange(12)),
+    )
 
 
 def test_trust_is_said_in_table_json_and_mm(runs):
@@ -50,6 +61,56 @@ def test_trust_is_said_in_table_json_and_mm(runs):
     assert found["posterior"]["coverage"] == trust.coverage
     assert found["posterior_metrics"]["nll"] == runs[0].evaluation.posterior_metrics[:, 0].tolist()
     assert " | ".join(row) in markdown(runs, "title")
+
+
+def test_ambiguous_touches_are_counted_and_left_out(runs):
+    run, found = runs[0], record(runs, PROTOCOL)["runs"][0]
+    ratios = np.array(found["ambiguity_ratios"])
+    clear = np.array(found["errors_m"]["chosen"]["add"])[ratios >= 1]
+    assert 0 < len(clear) < len(ratios)
+    assert found["ambiguity"]["ambiguous"] == (ratios < 1).mean()
+    assert found["ambiguity"]["unambiguous"]["chosen"]["median"] == np.median(clear)
+    row = dict(zip(ambiguity_header(), ambiguity_rows(runs)[0], strict=True))
+    assert row["ambiguous"] == f"{100 * (ratios < 1).mean():.0f} %"
+    assert row["chosen, all"] == mm(run.statistics("chosen").median)
+    assert row["chosen, unambiguous"] == mm(np.median(clear))
+    assert " | ".join(row.values()) in markdown(runs, "title")
+
+
+def test_errors_are_told_by_the_contact_s_area(runs):
+    (found, *_) = record(runs, PROTOCOL)["runs"]
+    shares, errors = np.array(found["contact_shares"]), np.array(found["errors_m"]["chosen"]["add"])
+    assert sum(area["touches"] for area in found["contact_areas"]) == len(shares)
+    assert found["refused"] == sum(range(12))
+    few = found["contact_areas"][3]
+    some = errors[(shares >= 0.05) & (shares < 0.15)]
+    assert (few["from"], few["to"], few["touches"]) == (0.05, 0.15, len(some))
+    assert few["median_m"] == np.median(some)
+    assert few["within_1_mm"] == (some < 1e-3).mean()
+    row = dict(zip(area_header(), area_rows(runs)[0], strict=True))
+    assert row["5 to 15 %"] == f"{mm(np.median(some))}, {100 * few['within_1_mm']:.0f} % ({len(some)})"
+    assert row["refused"] == "66"
+    assert " | ".join(row.values()) in markdown(runs, "title")
+
+
+def test_a_sensor_all_in_contact_is_the_last_area_and_none_is_a_dash():
+    run = make_run("pin", "pixel", 0)
+    full = dataclasses.replace(run, evaluation=dataclasses.replace(run.evaluation, contact_share=np.ones(12)))
+    *others, last = area_rows([full])[0][3:]
+    assert set(others) == {"-"}
+    assert last.endswith("(12)")
+    assert json.loads(json.dumps(record([full], PROTOCOL)))["runs"][0]["contact_areas"][0]["median_m"] is None
+
+
+def test_nothing_is_said_of_no_touches_and_infinity_is_no_number():
+    run = make_run("pin", "pixel", 0)
+    for ratio, shown in ((0.0, "-"), (np.inf, mm(run.statistics("chosen").median))):
+        evaluation = dataclasses.replace(run.evaluation, ambiguity=np.full(12, ratio))
+        one = dataclasses.replace(run, evaluation=evaluation)
+        assert ambiguity_rows([one])[0][-1] == shown
+        found = json.loads(json.dumps(record([one], PROTOCOL), allow_nan=False))["runs"][0]
+        assert (found["ambiguity"]["unambiguous"]["chosen"] is None) == (ratio == 0)
+        assert (found["ambiguity_ratios"][0] is None) == (ratio > 0)
 
 
 @pytest.fixture(scope="module")

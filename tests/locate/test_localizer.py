@@ -20,8 +20,9 @@ from tactile_loc.locate.scoring import MOST_MATCHERS
 from tactile_loc.store.store import StageStore
 
 SMALL = {"shape_px": 60, "sensor": {"name": "gelslim", "image_size_px": [100, 100]}}
-FINE = {**SMALL, "grid": {"name": "face", "spacing_mm": 3.0}}
-COARSE = {**SMALL, "grid": {"name": "face", "spacing_mm": 7.0}}
+AMPLE = {"name": "face", "min_contact_percent": 2.0}  # contact that shows where the object is
+FINE = {**SMALL, "grid": {**AMPLE, "spacing_mm": 3.0}}
+COARSE = {**SMALL, "grid": {**AMPLE, "spacing_mm": 7.0}}
 
 
 @pytest.fixture(scope="module")

@@ -164,7 +164,8 @@ def evaluation(**posterior_metrics: float) -> Evaluation:
     errors_m[:, LINES.index("random")] = np.array([10e-3, 20e-3, 30e-3])[:, None]
     seconds = np.array([[1, 2, 3, 4], [1, 2, 3, 40], [9, 2, 3, 5]]) * 1e-3
     rows = [[posterior_metrics.get(name, 0.4) for name in POSTERIOR_METRICS]] * 3
-    return Evaluation(errors_m, np.zeros((3, len(LINES), 4, 4)), seconds, np.array(rows))
+    poses, ones = np.zeros((3, len(LINES), 4, 4)), np.ones(3)
+    return Evaluation(errors_m, poses, seconds, np.array(rows), ones, ones, np.zeros(3, int))
 
 
 def test_errors_in_mm_and_as_shares_and_times_in_ms():

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 DEFAULT_OUT = Path("evaluation")
 DEFAULT_NOISE = "strong"
 DEFAULT_COUNT, CONTACT_COUNT = 150, 100
-OF_EACH_TOUCH = ("errors_m", "posterior_metrics")  # keys of the files whose lists are as long as there are touches
+# Keys of the files whose lists are as long as there are touches.
+OF_EACH_TOUCH = ("errors_m", "posterior_metrics", "ambiguity_ratios", "contact_shares")
 
 _PART = re.compile(r"(\d+)(?:\.\.(\d+))?")
 
@@ -255,6 +256,10 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
     from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.evaluation.figures import draw_reliability, draw_violins
     from tactile_loc.evaluation.tables import (
+        ambiguity_header,
+        ambiguity_rows,
+        area_header,
+        area_rows,
         medians_mm,
         medians_normalised,
         posterior_header,
@@ -273,6 +278,10 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
     say_table([summary_header(), *medians_mm(runs)])
     say("\nmedian ADD as a share of a random pose's mean")
     say_table([summary_header(), *medians_normalised(runs)])
+    say("\nambiguous touches, and median ADD over all touches and over those that are not, mm")
+    say_table([ambiguity_header(), *ambiguity_rows(runs)])
+    say("\nby the share of the sensor in contact: median ADD of chosen, mm, and touches within 1 mm")
+    say_table([area_header(), *area_rows(runs)])
     say("\ncoverage: true poses in the sets that hold so much of the probability, and means")
     say_table([posterior_header(), *posterior_rows(runs)])
     say(f"\nwritten: {', '.join(map(str, written))}")

@@ -1,0 +1,186 @@
+"""Is a touch ambiguous: does a distant pose make a contact that noise hides the difference of?
+
+Let C be the true pose's contact depths and C' those of another pose, both drawn cleanly at the touch's own press, and
+N1, N2 two noisy measurements of the true pose, over the observed pixels and blurred by 0.3 mm. With the direction
+u = (C' - C) / |C' - C|,
+
+    ratio  =  |C' - C|  /  sqrt( mean of ( u . (N1 - N2) )^2 ),      unitless
+
+is how far the shapes are apart beside how far noise alone moves a measurement along the line between them. It is a
+likelihood ratio's: were the noise Gaussian, whoever knows both shapes and what noise makes of them on average would
+take the wrong one with probability Phi(-ratio / sqrt 2), one time in four at a ratio of 1. A touch's ratio is the least
+over all distant poses, and the touch is ambiguous if it is below 1: that a method then names a wrong pose is no fault
+of its own. Noise off that line is left out: it is most of it, and confuses nobody who looks for this difference.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.compiled import in_threads, njit
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.interfaces import Candidate, Refiner, Scene
+from tactile_loc.core.noise import NOISE, Gel, TouchNoise
+from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
+from tactile_loc.core.registry import registry
+from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.core.simulation import PressNoise
+from tactile_loc.evaluation.simulated_touches import true_pose
+from tactile_loc.locate.localizer import Localizer
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+
+AMBIGUOUS = 1.0  # ratios below
+DISTANT_M = 5e-3  # of surface, root mean square: poses nearer to the truth are the same answer
+RIVALS = 6  # distant poses that are refined
+MEASUREMENTS = 12  # of the true pose, with noise
+EVERY = 3  # of the observed pixels, in looking for rivals
+BLUR_M = 3e-4  # of all contacts that are compared: single pixels of an outline are nobody's evidence
+REFINER = "filterreg"  # always the same: which touches are ambiguous does not depend on the method that is evaluated
+
+
+def judging_noise(noise: str) -> str:
+    """Return the noise that touches of a noise are judged against: their own, or mild for clean ones."""
+    return "mild" if NOISE[noise] == TouchNoise() else noise
+
+
+def ambiguity_ratios(
+    localizer: Localizer, touches: Sequence[Touch], noise: TouchNoise, rngs: Sequence[np.random.Generator]
+) -> Float64:
+    """Return the ratio (T,) of each touch, unitless; infinite where no distant pose is in the grid.
+
+    Each touch's `rng` draws measurements of its true pose with `noise`. Raises TouchError for a touch whose true pose
+    is not known.
+    """
+    truths = np.stack([true_pose(touch) for touch in touches])
+    distances = _shape_distances(localizer, touches, truths)
+    refiner: Refiner = registry().create("refiner", REFINER, {})
+    apart_m = localizer.sampler.options.spacing_mm * 1e-3
+    ratios = []
+    for touch, T_true, apart, rng in zip(touches, truths, distances, rngs, strict=True):
+        rivals = distinct_rivals(localizer.grid_of(touch), T_true, apart, apart_m)
+        ratios.append(_Judge(localizer.scene.as_seen(), refiner, noise).ratio(touch, T_true, rivals, rng))
+    return np.array(ratios)
+
+
+def distinct_rivals(grid: PoseGrid, T_true: Poses, apart: Float32, radius_m: float) -> Poses:
+    """Return the distant grid poses (R, 4, 4), metres, with the least of `apart` (N,), none within a radius of another.
+
+    Distant is farther than DISTANT_M from the true pose (4, 4), symmetry regarded; R is at most RIVALS.
+    """
+    left = np.where(grid.distances(T_true) > DISTANT_M, apart, np.inf)
+    chosen: list[int] = []
+    while len(chosen) < RIVALS and np.isfinite(left.min()):
+        chosen.append(int(left.argmin()))
+        left[np.linalg.norm(grid.phi - grid.phi[chosen[-1]], axis=1) <= radius_m] = np.inf
+    return grid.T_sensor_object[chosen]
+
+
+def noise_ratio(true: Float64, others: Float64, measured: Float64) -> Float64:
+    """Return the module's ratio (R,) of contact depths `others` (R, P) beside the true ones (P,), metres.
+
+    `measured` (K, P) are noisy measurements of the true pose. A shape that does not differ has ratio 0.
+    """
+    difference = others - true
+    length = np.linalg.norm(difference, axis=1)
+    along = measured @ (difference / np.maximum(length, 1e-30)[:, None]).T
+    noise = np.sqrt(2 * along.var(axis=0, ddof=1))  # of the difference of two measurements
+    return np.where(length > 0, length / np.maximum(noise, 1e-30), 0.0)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Judge:
+    """Compares a touch's true pose with its rivals in a scene where nothing is pressed yet."""
+
+    scene: Scene
+    refiner: Refiner
+    noise: TouchNoise
+
+    def ratio(self, touch: Touch, T_true: Poses, rivals: Poses, rng: np.random.Generator) -> float:
+        """The least ratio of the rivals (R, 4, 4), as they are and refined; infinite without any."""
+        pressed = self.scene.of_touch(touch)
+        truth = pressed.in_contact(T_true[None])[0][0]
+        clean = ContactShape(pressed.contact_depths(truth[None])[0], touch.press_depth_m, touch.indentation_m)
+        poses = self._distant(pressed, truth, np.concatenate([rivals, self._refined(touch, clean, rivals)]))
+        if len(poses) == 0:
+            return np.inf
+        measured = self._measured(touch, truth, rng)
+        true, others, noisy = (
+            _gently_blurred(depths, touch.geometry)
+            for depths in (clean.depth_m[None], pressed.contact_depths(poses), measured)
+        )
+        return float(noise_ratio(true[0], others, noisy).min())
+
+    def _distant(self, pressed: Scene, truth: Poses, poses: Poses) -> Poses:
+        """Those of poses (R, 4, 4), metres, that touch far from the truth (4, 4), in contact."""
+        poses, touching = pressed.in_contact(poses)
+        away_m = PoseMetric(pressed.object).symmetric_distance(np.broadcast_to(truth, poses.shape), poses)
+        return poses[touching & (away_m > DISTANT_M)]
+
+    def _refined(self, touch: Touch, clean: ContactShape, rivals: Poses) -> Poses:
+        """The rivals (R, 4, 4) refined against the clean shape, so that the grid's steps hide nothing."""
+        try:
+            target = dataclasses.replace(touch, contact_shape=clean)
+        except TouchError:  # clean, it is nothing but a flat face
+            return rivals
+        candidates = [Candidate(T, k, 0.0) for k, T in enumerate(rivals)]
+        refined = self.refiner.refine_many(target, candidates, self.scene.of_touch(target))
+        return np.array([pose.T_sensor_object for pose in refined]).reshape(-1, 4, 4)
+
+    def _measured(self, touch: Touch, T_true: Poses, rng: np.random.Generator) -> Float32:
+        """Noisy measurements (K, H, W) of the touch's true pose and press, cut at its press depth; metres."""
+        press = PressNoise(self.noise, self.scene, touch.indentation_m, rng)
+        T, _ = self.scene.in_contact(np.repeat(T_true[None], MEASUREMENTS, axis=0))
+        cut_m = np.float32(touch.press_depth_m)
+        measured = np.full((MEASUREMENTS, *touch.geometry.shape), cut_m)
+        for depth, shape in zip(measured, press.pressed(T, 0.0)[1], strict=True):
+            if shape is not None:  # else noise left no contact
+                np.minimum(depth, shape.depth_m, out=depth, where=shape.contact)
+        return measured
+
+
+def _gently_blurred(depths_m: Float32, geometry: SensorGeometry) -> Float64:
+    """Contact depths (N, H, W) at the observed pixels on the gel (N, P), blurred by BLUR_M; metres."""
+    gel = Gel.of(geometry)
+    blurred = gel.blurred(depths_m[:, gel.rows, gel.columns], BLUR_M)
+    return blurred[:, geometry.observed_mask[gel.rows, gel.columns]].astype(float)
+
+
+def _shape_distances(localizer: Localizer, touches: Sequence[Touch], truths: Poses) -> Float32:
+    """Squared distances (T, N) between the grid's contact shapes and those of true poses (T, 4, 4), square metres.
+
+    Both are clean, cut at the touch's press depth, at the grid's resolution, over every EVERY-th observed pixel.
+    """
+    pixels = np.flatnonzero(localizer.coarse_scene.geometry.observed_mask)[::EVERY]
+    press = np.array([touch.press_depth_m for touch in touches], np.float32)
+    wanted = _true_shapes(localizer, touches, truths).reshape(len(touches), -1)[:, pixels]
+    parts = []
+    for depths in localizer.model.shapes.shards():  # at full press: cut at each touch's own while comparing
+        shapes = np.ascontiguousarray(depths.reshape(len(depths), -1)[:, pixels].T)
+        parts.append(np.zeros((len(touches), shapes.shape[1]), np.float32))
+        in_threads(_compare, len(wanted), shapes, wanted, press, parts[-1])
+    return np.concatenate(parts, axis=1)
+
+
+def _true_shapes(localizer: Localizer, touches: Sequence[Touch], truths: Poses) -> Float32:
+    """Clean contact depths (T, H, W) of the true poses, metres, each cut at its touch's press depth."""
+    shapes = []
+    for touch, T in zip(touches, truths, strict=True):
+        pressed = localizer.coarse_scene.pressed(touch.indentation_m, touch.press_depth_m)
+        shapes.append(pressed.contact_depths(pressed.in_contact(T[None])[0])[0])
+    return np.stack(shapes)
+
+
+@njit
+def _compare(first, last, depths, wanted, press, found):  # type: ignore[no-untyped-def]
+    """Add to found (T, S) the squared distances of depths (P, S), cut at press (T,), from wanted (T, P)."""
+    for q in range(first, last):
+        for p in range(len(depths)):
+            for i in range(depths.shape[1]):
+                difference = min(depths[p, i], press[q]) - wanted[q, p]
+                found[q, i] += difference * difference

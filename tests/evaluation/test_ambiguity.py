@@ -1,0 +1,121 @@
+"""Touches are ambiguous where, and only where, a distant pose makes the same contact."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.special import ndtr
+
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.noise import NOISE
+from tactile_loc.core.sensing import ContactShape, Touch
+from tactile_loc.evaluation.ambiguity import (
+    DISTANT_M,
+    RIVALS,
+    ambiguity_ratios,
+    distinct_rivals,
+    judging_noise,
+    noise_ratio,
+)
+from tactile_loc.io.config import RunConfig
+from tactile_loc.locate.localizer import Localizer
+
+MILD = NOISE["mild"]
+SETTINGS = RunConfig.from_dict({"sensor": "gelsight-mini", "grid": {"name": "face", "spacing_mm": 2.5, "face": "+z"}})
+
+
+def ratios(localizer: Localizer, touches: list[Touch], seed: int = 0) -> np.ndarray:
+    return ambiguity_ratios(localizer, touches, MILD, [np.random.default_rng([seed, i]) for i in range(len(touches))])
+
+
+def test_with_gaussian_noise_the_ratio_says_how_often_the_wrong_shape_is_nearer():
+    rng = np.random.default_rng(0)
+    mixing = np.diag(rng.uniform(0.2, 2, 12)) @ np.linalg.qr(rng.normal(size=(12, 12)))[0]
+    true, other = rng.normal(size=(2, 12))
+    measured = true + rng.normal(size=(200_000, 12)) @ mixing
+    for share in (0.3, 0.7, 1.5):
+        rival = true + share * (other - true)
+        wrong = np.linalg.norm(measured - rival, axis=1) < np.linalg.norm(measured - true, axis=1)
+        (ratio,) = noise_ratio(true, rival[None], measured[:5000])
+        assert ndtr(-ratio / np.sqrt(2)) == pytest.approx(wrong.mean(), abs=0.01)
+    assert noise_ratio(true, true[None], measured[:20]) == 0
+
+
+def test_noise_that_is_another_difference_than_the_shapes_hides_nothing():
+    true, other = np.zeros(3), np.array([[1.0, 0.0, 0.0]])
+    measured = np.array([[0.1, 9.0, -9.0], [-0.1, -9.0, 9.0]])
+    assert noise_ratio(true, other, measured) == pytest.approx([1 / np.hypot(0.2, 0)])
+
+
+@pytest.fixture(scope="module")
+def plates(store, make_object) -> dict[str, Localizer]:
+    """A plate of 17 x 6 mm, and one with a notch in one corner, by the symmetry that is declared of them."""
+    plate = trimesh.creation.box((0.017, 0.006, 0.004))
+    corner = trimesh.creation.box((0.004, 0.004, 0.02), make_transform(np.eye(3), [0.0085, 0.003, 0.0]))
+    notched = trimesh.boolean.difference([plate, corner], engine="manifold")
+    objects = {
+        "symmetric": make_object(plate, "z2*x2", "plate"), "alike": make_object(plate, "none", "plate"),
+        "notched": make_object(notched, "none", "notched"),
+    }  # fmt: skip
+    return {name: Localizer(SETTINGS, obj, store) for name, obj in objects.items()}
+
+
+def touch_at(localizer: Localizer, x_m: float, yaw_rad: float = 0.3) -> Touch:
+    """The plate's face on the sensor, its middle `x_m` metres along itself from the sensor's."""
+    R = rotation_about([0, 0, 1], yaw_rad) @ rotation_about([1, 0, 0], np.pi)
+    scene = localizer.scene.pressed(5e-4)
+    T = scene.in_contact(make_transform(R, R @ [x_m, 0.001, 0.0])[None])[0][0]
+    return Touch(ContactShape(scene.contact_depths(T[None])[0], 5e-4), localizer.scene.geometry, "t", T_sensor_object=T)
+
+
+def test_two_poses_that_look_the_same_are_ambiguous_unless_they_are_the_same(plates):
+    """Of a plate, turned by half; declared as its symmetry, that is the same pose."""
+    whole = [touch_at(plates["alike"], x) for x in (0.0, 0.001, -0.002)]
+    assert (ratios(plates["alike"], whole) < 1).all()
+    assert (ratios(plates["symmetric"], whole) > 3).all()
+
+
+def test_a_notch_tells_poses_apart(plates):
+    """It is in view, or the end that has none is."""
+    assert (ratios(plates["notched"], [touch_at(plates["notched"], x) for x in (0.0, 0.012)]) > 2).all()
+
+
+def test_the_same_randomness_gives_the_same_ratio_and_more_noise_a_smaller_one(plates):
+    touch = touch_at(plates["notched"], 0.0)
+    (mild,) = ratios(plates["notched"], [touch])
+    assert mild == ratios(plates["notched"], [touch])[0]
+    assert ambiguity_ratios(plates["notched"], [touch], NOISE["strong"], [np.random.default_rng([0, 0])])[0] < mild
+
+
+def test_rivals_are_distant_from_the_truth_and_from_one_another(localizer):
+    grid, rng = localizer.model.grid, np.random.default_rng(0)
+    truth, apart = grid.T_sensor_object[100], rng.random(len(grid)).astype(np.float32)
+    rivals = distinct_rivals(grid, truth, apart, 0.012)
+    assert len(rivals) == RIVALS
+    assert (grid.metric.symmetric_distance(np.repeat(truth[None], RIVALS, 0), rivals) > DISTANT_M).all()
+    phi = grid.metric.embed(rivals)
+    assert (np.linalg.norm(phi[:, None] - phi[None], axis=-1)[~np.eye(RIVALS, dtype=bool)] > 0.012).all()
+    distant = grid.distances(truth, 1e-3) > DISTANT_M
+    assert (rivals[0] == grid.T_sensor_object[np.flatnonzero(distant)[apart[distant].argmin()]]).all()
+
+
+def test_without_a_distant_pose_nothing_is_ambiguous(plates):
+    touch = touch_at(plates["symmetric"], 0.0)
+    grid = plates["symmetric"].model.grid
+    near = grid.distances(touch.T_sensor_object, 1e-3) < DISTANT_M
+    few = dataclasses.replace(grid, T_sensor_object=grid.T_sensor_object[near])
+    assert distinct_rivals(few, touch.T_sensor_object, np.zeros(len(few), np.float32), 1e-3).shape == (0, 4, 4)
+
+
+def test_clean_touches_are_judged_against_mild_noise():
+    assert [judging_noise(name) for name in ("none", "mild", "strong")] == ["mild", "mild", "strong"]
+
+
+def test_a_touch_without_a_true_pose_is_refused(plates):
+    touch = dataclasses.replace(touch_at(plates["alike"], 0.0), T_sensor_object=None)
+    with pytest.raises(TouchError, match="no true pose"):
+        ratios(plates["alike"], [touch])

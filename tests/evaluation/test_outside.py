@@ -1,0 +1,95 @@
+"""Altered surfaces are as far off as was asked, by closest points found in another way; and noise of another kind."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from trimesh.triangles import closest_point
+
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.evaluation.outside import UnseenNoise, decimated, scanned, split_edges
+
+GEOMETRY = SensorGeometry("orthographic", 64, 48, 3200.0, 3200.0, 32.0, 24.0, 0.010, 0.002)
+
+
+def meshed(solid: trimesh.Trimesh) -> TriangleMesh:
+    return TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
+
+
+def distances_m(points: np.ndarray, mesh: TriangleMesh) -> np.ndarray:
+    """Of points (P, 3) from a surface: to every one of its triangles, and the least."""
+    triangles = mesh.triangles_m
+    return np.array([np.linalg.norm(closest_point(triangles, np.tile(p, (len(triangles), 1))) - p, axis=1).min()
+                     for p in points])  # fmt: skip
+
+
+@pytest.fixture
+def box() -> TriangleMesh:
+    return meshed(trimesh.creation.box((0.020, 0.012, 0.008)))
+
+
+@pytest.mark.parametrize("rms_m", [5e-5, 1e-4])
+def test_a_scan_is_as_far_off_as_was_asked(box, rms_m):
+    rng = np.random.default_rng(0)
+    found = scanned(box, rms_m, 2e-3, rng)
+    off_m = distances_m(found.sample(600, rng), box)
+    assert np.sqrt(np.mean(off_m**2)) == pytest.approx(rms_m, rel=0.15)
+    assert off_m.max() < 4.5 * rms_m
+
+
+def test_a_scan_s_errors_are_alike_nearby_and_not_farther_away(box):
+    """On the top, with their sign: after one correlation length exp(-1/2), after four next to nothing."""
+    covariances = np.zeros(3)
+    for seed in range(6):
+        found = scanned(box, 1e-4, 2e-3, np.random.default_rng(seed))
+        top = found.vertices_m[
+            (found.vertices_m[:, 2] > 0.0035) & (np.abs(found.vertices_m[:, :2]) < [0.009, 0.005]).all(1)
+        ]
+        height, apart = (top[:, 2] - 0.004) / 1e-4, np.linalg.norm(top[:, None, :2] - top[None, :, :2], axis=-1)
+        products = height[:, None] * height
+        covariances += [products[np.abs(apart - at) < 2e-4].mean() / 6 for at in (0, 2e-3, 8e-3)]
+    assert covariances[0] == pytest.approx(1, abs=0.35)
+    assert covariances[1] / covariances[0] == pytest.approx(np.exp(-0.5), abs=0.2)
+    assert abs(covariances[2] / covariances[0]) < 0.35
+
+
+def test_split_edges_leave_the_surface_and_no_gap(box):
+    fine = split_edges(box, 1e-3)
+    edges = fine.vertices_m[fine.faces] - np.roll(fine.vertices_m[fine.faces], -1, axis=1)
+    assert np.linalg.norm(edges, axis=-1).max() <= 1e-3
+    assert fine.face_areas.sum() == pytest.approx(box.face_areas.sum())
+    np.testing.assert_allclose(fine.centroid_m, box.centroid_m, atol=1e-12)
+    solid = trimesh.Trimesh(fine.vertices_m, fine.faces, process=False)
+    assert solid.is_watertight
+    assert solid.volume == pytest.approx(0.020 * 0.012 * 0.008)
+
+
+def test_a_surface_of_separate_triangles_stays_whole(box):
+    apart = TriangleMesh(box.triangles_m.reshape(-1, 3), np.arange(36).reshape(-1, 3))
+    found = scanned(apart, 1e-4, 2e-3, np.random.default_rng(1))
+    assert trimesh.Trimesh(found.vertices_m, found.faces, process=False).is_watertight
+
+
+def test_a_decimated_surface_is_nearly_as_far_off_as_it_may_be():
+    ball = meshed(trimesh.creation.icosphere(4, 0.010))
+    found = decimated(ball, 1e-4, np.random.default_rng(0))
+    assert len(found.faces) < len(ball.faces) / 4
+    off_m = distances_m(ball.sample(500, np.random.default_rng(1)), found)
+    assert 0.6e-4 < np.sqrt(np.mean(off_m**2)) < 1.1e-4
+
+
+def test_unseen_noise_is_what_it_says():
+    rng = np.random.default_rng(0)
+    clean = np.full((30, *GEOMETRY.shape), 2e-3, np.float32)
+    clean[:, 10:40, 10:50] = 5e-4
+    noisy = UnseenNoise().corrupt(clean, np.full(30, 1e-3), GEOMETRY, rng)
+    contact, inside = noisy < np.float32(1e-3), clean < 1e-3
+    assert contact[inside].mean() == pytest.approx(0.95, abs=0.01)
+    assert contact[~inside].mean() == pytest.approx(0.001, abs=0.0005)
+    drift = np.where(contact & inside, noisy - clean, np.nan)
+    assert np.nanmax(np.abs(drift)) < 3e-4
+    assert np.nanmean(np.abs(drift[:, 20, 20:22])) > 1e-6
+    assert np.nanmedian(np.abs(np.diff(drift, axis=2))) < 5e-6, "smooth"
+    assert 2e-5 < np.sqrt(np.nanmean(drift**2)) < 8e-5
