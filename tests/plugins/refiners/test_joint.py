@@ -94,13 +94,35 @@ def test_a_block_between_two_fingers_is_as_thick_as_it_is(make_box, press_m):
     assert middle_m == pytest.approx(geometry.standoff_m - press_m + 0.006, abs=3e-5)
 
 
-def test_a_ball_is_where_its_imprint_is(make_object):
+@pytest.mark.parametrize("corner", [False, True])
+def test_a_ball_is_where_its_imprint_is(make_object, corner):
+    """In the middle, and in a corner of the sensor, which cuts three quarters of its imprint off."""
     ball = make_object(trimesh.creation.icosphere(4, 0.006), "none", "ball")
-    touch = pressed(ball, CAMERAS["orthographic"], np.eye(3), (0.002, -0.001), 0.001)
+    geometry = CAMERAS["orthographic"]
+    _, x1, _, y1 = geometry.rectangle
+    x, y = (x1 + 1e-4, y1 + 2e-4) if corner else (0.002, -0.001)
+    touch = pressed(ball, geometry, np.eye(3), (x, y), 0.001)
     start = translation([0.0006, -0.0004, 0.0005]) @ touch.T_sensor_object
     (found,) = JointRefiner().refine_together(views_of(ball, [touch]), [Candidate(start, 0, 0.0)])
-    centre_m = found.T_sensor_object[:3, 3]
-    np.testing.assert_allclose(centre_m, [0.002, -0.001, 0.010 - 0.001 + 0.006], atol=5e-5)
+    np.testing.assert_allclose(found.T_sensor_object[:3, 3], touch.T_sensor_object[:3, 3], atol=5e-5)
+    if not corner:
+        np.testing.assert_allclose(found.T_sensor_object[:3, 3], [x, y, 0.010 - 0.001 + 0.006], atol=5e-5)
+
+
+def test_a_cone_is_where_its_tip_is(make_object):
+    """Pressed in by h, its imprint is a circle of radius h tan(half the opening), whose middle is the tip."""
+    half, height, press_m = np.radians(60), 0.006, 0.0012
+    solid = trimesh.creation.cone(height * np.tan(half), height, sections=256)
+    cone = make_object(solid.apply_transform(trimesh.transformations.rotation_matrix(np.pi, [1, 0, 0])), "none", "cone")
+    geometry = CAMERAS["orthographic"]
+    touch = pressed(cone, geometry, np.eye(3), (0.0015, -0.001), press_m)
+    area_m2 = touch.contact_shape.contact.sum() * geometry.pixel_pitch_m**2
+    assert area_m2 == pytest.approx(np.pi * (press_m * np.tan(half)) ** 2, rel=0.05)
+    start = translation([-0.0005, 0.0006, 0.0004]) @ touch.T_sensor_object
+    (found,) = JointRefiner().refine_together(views_of(cone, [touch]), [Candidate(start, 0, 0.0)])
+    tip = found.T_sensor_object @ [0.0, 0.0, -height, 1.0]
+    np.testing.assert_allclose(tip[2], geometry.surface_m - press_m, atol=5e-5)
+    np.testing.assert_allclose(tip[:2], (touch.T_sensor_object @ [0.0, 0.0, -height, 1.0])[:2], atol=5e-5)
 
 
 def test_what_the_touches_leave_open_is_uncertain(make_box):
