@@ -161,7 +161,7 @@ def test_a_localizer_learns_once_and_with_another_encoder_anew(tmp_path, monkeyp
     assert first.tail in TAILS
     other = Localizer.create("pin", store=store, encoder={"name": "pixel", "cells": 8}, **COARSE)
     assert other.temperature_scaling != first
-    monkeypatch.setattr("tactile_loc.locate.localizer.fit_temperature_scaling", None)
+    monkeypatch.setattr("tactile_loc.locate.posteriors.fit_temperature_scaling", None)
     again = Localizer.create("pin", store=store, **COARSE)
     assert again.temperature_scaling == first
     keys = {localizer.temperature_key().digest for localizer in (again, other)}
@@ -170,7 +170,7 @@ def test_a_localizer_learns_once_and_with_another_encoder_anew(tmp_path, monkeyp
 
 
 def test_a_temperature_that_is_asked_for_is_taken(tmp_path, monkeypatch):
-    monkeypatch.setattr("tactile_loc.locate.localizer.fit_temperature_scaling", None)
+    monkeypatch.setattr("tactile_loc.locate.posteriors.fit_temperature_scaling", None)
     assert Localizer.create(
         "pin", store=StageStore(tmp_path), temperature=0.5, **COARSE
     ).temperature_scaling == TemperatureScaling(0.5)
@@ -187,7 +187,7 @@ def test_what_is_shipped_is_fitted_to_as_many_touches_as_it_says(tmp_path, monke
         fitted_to.append(len(scores))
         return fit_temperature_scaling(scores, truth)
 
-    monkeypatch.setattr("tactile_loc.locate.localizer.fit_temperature_scaling", fit)
+    monkeypatch.setattr("tactile_loc.locate.posteriors.fit_temperature_scaling", fit)
     scaling = localizer.temperature_scaling
     assert fitted_to == [shipped_touches]
     held = 0

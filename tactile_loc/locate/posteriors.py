@@ -1,0 +1,260 @@
+"""From touches to what they say of the poses of a grid: build an object's model once; encode, match, calibrate."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from tactile_loc.core.errors import GridError, TouchError
+from tactile_loc.core.geometry import invert
+from tactile_loc.core.interfaces import Matcher, Scene
+from tactile_loc.core.noise import noise_level
+from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.poses import PoseGrid
+from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.progress import Progress, StageTimes
+from tactile_loc.core.registry import registry
+from tactile_loc.core.sensing import Touch
+from tactile_loc.core.simulation import simulate_touches
+from tactile_loc.io.config import RunConfig, SlotConfig
+from tactile_loc.io.meshes import Units, load_object
+from tactile_loc.io.touches import read_touch
+from tactile_loc.locate import coverage as conformal
+from tactile_loc.locate import probabilities
+from tactile_loc.locate.coverage import ConformalSets
+from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel, build_bank, build_model, train_encoder
+from tactile_loc.locate.probabilities import (
+    FusedScaling,
+    TemperatureScaling,
+    fit_fused_scaling,
+    fit_temperature_scaling,
+)
+from tactile_loc.locate.scoring import GridScores, Scores
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import StageStore
+from tactile_loc.store.workspace import Workspace
+
+EXAMPLE_TOUCHES = 50  # of simulated examples, in memory at once
+
+
+class TouchPosteriors:
+    """What touches of one object by one sensor say of the object's grid, as probabilities; nothing is refined."""
+
+    def __init__(
+        self, config: RunConfig, obj: ObjectModel, store: StageStore | None = None, progress: Progress | None = None
+    ) -> None:
+        self.config = config
+        self.object = obj
+        self.store = StageStore() if store is None else store
+        self.progress = progress or Progress()
+        self.sensor = self._component("sensor")
+        self.sampler = self._component("grid")
+        self.encoder = self._component("encoder")
+        self.fuser = self._component("fuser")
+        renderer = self._component("renderer")
+        self.scene = Scene(obj, self.sensor.geometry, renderer, config.drawing)
+        coarse = self.sensor.geometry.with_long_side(config.shape_px)
+        coarse = coarse.pressed(coarse.max_depth_m)  # the grid's, at full press
+        self.coarse_scene = dataclasses.replace(self.scene, geometry=coarse)
+
+    @classmethod
+    def create(
+        cls, object: str | Path = "hook", *, units: Units = "auto", symmetry: str = "auto",
+        store: StageStore | None = None, progress: Progress | None = None, **settings: Any,
+    ) -> Self:  # fmt: skip
+        """Load an object (a mesh file or a demo object's name) and make its localizer.
+
+        `settings` are RunConfig's: slots by name (`refiner="icp"`) or with options
+        (`grid={"name": "face", "spacing_mm": 3}`), `top`, `seed`, ... Raises TactileLocError for bad input.
+        """
+        chosen = {"path": str(object), "units": units, "symmetry": symmetry}
+        config = RunConfig.from_dict({"object": chosen, **settings}, "Localizer.create")
+        return cls(config, load_object(object, units, symmetry), store, progress)
+
+    def _component(self, slot: str) -> Any:
+        chosen = getattr(self.config, slot)
+        return registry().create(slot, chosen.name, chosen.options)
+
+    def with_matcher(self, name: str) -> Self:
+        """Return a localizer that compares by another matcher, and is the same otherwise."""
+        if self.config.matcher.name == name:
+            return self
+        config = self.config.model_copy(update={"matcher": SlotConfig(name=name)})
+        return type(self)(config, self.object, self.store, self.progress)
+
+    def read_touch(self, path: str | Path, unit: str | None = None, press_depth_m: float | None = None) -> Touch:
+        """Read a contact shape (npz, npy, 16-bit PNG) as this sensor's touch. Raises TouchError."""
+        return read_touch(Path(path), self.sensor, unit, press_depth_m)
+
+    def simulate(
+        self, count: int = 1, seed: int = 0, press_depth_m: float | None = None, noise: str = "none"
+    ) -> list[Touch]:
+        """Make touches at random poses of the continuous set that the grid covers, with their true poses; metres.
+
+        `noise` is none, mild or strong. Raises ConfigError for another.
+        """
+        rng = np.random.default_rng(seed)
+        return simulate_touches(self.sampler, self.scene, count, rng, press_depth_m, noise_level(noise))
+
+    @cached_property
+    def model(self) -> ObjectPoseModel:
+        """The object's grid and contact shapes: from the store, or built now."""
+        return build_model(self.coarse_scene, self.sampler, self.store, self.progress)
+
+    @cached_property
+    def trained(self) -> str:
+        """What identifies what the encoder learned: trained now, or read from the store; empty if it learns nothing."""
+        return train_encoder(self.encoder, self.model, self.coarse_scene, self.sampler, self.store, self.progress)
+
+    @cached_property
+    def grid_scores(self) -> GridScores:
+        """The comparison of touches with the grid's banks, each from the store, or built at first use."""
+        max_depth_m = self.scene.geometry.max_depth_m
+        return GridScores(self.encoder, lambda: self._component("matcher"), self._bank, max_depth_m)
+
+    def _bank(self, press_depth_m: float) -> Scores:
+        return build_bank(
+            self.model, self.coarse_scene, self.encoder, press_depth_m, self.store, self.progress, self.trained
+        )  # fmt: skip
+
+    def matcher(self, press_depth_m: float) -> Matcher:
+        """Return the matcher whose bank was cut at this press depth (metres), built at first use."""
+        return self.grid_scores.matcher(press_depth_m)
+
+    @cached_property
+    def temperature_scaling(self) -> TemperatureScaling:
+        """How scores become probabilities: by the temperature asked for, or as simulated touches have taught."""
+        if self.config.temperature is not None:
+            return TemperatureScaling(self.config.temperature)
+        artifact = self.store.build(self.temperature_key(), self._fit_temperature)
+        return TemperatureScaling(**artifact.json(probabilities.STAGE))
+
+    def temperature_key(self) -> StageKey:
+        """Return the key under which the temperature scaling is stored: everything that decides it."""
+        simulated = {"sampler": self.sampler.describe(), **probabilities.describe_touches()}
+        return StageKey(probabilities.STAGE, probabilities.STAGE_VERSION, {**self.describe_scores(), **simulated})
+
+    def _fit_temperature(self, work: Workspace) -> None:
+        """Score simulated touches of known pose, and save the scaling that makes the true poses most probable."""
+        exact = self.with_matcher("dense")
+        scores: list[Scores] = []
+        truth: list[int] = []
+        with self.progress.task("fitting probabilities", probabilities.TOUCHES) as advance:
+            for seed, count in probabilities.batches():
+                for touch in self.simulate(count, seed, noise=probabilities.TOUCH_NOISE):
+                    scores += exact.scores([touch])
+                    truth.append(int(self.grid_of(touch).nearest(np.asarray(touch.T_sensor_object)[None])[1][0]))
+                    advance(1)
+        work.save_json(probabilities.STAGE, asdict(fit_temperature_scaling(scores, np.array(truth))))
+
+    @cached_property
+    def fused_scaling(self) -> FusedScaling:
+        """How sure several touches together make: fitted to simulated examples, unless a temperature was asked for."""
+        if self.config.temperature is not None:
+            return FusedScaling()
+        key = StageKey(probabilities.FUSED_STAGE, probabilities.FUSED_VERSION, {
+            **self._describe_fused(), **probabilities.describe_examples(),
+        })  # fmt: skip
+        return FusedScaling(**self.store.build(key, self._fit_fused_scaling).json(probabilities.FUSED_STAGE))
+
+    def _fit_fused_scaling(self, work: Workspace) -> None:
+        """Fuse simulated touches of known pose, and save how sure they are to make."""
+        numbers, count, seed = probabilities.FUSED_TOUCHES, probabilities.FUSED_EXAMPLES, probabilities.FUSED_SEED
+        fused = [
+            (number, found.log_p, truth)
+            for number in numbers
+            for found, truth in self._examples(number, count, seed, probabilities.TOUCH_NOISE)
+            if found is not None
+        ]
+        work.save_json(probabilities.FUSED_STAGE, asdict(fit_fused_scaling(fused)))
+
+    def conformal_sets(self, touches: int) -> ConformalSets:
+        """Return how large sets of poses are to be, given so many touches, to hold the truth as often as asked for."""
+        number = min(touches, conformal.MOST_TOUCHES)
+        described = {**self._describe_fused(), **conformal.describe_examples(number)}
+        key = StageKey(conformal.STAGE, conformal.STAGE_VERSION, described)
+
+        def score(work: Workspace) -> None:
+            power = 1.0 if number == 1 else self.fused_scaling.power(number)
+            examples = self._examples(number, conformal.EXAMPLES, conformal.SEED, conformal.NOISE)
+            work.save_json(conformal.STAGE, [
+                1.0 if fused is None else fused.tempered(power).credible_level(truth) for fused, truth in examples
+            ])  # fmt: skip
+
+        return ConformalSets(self.store.build(key, score).json(conformal.STAGE))
+
+    def _describe_fused(self) -> dict[str, Any]:
+        """What decides what is fused of simulated touches, but for the touches, as JSON values."""
+        asked = self.config.temperature
+        scaling = {"asked": asked} if asked is not None else {"fitted": self.temperature_key().digest}
+        scores = {**self.describe_scores(), "sampler": self.sampler.describe()}
+        return {**scores, "temperature": scaling, "fuser": self.fuser.describe()}
+
+    def _examples(self, touches: int, count: int, seed: int, noise: str) -> Iterator[tuple[PosePosterior | None, int]]:
+        """What so many simulated touches of the object at rest say, fused but not tempered, and the true pose's index.
+
+        None where no pose touches all sensors. No touch is in two examples.
+        """
+        exact = self.with_matcher("dense")
+        at_once = max(1, EXAMPLE_TOUCHES // touches)
+        with self.progress.task(f"fusing examples of {touches} touches", count) as advance:
+            for start in range(0, count, at_once):
+                drawn = self.simulate(
+                    touches * min(at_once, count - start), seed + 100_000 * touches + start, None, noise
+                )
+                posteriors = exact.posteriors(drawn)
+                for first in range(0, len(drawn), touches):
+                    poses = np.stack([np.asarray(touch.T_sensor_object) for touch in drawn[first : first + touches]])
+                    alone = posteriors[first : first + touches]
+                    truth = int(alone[0].grid.nearest(poses[:1])[1][0])
+                    try:
+                        yield self.fuser.fuse(alone, list(invert(poses))), truth
+                    except GridError:
+                        yield None, truth
+                    advance(1)
+
+    def describe_scores(self) -> dict[str, Any]:
+        """Return what decides a touch's scores but for the touch, as JSON values; trains the encoder if need be.
+
+        The matcher is not among it: all find the same scores, if they look at all poses.
+        """
+        return {
+            "model": self.model.key.digest, "sensor": self.sensor.geometry.describe(), "trained": self.trained,
+            "encoder": self.encoder.describe(), "training": STAGE_VERSIONS["encoder"], "bank": STAGE_VERSIONS["bank"],
+        }  # fmt: skip
+
+    def scores(self, touches: Sequence[Touch], times: StageTimes | None = None) -> list[Scores]:
+        """Return how alike (N,) each touch and each pose of the grid are, unitless; adds to `times`.
+
+        Raises TouchError when another sensor took one of the touches.
+        """
+        for touch in touches:
+            self._require_own(touch)
+        return self.grid_scores.scores(touches, times or StageTimes())
+
+    def posteriors(self, touches: Sequence[Touch], times: StageTimes | None = None) -> list[PosePosterior]:
+        """Return what each touch alone says of the grid's poses, before anything is fused with it.
+
+        Raises TouchError when another sensor took one of the touches.
+        """
+        scaling = self.temperature_scaling
+        scored = zip(touches, self.scores(touches, times), strict=True)
+        return [scaling.posterior(self.grid_of(touch), scores) for touch, scores in scored]
+
+    def grid_of(self, touch: Touch) -> PoseGrid:
+        """Return the poses that are searched, in metres, pressed as deep as the touch."""
+        return self.model.grid.raised(self.scene.geometry.max_depth_m - touch.indentation_m)
+
+    def _require_own(self, touch: Touch) -> None:
+        ours = self.scene.geometry
+        if touch.geometry is not ours and not touch.geometry.is_same_sensor(ours):
+            raise TouchError(
+                f"{touch.name} was taken by another sensor than {self.config.sensor.name}: its camera, field or "
+                "maximal depth differs; make a Localizer for the sensor that took it"
+            )
