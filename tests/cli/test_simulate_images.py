@@ -35,7 +35,7 @@ def simulate(cli, *words: object):
 
 
 def test_every_touch_has_its_image_and_there_is_a_background(cli):
-    done = simulate(cli, "--images", "--out", "out")
+    done = simulate(cli, "--images", "--out", "out", "-o", "grid.min_contact_percent=2")
     assert "background.png" in done.stdout
     names = ["touch-0000", "touch-0001"]
     files = ["background.png", "poses.json", *(f"{n}.{e}" for n in names for e in ("npz", "png")), "touches.png"]
