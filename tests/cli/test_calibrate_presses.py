@@ -87,7 +87,7 @@ def test_a_photo_is_located_by_a_sensor_that_was_calibrated_from_photos(cli, pre
     contact = {}
     for name in record:
         with np.load(f"sim/{name}.npz") as touch:
-            contact[name] = int((touch["depth"] < touch["press_depth"]).sum())
+            contact[name] = int((touch["depth"] < np.float32(touch["press_depth"])).sum())
     most = max(contact, key=contact.__getitem__)
     run = cli("run", *ELL, "--sensor", "mine", "--touch", f"sim/{most}.png", "--out", "out", *GRID)
     assert run.exit_code == 0, run.stderr

@@ -99,14 +99,14 @@ def test_rivals_are_distant_from_the_truth_and_from_one_another(localizer):
     assert (grid.metric.symmetric_distance(np.repeat(truth[None], RIVALS, 0), rivals) > DISTANT_M).all()
     phi = grid.metric.embed(rivals)
     assert (np.linalg.norm(phi[:, None] - phi[None], axis=-1)[~np.eye(RIVALS, dtype=bool)] > 0.012).all()
-    distant = grid.distances(truth, 1e-3) > DISTANT_M
+    distant = grid.distances(truth) > DISTANT_M
     assert (rivals[0] == grid.T_sensor_object[np.flatnonzero(distant)[apart[distant].argmin()]]).all()
 
 
 def test_without_a_distant_pose_nothing_is_ambiguous(plates):
     touch = touch_at(plates["symmetric"], 0.0)
     grid = plates["symmetric"].model.grid
-    near = grid.distances(touch.T_sensor_object, 1e-3) < DISTANT_M
+    near = grid.distances(touch.T_sensor_object) < DISTANT_M
     few = dataclasses.replace(grid, T_sensor_object=grid.T_sensor_object[near])
     assert distinct_rivals(few, touch.T_sensor_object, np.zeros(len(few), np.float32), 1e-3).shape == (0, 4, 4)
 
