@@ -5,8 +5,10 @@ Each example is an object at rest that sensors press from random directions, by 
 contact of at least 0.25 % of the sensor counts, edges and corners too. The touches are drawn by ray casting, which the
 localizer does not use. All rotations are searched. For every number of touches: the share of examples within 0.5 and
 1 mm (root mean square over the surface, symmetry regarded), the median, how often any hypothesis was that near (the
-search found it, the choice did not), the median normalised error squared of what was located within 1 mm (5.35 if
-covariances are true), presses that showed no touch, examples that ended in an error, and the time.
+search found it, the choice did not), in how many a pose more than 1 mm off explains all touches as well as the true one
+does (they do not determine it), the share within 0.5 mm of the others, the median normalised error squared of what was
+located within 1 mm (5.35 if covariances are true), presses that showed no touch, examples that ended in an error, and
+the time.
 
 `--clean`, `--strong` and `--misplaced` choose what the touches suffer from; by default all three. `--fingers` presses
 objects between two opposed sensors instead, and reports z. `--outliers` makes one touch of each example wrong, by its
@@ -49,15 +51,17 @@ LEVELS: dict[str, dict[str, Any]] = {
     "strong": {"noise": TouchNoise(**{**NOISE["strong"].__dict__, "press_share": (1.0, 1.0)})},
     "misplaced": {"sensor_std_m": 0.5e-3, "sensor_std_rad": np.radians(0.5)},
 }
+AS_WELL = 0.01  # imprint IoU: poses that differ by less in what they explain explain as much
 MOVED_MM, MOVED_DEG = 5.0, 10.0
 KINDS = ("none", "moved", "other object")
 VERDICTS = ("agree", "named", "wrongly named", "nobody named", "failed")
 
 
-def errors(localizer: Localizer, touches: list[Touch]) -> tuple[float, float, float, float]:
+def errors(localizer: Localizer, touches: list[Touch]) -> tuple[float, float, float, float, bool]:
     """The chosen pose's error, the least of all hypotheses', the chosen one's along the sensor's z, all in mm.
 
-    Last the chosen one's normalised error squared, by its covariance.
+    Then the chosen one's normalised error squared, by its covariance, and whether a pose far from the true one explains
+    the touches as well.
     """
     found = localize_together([(localizer, touch) for touch in touches])
     truth = np.asarray(touches[0].T_sensor_object)
@@ -69,7 +73,10 @@ def errors(localizer: Localizer, touches: list[Touch]) -> tuple[float, float, fl
         nees = normalised_error_squared(metric, chosen.T_sensor_object, chosen.covariance, truth)
     centre = localizer.object.mesh.centroid_m
     z_mm = 1e3 * abs((poses[0] - truth)[2] @ [*centre, 1.0])
-    return float(off_mm[0]), float(off_mm.min()), float(z_mm), nees
+    true = [localizer.scene.of_touch(t).imprint_ious(np.asarray(t.T_sensor_object)[None], t)[0] for t in touches]
+    rivals = [h.imprint_iou for h, mm in zip(found.hypotheses, off_mm, strict=True) if mm > 1.0]
+    as_well = max(rivals, default=0.0) > np.mean(true) - AS_WELL
+    return float(off_mm[0]), float(off_mm.min()), float(z_mm), nees, bool(as_well)
 
 
 def examples(arguments: argparse.Namespace, touches: RobotTouches) -> Iterator[tuple[list[Touch], int]]:
@@ -89,7 +96,7 @@ def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> 
     raycast = registry().create("renderer", "raycast", {})
     source = RobotTouches(localizer.object, geometry, raycast, **LEVELS[level])
     counts = [2] if arguments.fingers else sorted(arguments.touches)
-    found: dict[int, list[tuple[float, float, float, float]]] = {n: [] for n in counts}
+    found: dict[int, list[tuple[float, float, float, float, bool]]] = {n: [] for n in counts}
     seconds: dict[int, list[float]] = {n: [] for n in counts}
     failed, refused = dict.fromkeys(counts, 0), 0
     for touches, unusable in examples(arguments, source):
@@ -100,18 +107,21 @@ def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> 
                 found[n].append(errors(localizer, touches[:n]))
             except TactileLocError as error:
                 failed[n] += 1
-                found[n].append((np.inf, np.inf, np.inf, np.nan))
+                found[n].append((np.inf, np.inf, np.inf, np.nan, False))
                 print(f"  {n} touches: {error}", flush=True)
             seconds[n].append(time.perf_counter() - start)
     rows = []
     for n in counts:
-        chosen, best, z_mm, nees = np.array(found[n]).T
+        chosen, best, z_mm, nees, undetermined = np.array(found[n]).T
+        others = chosen[undetermined == 0]
         near = nees[(chosen < 1.0) & np.isfinite(nees)]
         rows.append({
             "object": localizer.object.name, "sensor": localizer.config.sensor.name, "level": level, "touches": n,
             "examples": len(chosen), "within": {f"{mm:g} mm": float((chosen < mm).mean()) for mm in WITHIN_MM},
             "among_hypotheses": {f"{mm:g} mm": float((best < mm).mean()) for mm in WITHIN_MM},
             "median_mm": float(np.median(chosen)), "z_median_mm": float(np.median(z_mm)),
+            "undetermined": float(undetermined.mean()),
+            "others_within_0.5_mm": float((others < 0.5).mean()) if len(others) else None,
             "z_worst_mm": float(z_mm.max()), "nees": [float(n) for n in near], "refused": refused, "failed": failed[n],
             "median_s": float(np.median(seconds[n])), "poses": localizer.model.size,
         })  # fmt: skip
@@ -231,12 +241,13 @@ def over_all(rows: list[dict[str, Any]]) -> Iterator[str]:
     """Lines that sum up all objects, by sensor, level and number of touches."""
     for kind in dict.fromkeys((row["sensor"], row["level"], row["touches"]) for row in rows):
         alike = [row for row in rows if (row["sensor"], row["level"], row["touches"]) == kind]
-        shares = [np.mean([row[key][f"{mm:g} mm"] for row in alike]) for key in ("within", "among_hypotheses")
-                  for mm in WITHIN_MM]  # fmt: skip
-        near, far, any_near, any_far = shares
+        near, far = (np.mean([row["within"][f"{mm:g} mm"] for row in alike]) for mm in WITHIN_MM)
+        anywhere = np.mean([row["among_hypotheses"]["0.5 mm"] for row in alike])
+        determined = np.array([row["examples"] * (1 - row["undetermined"]) for row in alike])
+        within = determined @ [row["others_within_0.5_mm"] or 0.0 for row in alike]
         yield (
             f"all {len(alike):2d} {kind[0]:14s} {kind[1]:10s} {kind[2]} touches: {near:.0%} within 0.5 mm, {far:.0%} "
-            f"within 1 mm; among the hypotheses {any_near:.0%}, {any_far:.0%}"
+            f"within 1 mm, any {anywhere:.0%}; {determined.sum():.0f} determined, {within:.0f} of these within 0.5 mm"
         )
 
 
@@ -244,8 +255,8 @@ def heading(arguments: argparse.Namespace) -> str:
     """The table's first line."""
     if arguments.outliers:
         return f"{'object':14s} {'sensor':14s} {'level':10s} touches  {'wrong':13s}" + ", ".join([*VERDICTS, "<1 mm"])
-    head = f"{'object':14s} {'sensor':14s} {'level':10s} touches  <0.5 mm  <1 mm  median  any<0.5  NEES "
-    head += " refused failed   s"
+    head = f"{'object':14s} {'sensor':14s} {'level':10s} touches  <0.5 mm  <1 mm  median  any<0.5 "
+    head += " undetermined  others<0.5  NEES  refused failed   s"
     return head + ("   z median, worst" if arguments.fingers else "")
 
 
@@ -256,9 +267,11 @@ def line(row: dict[str, Any], arguments: argparse.Namespace) -> str:
         counts = [*(str(row[said]) for said in VERDICTS), str(row["within 1 mm"])]
         return f"{start} {row['wrong']:13s}" + ", ".join(counts) + f" of {row['examples']}"
     near, far = row["within"].values()
+    others = row["others_within_0.5_mm"]
     return (
         f"{start}{near:8.0%} {far:6.0%} "
         f"{row['median_mm']:7.3f} {row['among_hypotheses']['0.5 mm']:8.0%} "
+        f"{row['undetermined']:13.0%} {np.nan if others is None else others:11.0%} "
         f"{np.median(row['nees'] or [np.nan]):5.1f} {row['refused']:8d} {row['failed']:6d} {row['median_s']:.2f}"
         + (f"   {row['z_median_mm']:.3f}, {row['z_worst_mm']:.3f}" if arguments.fingers else "")
     )
