@@ -58,7 +58,7 @@ def shipped_touches() -> Iterator[int]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(probabilities, "TOUCHES", shipped // 10)
         patch.setattr(probabilities, "FUSED_EXAMPLES", 3)
-        patch.setattr(coverage, "EXAMPLES", 20)
+        patch.setattr(coverage, "EXAMPLES", 40)
         yield shipped
 
 

@@ -183,11 +183,14 @@ class TouchPosteriors:
         def score(work: Workspace) -> None:
             power = 1.0 if number == 1 else self.fused_scaling.power(number)
             examples = self._examples(number, conformal.EXAMPLES, conformal.SEED, conformal.NOISE)
-            work.save_json(conformal.STAGE, [
-                1.0 if fused is None else fused.tempered(power).credible_level(truth) for fused, truth in examples
-            ])  # fmt: skip
+            scores, entropies = [], []
+            for fused, truth in examples:
+                posterior = None if fused is None else fused.tempered(power)
+                scores.append(1.0 if posterior is None else posterior.credible_level(truth))
+                entropies.append(float(np.log(self.model.size)) if posterior is None else posterior.entropy)
+            work.save_json(conformal.STAGE, {"scores": scores, "entropies": entropies})
 
-        return ConformalSets(self.store.build(key, score).json(conformal.STAGE))
+        return ConformalSets(**self.store.build(key, score).json(conformal.STAGE))
 
     def _describe_fused(self) -> dict[str, Any]:
         """What decides what is fused of simulated touches, but for the touches, as JSON values."""

@@ -36,26 +36,34 @@ def example(grid: PoseGrid, rng: np.random.Generator, sureness: float) -> tuple[
 def test_the_truth_is_in_the_set_as_often_as_promised(grid, sureness, coverage):
     rng, held = np.random.default_rng(0), []
     for _ in range(150):
-        scores = [p.credible_level(t) for p, t in (example(grid, rng, sureness) for _ in range(39))]
+        drawn = [example(grid, rng, sureness) for _ in range(76)]
+        sets = ConformalSets([p.credible_level(t) for p, t in drawn], [p.entropy for p, _ in drawn])
         posterior, truth = example(grid, rng, sureness)
-        held.append(truth in PoseSet.of(posterior, ConformalSets(scores), coverage).indices)
+        held.append(truth in PoseSet.of(posterior, sets, coverage).indices)
     assert abs(np.mean(held) - coverage) < 0.09
 
 
 def test_the_level_is_the_finite_sample_quantile():
-    sets = ConformalSets([0.4, 0.1, 0.3, 0.2])
-    assert [sets.level(c) for c in (0.2, 0.21, 0.4, 0.8)] == [0.1, 0.2, 0.2, 0.4]
+    sets = ConformalSets([0.4, 0.1, 0.3, 0.2], [1.0] * 4)
+    assert [sets.level(c, 1.0) for c in (0.2, 0.21, 0.4, 0.8)] == [0.1, 0.2, 0.2, 0.4]
+
+
+def test_the_most_uncertain_quarter_vouches_for_its_like():
+    sets = ConformalSets([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.9, 0.95], [1.0, 1, 1, 1, 1, 1, 5, 6])
+    assert sets.like(5.5).tolist() == [0.9, 0.95]
+    assert sets.level(0.5, 1.5) == 0.4
+    assert sets.level(0.5, 7.0) == 0.95
 
 
 @pytest.mark.parametrize("coverage", [0.81, 0.99, 1.0, 0.0, -1.0, math.nan])
 def test_what_so_few_examples_cannot_promise_is_refused(coverage):
     with pytest.raises(ConfigError, match=r"from 4 simulated examples; ask for one above 0 and at most 0\.8"):
-        ConformalSets([0.4, 0.1, 0.3, 0.2]).level(coverage)
+        ConformalSets([0.4, 0.1, 0.3, 0.2], [1.0] * 4).level(coverage, 1.0)
 
 
 def test_a_set_tells_what_vouches_for_it(grid):
     posterior = PosePosterior(grid, -np.arange(30.0))
-    found = PoseSet.of(posterior, ConformalSets([0.0, 0.7, 0.2]), 0.75)
+    found = PoseSet.of(posterior, ConformalSets([0.0, 0.7, 0.2], [0.5] * 3), 0.75)
     assert (found.coverage, found.level, found.examples) == (0.75, 0.7, 3)
     assert found.indices.tolist() == [0, 1], "0.63 is likelier than the second, 0.86 than the third"
 
@@ -66,7 +74,8 @@ def test_a_localisation_lists_all_modes_of_the_set(store):
     sets = localizer.conformal_sets(1)
     assert len(sets.scores) == module.EXAMPLES
     assert all(0 <= score <= 1 for score in sets.scores)
-    few, many = (localizer.localize(touch, top=1, coverage=c) for c in (0.5, 0.95))
+    assert all(0 <= entropy <= np.log(localizer.model.size) for entropy in sets.entropies)
+    few, many = (localizer.localize(touch, top=1, coverage=c) for c in (0.5, 0.9))
     assert len(few.hypotheses) <= len(many.hypotheses)
     assert len(many.pose_set.indices) == sum(h.grid_poses for h in many.hypotheses)
     assert sum(h.probability for h in many.hypotheses) == pytest.approx(
