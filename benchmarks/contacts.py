@@ -26,7 +26,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -57,12 +57,21 @@ KINDS = ("none", "moved", "other object")
 VERDICTS = ("agree", "named", "wrongly named", "nobody named", "failed")
 
 
-def errors(localizer: Localizer, touches: list[Touch]) -> tuple[float, float, float, float, bool]:
-    """The chosen pose's error, the least of all hypotheses', the chosen one's along the sensor's z, all in mm.
-
-    Then the chosen one's normalised error squared, by its covariance, and whether a pose far from the true one explains
-    the touches as well.
+class Located(NamedTuple):
+    """How far a located object is off: the chosen pose, the nearest of all hypotheses, and the chosen one along the
+    sensor's z, all in mm; the chosen one's normalised error squared, by its covariance; and whether a hypothesis more
+    than 1 mm off explains the touches as well as the true pose. As it stands, an example that ended in an error.
     """
+
+    chosen_mm: float = np.inf
+    nearest_mm: float = np.inf
+    z_mm: float = np.inf
+    nees: float = np.nan
+    undetermined: bool = False
+
+
+def located(localizer: Localizer, touches: list[Touch]) -> Located:
+    """Locate the object by touches whose true poses are known, and compare."""
     found = localize_together([(localizer, touch) for touch in touches])
     truth = np.asarray(touches[0].T_sensor_object)
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
@@ -76,7 +85,7 @@ def errors(localizer: Localizer, touches: list[Touch]) -> tuple[float, float, fl
     true = [localizer.scene.of_touch(t).imprint_ious(np.asarray(t.T_sensor_object)[None], t)[0] for t in touches]
     rivals = [h.imprint_iou for h, mm in zip(found.hypotheses, off_mm, strict=True) if mm > 1.0]
     as_well = max(rivals, default=0.0) > np.mean(true) - AS_WELL
-    return float(off_mm[0]), float(off_mm.min()), float(z_mm), nees, bool(as_well)
+    return Located(float(off_mm[0]), float(off_mm.min()), float(z_mm), nees, bool(as_well))
 
 
 def examples(arguments: argparse.Namespace, touches: RobotTouches) -> Iterator[tuple[list[Touch], int]]:
@@ -96,7 +105,7 @@ def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> 
     raycast = registry().create("renderer", "raycast", {})
     source = RobotTouches(localizer.object, geometry, raycast, **LEVELS[level])
     counts = [2] if arguments.fingers else sorted(arguments.touches)
-    found: dict[int, list[tuple[float, float, float, float, bool]]] = {n: [] for n in counts}
+    found: dict[int, list[Located]] = {n: [] for n in counts}
     seconds: dict[int, list[float]] = {n: [] for n in counts}
     failed, refused = dict.fromkeys(counts, 0), 0
     for touches, unusable in examples(arguments, source):
@@ -104,10 +113,10 @@ def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> 
         for n in counts:
             start = time.perf_counter()
             try:
-                found[n].append(errors(localizer, touches[:n]))
+                found[n].append(located(localizer, touches[:n]))
             except TactileLocError as error:
                 failed[n] += 1
-                found[n].append((np.inf, np.inf, np.inf, np.nan, False))
+                found[n].append(Located())
                 print(f"  {n} touches: {error}", flush=True)
             seconds[n].append(time.perf_counter() - start)
     rows = []
@@ -218,7 +227,7 @@ def main() -> None:
                 localizer = Localizer.create(
                     path, units=units or "auto", store=StageStore(Path(store)), sensor=sensor,
                     together=arguments.together,
-                    grid={"name": "hopf", "spacing_mm": arguments.spacing_mm, "min_contact_percent": 0.25},
+                    grid={"name": "hopf", "spacing_mm": arguments.spacing_mm},
                 )  # fmt: skip
                 for level in arguments.levels or LEVELS:
                     if arguments.outliers:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from contacts import errors_mm
+from contacts import Located, located
 
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.grids import random_contact_poses
@@ -82,10 +82,10 @@ def measure(localizers: dict[int, Localizer], case: str, arguments: argparse.Nam
             else:
                 taken, _ = around.example(touches, rng)
             try:
-                found.append(errors_mm(localizer, taken)[:2])
+                found.append(located(localizer, taken))
             except TactileLocError:
-                found.append((np.inf, np.inf))
-        chosen, best = np.array(found).T
+                found.append(Located())
+        chosen, best = np.array([(one.chosen_mm, one.nearest_mm) for one in found]).T
         rows.append({
             "object": obj.name, "case": case, "touches": touches, "examples": len(found),
             "median_mm": float(np.median(chosen)), "within_1_mm": float((chosen < 1).mean()),

@@ -89,6 +89,8 @@ class PosePosterior:
 
     def tempered(self, power: float) -> PosePosterior:
         """Return the posterior whose probabilities are these to the `power`, normalised: below 1 it is less sure."""
+        if power == 1.0:
+            return self
         log_train = None if self.log_train is None else power * self.log_train
         return PosePosterior(self.grid, power * self.log_p, log_train, self.touches)
 

@@ -3,7 +3,7 @@
 Built once an object, by a wave that carries triangles outwards from the cells that they cross; then the surface's
 nearest point is looked up in the time of one point and one triangle, whatever the mesh. Exact where the nearest
 triangle of a point and that of its cell's centre are the same one; beside an edge they may not be, which takes the
-point too far by a part of a cell. From there on it goes downhill, to triangles that share a corner, if asked to.
+point too far by a part of a cell; so the search goes on from there, to nearer triangles that share an edge.
 """
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
@@ -28,7 +28,7 @@ SIDES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0
 class NearestTriangles(NamedTuple):
     """What compiled code takes: `corners` (F, 3, 3) and unit `normals` (F, 3); cells of side `cell` from the corner
     `low` (3,), each with the number of its nearest triangle, `nearest` (X, Y, Z), -1 beyond reach. One unit of length.
-    The triangles that share a corner with triangle f are `beside` (R,) from ends[f] to ends[f + 1].
+    The triangles that share an edge with triangle f are `beside` (R,) from ends[f] to ends[f + 1].
     """
 
     corners: NDArray[np.float64]
@@ -69,14 +69,14 @@ class SurfaceField:
 
 
 def _neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """The triangles that share a corner with each of the triangles (F, 3, 3), and where each one's end (F + 1,)."""
+    """The triangles that share an edge with each of the triangles (F, 3, 3), and where each one's end (F + 1,)."""
     from scipy.sparse import csr_matrix
 
     which = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)[1].ravel()
     of = np.repeat(np.arange(len(corners)), 3)
     touches = csr_matrix((np.ones(len(of), np.int8), (of, which)), shape=(len(corners), int(which.max()) + 1))
     shared = (touches @ touches.T).tocsr()
-    shared.data[shared.data != 2] = 0
+    shared.data[shared.data != 2] = 0  # corners in common; a triangle has three with itself
     shared.eliminate_zeros()
     return shared.indices.astype(np.int32), shared.indptr.astype(np.int64)
 
@@ -113,7 +113,7 @@ def triangle_near(x, triangles):
 
 @njit
 def downhill(x, f, triangles):
-    """The triangle nearest to x (3,) that is reached from triangle f over ever nearer ones that share a corner."""
+    """The triangle nearest to x (3,) that is reached from triangle f over ever nearer ones that share an edge."""
     least = _squared_distance(x, triangles.corners[f])
     while True:
         best = f

@@ -74,21 +74,15 @@ def decimated(mesh: TriangleMesh, rms_m: float, rng: np.random.Generator) -> Tri
 
     By quadric error metrics, those of open3d.
     """
-    import open3d as o3d
-
     whole = _merged(mesh)
-    solid = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(whole.vertices_m), o3d.utility.Vector3iVector(whole.faces)
-    )
     points = mesh.sample(SAMPLES, rng)
     few, many, best = 4, len(whole.faces), whole
     for _ in range(HALVINGS):
         if many - few < 2:
             break
         count = (few + many) // 2
-        found = solid.simplify_quadric_decimation(count)
-        less = TriangleMesh(np.asarray(found.vertices), np.asarray(found.triangles, np.int64))
-        if len(less.faces) > 3 and _rms_distance(points, less, o3d) <= rms_m:
+        less = whole.simplified(count)
+        if len(less.faces) > 3 and _rms_distance(points, less) <= rms_m:
             many, best = count, less
         else:
             few = count
@@ -153,9 +147,11 @@ def _vertex_normals(mesh: TriangleMesh) -> tuple[Float64, Float64]:
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30), areas
 
 
-def _rms_distance(points_m: Float64, mesh: TriangleMesh, o3d: Any) -> float:
+def _rms_distance(points_m: Float64, mesh: TriangleMesh) -> float:
     """Root mean square distance of points (P, 3) from a surface, metres."""
-    scene = o3d.t.geometry.RaycastingScene()
+    import open3d as o3d
+
+    scene: Any = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(mesh.vertices_m.astype(np.float32), mesh.faces.astype(np.uint32))
     found = scene.compute_distance(points_m.astype(np.float32)).numpy()
     return float(np.sqrt(np.mean(found.astype(float) ** 2)))

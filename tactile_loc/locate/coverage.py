@@ -16,20 +16,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.noise import noise_level
 from tactile_loc.core.posterior import PosePosterior
 
 STAGE, STAGE_VERSION = "conformal", 2
 EXAMPLES = 200  # held out
 UNCERTAIN = 0.25  # of them, those with the greatest entropy, vouch for their like
 MOST_TOUCHES = 7  # more are taken as so many: sets of more touches are no larger
-NOISE = "strong"
 SEED = 0xC0DE  # neither an evaluation's nor that of a fit
 
 
@@ -82,8 +79,3 @@ class PoseSet:
         """Return the set of a posterior with the coverage asked for. Raises ConfigError if it cannot be promised."""
         level = sets.level(coverage, posterior.entropy)
         return cls(coverage, level, len(sets.like(posterior.entropy)), posterior.credible_set(level))
-
-
-def describe_examples(touches: int) -> dict[str, Any]:
-    """Return what decides which examples of so many touches are held out, but for what draws them, as JSON values."""
-    return {"noise": noise_level(NOISE).describe(), "touches": touches, "examples": EXAMPLES, "seed": SEED}

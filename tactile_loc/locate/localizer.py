@@ -241,7 +241,7 @@ def _fused(
     with times.stage("fuse"):
         each = [posterior.tempered(power) for posterior, power in zip(alone, powers, strict=True)]
         fused: PosePosterior = observations[0][0].fuser.fuse(each, [t.T_base_sensor for _, t in observations], prior)
-    return replace(fused, touches=count)
+    return fused if count == fused.touches else replace(fused, touches=count)
 
 
 def _beside(observations: Sequence[Observation], prior: Prior | None) -> Prior | None:

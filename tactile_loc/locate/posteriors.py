@@ -158,9 +158,9 @@ class TouchPosteriors:
         """How sure several touches together make: fitted to simulated examples, unless a temperature was asked for."""
         if self.config.temperature is not None:
             return FusedScaling()
-        key = StageKey(probabilities.FUSED_STAGE, probabilities.FUSED_VERSION, {
-            **self._describe_fused(), **probabilities.describe_examples(),
-        })  # fmt: skip
+        numbers, count, seed = probabilities.FUSED_TOUCHES, probabilities.FUSED_EXAMPLES, probabilities.FUSED_SEED
+        described = self._describe_examples(numbers, count, seed)
+        key = StageKey(probabilities.FUSED_STAGE, probabilities.FUSED_VERSION, described)
         return FusedScaling(**self.store.build(key, self._fit_fused_scaling).json(probabilities.FUSED_STAGE))
 
     def _fit_fused_scaling(self, work: Workspace) -> None:
@@ -169,7 +169,7 @@ class TouchPosteriors:
         fused = [
             (number, found.log_p, truth)
             for number in numbers
-            for found, truth in self._examples(number, count, seed, probabilities.TOUCH_NOISE)
+            for found, truth in self._examples(number, count, seed)
             if found is not None
         ]
         work.save_json(probabilities.FUSED_STAGE, asdict(fit_fused_scaling(fused)))
@@ -177,14 +177,13 @@ class TouchPosteriors:
     def conformal_sets(self, touches: int) -> ConformalSets:
         """Return how large sets of poses are to be, given so many touches, to hold the truth as often as asked for."""
         number = min(touches, conformal.MOST_TOUCHES)
-        described = {**self._describe_fused(), **conformal.describe_examples(number)}
+        described = self._describe_examples([number], conformal.EXAMPLES, conformal.SEED)
         key = StageKey(conformal.STAGE, conformal.STAGE_VERSION, described)
 
         def score(work: Workspace) -> None:
             power = 1.0 if number == 1 else self.fused_scaling.power(number)
-            examples = self._examples(number, conformal.EXAMPLES, conformal.SEED, conformal.NOISE)
             scores, entropies = [], []
-            for fused, truth in examples:
+            for fused, truth in self._examples(number, conformal.EXAMPLES, conformal.SEED):
                 posterior = None if fused is None else fused.tempered(power)
                 scores.append(1.0 if posterior is None else posterior.credible_level(truth))
                 entropies.append(float(np.log(self.model.size)) if posterior is None else posterior.entropy)
@@ -192,25 +191,24 @@ class TouchPosteriors:
 
         return ConformalSets(**self.store.build(key, score).json(conformal.STAGE))
 
-    def _describe_fused(self) -> dict[str, Any]:
-        """What decides what is fused of simulated touches, but for the touches, as JSON values."""
-        asked = self.config.temperature
-        scaling = {"asked": asked} if asked is not None else {"fitted": self.temperature_key().digest}
-        scores = {**self.describe_scores(), "sampler": self.sampler.describe()}
-        return {**scores, "temperature": scaling, "fuser": self.fuser.describe()}
+    def _describe_examples(self, touches: Sequence[int], count: int, seed: int) -> dict[str, Any]:
+        """What decides what is fused of so many simulated touches, as JSON values."""
+        return {
+            "touches": list(touches), "examples": count, "seed": seed, "fuser": self.fuser.describe(),
+            "scores": self.temperature_key().digest, "temperature": self.config.temperature,
+        }  # fmt: skip
 
-    def _examples(self, touches: int, count: int, seed: int, noise: str) -> Iterator[tuple[PosePosterior | None, int]]:
+    def _examples(self, touches: int, count: int, seed: int) -> Iterator[tuple[PosePosterior | None, int]]:
         """What so many simulated touches of the object at rest say, fused but not tempered, and the true pose's index.
 
-        None where no pose touches all sensors. No touch is in two examples.
+        None where no pose touches all sensors. No touch is in two examples; their noise is that of the other fits.
         """
         exact = self.with_matcher("dense")
         at_once = max(1, EXAMPLE_TOUCHES // touches)
         with self.progress.task(f"fusing examples of {touches} touches", count) as advance:
             for start in range(0, count, at_once):
-                drawn = self.simulate(
-                    touches * min(at_once, count - start), seed + 100_000 * touches + start, None, noise
-                )
+                number, drawn_seed = touches * min(at_once, count - start), seed + 100_000 * touches + start
+                drawn = self.simulate(number, drawn_seed, noise=probabilities.TOUCH_NOISE)
                 posteriors = exact.posteriors(drawn)
                 for first in range(0, len(drawn), touches):
                     poses = np.stack([np.asarray(touch.T_sensor_object) for touch in drawn[first : first + touches]])

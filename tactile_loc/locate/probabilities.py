@@ -118,12 +118,6 @@ def batches() -> Iterator[tuple[int, int]]:
         yield SEED + start, min(BATCH, TOUCHES - start)
 
 
-def describe_examples() -> dict[str, Any]:
-    """Return what decides which examples of several touches are fitted to, but for what draws them, as JSON values."""
-    noise = noise_level(TOUCH_NOISE).describe()
-    return {"noise": noise, "touches": list(FUSED_TOUCHES), "examples": FUSED_EXAMPLES, "seed": FUSED_SEED}
-
-
 def describe_touches() -> dict[str, Any]:
     """Return what decides which touches are fitted to, but for what draws them, as JSON values."""
     return {"noise": noise_level(TOUCH_NOISE).describe(), "touches": TOUCHES, "batch": BATCH, "seed": SEED}

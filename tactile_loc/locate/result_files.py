@@ -96,7 +96,8 @@ def gather(contacts: Sequence[Observation], localization: Localization) -> Resul
         touches.append(TouchArrays(touch.contact_shape, touch.geometry, T, made_m, touch.image))
     kept = most_probable(localization.posterior)
     posterior = localization.posterior
-    mesh = decimated(contacts[0][0].object.mesh)
+    mesh = contacts[0][0].object.mesh
+    mesh = mesh if len(mesh.faces) <= MOST_FACES else mesh.simplified(MOST_FACES)
     return ResultArrays(mesh, posterior.grid.T_sensor_object[kept], posterior.log_p[kept], tuple(touches))
 
 
@@ -104,19 +105,6 @@ def most_probable(posterior: PosePosterior, most: int = MOST_POSES) -> NDArray[n
     """Return the indices (K,) of the most probable poses, at most `most`, without those of no probability at all."""
     top = posterior.top(most)
     return top[np.isfinite(posterior.log_p[top])]
-
-
-def decimated(mesh: TriangleMesh, most: int = MOST_FACES) -> TriangleMesh:
-    """Return the surface with at most about `most` faces (quadric decimation); a smaller one as it is."""
-    if len(mesh.faces) <= most:
-        return mesh
-    import open3d as o3d
-
-    full = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(mesh.vertices_m), o3d.utility.Vector3iVector(mesh.faces.astype(np.int32))
-    )
-    fewer: Any = full.simplify_quadric_decimation(most)
-    return TriangleMesh(np.asarray(fewer.vertices, float), np.asarray(fewer.triangles, np.int64))
 
 
 def read_document(path: Path) -> dict[str, Any]:

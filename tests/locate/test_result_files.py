@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 
 from tactile_loc.core.errors import ResultError
 from tactile_loc.core.geometry import make_transform
@@ -19,7 +18,6 @@ from tactile_loc.core.sensing import ContactShape, SensorGeometry
 from tactile_loc.locate.result_files import (
     ResultArrays,
     TouchArrays,
-    decimated,
     fingerprint,
     gather,
     most_probable,
@@ -93,16 +91,6 @@ def test_of_many_poses_the_most_probable_are_kept(box):
     kept = most_probable(posterior, 10)
     assert kept.tolist() == np.argsort(-log_p)[:10].tolist()
     assert len(most_probable(posterior, 100)) == 29  # without the excluded one
-
-
-def test_a_large_surface_is_decimated_and_a_small_one_is_not():
-    ball = trimesh.creation.icosphere(4, 0.02)
-    mesh = TriangleMesh(np.array(ball.vertices), np.array(ball.faces, np.int64))
-    assert decimated(mesh) is mesh
-    fewer = decimated(mesh, 1000)
-    assert 500 < len(fewer.faces) <= 1000
-    assert np.linalg.norm(fewer.vertices_m, axis=1) == pytest.approx(0.02, rel=0.02)
-    assert fewer.face_areas.sum() == pytest.approx(mesh.face_areas.sum(), rel=0.02)
 
 
 def test_of_several_touches_each_sees_the_hypotheses_from_its_own_sensor(localizer):

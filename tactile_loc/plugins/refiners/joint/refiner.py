@@ -96,8 +96,8 @@ class JointRefiner(Refiner):
     def _registered(
         self, views: Sequence[View], given: Floats, scales_mm: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """The poses (K, 4, 4) in metres that the given ones end at, where each sensor sees them (K, N, 4, 4), the
-        information (K, 6, 6), mm and rad, of where they were before their last steps (K,), mm."""
+        """The poses (K, 4, 4), metres, that the given ones end at, and where each sensor sees them (K, N, 4, 4); the
+        information (K, 6, 6), mm and rad, at the poses before the last steps, and how long those were (K,), mm."""
         options, mesh = self.options, views[0].scene.object.mesh
         area_m2 = float(mesh.face_areas.sum()) / SAMPLES
         seen = [self._seen(view) for view in views]

@@ -1,0 +1,79 @@
+#!/usr/bin/env python3
+"""How long ten hypotheses take that are refined against three touches together, and where they end.
+
+Each example is an object at rest that three sensors press from random directions, as in `contacts.py`; a hypothesis is
+the true pose, turned by 8 degrees about a random axis through the centroid and moved by some 2 mm along each axis.
+Printed are the median time over all examples, and the median error of the best explained hypothesis of each (root mean
+square over the surface, symmetry regarded). One thread: `NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+from contacts import LEVELS
+
+from tactile_loc.core.geometry import invert, make_transform, rotation_about
+from tactile_loc.core.interfaces import Candidate, Scene, View
+from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.registry import registry
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.io.meshes import load_object
+
+TURNED_DEG, MOVED_MM = 8.0, 2.0
+AGAIN = 5  # times each is measured
+
+
+def measure(path: str, arguments: argparse.Namespace) -> str:
+    """One row of the table."""
+    name, _, units = path.partition(":")
+    obj = load_object(name, units or "auto", "auto")
+    geometry = registry().create("sensor", arguments.sensor, {}).geometry
+    scene = Scene(obj, geometry, registry().create("renderer", "raycast", {}))
+    refiner = registry().create("refiner", "joint", {})
+    source, metric = RobotTouches(obj, geometry, scene.renderer, **LEVELS[arguments.level]), PoseMetric(obj)
+    ms, errors_mm = [], []
+    for number in range(arguments.examples):
+        rng = np.random.default_rng([arguments.seed, number])
+        touches, _ = source.example(arguments.touches, rng)
+        T_base_first = np.asarray(touches[0].T_base_sensor)
+        views = [View(t, scene.of_touch(t), invert(np.asarray(t.T_base_sensor)) @ T_base_first) for t in touches]
+        truth = np.asarray(touches[0].T_sensor_object)
+        candidates = [Candidate(near(truth, obj.mesh.centroid_m, rng), 0, 0.0) for _ in range(arguments.hypotheses)]
+        for again in range(AGAIN + (number == 0)):
+            start = time.perf_counter()
+            refined = refiner.refine_together(views, candidates)
+            if again or number:  # compiled, and the mesh is prepared
+                ms.append(1e3 * (time.perf_counter() - start))
+        best = max(refined, key=lambda found: found.contact_iou)
+        errors_mm.append(1e3 * metric.symmetric_distance(best.T_sensor_object[None], truth[None])[0])
+    return f"| {obj.name} | {len(obj.mesh.faces)} | {np.median(ms):.0f} | {np.median(errors_mm):.3f} |"
+
+
+def near(T: np.ndarray, centroid_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The pose (4, 4), turned about the centroid and moved."""
+    R = rotation_about(rng.normal(size=3), np.radians(TURNED_DEG))
+    middle = T[:3, :3] @ centroid_m + T[:3, 3]
+    return make_transform(R, middle - R @ middle + 1e-3 * MOVED_MM * rng.normal(size=3)) @ T
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("meshes", nargs="*", default=["pin", "head", "hook"])
+    parser.add_argument("--sensor", default="gelsight-mini")
+    parser.add_argument("--level", default="clean", choices=list(LEVELS))
+    parser.add_argument("--touches", type=int, default=3)
+    parser.add_argument("--hypotheses", type=int, default=10)
+    parser.add_argument("--examples", type=int, default=6)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    print("| object | faces | median, ms | error, mm |\n|---|---|---|---|")
+    for path in arguments.meshes:
+        print(measure(path, arguments), flush=True)
+
+
+if __name__ == "__main__":
+    main()
