@@ -17,6 +17,7 @@ from tactile_loc.plugin import closest_on_triangle, downhill, njit, triangle_nea
 # mypy: ignore-errors
 
 SETTLED_MM = 1e-4
+COARSELY, LAST = 3, 6  # one point of so many is looked at, but in the last steps
 GROSS_MM = 0.5  # a point that is off by more is no more of a sign of noise
 NEAR_PLANE_MM = 0.1  # a point beside its triangle by less is measured to the triangle's plane
 
@@ -63,14 +64,19 @@ def register(first, last, T, observed, triangles, samples, middle, scales, T_eac
     for k in range(first, last):
         for i in range(count):
             multiply(observed.T_sensor_first[i], T[k], T_each[k, i])
-        for scale in scales:
-            moved[k] = step(T[k], observed, triangles, samples, middle, scale, T_each[k], information[k])
+        every = COARSELY
+        for n, scale in enumerate(scales):
+            if n + LAST >= len(scales):
+                every = 1
+            moved[k] = step(T[k], observed, triangles, samples, middle, scale, every, T_each[k], information[k])
             if moved[k] < SETTLED_MM and scale == scales[-1]:
-                break
+                if every == 1:
+                    break
+                every = 1
 
 
 @njit(fast=True)
-def step(T, observed, triangles, samples, middle, scale, T_each, information):
+def step(T, observed, triangles, samples, middle, scale, every, T_each, information):
     """One Gauss-Newton step of a pose and of every sensor's error; return how far it moved, mm.
 
     Of touch i with equations A u = b for a twist u of its own pose, whose error e has the covariance S, remains
@@ -86,8 +92,8 @@ def step(T, observed, triangles, samples, middle, scale, T_each, information):
     for a in range(3):
         centre[a] = T[a, 0] * middle[0] + T[a, 1] * middle[1] + T[a, 2] * middle[2] + T[a, 3]
     for i in range(count):
-        seen(i, T_each[i], observed, triangles, scale, A[i], b[i], misfit)
-        kept_out(i, T_each[i], observed, samples, scale, A[i], b[i])
+        seen(i, T_each[i], observed, triangles, scale, every, A[i], b[i], misfit)
+        kept_out(i, T_each[i], observed, samples, scale, every, A[i], b[i])
     surer = min(1.0, observed.noise**2 * misfit[1] / max(misfit[0], 1e-30))
     for i in range(count):
         for r in range(6):
@@ -160,14 +166,14 @@ def step(T, observed, triangles, samples, middle, scale, T_each, information):
 
 
 @njit(fast=True)
-def seen(i, T, observed, triangles, scale, A, b, misfit):
+def seen(i, T, observed, triangles, scale, every, A, b, misfit):
     """Add the equations of touch i's points: each lies on the object's surface, which faces as the point does.
 
     To the misfit (2,) are added their weighted squared distances, mm^2, and their weights.
     """
     x, y = np.empty(3), np.empty(3)
     J = np.empty(6)
-    for j in range(observed.starts[i], observed.starts[i + 1]):
+    for j in range(observed.starts[i], observed.starts[i + 1], every):
         p, n = observed.points[j], observed.normals[j]
         for a in range(3):  # into the object's frame
             x[a] = T[0, a] * (p[0] - T[0, 3]) + T[1, a] * (p[1] - T[1, 3]) + T[2, a] * (p[2] - T[2, 3])
@@ -190,25 +196,25 @@ def seen(i, T, observed, triangles, scale, A, b, misfit):
             r = math.sqrt(squared)
             d0, d1, d2 = e0 / r, e1 / r, e2 / r
         r = math.copysign(max(0.0, abs(r) - observed.slack[j]), r)
-        weight = observed.weights[j] * facing / (1.0 + r * r / (scale * scale)) ** 2
+        weight = every * observed.weights[j] * facing / (1.0 + r * r / (scale * scale)) ** 2
         # back into the sensor's frame; the object moves by u, so that the residual falls by d . u(p)
         for a in range(3):
             y[a] = T[a, 0] * d0 + T[a, 1] * d1 + T[a, 2] * d2
         row(p, observed.centres[i], y, J)
         add(J, r, weight, A, b)
-        weight = observed.weights[j] * facing
+        weight = every * observed.weights[j] * facing
         misfit[0] += weight * min(r * r, GROSS_MM**2)
         misfit[1] += weight
 
 
 @njit(fast=True)
-def kept_out(i, T, observed, samples, scale, A, b):
+def kept_out(i, T, observed, samples, scale, every, A, b):
     """Add the equations of surface samples that reach deeper into the gel of touch i than it shows."""
     camera = observed.cameras[i]
     pinhole, fx, fy, cx, cy, gel = camera[0] > 0.0, camera[1], camera[2], camera[3], camera[4], camera[5]
     height, width, offset = observed.sizes[i, 0], observed.sizes[i, 1], observed.offsets[i]
     d, p, J = np.empty(3), np.empty(3), np.empty(6)
-    for j in range(len(samples)):
+    for j in range(0, len(samples), every):
         s = samples[j]
         z = T[2, 0] * s[0] + T[2, 1] * s[1] + T[2, 2] * s[2] + T[2, 3]
         if z >= gel:
@@ -237,7 +243,7 @@ def kept_out(i, T, observed, samples, scale, A, b):
         p[0], p[1], p[2] = x, y, z
         row(p, observed.centres[i], d, J)
         # here the point itself moves with the object, towards d, by r
-        add(J, r, camera[10] / (1.0 + r * r / (scale * scale)) ** 2, A, b)
+        add(J, r, every * camera[10] / (1.0 + r * r / (scale * scale)) ** 2, A, b)
 
 
 @njit(fast=True)
