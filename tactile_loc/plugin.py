@@ -103,6 +103,11 @@ if TYPE_CHECKING:
     from tactile_loc.core.lattices import reachable_translations as reachable_translations
     from tactile_loc.core.lattices import shifted_lattice as shifted_lattice
 
+    from tactile_loc.core.places import PATCH_PX as PATCH_PX
+    from tactile_loc.core.places import PITCH_M as PITCH_M
+    from tactile_loc.core.places import Places as Places
+    from tactile_loc.core.places import as_patches as as_patches
+
     # for encoders that learn
     from tactile_loc.core.grids import contact_grid as contact_grid
     from tactile_loc.core.grids import random_contact_poses as random_contact_poses

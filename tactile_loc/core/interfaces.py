@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from tactile_loc.core.poses import PoseGrid, Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing import ContactShape, Drawing, SensorGeometry, Touch, as_drawn, contact_depth
+
+if TYPE_CHECKING:  # compiled code, which few need
+    from tactile_loc.core.places import Places
 
 Float32 = NDArray[np.float32]
 
@@ -68,6 +71,7 @@ class Capabilities:
     needs_training: bool = False
     refines: bool = True
     contact_only: bool = False
+    places: bool = False
     uses_normals: bool = False
     differentiable: bool = False
     device: str = "cpu"
@@ -271,6 +275,14 @@ class GridSampler(Component):
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
         """Return candidate poses (N, 4, 4), about `spacing_m` metres apart; z is free, core brings them to contact."""
 
+    def places(self, obj: ObjectModel, progress: Progress) -> Places:
+        """Return the places of an object that can touch first: what is searched if `Capabilities.places` is declared.
+
+        Poses are not listed then: a touch shows where its deepest point is, and is turned by each of `options.turns`
+        yaws. `sample` and `random` are of the set of poses that this covers.
+        """
+        raise NotImplementedError(f"{type(self).__name__} lists poses")
+
     @abstractmethod
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
         """Draw `count` poses (count, 4, 4) uniformly from the continuous set that the grid samples; z is free.
@@ -328,6 +340,16 @@ class Encoder(Component):
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
         """Return embeddings (N, D) of contact depths (N, H, W) in metres, all cut at one press depth."""
 
+    def encode_seen(
+        self, depth_m: Float32, seen: NDArray[np.bool_], press_depth_m: float, geometry: SensorGeometry
+    ) -> tuple[Float32, Float32]:
+        """Return embeddings (N, D) of contact depths of which pixels `seen` (N, H, W) are known, and weights (N, D).
+
+        The weights, 0 to 1, say how far each number is known. By default all are, and the rest is out of contact.
+        """
+        embeddings = self.encode(np.where(seen, depth_m, np.float32(press_depth_m)), press_depth_m, geometry)
+        return embeddings, np.ones_like(embeddings)
+
 
 class Matcher(Component):
     """Compares queries with the bank. A score is -1/2 ||query - row||^2: for unit vectors, the cosine minus one."""
@@ -341,6 +363,18 @@ class Matcher(Component):
     @abstractmethod
     def scores(self, queries: Float32) -> Float32:
         """Return scores (M, N) of queries (M, D), unitless, higher is more alike; -inf where it did not look."""
+
+    def weighted_scores(self, queries: Float32, weights: Float32) -> Float32:
+        """Return scores (M, N), -1/2 sum w (q - b)^2, of queries (M, D) of which weights (M, D), 0 to 1, are known.
+
+        Raises ConfigError for a matcher that cannot weigh.
+        """
+        if (weights == 1).all():
+            return self.scores(queries)
+        raise ConfigError(
+            f"the matcher {type(self).__name__} cannot leave out what a sensor does not see; choose dense, or a grid "
+            "that lists its poses, such as face or hopf"
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -130,14 +130,14 @@ class AllRotationsGrid(GridSampler):
         self._refuse_too_many(self.least_poses(obj, geometry, spacing_m), obj, geometry, spacing_m)
         R = self.rotations(obj, spacing_m)
         low, high = centroid_range(obj, R, geometry)
-        counts = self.places(obj, R, geometry, spacing_m)
+        counts = self.place_counts(obj, R, geometry, spacing_m)
         self._refuse_too_many(int(counts.sum()), obj, geometry, spacing_m)
         log.info("%s grid of %s: %d rotations, %d poses before contact", self.name, obj.name, len(R), counts.sum())
         xy = np.concatenate([plane_lattice(a, b, spacing_m) for a, b in zip(low, high, strict=True)])
         return _poses_with_centroid_at(obj, np.repeat(R, counts, axis=0), xy)
 
     @staticmethod
-    def places(obj: ObjectModel, R: Float, geometry: SensorGeometry, spacing_m: float) -> NDArray[np.int64]:
+    def place_counts(obj: ObjectModel, R: Float, geometry: SensorGeometry, spacing_m: float) -> NDArray[np.int64]:
         """Return how many places (N,), `spacing_m` metres apart, rotations R (N, 3, 3) have over the sensor."""
         counts: NDArray[np.int64] = lattice_shape(*centroid_range(obj, R, geometry), spacing_m).prod(axis=-1)
         return counts

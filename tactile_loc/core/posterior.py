@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,21 +33,26 @@ class PosePosterior:
 
     `log_train` (N,) is the distribution of the poses that the probabilities were learned from, P_train, up to a
     constant; None if they were all alike. Fusers divide by it. `touches` tells from how many touches they come.
-    Normalised on creation. Raises GridError when no pose has any probability, a value is NaN, or `log_train` is not
-    finite.
+    `elsewhere` is the probability, below 1, that the pose is near none of the grid's: that of a search which looked at
+    the likeliest poses alone. Normalised on creation: all together are one. Raises GridError when no pose has any
+    probability, a value is NaN, or `log_train` is not finite.
     """
 
     grid: PoseGrid
     log_p: NDArray[np.float64]
     log_train: NDArray[np.float64] | None = None
     touches: int = 1
+    elsewhere: float = 0.0
 
     def __post_init__(self) -> None:
         log_p = np.asarray(self.log_p, float)
         if log_p.shape != (len(self.grid),) or np.isnan(log_p).any() or not np.isfinite(log_p.max()):
             raise GridError("no pose of the grid explains the touch: all probabilities are zero or undefined")
         peak = log_p.max()
-        object.__setattr__(self, "log_p", log_p - peak - np.log(np.exp(log_p - peak).sum()))
+        if not 0 <= self.elsewhere < 1:
+            raise GridError(f"the probability of other poses is {self.elsewhere}; it must be from 0 to below 1")
+        total = np.log(np.exp(log_p - peak).sum()) - np.log1p(-self.elsewhere)
+        object.__setattr__(self, "log_p", log_p - peak - total)
         if self.log_train is not None and (
             np.shape(self.log_train) != log_p.shape or not np.isfinite(self.log_train).all()
         ):
@@ -57,7 +63,7 @@ class PosePosterior:
 
     @property
     def probabilities(self) -> NDArray[np.float64]:
-        """The probabilities (N,), which sum to one."""
+        """The probabilities (N,), which sum to one, less what is `elsewhere`."""
         return np.exp(self.log_p)
 
     def top(self, count: int) -> NDArray[np.int64]:
@@ -92,17 +98,22 @@ class PosePosterior:
         if power == 1.0:
             return self
         log_train = None if self.log_train is None else power * self.log_train
-        return PosePosterior(self.grid, power * self.log_p, log_train, self.touches)
+        return PosePosterior(self.grid, power * self.log_p, log_train, self.touches, self.elsewhere)
 
     @property
     def entropy(self) -> float:
-        """Shannon entropy in nats: 0 when one pose is certain, log N when nothing is known (unitless)."""
+        """Shannon entropy in nats: 0 when one pose is certain, log N when nothing is known (unitless).
+
+        What is elsewhere counts as one pose more.
+        """
         p = self.probabilities
-        return float(-(p[p > 0] * self.log_p[p > 0]).sum())
+        other = self.elsewhere
+        return float(-(p[p > 0] * self.log_p[p > 0]).sum()) - (other * math.log(other) if other > 0 else 0.0)
 
     def sample(self, count: int, rng: np.random.Generator) -> Poses:
-        """Draw poses (count, 4, 4), metres, with the posterior's probabilities."""
-        return self.grid.T_sensor_object[rng.choice(len(self.log_p), size=count, p=self.probabilities)]
+        """Draw poses (count, 4, 4), metres, with the posterior's probabilities, as if nothing were elsewhere."""
+        p = self.probabilities / self.probabilities.sum() if self.elsewhere else self.probabilities
+        return self.grid.T_sensor_object[rng.choice(len(self.log_p), size=count, p=p)]
 
     def modes(
         self, radius_m: float, count: int | None = 10, mass: float = 0.99, core: NDArray[np.int64] | None = None

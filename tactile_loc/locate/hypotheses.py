@@ -168,6 +168,13 @@ def proposed(
     ]
 
 
+def best_apart(posterior: PosePosterior, radius_m: float, top: int) -> list[Mode]:
+    """Return the most probable poses as modes, at most `top`, none within `radius_m` metres of a more probable one."""
+    grid = posterior.grid
+    chosen = apart(grid.T_sensor_object, posterior.log_p, grid.metric, radius_m, top)
+    return [Mode(int(k), float(np.exp(posterior.log_p[k])), grid.T_sensor_object[k], np.array([k])) for k in chosen]
+
+
 def apart(
     poses: Poses, worth: NDArray[np.float64], metric: PoseMetric, radius_m: float, count: int
 ) -> NDArray[np.int64]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import GridError, TouchError
+from tactile_loc.core.errors import ConfigError, GridError, TouchError
 from tactile_loc.core.geometry import invert
 from tactile_loc.core.interfaces import Candidate, Prior, RefinedPose, Refiner, View
 from tactile_loc.core.objects import ObjectModel
@@ -22,9 +22,10 @@ from tactile_loc.core.sensing import Touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.agreement import agreed, best_alone
 from tactile_loc.locate.coverage import PoseSet
-from tactile_loc.locate.hypotheses import REFINED, find_hypotheses, likeliest, proposed
+from tactile_loc.locate.hypotheses import REFINED, best_apart, find_hypotheses, likeliest, proposed
 from tactile_loc.locate.posteriors import TouchPosteriors
 from tactile_loc.locate.result import Agreement, Hypothesis, Localization
+from tactile_loc.locate.search import in_common
 from tactile_loc.store.store import StageStore
 
 MODE_RADIUS = 2.0  # grid spacings between poses that count as one hypothesis
@@ -130,7 +131,7 @@ def posterior_together(
     _require_one_object(observations)
     times = times or StageTimes()
     alone = [localizer.posteriors([touch], times)[0] for localizer, touch in observations]
-    return _fused(observations, alone, _beside(observations, prior), times)
+    return _fused(observations, _in_common(observations, alone, times), _beside(observations, prior), times)
 
 
 def localize_together(
@@ -201,7 +202,8 @@ def _located(
     touches = tuple(t for _, t in observations)
     coverage = first.config.coverage if coverage is None else coverage
     known = _beside(observations, prior)
-    posterior = _fused(observations, alone, known, times)
+    common = _in_common(observations, alone, times)
+    posterior = _fused(observations, common, known, times)
     poses = None if coverage is None else PoseSet.of(posterior, first.conformal_sets(posterior.touches), coverage)
     top = top or first.config.top
     views = [_view(touch, localizer, t) for localizer, t in observations]
@@ -209,7 +211,12 @@ def _located(
     with times.stage("modes"):
         modes: list[Mode] = []
         if len(views) > 1:
-            modes = proposed(views, alone, posterior, radius_m, REFINED)
+            searched = first.search is not None
+            modes = (
+                best_apart(posterior, radius_m, REFINED)
+                if searched
+                else proposed(views, alone, posterior, radius_m, REFINED)
+            )
         if poses is not None:
             modes += posterior.modes(first.mode_radius_m, None, core=poses.indices)
         elif len(views) == 1:
@@ -232,6 +239,25 @@ def _located(
     return Localization(touch, posterior, listed, times.seconds, touches[1:], poses, agreement)
 
 
+def _in_common(
+    observations: Sequence[Observation], alone: Sequence[PosePosterior], times: StageTimes
+) -> Sequence[PosePosterior]:
+    """What touches say of poses that all of them know: those of grids, or those that any search found."""
+    searching = [localizer.search is not None for localizer, _ in observations]
+    if len(observations) == 1 or not any(searching):
+        return alone
+    if not all(searching):
+        raise ConfigError("some touches are searched for in the whole object and others in a grid of listed poses; "
+                          "give all their localizers the grid whole, or none")  # fmt: skip
+    first = observations[0][1]
+    for _, touch in observations:
+        if touch.T_base_sensor is None:
+            return alone  # which the fuser refuses
+    views = [_view(first, localizer, touch) for localizer, touch in observations]
+    with times.stage("fuse"):
+        return in_common(views, alone, [localizer.temperature_scaling for localizer, _ in observations])
+
+
 def _fused(
     observations: Sequence[Observation], alone: Sequence[PosePosterior], prior: Prior | None, times: StageTimes
 ) -> PosePosterior:
@@ -241,7 +267,8 @@ def _fused(
     with times.stage("fuse"):
         each = [posterior.tempered(power) for posterior, power in zip(alone, powers, strict=True)]
         fused: PosePosterior = observations[0][0].fuser.fuse(each, [t.T_base_sensor for _, t in observations], prior)
-    return fused if count == fused.touches else replace(fused, touches=count)
+    elsewhere = float(np.prod([posterior.elsewhere for posterior in alone]))
+    return replace(fused, touches=count, elsewhere=elsewhere)
 
 
 def _beside(observations: Sequence[Observation], prior: Prior | None) -> Prior | None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from tactile_loc.core.errors import GridError, TouchError
 from tactile_loc.core.geometry import invert
-from tactile_loc.core.interfaces import Matcher, Scene
+from tactile_loc.core.interfaces import Matcher, Scene, View
 from tactile_loc.core.noise import noise_level
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseGrid
@@ -36,11 +36,14 @@ from tactile_loc.locate.probabilities import (
     fit_temperature_scaling,
 )
 from tactile_loc.locate.scoring import GridScores, Scores
+from tactile_loc.locate.search import PlaceSearch, build_places, in_common
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 EXAMPLE_TOUCHES = 50  # of simulated examples, in memory at once
+UNKNOWN = 1e3  # nats: the entropy of what no pose explains
+SETTLING = {"points": 200, "iterations": 8, "image_px": 60}  # options of the joint refiner, for many poses
 
 
 class TouchPosteriors:
@@ -103,6 +106,17 @@ class TouchPosteriors:
         return simulate_touches(self.sampler, self.scene, count, rng, press_depth_m, noise_level(noise))
 
     @cached_property
+    def search(self) -> PlaceSearch | None:
+        """What searches the whole object, if the grid knows its places: from the store, or built now."""
+        if not self.sampler.capabilities.places:
+            return None
+        settle = registry().create("refiner", "joint", SETTLING).settled
+        places, key = build_places(self.sampler, self.scene, self.store, self.progress)
+        return PlaceSearch(
+            places, key, self.scene, self.encoder, lambda: self._component("matcher"), settle, self.sampler.options
+        )
+
+    @cached_property
     def model(self) -> ObjectPoseModel:
         """The object's grid and contact shapes: from the store, or built now."""
         return build_model(self.coarse_scene, self.sampler, self.store, self.progress)
@@ -137,7 +151,8 @@ class TouchPosteriors:
 
     def temperature_key(self) -> StageKey:
         """Return the key under which the temperature scaling is stored: everything that decides it."""
-        simulated = {"sampler": self.sampler.describe(), **probabilities.describe_touches()}
+        number = probabilities.TOUCHES if self.search is None else probabilities.SEARCHED
+        simulated = {"sampler": self.sampler.describe(), **probabilities.describe_touches(number)}
         return StageKey(probabilities.STAGE, probabilities.STAGE_VERSION, {**self.describe_scores(), **simulated})
 
     def _fit_temperature(self, work: Workspace) -> None:
@@ -145,11 +160,13 @@ class TouchPosteriors:
         exact = self.with_matcher("dense")
         scores: list[Scores] = []
         truth: list[int] = []
-        with self.progress.task("fitting probabilities", probabilities.TOUCHES) as advance:
-            for seed, count in probabilities.batches():
+        number = probabilities.TOUCHES if self.search is None else probabilities.SEARCHED
+        with self.progress.task("fitting probabilities", number) as advance:
+            for seed, count in probabilities.batches(number):
                 for touch in self.simulate(count, seed, noise=probabilities.TOUCH_NOISE):
-                    scores += exact.scores([touch])
-                    truth.append(int(self.grid_of(touch).nearest(np.asarray(touch.T_sensor_object)[None])[1][0]))
+                    ((grid, found),) = exact.scored([touch])
+                    scores.append(found)
+                    truth.append(self.true_index(grid, touch))
                     advance(1)
         work.save_json(probabilities.STAGE, asdict(fit_temperature_scaling(scores, np.array(truth))))
 
@@ -158,19 +175,26 @@ class TouchPosteriors:
         """How sure several touches together make: fitted to simulated examples, unless a temperature was asked for."""
         if self.config.temperature is not None:
             return FusedScaling()
-        numbers, count, seed = probabilities.FUSED_TOUCHES, probabilities.FUSED_EXAMPLES, probabilities.FUSED_SEED
+        numbers, count, seed = self._fused_examples
         described = self._describe_examples(numbers, count, seed)
         key = StageKey(probabilities.FUSED_STAGE, probabilities.FUSED_VERSION, described)
         return FusedScaling(**self.store.build(key, self._fit_fused_scaling).json(probabilities.FUSED_STAGE))
 
+    @property
+    def _fused_examples(self) -> tuple[tuple[int, ...], int, int]:
+        """The numbers of touches that are fused to fit to, how many examples of each, and their seed."""
+        if self.search is not None:
+            return probabilities.SEARCHED_TOUCHES, probabilities.SEARCHED_EXAMPLES, probabilities.FUSED_SEED
+        return probabilities.FUSED_TOUCHES, probabilities.FUSED_EXAMPLES, probabilities.FUSED_SEED
+
     def _fit_fused_scaling(self, work: Workspace) -> None:
         """Fuse simulated touches of known pose, and save how sure they are to make."""
-        numbers, count, seed = probabilities.FUSED_TOUCHES, probabilities.FUSED_EXAMPLES, probabilities.FUSED_SEED
+        numbers, count, seed = self._fused_examples
         fused = [
             (number, found.log_p, truth)
             for number in numbers
             for found, truth in self._examples(number, count, seed)
-            if found is not None
+            if found is not None and truth >= 0
         ]
         work.save_json(probabilities.FUSED_STAGE, asdict(fit_fused_scaling(fused)))
 
@@ -185,8 +209,8 @@ class TouchPosteriors:
             scores, entropies = [], []
             for fused, truth in self._examples(number, conformal.EXAMPLES, conformal.SEED):
                 posterior = None if fused is None else fused.tempered(power)
-                scores.append(1.0 if posterior is None else posterior.credible_level(truth))
-                entropies.append(float(np.log(self.model.size)) if posterior is None else posterior.entropy)
+                scores.append(1.0 if posterior is None or truth < 0 else posterior.credible_level(truth))
+                entropies.append(UNKNOWN if posterior is None else posterior.entropy)
             work.save_json(conformal.STAGE, {"scores": scores, "entropies": entropies})
 
         return ConformalSets(**self.store.build(key, score).json(conformal.STAGE))
@@ -213,7 +237,12 @@ class TouchPosteriors:
                 for first in range(0, len(drawn), touches):
                     poses = np.stack([np.asarray(touch.T_sensor_object) for touch in drawn[first : first + touches]])
                     alone = posteriors[first : first + touches]
-                    truth = int(alone[0].grid.nearest(poses[:1])[1][0])
+                    if self.search is not None and touches > 1:
+                        seen_from = poses @ invert(poses[0])
+                        together = zip(drawn[first : first + touches], seen_from, strict=True)
+                        views = [View(touch, self.scene.of_touch(touch), T) for touch, T in together]
+                        alone = in_common(views, alone, [self.temperature_scaling] * touches)
+                    truth = self.true_index(alone[0].grid, drawn[first])
                     try:
                         yield self.fuser.fuse(alone, list(invert(poses))), truth
                     except GridError:
@@ -225,8 +254,9 @@ class TouchPosteriors:
 
         The matcher is not among it: all find the same scores, if they look at all poses.
         """
+        searched = {"model": self.model.key.digest} if self.search is None else self.search.describe()
         return {
-            "model": self.model.key.digest, "sensor": self.sensor.geometry.describe(), "trained": self.trained,
+            **searched, "sensor": self.sensor.geometry.describe(), "trained": "" if self.search else self.trained,
             "encoder": self.encoder.describe(), "training": STAGE_VERSIONS["encoder"], "bank": STAGE_VERSIONS["bank"],
         }  # fmt: skip
 
@@ -245,8 +275,23 @@ class TouchPosteriors:
         Raises TouchError when another sensor took one of the touches.
         """
         scaling = self.temperature_scaling
-        scored = zip(touches, self.scores(touches, times), strict=True)
-        return [scaling.posterior(self.grid_of(touch), scores) for touch, scores in scored]
+        return [scaling.posterior(grid, scores) for grid, scores in self.scored(touches, times)]
+
+    def scored(self, touches: Sequence[Touch], times: StageTimes | None = None) -> list[tuple[PoseGrid, Scores]]:
+        """Return the poses that are compared with each touch, metres, and how alike they are (N,), unitless.
+
+        They are those of the grid, or of a whole object the likeliest ones. Raises TouchError as `scores` does.
+        """
+        if self.search is None:
+            return list(zip(map(self.grid_of, touches), self.scores(touches, times), strict=True))
+        for touch in touches:
+            self._require_own(touch)
+        return [self.search.found(touch, times or StageTimes()) for touch in touches]
+
+    def true_index(self, grid: PoseGrid, touch: Touch) -> int:
+        """Return the index of the pose nearest to a touch's true one; -1 if a search did not find any near it."""
+        (distance_m,), (index,) = grid.nearest(np.asarray(touch.T_sensor_object)[None])
+        return -1 if self.search is not None and distance_m > self.search.found_m else int(index)
 
     def grid_of(self, touch: Touch) -> PoseGrid:
         """Return the poses that are searched, in metres, pressed as deep as the touch."""

@@ -35,15 +35,20 @@ LEAST = 1e-12  # probability of the truth, lest one touch decide alone
 FUSED_STAGE, FUSED_VERSION = "fused-temperature", 1
 FUSED_TOUCHES = (2, 3, 5, 7)  # of the examples that are fitted to
 FUSED_EXAMPLES, FUSED_SEED = 40, 0xF05ED  # of each number of touches
+SEARCHED, SEARCHED_TOUCHES, SEARCHED_EXAMPLES = 75, (2, 3, 5), 10  # of a whole object, which takes longer
 EXPONENTS = np.linspace(0.0, 1.0, 41)
 
 
 @dataclass(frozen=True)
 class TemperatureScaling:
-    """How scores become probabilities: (1 - tail) softmax(s / T) + tail softmax(s / (TAIL_HEAT T)), all unitless."""
+    """How scores become probabilities: (1 - tail) softmax(s / T) + tail softmax(s / (TAIL_HEAT T)), all unitless.
+
+    Of a search that looks at the likeliest poses alone, `elsewhere` is how often the true one is none of them.
+    """
 
     temperature: float
     tail: float = 0.0
+    elsewhere: float = 0.0
 
     def __post_init__(self) -> None:
         if not (self.temperature > 0 and np.isfinite(self.temperature) and 0 <= self.tail < 1):
@@ -63,19 +68,24 @@ class TemperatureScaling:
     def posterior(self, grid: PoseGrid, scores: NDArray[np.floating]) -> PosePosterior:
         """Return the posterior over a grid of N poses of scores (N,). Raises GridError when all are -inf."""
         with np.errstate(invalid="ignore"):
-            return PosePosterior(grid, self.log_p(scores))
+            return PosePosterior(grid, self.log_p(scores), elsewhere=self.elsewhere)
 
 
 def fit_temperature_scaling(scores: Sequence[NDArray[np.floating]], truth: NDArray[np.int64]) -> TemperatureScaling:
     """Return the scaling that makes the true poses most probable: least mean negative log-likelihood.
 
-    `scores` holds (N,) for each of T touches, `truth` (T,) the index of the pose nearest to the true one.
+    `scores` holds (N,) for each of T touches, `truth` (T,) the index of the pose nearest to the true one, -1 where none
+    of them is.
     """
-    rows = [np.asarray(row, np.float64) for row in scores]
+    found = [number for number, index in enumerate(truth) if index >= 0]
+    elsewhere = 0.0 if len(found) == len(truth) else (len(truth) - len(found) + 0.5) / (len(truth) + 1)
+    if not found:
+        return TemperatureScaling(1.0, TAILS[-1], elsewhere)  # nothing is known
+    rows, truth = [np.asarray(scores[number], np.float64) for number in found], truth[found]
     spread = float(np.median([np.ptp(row[np.isfinite(row)]) for row in rows]))
     hottest = np.log(max(spread, np.finfo(float).tiny))
     tried = [
-        TemperatureScaling(float(np.exp(t)), tail)
+        TemperatureScaling(float(np.exp(t)), tail, elsewhere)
         for t in np.linspace(hottest - REACH, hottest, REACH * STEPS_PER_E + 1)
         for tail in TAILS
     ]
@@ -112,15 +122,15 @@ def fit_fused_scaling(fused: Sequence[tuple[int, NDArray[np.float64], int]]) -> 
     return FusedScaling(float(EXPONENTS[np.argmin(losses)]))
 
 
-def batches() -> Iterator[tuple[int, int]]:
+def batches(touches: int = TOUCHES) -> Iterator[tuple[int, int]]:
     """Yield seed and number of the touches to fit to, batch by batch."""
-    for start in range(0, TOUCHES, BATCH):
-        yield SEED + start, min(BATCH, TOUCHES - start)
+    for start in range(0, touches, BATCH):
+        yield SEED + start, min(BATCH, touches - start)
 
 
-def describe_touches() -> dict[str, Any]:
+def describe_touches(touches: int = TOUCHES) -> dict[str, Any]:
     """Return what decides which touches are fitted to, but for what draws them, as JSON values."""
-    return {"noise": noise_level(TOUCH_NOISE).describe(), "touches": TOUCHES, "batch": BATCH, "seed": SEED}
+    return {"noise": noise_level(TOUCH_NOISE).describe(), "touches": touches, "batch": BATCH, "seed": SEED}
 
 
 def _losses(scores: NDArray[np.float64], index: int, tried: Sequence[TemperatureScaling]) -> NDArray[np.float64]:

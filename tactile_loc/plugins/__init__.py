@@ -20,6 +20,8 @@ BUILT_IN = [
      "OpenGL through EGL, headless, as in the paper"),
     ("grid", "face", "grids.face:FaceGrid", "x, y and yaw on one face, optional small tilts"),
     ("grid", "hopf", "grids.hopf:HopfGrid", "all rotations (Hopf/HEALPix) times the plane"),
+    ("grid", "whole", "grids.whole:WholeGrid",
+     "every direction, by the places of the object that touch first: the default"),
     ("encoder", "pixel", "encoders.pixel:PixelEncoder", "direct comparison of contact shapes, no training"),
     ("encoder", "moco", "encoders.moco.encoder:MocoEncoder",
      "learned by contrast in simulation, for one object", LEARNED),

@@ -10,6 +10,8 @@ from pydantic import Field
 
 from tactile_loc.plugin import Capabilities, ComponentOptions, Encoder, Float32, SensorGeometry
 
+LEAST_SEEN = 0.5  # of a cell, for it to count
+
 
 class PixelEncoder(Encoder):
     """Embeds a contact shape as the share of each coarse cell that is in contact: no training."""
@@ -38,6 +40,20 @@ class PixelEncoder(Encoder):
         cells = rows @ (signal.reshape(-1, width) @ columns.T).reshape(len(signal), height, across)
         scale = np.float32(1 / np.sqrt(len(rows) * len(columns)))
         return (cells * scale).reshape(len(cells), down * across).astype(np.float32, copy=False)
+
+    def encode_seen(
+        self, depth_m: Float32, seen: NDArray[np.bool_], press_depth_m: float, geometry: SensorGeometry
+    ) -> tuple[Float32, Float32]:
+        """Return embeddings (N, cells) of what is seen (N, H, W) of contact depths, and weights (N, cells).
+
+        A cell is what is seen of it, and counts if that is more than a half.
+        """
+        unseen = np.float32(press_depth_m)
+        embeddings = self.encode(np.where(seen, depth_m, unseen), press_depth_m, geometry)
+        whole = self.encode(np.zeros((1, *geometry.shape), np.float32), press_depth_m, geometry)
+        share = self.encode(np.where(seen, np.float32(0), unseen), press_depth_m, geometry) / np.maximum(whole, 1e-12)
+        weights = (share > LEAST_SEEN).astype(np.float32)
+        return np.where(weights > 0, embeddings / np.maximum(share, LEAST_SEEN), np.float32(0)), weights
 
 
 def _cells(geometry: SensorGeometry, longest: int) -> tuple[int, int]:

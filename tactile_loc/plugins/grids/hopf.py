@@ -62,7 +62,7 @@ class HopfGrid(AllRotationsGrid):
         rotations = rotation_grid(obj, spacing_m, self.options.level)
         total = len(rotations)
         some = np.arange(total) if total <= _SAMPLE else np.random.default_rng(0).integers(total, size=_SAMPLE)
-        counts = self.places(obj, rotations.representatives(some), geometry, spacing_m)
+        counts = self.place_counts(obj, rotations.representatives(some), geometry, spacing_m)
         return round(float(counts.sum()) * total / len(some))
 
     def advice(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> str:

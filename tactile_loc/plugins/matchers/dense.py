@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from tactile_loc.plugin import Float32, Matcher
@@ -13,6 +15,7 @@ class DenseMatcher(Matcher):
     def index(self, bank: Float32) -> None:
         """Take the bank (N, D), unitless, and its half squared norms."""
         self._bank = np.ascontiguousarray(bank, np.float32)
+        self.__dict__.pop("_half_squares", None)
         self._half_norms = 0.5 * np.einsum("nd,nd->n", self._bank, self._bank)
 
     def scores(self, queries: Float32) -> Float32:
@@ -21,3 +24,18 @@ class DenseMatcher(Matcher):
         half_norms = 0.5 * np.einsum("md,md->m", q, q)
         scores: Float32 = q @ self._bank.T - self._half_norms - half_norms[:, None]
         return scores
+
+    def weighted_scores(self, queries: Float32, weights: Float32) -> Float32:
+        """Return scores (M, N), -1/2 sum w (q - b)^2, of queries (M, D) and weights (M, D): two matrix products."""
+        q, w = np.asarray(queries, np.float32), np.asarray(weights, np.float32)
+        weighed = w * q
+        scores: Float32 = weighed @ self._bank.T
+        scores -= w @ self._half_squares.T
+        scores -= 0.5 * np.einsum("md,md->m", weighed, q)[:, None]
+        return scores
+
+    @cached_property
+    def _half_squares(self) -> Float32:
+        squares: Float32 = np.square(self._bank)
+        squares *= 0.5
+        return squares

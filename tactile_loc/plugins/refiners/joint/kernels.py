@@ -17,7 +17,7 @@ from tactile_loc.plugin import closest_on_triangle, downhill, njit, triangle_nea
 # mypy: ignore-errors
 
 SETTLED_MM = 1e-4
-COARSELY, LAST = 3, 6  # one point of so many is looked at, but in the last steps
+COARSELY = 3  # one point of so many is looked at at first
 GROSS_MM = 0.5  # a point that is off by more is no more of a sign of noise
 NEAR_PLANE_MM = 0.1  # a point beside its triangle by less is measured to the triangle's plane
 
@@ -52,11 +52,12 @@ class Observed(NamedTuple):
 
 
 @njit(fast=True)
-def register(first, last, T, observed, triangles, samples, middle, scales, T_each, information, moved):
+def register(first, last, T, observed, triangles, samples, middle, scales, finely, T_each, information, moved):
     """Move the poses T (K, 4, 4) from first to last, in the first sensor's frame, to where they explain all touches.
 
     `triangles` are the object's in mm, `samples` (S, 3) points of its surface, `middle` (3,) its centre, `scales` (I,)
-    the scale in mm of the robust weights, iteration by iteration. Filled are `T_each` (K, N, 4, 4), where each sensor
+    the scale in mm of the robust weights, iteration by iteration, the last `finely` of which look at all points, the
+    others at one of COARSELY. Filled are `T_each` (K, N, 4, 4), where each sensor
     sees the object, its own pose's error regarded; `information` (K, 6, 6), that of a twist about the middle in the
     first sensor's frame; and `moved` (K,), the last step, mm.
     """
@@ -66,11 +67,11 @@ def register(first, last, T, observed, triangles, samples, middle, scales, T_eac
             multiply(observed.T_sensor_first[i], T[k], T_each[k, i])
         every = COARSELY
         for n, scale in enumerate(scales):
-            if n + LAST >= len(scales):
+            if n + finely >= len(scales):
                 every = 1
             moved[k] = step(T[k], observed, triangles, samples, middle, scale, every, T_each[k], information[k])
             if moved[k] < SETTLED_MM and scale == scales[-1]:
-                if every == 1:
+                if every == 1 or finely == 0:
                     break
                 every = 1
 

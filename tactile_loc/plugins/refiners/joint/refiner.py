@@ -33,6 +33,7 @@ from tactile_loc.plugins.refiners.joint.observed import MILLI, Seen, observe
 
 ROUGHLY = 0.02  # ious are counted in pixels: a loss this small is none
 SETTLED_MM = 1e-3
+FINELY = 6  # of the steps, the last, that look at all points
 SAMPLES = 4000  # points of the object's surface that must not reach into the gel
 Floats = NDArray[np.float64]
 
@@ -67,7 +68,7 @@ class JointRefiner(Refiner):
         if not candidates:
             return []
         given = np.stack([candidate.T_sensor_object for candidate in candidates])
-        poses, each, information, moved_mm = self._registered(views, given, self._scales_mm)
+        poses, each, information, moved_mm = self._registered(views, given, self._scales_mm, FINELY)
         before, after = (_explained(views, T) for T in (given, poses))
         good = after[1] >= before[1] - ROUGHLY
         results = []
@@ -84,8 +85,15 @@ class JointRefiner(Refiner):
 
         None where they say nothing of it.
         """
-        information = self._registered(views, T_first_object, self._scales_mm[-1:])[2]
+        information = self._registered(views, T_first_object, self._scales_mm[-1:], 1)[2]
         return [_covariance(A, _lever_m(views[0], T)) for A, T in zip(information, T_first_object, strict=True)]
+
+    def settled(self, views: Sequence[View], T_first_object: Floats) -> Floats:
+        """Return where poses (K, 4, 4), metres, end that are registered roughly, whether they explain more or not.
+
+        For many poses: a fraction of the points is looked at, and nothing is drawn.
+        """
+        return self._registered(views, T_first_object, self._scales_mm, 0)[0]
 
     @property
     def _scales_mm(self) -> Floats:
@@ -94,10 +102,11 @@ class JointRefiner(Refiner):
         return np.asarray(start * (end / start) ** np.clip(np.arange(count) / (0.5 * count), 0, 1))
 
     def _registered(
-        self, views: Sequence[View], given: Floats, scales_mm: Floats
+        self, views: Sequence[View], given: Floats, scales_mm: Floats, finely: int
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """The poses (K, 4, 4), metres, that the given ones end at, and where each sensor sees them (K, N, 4, 4); the
-        information (K, 6, 6), mm and rad, at the poses before the last steps, and how long those were (K,), mm."""
+        information (K, 6, 6), mm and rad, at the poses before the last steps, and how long those were (K,), mm. The
+        last `finely` steps look at all points."""
         options, mesh = self.options, views[0].scene.object.mesh
         area_m2 = float(mesh.face_areas.sum()) / SAMPLES
         seen = [self._seen(view) for view in views]
@@ -108,7 +117,8 @@ class JointRefiner(Refiner):
         information, moved = np.zeros((count, 6, 6)), np.full(count, np.inf)
         samples, middle = _samples_mm(mesh), mesh.centroid_m * MILLI
         in_threads(
-            register, count, T, observed, _triangles_mm(mesh), samples, middle, scales_mm, each, information, moved
+            register, count, T, observed, _triangles_mm(mesh), samples, middle, scales_mm, finely, each, information,
+            moved,
         )  # fmt: skip
         T[:, :3, 3] /= MILLI
         each[:, :, :3, 3] /= MILLI

@@ -1,0 +1,136 @@
+"""The whole object searched: which of its places, from which direction and how turned, a touch may show.
+
+A touch's patch around its deepest point, turned to many yaws, is compared with those of all places; the most alike are
+registered to the touch, drawn, and compared with it. What is left are the likeliest poses, with their imprint IoUs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.geometry import invert
+from tactile_loc.core.interfaces import Encoder, GridSampler, Matcher, Scene, View
+from tactile_loc.core.places import CAMERA, HIGHEST_M, Places, turned_patches
+from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
+from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.progress import Progress, StageTimes
+from tactile_loc.core.sensing import Touch
+from tactile_loc.locate.hypotheses import apart, explained
+from tactile_loc.locate.probabilities import TemperatureScaling
+from tactile_loc.locate.scoring import GridScores, Scores
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import StageStore
+from tactile_loc.store.workspace import Workspace
+
+STAGE, STAGE_VERSION = "places", 1
+SEARCH_VERSION = 1
+ALIKE = 1000  # turned places that are most alike, of each anchor
+SETTLED = 300  # poses that are registered to a touch
+DRAWN_PX = 40  # pixels a side of what is drawn of them
+ENCODED = 4096  # places at once
+NEAREST_MM = 0.5  # between poses that are kept
+FREEDOM_M = 1e-3  # along z, of a pose that another touch found
+
+
+def build_places(sampler: GridSampler, scene: Scene, store: StageStore, progress: Progress) -> tuple[Places, StageKey]:
+    """Return the places of the scene's object, from the store or built now, and the key under which they are stored."""
+    obj = scene.object
+    key = StageKey(STAGE, STAGE_VERSION, {"object": obj.describe(), "sampler": sampler.describe()}, obj.name)
+
+    def build(work: Workspace) -> None:
+        places = sampler.places(obj, progress)
+        work.save_array("T_place_object", places.T_place_object)
+        work.save_array("patches", places.patches)
+
+    stored = store.build(key, build)
+    return Places(np.array(stored.array("T_place_object")), stored.array("patches")), key
+
+
+class PlaceSearch:
+    """Searches all places of an object for those that a touch may show."""
+
+    def __init__(
+        self, places: Places, key: StageKey, scene: Scene, encoder: Encoder, new_matcher: Callable[[], Matcher],
+        settle: Callable[[Sequence[View], Poses], Poses], options: Any,
+    ) -> None:  # fmt: skip
+        if encoder.capabilities.needs_training:
+            raise ConfigError(
+                f"the encoder {type(encoder).__name__} learns from poses that are listed; choose pixel, or a grid that "
+                "lists its poses, such as face or hopf"
+            )
+        self.places, self.key, self.scene, self.encoder, self.settle = places, key, scene, encoder, settle
+        self.metric, spacing_m = PoseMetric(scene.object), 1e-3 * options.spacing_mm
+        self.radius_m, self.found_m = 0.5 * spacing_m, spacing_m  # between starts; how near the truth is found
+        self.yaws_rad = 2 * np.pi * np.arange(options.turns) / options.turns
+        self._banks = GridScores(encoder, new_matcher, self._bank, HIGHEST_M)
+
+    def found(self, touch: Touch, times: StageTimes) -> tuple[PoseGrid, Scores]:
+        """Return the likeliest poses of a touch, and their imprint IoUs (K,), drawn coarsely; adds to `times`."""
+        view = View(touch, self.scene.of_touch(touch))
+        with times.stage("match"):
+            poses, scores = self.alike(touch)
+        with times.stage("settle"):
+            poses = poses[apart(poses, scores, self.metric, self.radius_m, SETTLED)]
+            poses = self.settle([view], poses)
+            ious = explained([view], poses, DRAWN_PX)[:, 0]
+            kept = apart(poses, ious, self.metric, NEAREST_MM * 1e-3, SETTLED)
+        return PoseGrid(poses[kept], self.metric), ious[kept].astype(np.float32)
+
+    def describe(self) -> dict[str, Any]:
+        """Return what decides what is found of a touch, but for the encoder, as JSON values."""
+        return {"places": self.key.digest, "search": SEARCH_VERSION}
+
+    def alike(self, touch: Touch) -> tuple[Poses, NDArray[np.float64]]:
+        """Return the poses (K, 4, 4), metres, of the turned places that are most alike, and how much they are (K,)."""
+        matcher = self._banks.matcher(touch.press_depth_m)
+        press_m = min(self._banks.bank_press_m(touch.press_depth_m), touch.press_depth_m)
+        poses, scores = [], []
+        for anchor_m in anchors(touch):
+            depths_m, seen = turned_patches(touch, anchor_m[:2], self.yaws_rad)
+            cut_m = np.minimum(depths_m, np.float32(press_m))
+            queries, weights = self.encoder.encode_seen(cut_m, seen, press_m, CAMERA)
+            rows = matcher.weighted_scores(queries, weights)
+            best = np.argpartition(-rows, min(ALIKE, rows.size) - 1, axis=None)[:ALIKE]
+            yaw, number = np.unravel_index(best, rows.shape)
+            poses.append(self.places.poses(number, np.broadcast_to(anchor_m, (len(best), 3)), self.yaws_rad[yaw]))
+            scores.append(rows.ravel()[best].astype(float))
+        return np.concatenate(poses), np.concatenate(scores)
+
+    def _bank(self, press_depth_m: float) -> Scores:
+        starts = range(0, len(self.places), ENCODED)
+        depths = (self.places.depths(press_depth_m, slice(start, start + ENCODED)) for start in starts)
+        return np.concatenate([self.encoder.encode(some, press_depth_m, CAMERA) for some in depths])
+
+
+def in_common(
+    views: Sequence[View], alone: Sequence[PosePosterior], scalings: Sequence[TemperatureScaling]
+) -> list[PosePosterior]:
+    """Return what each of several touches says of the poses that any of them found likely.
+
+    They are drawn coarsely for each touch, whose probabilities are scaled as its own search's.
+    """
+    poses = np.concatenate([
+        invert(view.T_sensor_first) @ posterior.grid.T_sensor_object
+        for view, posterior in zip(views, alone, strict=True)
+    ])  # fmt: skip
+    ious, metric = explained(views, poses, DRAWN_PX, FREEDOM_M), alone[0].grid.metric
+    return [
+        scaling.posterior(PoseGrid(view.T_sensor_first @ poses, metric), said)
+        for view, scaling, said in zip(views, scalings, ious.T, strict=True)
+    ]
+
+
+def anchors(touch: Touch) -> NDArray[np.float64]:
+    """Return where the places (K, 3) that touch first may be, in metres of the sensor's frame."""
+    geometry, shape = touch.geometry, touch.contact_shape
+    depth = np.where(shape.contact & geometry.observed_mask, shape.depth_m, np.inf)
+    row, column = np.unravel_index(depth.argmin(), depth.shape)
+    x, y = (slopes[i] for slopes, i in zip(geometry.pixel_slopes, (column, row), strict=True))
+    z = geometry.standoff_m
+    k = z if geometry.is_pinhole else 1.0
+    return np.array([[x * k, y * k, z]])
