@@ -151,8 +151,9 @@ def run_config(given: RunOptions) -> RunConfig:
         settings[name] = {**_table(settings.get(name, {}), name), **_without_none(table)}
     plain, words = parse_settings(given.option or [])
     overrides = parse_overrides(words)
-    for slot in SLOTS:
-        settings[slot] = _component(slot, settings.get(slot), getattr(given, slot), overrides.get(slot, {}))
+    for slot in sorted(SLOTS, key=lambda slot: slot != "grid"):  # whose default encoder differs
+        flag, changed = getattr(given, slot), overrides.get(slot, {})
+        settings[slot] = _component(slot, settings.get(slot), flag, changed, settings.get("grid"))
     chosen = {"top": given.top, "coverage": given.coverage, "seed": given.seed}
     settings |= plain | _without_none({**chosen, "drop_outliers": given.drop_outliers or None})
     return RunConfig.from_dict(settings, "the command line" if given.config is None else str(given.config))
@@ -172,17 +173,24 @@ def _table(value: Any, section: str) -> dict[str, Any]:
     return value
 
 
-def _component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, Any]) -> Any:
-    """Return one slot's name and options: the file's, unless the flag names another component; `overrides` on top."""
-    from tactile_loc.io.config import RunConfig, kind_of_sensor
+def _component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, Any], grid: Any) -> Any:
+    """Return one slot's name and options: the file's, unless the flag names another component; `overrides` on top.
+
+    What neither gives is the default, with the `grid` that was chosen.
+    """
+    from tactile_loc.io.config import default_component, kind_of_sensor
 
     given: dict[str, Any] = {"name": in_file} if isinstance(in_file, str) else dict(_table(in_file or {}, slot))
     given |= given.pop("options", {}) if isinstance(given.get("options"), dict) else {}
-    given.setdefault("name", RunConfig.model_fields[slot].default.name)
+    if "name" not in given and flag is None:
+        default = default_component(slot, grid["name"] if slot == "encoder" else None)
+        given = {"name": default.name, **default.options, **given}
     if slot == "sensor" and flag is not None:
         _warn_of_namesake(flag)
-    if flag is not None and flag != given["name"]:
-        given = {"name": flag}
+    if flag is not None and flag != given.get("name", default_component(slot, "").name):
+        given = {}
+    if flag is not None:
+        given["name"] = flag
     if slot == "sensor" and (kind := kind_of_sensor(str(given["name"]))):
         given = {**given, "name": kind, "path": given["name"]}
     return {**given, **overrides}

@@ -37,11 +37,18 @@ def say_result(record: ResultRecord) -> None:
         say(line)
 
 
+def _searched(record: ResultRecord) -> str:
+    """How many poses the probabilities are of, and how likely the object is at none of them."""
+    if not record.elsewhere:
+        return f"{record.grid_poses} poses searched"
+    return f"{record.grid_poses} poses found likely; {record.elsewhere:.0%}: it is at none of them"
+
+
 def _summary(record: ResultRecord) -> Iterator[str]:
     """The lines below the table."""
     yield (
         f"normalised entropy: {record.normalised_entropy:.2f} (0: one pose is certain, 1: nothing is known), "
-        f"{record.grid_poses} poses searched"
+        f"{_searched(record)}"
     )
     if (found := record.pose_set) is not None:
         yield (
@@ -49,6 +56,8 @@ def _summary(record: ResultRecord) -> Iterator[str]:
             f"holds the pose nearest to the truth so often, as judged by {found.examples} simulated examples"
         )
     grid = record.configuration["grid"]
+    if grid["name"] == "whole":
+        yield "the whole object was searched, every direction; if you know the face that touches: --grid face"
     if (grid["name"], grid["options"].get("face")) == ("face", "auto"):
         yield f"side searched: {_side(record)}, on which it rests lowest; another: -o grid.face=+z, all: --grid hopf"
     errors = record.errors

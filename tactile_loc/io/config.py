@@ -57,12 +57,26 @@ class TouchConfig(_Strict):
     noise: NoiseLevel = "none"
 
 
+WHOLE = SlotConfig(name="whole")
+LISTED = SlotConfig(name="face")  # of what needs poses that are listed, as the paper's protocol and sweeps do
+PATCHES = SlotConfig(name="pixel", options={"signal": "depth", "cells": 16})  # what places are compared by
+
+
+def default_component(slot: str, grid: str | None = None) -> SlotConfig:
+    """Return what fills a slot that is not given, with a grid of that name, by default the default one."""
+    if slot == "encoder" and (grid or WHOLE.name) == WHOLE.name:
+        return PATCHES
+    chosen: SlotConfig = RunConfig.model_fields[slot].default
+    return chosen
+
+
 class RunConfig(_Strict):
     """Everything that decides a result. `shape_px` is the longer image side of the grid's contact shapes, pixels.
 
     `together` refines against several touches: "joint" all at once, "each" by what the refiner makes of each touch.
     `drop_outliers` leaves out those of several touches that contradict the others.
     `coverage` asks for all modes of a set of poses that holds the true one with that probability, 0 to 1.
+    An `encoder` that is not given is pixel, with the options that suit the grid.
     `drawing` is what touches are compared with: the object "pressed", as the sensor sees it, or where it just touches,
     as in the "paper".
     """
@@ -71,7 +85,7 @@ class RunConfig(_Strict):
     touch: TouchConfig = TouchConfig()
     sensor: SlotConfig = SlotConfig(name="gelslim")
     renderer: SlotConfig = SlotConfig(name="heightmap")
-    grid: SlotConfig = SlotConfig(name="face")
+    grid: SlotConfig = WHOLE
     encoder: SlotConfig = SlotConfig(name="pixel")
     matcher: SlotConfig = SlotConfig(name="dense")
     refiner: SlotConfig = SlotConfig(name="filterreg")
@@ -84,6 +98,16 @@ class RunConfig(_Strict):
     coverage: float | None = Field(default=None, gt=0, lt=1)
     drawing: Drawing = "pressed"
     drop_outliers: bool = False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _encoder_of_grid(cls, value: Any) -> Any:
+        """An encoder that is not given is the grid's."""
+        if not isinstance(value, dict) or "encoder" in value:
+            return value
+        grid = value.get("grid", WHOLE.name)
+        name = grid if isinstance(grid, str) else getattr(grid, "name", None) or dict(grid or {}).get("name")
+        return {**value, "encoder": default_component("encoder", str(name))}
 
     @classmethod
     def from_toml(cls, path: str | Path) -> RunConfig:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import cached_property
@@ -151,19 +152,25 @@ class TouchPosteriors:
 
     def temperature_key(self) -> StageKey:
         """Return the key under which the temperature scaling is stored: everything that decides it."""
-        number = probabilities.TOUCHES if self.search is None else probabilities.SEARCHED
-        simulated = {"sampler": self.sampler.describe(), **probabilities.describe_touches(number)}
+        simulated = {"sampler": self.sampler.describe(), **probabilities.describe_touches(*self._fitted_to)}
         return StageKey(probabilities.STAGE, probabilities.STAGE_VERSION, {**self.describe_scores(), **simulated})
+
+    @property
+    def _fitted_to(self) -> tuple[int, tuple[str, ...]]:
+        """How many simulated touches the scaling is fitted to, and the levels of noise they have in turn."""
+        if self.search is None:
+            return probabilities.TOUCHES, (probabilities.TOUCH_NOISE,)
+        return probabilities.SEARCHED, probabilities.SEARCHED_NOISE
 
     def _fit_temperature(self, work: Workspace) -> None:
         """Score simulated touches of known pose, and save the scaling that makes the true poses most probable."""
         exact = self.with_matcher("dense")
         scores: list[Scores] = []
         truth: list[int] = []
-        number = probabilities.TOUCHES if self.search is None else probabilities.SEARCHED
+        number, levels = self._fitted_to
         with self.progress.task("fitting probabilities", number) as advance:
-            for seed, count in probabilities.batches(number):
-                for touch in self.simulate(count, seed, noise=probabilities.TOUCH_NOISE):
+            for (seed, count), level in zip(probabilities.batches(number), itertools.cycle(levels), strict=False):
+                for touch in self.simulate(count, seed, noise=level):
                     ((grid, found),) = exact.scored([touch])
                     scores.append(found)
                     truth.append(self.true_index(grid, touch))

@@ -36,6 +36,8 @@ FUSED_STAGE, FUSED_VERSION = "fused-temperature", 1
 FUSED_TOUCHES = (2, 3, 5, 7)  # of the examples that are fitted to
 FUSED_EXAMPLES, FUSED_SEED = 40, 0xF05ED  # of each number of touches
 SEARCHED, SEARCHED_TOUCHES, SEARCHED_EXAMPLES = 75, (2, 3, 5), 10  # of a whole object, which takes longer
+SEARCHED_NOISE = ("none", "mild", "strong")  # in turn: how well a touch is explained says how far it is to be trusted
+MOST_ELSEWHERE = 0.999
 EXPONENTS = np.linspace(0.0, 1.0, 41)
 
 
@@ -43,12 +45,13 @@ EXPONENTS = np.linspace(0.0, 1.0, 41)
 class TemperatureScaling:
     """How scores become probabilities: (1 - tail) softmax(s / T) + tail softmax(s / (TAIL_HEAT T)), all unitless.
 
-    Of a search that looks at the likeliest poses alone, `elsewhere` is how often the true one is none of them.
+    Of a search that looks at the likeliest poses alone, the log odds that the true one is among them are a line in the
+    best one's score: `found` (offset, slope), after Platt (1999). A touch that nothing explains well was not found.
     """
 
     temperature: float
     tail: float = 0.0
-    elsewhere: float = 0.0
+    found: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if not (self.temperature > 0 and np.isfinite(self.temperature) and 0 <= self.tail < 1):
@@ -68,7 +71,14 @@ class TemperatureScaling:
     def posterior(self, grid: PoseGrid, scores: NDArray[np.floating]) -> PosePosterior:
         """Return the posterior over a grid of N poses of scores (N,). Raises GridError when all are -inf."""
         with np.errstate(invalid="ignore"):
-            return PosePosterior(grid, self.log_p(scores), elsewhere=self.elsewhere)
+            return PosePosterior(grid, self.log_p(scores), elsewhere=self.elsewhere(float(np.max(scores))))
+
+    def elsewhere(self, best: float) -> float:
+        """Return the probability that the true pose is near none of those that were scored, the `best` one so well."""
+        if self.found is None:
+            return 0.0
+        offset, slope = self.found
+        return float(min(1 / (1 + np.exp(offset + slope * best)), MOST_ELSEWHERE))
 
 
 def fit_temperature_scaling(scores: Sequence[NDArray[np.floating]], truth: NDArray[np.int64]) -> TemperatureScaling:
@@ -77,15 +87,15 @@ def fit_temperature_scaling(scores: Sequence[NDArray[np.floating]], truth: NDArr
     `scores` holds (N,) for each of T touches, `truth` (T,) the index of the pose nearest to the true one, -1 where none
     of them is.
     """
-    found = [number for number, index in enumerate(truth) if index >= 0]
-    elsewhere = 0.0 if len(found) == len(truth) else (len(truth) - len(found) + 0.5) / (len(truth) + 1)
-    if not found:
-        return TemperatureScaling(1.0, TAILS[-1], elsewhere)  # nothing is known
-    rows, truth = [np.asarray(scores[number], np.float64) for number in found], truth[found]
+    known = np.flatnonzero(truth >= 0)
+    odds = None if len(known) == len(truth) else _fit_found(np.array([max(row) for row in scores]), truth >= 0)
+    if len(known) == 0:
+        return TemperatureScaling(1.0, TAILS[-1], odds)  # nothing is told apart
+    rows, truth = [np.asarray(scores[int(number)], np.float64) for number in known], truth[known]
     spread = float(np.median([np.ptp(row[np.isfinite(row)]) for row in rows]))
     hottest = np.log(max(spread, np.finfo(float).tiny))
     tried = [
-        TemperatureScaling(float(np.exp(t)), tail, elsewhere)
+        TemperatureScaling(float(np.exp(t)), tail, odds)
         for t in np.linspace(hottest - REACH, hottest, REACH * STEPS_PER_E + 1)
         for tail in TAILS
     ]
@@ -128,9 +138,10 @@ def batches(touches: int = TOUCHES) -> Iterator[tuple[int, int]]:
         yield SEED + start, min(BATCH, touches - start)
 
 
-def describe_touches(touches: int = TOUCHES) -> dict[str, Any]:
+def describe_touches(touches: int = TOUCHES, levels: Sequence[str] = (TOUCH_NOISE,)) -> dict[str, Any]:
     """Return what decides which touches are fitted to, but for what draws them, as JSON values."""
-    return {"noise": noise_level(TOUCH_NOISE).describe(), "touches": touches, "batch": BATCH, "seed": SEED}
+    noise = [noise_level(level).describe() for level in levels]
+    return {"noise": noise, "touches": touches, "batch": BATCH, "seed": SEED}
 
 
 def _losses(scores: NDArray[np.float64], index: int, tried: Sequence[TemperatureScaling]) -> NDArray[np.float64]:
@@ -140,6 +151,21 @@ def _losses(scores: NDArray[np.float64], index: int, tried: Sequence[Temperature
     p = {t: np.exp(above[index] / t) / np.exp(above / t).sum() for t in temperatures}
     mixed = np.array([(1 - c.tail) * p[c.temperature] + c.tail * p[TAIL_HEAT * c.temperature] for c in tried])
     return -np.log(np.maximum(mixed, LEAST))
+
+
+def _fit_found(best: NDArray[np.float64], found: NDArray[np.bool_]) -> tuple[float, float]:
+    """The line (offset, slope) of log odds over best scores (T,) that fits which (T,) were found; few count as half."""
+    from scipy.optimize import minimize
+
+    right, wrong = int(found.sum()), int((~found).sum())
+    wanted = np.where(found, (right + 1) / (right + 2), 1 / (wrong + 2))
+
+    def loss(line: NDArray[np.float64]) -> float:
+        odds = line[0] + line[1] * best
+        return float((np.logaddexp(0, odds) - wanted * odds).sum())
+
+    offset, slope = minimize(loss, np.zeros(2)).x
+    return float(offset), float(slope)
 
 
 def _log_sum(logits: NDArray[np.float64]) -> float:

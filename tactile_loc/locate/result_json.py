@@ -133,7 +133,10 @@ class ResultRecord(_Record):
     left_out: list[TouchRecord] = Field(
         default_factory=list, description="touches that contradict these, and are no part of the result"
     )
-    grid_poses: int = Field(description="poses that were searched")
+    grid_poses: int = Field(description="poses that were searched; of a whole object, those that were found likely")
+    elsewhere: float = Field(
+        default=0.0, description="probability that the pose is near none of these; their probabilities sum to the rest"
+    )
     normalised_entropy: float = Field(
         description="entropy / log(grid_poses): 0 one pose is certain, 1 nothing is known"
     )
@@ -164,6 +167,7 @@ def result_record(
         contradictory=localization.agreement.contradictory,
         left_out=[_touch(touch, config.touch) for touch in localization.left_out],
         grid_poses=len(posterior.grid),
+        elsewhere=posterior.elsewhere,
         normalised_entropy=localization.normalised_entropy,
         entropy_nats=posterior.entropy,
         hypotheses=_hypotheses(localization, errors_m),

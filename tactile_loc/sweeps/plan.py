@@ -13,7 +13,15 @@ from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.noise import noise_level
 from tactile_loc.core.registry import SLOTS, registry, validate_options
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, kind_of_sensor, parse_overrides
+from tactile_loc.io.config import (
+    LISTED,
+    ObjectConfig,
+    RunConfig,
+    SlotConfig,
+    default_component,
+    kind_of_sensor,
+    parse_overrides,
+)
 from tactile_loc.io.toml import read_toml
 from tactile_loc.store.keys import canonical_json
 
@@ -86,7 +94,7 @@ def _objects(entries: Sequence[Any], source: str) -> tuple[ObjectConfig, ...]:
 
 
 def _choices(slot: str, values: Mapping[str, Any], options: Mapping[str, list[Any]], source: str) -> Any:
-    default = RunConfig.model_fields[slot].default.name
+    default = LISTED.name if slot == "grid" else default_component(slot, LISTED.name).name
     named = [_component(slot, entry, source) for entry in as_list(values.get(slot, default), slot, source)]
     return expand(slot, named, options)
 

@@ -41,7 +41,9 @@ def build(
     )  # fmt: skip
     localizer = options.open_localizer(settings, store)
     start = time.perf_counter()
-    localizer.matcher(_press_depth_m(localizer))
+    press_m = _press_depth_m(localizer)
+    if localizer.search is None:
+        localizer.matcher(press_m)
     _ = localizer.temperature_scaling  # fitted now, not at the first touch
     return _report(localizer, time.perf_counter() - start)
 
@@ -60,21 +62,33 @@ def _press_depth_m(localizer: Localizer) -> float:
 
 
 def _report(localizer: Localizer, seconds: float) -> dict[str, Any]:
-    obj, grid, store = localizer.object, localizer.model.grid, localizer.store
-    extents_m, spacing_m, stages = obj.mesh.extents_m.tolist(), _spacing_m(grid), _stages(localizer)
+    obj, store = localizer.object, localizer.store
+    extents_m, stages = obj.mesh.extents_m.tolist(), _stages(localizer)
     size = " x ".join(f"{1e3 * extent_m:.3g}" for extent_m in extents_m)
     say(f"object: {obj.name}, {size} mm, {len(obj.mesh.faces)} triangles, symmetry {obj.symmetry}")
-    apart = "" if spacing_m is None else f", {1e3 * spacing_m:.2f} mm apart on average"
-    say(f"grid: {len(grid)} poses{apart}")
+    grid = _grid(localizer)
     for stage, became in stages.items():
         say(f"{stage}: {became}")
     say(f"stored in {store.root} ({seconds:.1f} s)")
     about = {"size_m": extents_m, "triangles": len(obj.mesh.faces), "symmetry": str(obj.symmetry)}
     return {
         "object": {"name": obj.name, "source": obj.source, **about},
-        "grid": {"poses": len(grid), "mean_spacing_m": spacing_m},
+        "grid": grid,
         "stages": stages, "store": str(store.root), "seconds": seconds,
     }  # fmt: skip
+
+
+def _grid(localizer: Localizer) -> dict[str, Any]:
+    """Say what is searched, and return it."""
+    if localizer.search is not None:
+        places, turns = len(localizer.search.places), len(localizer.search.yaws_rad)
+        say(f"grid: {places} places of the whole object, each turned {turns} times")
+        return {"places": places, "turns": turns}
+    grid = localizer.model.grid
+    spacing_m = _spacing_m(grid)
+    apart = "" if spacing_m is None else f", {1e3 * spacing_m:.2f} mm apart on average"
+    say(f"grid: {len(grid)} poses{apart}")
+    return {"poses": len(grid), "mean_spacing_m": spacing_m}
 
 
 def _stages(localizer: Localizer) -> dict[str, str]:
@@ -82,7 +96,8 @@ def _stages(localizer: Localizer) -> dict[str, str]:
     built = [key.stage for key in localizer.store.built]
     learned = ("encoder",) if localizer.encoder.capabilities.needs_training else ()
     fitted = ("temperature",) if localizer.config.temperature is None else ()
-    return {stage: "built" if stage in built else "reused" for stage in ("grid", "shapes", *learned, "bank", *fitted)}
+    model = ("grid", "shapes", *learned, "bank") if localizer.search is None else ("places",)
+    return {stage: "built" if stage in built else "reused" for stage in (*model, *fitted)}
 
 
 def _spacing_m(grid: PoseGrid) -> float | None:

@@ -105,9 +105,11 @@ def evaluate(
     example is several touches, and what is written are contacts.json, .csv, .md and .png. Interrupted, the same command
     resumes.
     """
+    from tactile_loc.io.config import LISTED
     from tactile_loc.store.files import require_writable
 
     numbers = None if contacts is None else parse_contacts(contacts)
+    grid = grid or (None if "grid" in _in_file(config) else LISTED.name)  # the protocol compares with all poses
     given = options.RunOptions(
         units=units, symmetry=symmetry, noise=noise, sensor=sensor, grid=grid, renderer=renderer, matcher=matcher,
         refiner=refiner, fuser=fuser, option=option, config=config,

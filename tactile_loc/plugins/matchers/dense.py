@@ -28,14 +28,11 @@ class DenseMatcher(Matcher):
     def weighted_scores(self, queries: Float32, weights: Float32) -> Float32:
         """Return scores (M, N), -1/2 sum w (q - b)^2, of queries (M, D) and weights (M, D): two matrix products."""
         q, w = np.asarray(queries, np.float32), np.asarray(weights, np.float32)
-        weighed = w * q
-        scores: Float32 = weighed @ self._bank.T
-        scores -= w @ self._half_squares.T
-        scores -= 0.5 * np.einsum("md,md->m", weighed, q)[:, None]
+        weighed = np.multiply(w, q, dtype=np.float32)
+        of_queries = 0.5 * np.einsum("md,md->m", weighed, q)
+        scores: Float32 = weighed @ self._bank.T - w @ self._half_squares.T - of_queries[:, None]
         return scores
 
     @cached_property
     def _half_squares(self) -> Float32:
-        squares: Float32 = np.square(self._bank)
-        squares *= 0.5
-        return squares
+        return np.square(self._bank) * np.float32(0.5)
