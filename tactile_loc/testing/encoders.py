@@ -20,7 +20,7 @@ def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for an encoder of these capabilities; one that needs training is passed trained."""
     chosen: list[Check] = [check_output, check_batch_is_singles, check_shapes_untouched, check_distances_order_poses,
                            check_press_depth_marks_no_contact, check_light_press_finds_its_pose,
-                           check_image_size, check_ignores_masked_pixels]  # fmt: skip
+                           check_image_size, check_ignores_masked_pixels, check_unseen_pixels]  # fmt: skip
     return [*chosen, check_deterministic] if capabilities.deterministic else chosen
 
 
@@ -107,6 +107,21 @@ def check_ignores_masked_pixels(encoder: Encoder) -> None:
     garbage = np.where(observed, shapes, np.float32(0.1 * PRESS_M))
     a, b = (encoder.encode(s, PRESS_M, masked) for s in (shapes, garbage))
     require_close(a, b, 1e-4 * _spread(a), "pixels outside geometry.observed_mask carry no information")
+
+
+def check_unseen_pixels(encoder: Encoder) -> None:
+    """What is not seen of a shape changes nothing; where all is seen, embeddings are the plain ones, of weight one."""
+    shapes = _shapes()
+    plain = encoder.encode(shapes, PRESS_M, CAMERA)
+    whole, weights = encoder.encode_seen(shapes, np.ones(shapes.shape, bool), PRESS_M, CAMERA)
+    require_close(whole, plain, 1e-3 * _spread(plain), "of shapes that are all seen embeddings must be the plain ones")
+    require_close(weights, np.ones_like(plain), 1e-6, "what is all seen must have weights of one")
+    seen = np.ones(shapes.shape, bool)
+    seen[:, :, : shapes.shape[2] // 3] = False
+    other = np.where(seen, shapes, np.float32(0.3 * PRESS_M))
+    (one, ones), (two, twos) = (encoder.encode_seen(some, seen, PRESS_M, CAMERA) for some in (shapes, other))
+    require_close(one * ones, two * twos, 1e-3 * _spread(plain), "pixels that are not seen must change nothing")
+    require_close(ones, twos, 1e-6, "weights must depend on what is seen, not on what is there")
 
 
 def check_deterministic(encoder: Encoder) -> None:

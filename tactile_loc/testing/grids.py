@@ -7,20 +7,29 @@ import dataclasses
 import numpy as np
 
 from tactile_loc.core.contact import bring_to_contact
-from tactile_loc.core.geometry import is_rigid
+from tactile_loc.core.geometry import is_rigid, translation
 from tactile_loc.core.interfaces import Capabilities, GridSampler
 from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.places import CAMERA as PATCH_CAMERA
 from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
+from tactile_loc.core.progress import Progress
+from tactile_loc.core.sensing import contact_depth
 from tactile_loc.testing.contract import Check, Untouched, require, require_array
-from tactile_loc.testing.problems import CAMERAS, block, copied, larger, rod
+from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, block, copied, larger, rod
 
 SPACING_M = 0.008
 DRAWN, SIGMAS = 6000, 4  # random poses, and by how many standard errors their share may be off
+PRESS_M, ROUNDED_M, LEAST_ALIKE = 1e-3, 2e-5, 0.97  # of patches: their steps, and pixels at edges
+NEAR_M, MOST_TURNED_DEG = 2.5e-3, 8.0  # between what touches first and the nearest place
 LEAST_TOUCHING = 0.3  # share of the poses: bounding boxes overlap more often than objects touch
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for a grid of these capabilities."""
+    if capabilities.places:
+        return [check_poses_are_rigid, check_poses_reach_contact, check_random_follows_the_seed,
+                check_random_poses_differ, check_object_untouched, check_places_are_as_drawn,
+                check_places_are_in_random_poses]  # fmt: skip
     chosen: list[Check] = [check_poses_are_rigid, check_spacing, check_denser_grid_has_more_poses,
                            check_poses_reach_contact, check_covers_random_poses, check_random_is_uniform_over_the_grid,
                            check_random_follows_the_seed, check_random_poses_differ, check_object_untouched,
@@ -30,7 +39,7 @@ def checks(capabilities: Capabilities) -> list[Check]:
 
 def check_poses_are_rigid(sampler: GridSampler) -> None:
     """`sample` and `random` return (N, 4, 4) float64 transforms with proper rotations and finite metres."""
-    for what, poses in (("sample", _sample(sampler)), ("random", _random(sampler, 20))):
+    for what, poses in _kinds(sampler, 20):
         require(len(poses) > 0, f"{what} must return poses for an object of the sensor's size")
         require_array(poses, (len(poses), 4, 4), np.float64, f"the poses of {what}")
         require(is_rigid(poses), f"the poses of {what} must be rigid: proper rotations, finite, last row 0 0 0 1")
@@ -52,7 +61,7 @@ def check_denser_grid_has_more_poses(sampler: GridSampler) -> None:
 
 def check_poses_reach_contact(sampler: GridSampler) -> None:
     """Moved along z alone, a good share of the poses touches the sensing rectangle."""
-    for what, poses in (("sample", _sample(sampler)), ("random", _random(sampler, 200))):
+    for what, poses in _kinds(sampler, 200):
         share = float(bring_to_contact(block().mesh, poses, CAMERAS["orthographic"])[1].mean())
         require(share >= LEAST_TOUCHING, f"only {100 * share:.0f} % of the poses of {what} can touch the sensor")
 
@@ -101,7 +110,10 @@ def check_object_untouched(sampler: GridSampler) -> None:
     mesh = copied(block().mesh)
     obj, camera = dataclasses.replace(block(), mesh=mesh), CAMERAS["orthographic"]
     before = Untouched(vertices_m=mesh.vertices_m, faces=mesh.faces)
-    sampler.sample(obj, camera, SPACING_M)
+    if sampler.capabilities.places:
+        sampler.places(obj, Progress())
+    else:
+        sampler.sample(obj, camera, SPACING_M)
     sampler.random(obj, camera, 5, np.random.default_rng(0))
     before.require()
 
@@ -118,6 +130,45 @@ def check_deterministic(sampler: GridSampler) -> None:
     """The same object, sensor and spacing give the same poses in the same order."""
     same = np.array_equal(_sample(sampler), _sample(sampler))
     require(same, "the same request must give the same poses, or deterministic=False be declared")
+
+
+def check_places_are_as_drawn(sampler: GridSampler) -> None:
+    """A place's patch is what parallel rays see of the object around it, in the frame of the place."""
+    places = sampler.places(block(), Progress())
+    require(is_rigid(places.T_place_object), "the poses of places must be rigid: proper rotations, finite")
+    some = np.linspace(0, len(places) - 1, 12).astype(int)
+    found = places.depths(PRESS_M)[some]
+    lifted = translation([0.0, 0.0, PATCH_CAMERA.standoff_m]) @ places.T_place_object[some]
+    drawn = contact_depth(ReferenceRenderer().render(block().mesh, lifted, PATCH_CAMERA), PATCH_CAMERA, PRESS_M)
+    off_m = np.abs(found - drawn)
+    alike = float((off_m < ROUNDED_M).mean())
+    require(alike > LEAST_ALIKE, f"only {100 * alike:.0f} % of the pixels of patches are as the object is drawn there")
+    middle = PATCH_CAMERA.height_px // 2
+    require(off_m[:, middle, middle].max() < ROUNDED_M, "a place must be as high as its patch's middle")
+
+
+def check_places_are_in_random_poses(sampler: GridSampler) -> None:
+    """What touches first of a drawn pose is near one of the places, seen nearly along the same direction."""
+    obj = block()
+    places = sampler.places(obj, Progress()).T_place_object
+    where, along = -np.einsum("nji,nj->ni", places[:, :3, :3], places[:, :3, 3]), places[:, 2, :3]
+    T = _touching(_random(sampler, 60)).T_sensor_object
+    corners = obj.mesh.vertices_m @ np.swapaxes(T[:, :3, :3], -1, -2) + T[:, None, :3, 3]
+    lowest = obj.mesh.vertices_m[corners[..., 2].argmin(axis=1)]
+    near = np.linalg.norm(where - lowest[:, None], axis=-1) < NEAR_M
+    turned_deg = np.degrees(np.arccos(np.clip(T[:, 2, :3] @ along.T, -1, 1)))
+    nearest_deg = np.where(near, turned_deg, 180.0).min(axis=1)
+    require(
+        np.quantile(nearest_deg, 0.9) < MOST_TURNED_DEG,
+        f"what touches first must be a place: {NEAR_M * 1e3:g} mm around it the nearest direction of one is "
+        f"{np.quantile(nearest_deg, 0.9):.0f} degrees off for one pose in ten",
+    )
+
+
+def _kinds(sampler: GridSampler, count: int) -> list[tuple[str, Poses]]:
+    """The poses that a sampler lists, if it does, and `count` that it draws."""
+    listed = [] if sampler.capabilities.places else [("sample", _sample(sampler))]
+    return [*listed, ("random", _random(sampler, count))]
 
 
 def _sample(sampler: GridSampler, spacing_m: float = SPACING_M) -> Poses:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.interfaces import Capabilities, Float32, Matcher
 from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
 
@@ -14,7 +15,7 @@ TOLERANCE = 1e-4  # of squared lengths near one
 def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for a matcher of these capabilities."""
     chosen: list[Check] = [check_output, check_definition, check_best_row_is_found, check_row_order,
-                           check_query_order, check_index_replaces, check_single_row,
+                           check_query_order, check_index_replaces, check_single_row, check_weights,
                            check_bank_and_queries_untouched]  # fmt: skip
     return [*chosen, check_deterministic] if capabilities.deterministic else chosen
 
@@ -84,6 +85,24 @@ def check_single_row(matcher: Matcher) -> None:
     scores = _scores(matcher, row, row)
     require_array(scores, (1, 1), np.float32, "the score of one query with one row")
     require_close(scores, [[0.0]], TOLERANCE, "a row's score with itself must be zero")
+
+
+def check_weights(matcher: Matcher) -> None:
+    """`weighted_scores` are -1/2 sum w (q - b)^2, the plain scores where all weights are one, or a ConfigError."""
+    bank, queries = _bank(), _queries()
+    weights = np.random.default_rng(5).integers(0, 2, queries.shape).astype(np.float32)
+    matcher.index(bank)
+    plain = matcher.weighted_scores(queries, np.ones_like(queries))
+    looked = np.isfinite(plain)
+    require_close(plain[looked], _truth(bank, queries)[looked], TOLERANCE, "weights of one must give the plain scores")
+    try:
+        found = matcher.weighted_scores(queries, weights)
+    except ConfigError:
+        return
+    difference = queries[:, None].astype(float) - bank
+    truth = -0.5 * np.einsum("md,mnd->mn", weights, difference**2)
+    looked = np.isfinite(found)
+    require_close(found[looked], truth[looked], TOLERANCE, "a weighted score must be -1/2 sum w (query - row)^2")
 
 
 def check_bank_and_queries_untouched(matcher: Matcher) -> None:

@@ -18,6 +18,7 @@ from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.fusers.kinematic import KinematicFuser
 from tactile_loc.plugins.fusers.product import ProductFuser
 from tactile_loc.plugins.grids.face import FaceGrid
+from tactile_loc.plugins.grids.whole import WholeGrid
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.plugins.refiners.icp import IcpRefiner
 from tactile_loc.plugins.refiners.none import NoRefiner
@@ -147,6 +148,19 @@ def as_often_at_each_yaw(T, obj, geometry, count, rng):
     return make_transform(R, np.column_stack([rng.uniform(*centroid_range(obj, R, geometry)), np.zeros(count)]))
 
 
+def nearer_places(places, *_):
+    return dataclasses.replace(places, T_place_object=translation([0, 0, 1e-3]) @ places.T_place_object)
+
+
+def mirrored_patches(places, *_):
+    return dataclasses.replace(places, patches=places.patches[:, :, ::-1])
+
+
+def places_of_one_side(places, *_):
+    some = places.T_place_object[:, 2, 2] > 0
+    return dataclasses.replace(places, T_place_object=places.T_place_object[some], patches=places.patches[some])
+
+
 GRID = [
     (grids.check_poses_are_rigid, then(FaceGrid, "sample", lambda T, *_: T * np.array([-1.0, 1, 1, 1])[:, None])),
     (grids.check_poses_are_rigid, then(FaceGrid, "random", lambda T, *_: T[1:])),
@@ -160,6 +174,9 @@ GRID = [
     (grids.check_random_poses_differ, then(FaceGrid, "random", lambda T, *_: np.repeat(T[:1], len(T), 0))),
     (grids.check_object_untouched, then(FaceGrid, "random", lambda T, o, *_: scribbled(T, o.mesh.vertices_m))),
     (grids.check_scale, sampling(lambda s: s + 1e-3)),
+    (grids.check_places_are_as_drawn, then(WholeGrid, "places", nearer_places)),
+    (grids.check_places_are_as_drawn, then(WholeGrid, "places", mirrored_patches)),
+    (grids.check_places_are_in_random_poses, then(WholeGrid, "places", places_of_one_side)),
     (grids.check_deterministic, drifting(FaceGrid, "sample", lambda T, n: np.roll(T, n, axis=0))),
 ]  # fmt: skip
 
@@ -176,6 +193,11 @@ def raw_pixels(self, depth, press, geometry):
     return (1 - depth / np.float32(press)).reshape(len(depth), -1)
 
 
+def unmasked_pixels(self, depth, seen, press, geometry):
+    embeddings = self.encode(depth, press, geometry)
+    return embeddings, np.ones_like(embeddings)
+
+
 ENCODER = [
     (encoders.check_output, then(PixelEncoder, "encode", lambda e, *_: e.astype(float))),
     (encoders.check_output, made(PixelEncoder, encode=lambda self, d, p, g: d)),
@@ -186,6 +208,7 @@ ENCODER = [
     (encoders.check_light_press_finds_its_pose, made(PixelEncoder, encode=fixed_threshold, capabilities=DEFAULT)),
     (encoders.check_image_size, made(PixelEncoder, encode=raw_pixels)),
     (encoders.check_ignores_masked_pixels, made(PixelEncoder, encode=unmasked)),
+    (encoders.check_unseen_pixels, made(PixelEncoder, encode_seen=unmasked_pixels)),
     (encoders.check_deterministic, drifting(PixelEncoder, "encode", lambda e, n: e + np.float32(1e-3 * n))),
 ]  # fmt: skip
 
@@ -202,6 +225,7 @@ MATCHER = [
     (matchers.check_row_order, then(DenseMatcher, "scores", lambda s, _: np.sort(s, axis=1))),
     (matchers.check_query_order, then(DenseMatcher, "scores", lambda s, _: s[::-1])),
     (matchers.check_index_replaces, made(DenseMatcher, index=appended)),
+    (matchers.check_weights, made(DenseMatcher, weighted_scores=lambda self, q, w: self.scores(w * q))),
     (matchers.check_single_row, then(DenseMatcher, "scores", lambda s, _: np.squeeze(s))),
     (matchers.check_bank_and_queries_untouched, then(DenseMatcher, "scores", scribbled)),
     (matchers.check_bank_and_queries_untouched, then(DenseMatcher, "index", scribbled)),

@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_loc.core.errors import ConfigError, GridError
+from tactile_loc.core.objects import ObjectModel, TriangleMesh
+from tactile_loc.core.places import BELOW, FAR, PATCH_PX, PITCH_M, STEP_M
+from tactile_loc.core.progress import Progress
+from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.plugins.grids.whole import WholeGrid, distinct_directions, sphere
+from tactile_loc.testing.problems import CAMERAS, block, box
+
+
+def of(mesh: TriangleMesh, name: str = "some", symmetry: SymmetryGroup | None = None) -> ObjectModel:
+    return ObjectModel(name, mesh, symmetry or SymmetryGroup(np.zeros(3)))
+
+
+def places_of(obj: ObjectModel, **options):
+    return WholeGrid(WholeGrid.Options(directions=200, **options)).places(obj, Progress())
+
+
+@pytest.fixture(scope="module")
+def ball():
+    surface = trimesh.creation.icosphere(5, 0.01)
+    return of(TriangleMesh(np.array(surface.vertices), np.array(surface.faces, np.int64)))
+
+
+def test_directions_are_spread_evenly():
+    found = sphere(2000)
+    assert np.linalg.norm(found, axis=1) == pytest.approx(1)
+    assert np.abs(found.mean(axis=0)).max() < 1e-3
+    cosine = np.sort(found @ found.T, axis=1)[:, -2]
+    step_deg = np.degrees(np.arccos(cosine))
+    assert step_deg.min() > 0.7 * np.degrees(np.sqrt(4 * np.pi / 2000))
+
+
+def test_a_ball_has_one_place_a_direction_and_its_patch_is_a_sphere(ball):
+    places = places_of(ball)
+    assert len(places) == 200
+    offset_m = (np.arange(PATCH_PX) - PATCH_PX // 2) * PITCH_M
+    across2 = offset_m[:, None] ** 2 + offset_m**2
+    rise_m = 0.01 - np.sqrt(np.maximum(0.01**2 - across2, 0))
+    inside = across2 < 0.005**2  # 1.3 mm higher than the top
+    steps = places.patches[:, inside].astype(float) - BELOW
+    assert np.abs(steps * STEP_M - rise_m[inside]).max() < 2e-4  # a pixel off the top, facets
+    assert (places.patches[:, across2 > 0.0105**2] == FAR).all()
+
+
+def test_the_corners_of_a_box_touch_first_and_faces_nearly_level():
+    mesh = box((-0.01, -0.006, -0.004), (0.01, 0.006, 0.004))
+    places = places_of(of(mesh)).T_place_object
+    where = -np.einsum("nji,nj->ni", places[:, :3, :3], places[:, :3, 3])
+    corners = mesh.vertices_m
+    to_corner = np.linalg.norm(where[:, None] - corners, axis=-1).min(axis=1)
+    assert np.median(to_corner) < 1e-3
+    assert (np.abs(where) <= np.array([0.01, 0.006, 0.004]) + 1e-6).all()
+
+
+def test_along_an_edge_that_lies_level_there_are_places():
+    long = box((-0.02, -0.003, -0.003), (0.02, 0.003, 0.003))
+    sampler = WholeGrid(WholeGrid.Options(apart_mm=2.0))
+    heights = np.full((60, 120), np.inf, np.float32)
+    heights[30, 20:100] = 0.01
+    pixels = sampler._lowest(heights)
+    assert len(pixels) == 20  # 40 mm
+    assert (np.diff(np.sort(pixels[:, 1])) >= 4).all()
+    assert len(long.faces) == 12
+
+
+def test_directions_that_look_alike_are_searched_once():
+    obj = of(box((-0.01, -0.01, -0.004), (0.01, 0.01, 0.004)), symmetry=SymmetryGroup.parse("z4", np.zeros(3)))
+    directions = sphere(4000)
+    kept = distinct_directions(directions, obj)
+    assert 0.2 < len(kept) / len(directions) < 0.35
+    S = obj.symmetry.elements()[:, :3, :3]
+    alike = np.einsum("kij,nj->nki", S, directions)
+    nearest_deg = np.degrees(np.arccos(np.clip((alike @ kept.T).max(axis=(1, 2)), -1, 1)))
+    assert nearest_deg.max() < 4.0  # each has one that looks alike among them
+
+
+def test_without_symmetry_all_directions_are_searched():
+    assert len(distinct_directions(sphere(500), block())) == 500
+
+
+def test_no_poses_are_listed():
+    with pytest.raises(ConfigError, match="--grid face"):
+        WholeGrid().sample(block(), CAMERAS["orthographic"], 0.003)
+
+
+def test_an_object_of_half_a_metre_is_refused():
+    with pytest.raises(GridError, match="units"):
+        places_of(of(box((-0.3, -0.1, -0.1), (0.3, 0.1, 0.1)), "table"))
+
+
+def test_drawn_poses_touch_with_their_lowest_point_over_the_sensor():
+    camera, obj = CAMERAS["orthographic"], block()
+    T = WholeGrid().random(obj, camera, 300, np.random.default_rng(0))
+    points = obj.mesh.vertices_m @ np.swapaxes(T[:, :3, :3], -1, -2) + T[:, None, :3, 3]
+    lowest = points[np.arange(300), points[..., 2].argmin(axis=1)]
+    x0, x1, y0, y1 = camera.rectangle
+    assert ((lowest[:, 0] >= x0) & (lowest[:, 0] <= x1) & (lowest[:, 1] >= y0) & (lowest[:, 1] <= y1)).all()
+    directions = T[:, 2, :3]
+    assert np.abs(directions.mean(axis=0)).max() < 0.15
