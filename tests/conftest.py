@@ -58,6 +58,8 @@ def shipped_touches() -> Iterator[int]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(probabilities, "TOUCHES", shipped // 10)
         patch.setattr(probabilities, "FUSED_EXAMPLES", 3)
+        patch.setattr(probabilities, "SEARCHED", 9)
+        patch.setattr(probabilities, "SEARCHED_EXAMPLES", 1)
         patch.setattr(coverage, "EXAMPLES", 40)
         yield shipped
 

@@ -41,7 +41,7 @@ READERS = {  # by how the file begins
     "kind": lambda path: read_prior(path, load_object("pin")),
     "[[touch]]": read_touch_list,
 }
-COARSE = ["-o", "grid.spacing_mm=10"]
+COARSE = ["--grid", "face", "-o", "grid.spacing_mm=10"]
 TINY_TRAINING = [word for o in ("epochs=1", "queries=32", "batch=16", "backbone=small", "channels=4")
                  for word in ("-o", f"encoder.{o}")]  # fmt: skip
 CHEAPER = {

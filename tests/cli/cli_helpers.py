@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from typer.testing import Result
 
-TINY = ["-o", "grid.spacing_mm=8"]  # a grid of a few hundred poses
+TINY = ["--grid", "face", "-o", "grid.spacing_mm=8"]  # a grid of a few hundred poses
 NO_CONTACT_M = 0.002
 HANGS_S = 1800  # a process that takes longer than this hangs: no test is about speed, and machines may be busy
 

@@ -28,7 +28,7 @@ from tactile_loc.store.store import StageStore  # noqa: E402
 BALLS = ball_set(16, px=80)
 STEPS = ["-o", "steps=300", "-o", "hidden=16"]
 FEW = ["-o", "steps=2", "-o", "hidden=4"]
-GRID = ["-o", "grid.spacing_mm=2.5"]
+GRID = ["--grid", "face", "-o", "grid.spacing_mm=2.5"]
 ELL = ["--object", "ell.stl", "--units", "mm", "--symmetry", "none"]
 
 NOT_ITS_IMAGES = {

@@ -92,7 +92,7 @@ def test_the_list_says_what_each_stage_was_made_from(ask):
 
 
 def test_the_list_names_the_object(cli):
-    cli("build", "--object", "pin", "-o", "grid.spacing_mm=8", "--store", "named")
+    cli("build", "--object", "pin", "--grid", "face", "-o", "grid.spacing_mm=8", "--store", "named")
     entries = json.loads(cli("store", "list", "--json", "--store", "named").stdout)["entries"]
     assert {entry["made_from"]["object"] for entry in entries} == {"pin"}
 
