@@ -3,7 +3,7 @@
 
 Each example is an object at rest that sensors press from random directions, by 30 to 90 % of their deepest press; every
 contact of at least 0.25 % of the sensor counts, edges and corners too. The touches are drawn by ray casting, which the
-localizer does not use. All rotations are searched. For every number of touches: the share of examples within 0.5 and
+localizer does not use. The whole object is searched. For every number of touches: the share of examples within 0.5 and
 1 mm (root mean square over the surface, symmetry regarded), the median, how often any hypothesis was that near (the
 search found it, the choice did not), in how many a pose more than 1 mm off explains all touches as well as the true one
 does (they do not determine it), the share within 0.5 mm of the others, the median normalised error squared of what was
@@ -132,7 +132,7 @@ def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> 
             "undetermined": float(undetermined.mean()),
             "others_within_0.5_mm": float((others < 0.5).mean()) if len(others) else None,
             "z_worst_mm": float(z_mm.max()), "nees": [float(n) for n in near], "refused": refused, "failed": failed[n],
-            "median_s": float(np.median(seconds[n])), "poses": localizer.model.size,
+            "median_s": float(np.median(seconds[n])),
         })  # fmt: skip
     return rows
 
@@ -208,7 +208,7 @@ def main() -> None:
     parser.add_argument("--sensors", nargs="+", default=["gelslim", "gelsight-mini"])
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3, 5])
     parser.add_argument("--examples", type=int, default=40)
-    parser.add_argument("--spacing-mm", type=float, default=6.0)
+    parser.add_argument("--spacing-mm", type=float, help="search the grid hopf of that spacing, not the grid whole")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--together", default="joint", choices=["joint", "each"])
     parser.add_argument("--fingers", action="store_true")
@@ -227,7 +227,9 @@ def main() -> None:
                 localizer = Localizer.create(
                     path, units=units or "auto", store=StageStore(Path(store)), sensor=sensor,
                     together=arguments.together,
-                    grid={"name": "hopf", "spacing_mm": arguments.spacing_mm},
+                    grid={"name": "whole"}
+                    if arguments.spacing_mm is None
+                    else {"name": "hopf", "spacing_mm": arguments.spacing_mm},
                 )  # fmt: skip
                 for level in arguments.levels or LEVELS:
                     if arguments.outliers:

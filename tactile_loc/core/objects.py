@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,16 +70,6 @@ class TriangleMesh:
         a, b, c = np.moveaxis(self.triangles_m[self._draw_faces(count, rng)], 1, 0)
         r, s = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
         return (1 - r) * a + r * (1 - s) * b + r * s * c
-
-    def simplified(self, faces: int) -> TriangleMesh:
-        """Return the surface with about so many faces, by quadric error metrics; open3d's."""
-        import open3d as o3d
-
-        whole = o3d.geometry.TriangleMesh(
-            o3d.utility.Vector3dVector(self.vertices_m), o3d.utility.Vector3iVector(self.faces.astype(np.int32))
-        )
-        fewer: Any = whole.simplify_quadric_decimation(faces)
-        return TriangleMesh(np.asarray(fewer.vertices, float), np.asarray(fewer.triangles, np.int64))
 
     def _draw_faces(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
         return rng.choice(len(self.faces), size=count, p=self.face_areas / self.face_areas.sum())

@@ -112,3 +112,14 @@ def _symmetry(declared: str, mesh: TriangleMesh, notes: list[str]) -> SymmetryGr
 
 def _first_line(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0][:120]
+
+
+def simplified(mesh: TriangleMesh, faces: int) -> TriangleMesh:
+    """Return the surface with about so many faces, by quadric error metrics; open3d's."""
+    import open3d as o3d
+
+    whole = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(mesh.vertices_m), o3d.utility.Vector3iVector(mesh.faces.astype(np.int32))
+    )
+    fewer: Any = whole.simplify_quadric_decimation(faces)
+    return TriangleMesh(np.asarray(fewer.vertices, float), np.asarray(fewer.triangles, np.int64))

@@ -24,6 +24,7 @@ from tactile_loc.core.geometry import invert
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.io.meshes import simplified
 from tactile_loc.locate import result_json
 from tactile_loc.locate.result_json import ResultRecord
 from tactile_loc.store.files import write_atomically
@@ -97,7 +98,7 @@ def gather(contacts: Sequence[Observation], localization: Localization) -> Resul
     kept = most_probable(localization.posterior)
     posterior = localization.posterior
     mesh = contacts[0][0].object.mesh
-    mesh = mesh if len(mesh.faces) <= MOST_FACES else mesh.simplified(MOST_FACES)
+    mesh = mesh if len(mesh.faces) <= MOST_FACES else simplified(mesh, MOST_FACES)
     return ResultArrays(mesh, posterior.grid.T_sensor_object[kept], posterior.log_p[kept], tuple(touches))
 
 

@@ -135,12 +135,3 @@ def test_model_checks_its_surface(box_mesh):
 @pytest.mark.parametrize("size_m", [0.001, 1.0])
 def test_sizes_at_the_limits_are_possible(box_mesh, size_m):
     check_surface(with_vertices(box_mesh, lambda v: (v - SHIFT) * (size_m / 0.030)), "part")
-
-
-def test_a_simplified_surface_has_fewer_faces_and_the_same_shape():
-    ball = trimesh.creation.icosphere(4, 0.02)
-    mesh = TriangleMesh(np.array(ball.vertices), np.array(ball.faces, np.int64))
-    fewer = mesh.simplified(1000)
-    assert 500 < len(fewer.faces) <= 1000
-    assert np.linalg.norm(fewer.vertices_m, axis=1) == pytest.approx(0.02, rel=0.02)
-    assert fewer.face_areas.sum() == pytest.approx(mesh.face_areas.sum(), rel=0.02)

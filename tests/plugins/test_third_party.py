@@ -16,7 +16,21 @@ import pytest
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "plugin"
 PIP = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "install"]
-RUN = ["run", "--object", "pin", "--refiner", "centroid", "--grid", "face", "-o", "grid.spacing_mm=8", "--seed", "3", "--top", "2"]
+RUN = [
+    "run",
+    "--object",
+    "pin",
+    "--refiner",
+    "centroid",
+    "--grid",
+    "face",
+    "-o",
+    "grid.spacing_mm=8",
+    "--seed",
+    "3",
+    "--top",
+    "2",
+]
 
 
 @pytest.fixture(scope="module")

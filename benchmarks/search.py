@@ -1,0 +1,136 @@
+#!/usr/bin/env python3
+"""Whether one touch of a whole object is found, from any direction, and what building and searching take.
+
+An object is pressed from random directions by 30 to 90 % of the sensor's deepest press; every contact of at least
+0.25 % of the sensor counts; touches are drawn by ray casting, which the localizer does not use. Printed for each object
+and sensor: how many places, seconds to build them and to fit probabilities, megabytes in the store, seconds to open
+what is built; the share of touches whose right mode (within 1 mm, root mean square over the surface, symmetry regarded)
+is the first of ten hypotheses, and among them; of the others, how many another pose explains as well as the true one
+does (imprint IoU within 0.01), *ambiguous*, and how many not, *not found*; the median and the slowest twentieth of the
+time to ten refined hypotheses. Then the shares by contact area. `--grid` chooses another grid.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from contacts import LEVELS, Located, located
+
+from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.registry import registry
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.evaluation.simulated_touches import contact_share
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.store import StageStore
+
+AREAS = (0.0, 0.01, 0.03, 0.1, 1.0)  # borders of the share of the sensor in contact
+NEAR_MM = 1.0
+
+
+def built(path: str, arguments: argparse.Namespace, sensor: str, store: Path) -> tuple[Localizer, dict[str, float]]:
+    """A localizer that is ready, and what that took."""
+    name, _, units = path.partition(":")
+
+    def create() -> Localizer:
+        return Localizer.create(
+            name, units=units or "auto", sensor=sensor, store=StageStore(store), grid=json.loads(arguments.grid)
+        )
+
+    localizer, start = create(), time.perf_counter()
+    searched = len(localizer.search.places) if localizer.search else localizer.model.size
+    places_s = time.perf_counter() - start
+    _ = localizer.temperature_scaling
+    ready_s = time.perf_counter() - start
+    again, start = create(), time.perf_counter()
+    _ = again.search or again.model
+    megabytes = sum(file.stat().st_size for file in store.rglob("*") if file.is_file()) / 1e6
+    return again, {
+        "places": searched, "places_s": places_s, "fit_s": ready_s - places_s, "megabytes": megabytes,
+        "open_s": time.perf_counter() - start,
+    }  # fmt: skip
+
+
+def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> list[dict[str, float]]:
+    """What became of each touch."""
+    raycast = registry().create("renderer", "raycast", {})
+    source = RobotTouches(localizer.object, localizer.scene.geometry, raycast, **LEVELS[level])
+    found = []
+    for number in range(-1, arguments.touches):
+        (touch,), _ = source.example(1, np.random.default_rng([arguments.seed, max(number, 0)]))
+        start = time.perf_counter()
+        try:
+            localizer.localize(touch)
+            seconds = time.perf_counter() - start
+            said = located(localizer, [touch])
+        except TactileLocError:
+            seconds, said = time.perf_counter() - start, Located()
+        if number >= 0:  # the first warms up
+            found.append({**said._asdict(), "seconds": seconds, "area": contact_share(touch)})
+    return found
+
+
+def shares(found: list[dict[str, float]]) -> dict[str, float]:
+    """The shares of touches, of none NaN."""
+    first = np.array([one["chosen_mm"] < NEAR_MM for one in found])
+    among = np.array([one["nearest_mm"] < NEAR_MM for one in found])
+    ambiguous = np.array([bool(one["undetermined"]) for one in found])
+    seconds = np.array([one["seconds"] for one in found])
+    if not found:
+        return {}
+    return {
+        "touches": len(found), "first": first.mean(), "among": among.mean(), "ambiguous": (~among & ambiguous).mean(),
+        "not_found": (~among & ~ambiguous).mean(), "median_s": np.median(seconds), "slow_s": np.quantile(seconds, 0.95),
+    }  # fmt: skip
+
+
+def line(start: list[str], one: dict[str, float]) -> str:
+    """A row of the table."""
+    percent = [f"{one[key]:.0%}" for key in ("first", "among", "ambiguous", "not_found")]
+    times = [f"{1e3 * one[key]:.0f}" for key in ("median_s", "slow_s")]
+    return f"| {' | '.join([*start, str(one['touches']), *percent, *times])} |"
+
+
+def main() -> None:
+    """Measure, print tables, and write the rows as JSON if asked."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("meshes", nargs="*", default=list(DEMO_OBJECTS), help="FILE[:UNITS]; default: the demo objects")
+    parser.add_argument("--sensors", nargs="+", default=["gelslim", "gelsight-mini"])
+    parser.add_argument("--level", default="clean", choices=list(LEVELS))
+    parser.add_argument("--touches", type=int, default=200)
+    parser.add_argument("--grid", default='{"name": "whole"}', help="as JSON")
+    parser.add_argument("--seed", type=int, default=17)
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    print("| object | sensor | places | build, s | fit, s | MB | open, s | touches | first | among ten | ambiguous | "
+          "not found | median, ms | 95 %, ms |")  # fmt: skip
+    print("|---" * 14 + "|")
+    for path in arguments.meshes:
+        for sensor in arguments.sensors:
+            with tempfile.TemporaryDirectory() as store:
+                localizer, about = built(path, arguments, sensor, Path(store))
+                found = measure(localizer, arguments, arguments.level)
+            rows += [{"object": localizer.object.name, "sensor": sensor, **about, **one} for one in found]
+            words = [localizer.object.name, sensor, f"{about['places']:.0f}", f"{about['places_s']:.1f}",
+                     f"{about['fit_s']:.0f}", f"{about['megabytes']:.0f}", f"{about['open_s']:.2f}"]  # fmt: skip
+            print(line(words, shares(found)), flush=True)
+            if arguments.out:
+                arguments.out.write_text(json.dumps(rows, indent=1))
+    print("\n| contact area | touches | first | among ten | ambiguous | not found | median, ms | 95 %, ms |")
+    print("|---" * 8 + "|")
+    for low, high in zip(AREAS, AREAS[1:], strict=False):
+        some = [row for row in rows if low <= row["area"] < high]
+        if some:
+            print(line([f"{100 * low:g} to {100 * high:g} %"], shares(some)))
+    print(line(["all"], shares(rows)))
+
+
+if __name__ == "__main__":
+    main()

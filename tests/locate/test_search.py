@@ -1,0 +1,155 @@
+"""A whole object searched, by touches that another renderer draws."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.interfaces import View
+from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.progress import StageTimes
+from tactile_loc.core.registry import registry
+from tactile_loc.core.sensing import Touch
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.search import PlaceSearch, anchors, in_common
+from tactile_loc.store.store import StageStore
+
+WHOLE = {"grid": {"name": "whole"}, "sensor": "gelsight-mini"}
+
+
+@pytest.fixture(scope="module")
+def localizer(store) -> Localizer:
+    return Localizer.create("pin", store=store, **WHOLE)
+
+
+@pytest.fixture(scope="module")
+def search(localizer) -> PlaceSearch:
+    assert localizer.search is not None
+    return localizer.search
+
+
+@pytest.fixture(scope="module")
+def examples(localizer) -> list[list[Touch]]:
+    """Three touches each, of an object at rest, pressed from anywhere and drawn by ray casting."""
+    source = RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
+    return [source.example(3, np.random.default_rng([21, k]))[0] for k in range(8)]
+
+
+def off_mm(localizer: Localizer, poses: np.ndarray, touch: Touch) -> np.ndarray:
+    truth = np.broadcast_to(np.asarray(touch.T_sensor_object), poses.shape)
+    return 1e3 * PoseMetric(localizer.object).symmetric_distance(poses, truth)
+
+
+def test_the_whole_object_is_searched_unless_told_otherwise():
+    from tactile_loc.io.config import RunConfig
+
+    config = RunConfig()
+    assert config.grid.name == "whole"
+    assert config.encoder.options == {"signal": "depth", "cells": 16}
+    assert RunConfig(grid="face").encoder.options == {}
+    assert RunConfig(grid={"name": "hopf"}).encoder.name == "pixel"
+    assert RunConfig(encoder={"name": "pixel", "cells": 9}).encoder.options == {"cells": 9}
+
+
+def test_the_true_pose_is_among_what_is_found(localizer, search, examples):
+    touches = [touch for example in examples for touch in example]
+    nearest = [off_mm(localizer, search.found(t, StageTimes())[0].T_sensor_object, t).min() for t in touches]
+    assert np.mean(np.array(nearest) < 1.0) > 0.8
+
+
+def test_three_touches_from_anywhere_say_where_the_object_is(localizer, examples):
+    errors = [
+        off_mm(
+            localizer, localize_together([(localizer, t) for t in some]).best.T_sensor_object[None], some[0]
+        )[0]
+        for some in examples
+    ]  # fmt: skip
+    assert np.median(errors) < 0.1
+    assert np.mean(np.array(errors) < 0.5) >= 0.75
+
+
+def test_what_is_found_explains_the_touch_and_is_listed_once(localizer, search, examples):
+    touch = examples[0][0]
+    grid, ious = search.found(touch, StageTimes())
+    exact = View(touch, localizer.scene.of_touch(touch)).imprint_ious(grid.T_sensor_object)
+    assert np.abs(exact - ious).max() < 0.2  # drawn coarsely
+    assert ious.max() > 0.9
+    apart_m = grid.neighbour_spacing()
+    assert apart_m.min() >= 0.5e-3 - 1e-9
+
+
+def test_the_same_touch_is_found_again_alike(localizer, search, examples):
+    first, second = (search.found(examples[1][0], StageTimes())[0].T_sensor_object for _ in range(2))
+    assert np.array_equal(first, second)
+
+
+def test_places_are_built_once(tmp_path, monkeypatch):
+    from tactile_loc.plugins.grids.whole import WholeGrid
+
+    few = {**WHOLE, "grid": {"name": "whole", "directions": 100}}
+    first = Localizer.create("pin", store=StageStore(tmp_path), **few)
+    assert first.search is not None
+    monkeypatch.setattr(WholeGrid, "places", None)  # is not asked again
+    again = Localizer.create("pin", store=StageStore(tmp_path), **{**few, "sensor": "gelslim"})
+    assert again.search is not None
+    assert np.array_equal(first.search.places.patches, again.search.places.patches)
+    assert again.search.key.digest == first.search.key.digest
+
+
+def test_a_touch_that_nothing_explains_is_said_to_be_elsewhere(localizer, examples):
+    from tactile_loc.locate.probabilities import TemperatureScaling
+
+    scaling = TemperatureScaling(0.02, 0.1, (-6.0, 10.0))
+    grid = localizer.posteriors([examples[0][0]])[0].grid
+    well, badly = (scaling.posterior(grid, np.linspace(0, best, len(grid))) for best in (1.0, 0.2))
+    assert well.elsewhere < 0.05
+    assert badly.elsewhere > 0.95
+    for posterior in (well, badly):
+        assert posterior.probabilities.sum() + posterior.elsewhere == pytest.approx(1)
+
+
+def test_touches_are_compared_at_the_poses_that_any_of_them_found(localizer, examples):
+    some = examples[0][:2]
+    alone = localizer.posteriors(some)
+    T = np.linalg.inv(np.asarray(some[1].T_base_sensor)) @ np.asarray(some[0].T_base_sensor)
+    views = [View(touch, localizer.scene.of_touch(touch), M) for touch, M in zip(some, (np.eye(4), T), strict=True)]
+    first, second = in_common(views, alone, [localizer.temperature_scaling] * 2)
+    assert len(first.grid) == len(second.grid) == sum(len(p.grid) for p in alone)
+    assert T @ first.grid.T_sensor_object == pytest.approx(second.grid.T_sensor_object)
+    found = localize_together([(localizer, touch) for touch in some]).posterior
+    assert found.touches == 2
+    assert found.elsewhere <= min(p.elsewhere for p in (first, second))
+
+
+def test_the_deepest_point_is_the_anchor(examples):
+    touch = examples[0][0]
+    ((x, y, z),) = anchors(touch)
+    truth = np.asarray(touch.T_sensor_object)
+    assert z == touch.geometry.standoff_m
+    points = touch.geometry.backproject(touch.contact_shape.depth_m + touch.geometry.standoff_m)
+    deepest = points[np.unravel_index(touch.contact_shape.depth_m.argmin(), touch.contact_shape.depth_m.shape)]
+    assert (x, y) == pytest.approx(deepest[:2], abs=1e-4)
+    assert truth.shape == (4, 4)
+
+
+def test_searched_and_listed_touches_are_not_mixed(localizer, examples, store):
+    listed = Localizer.create("pin", store=store, sensor="gelsight-mini", grid={"name": "face", "spacing_mm": 8})
+    with pytest.raises(ConfigError, match="give all their localizers the grid whole"):
+        localize_together([(localizer, examples[0][0]), (listed, examples[0][1])])
+
+
+def test_an_encoder_that_learns_from_listed_poses_is_refused(store):
+    pytest.importorskip("torch")
+    localizer = Localizer.create("pin", store=store, **WHOLE, encoder="moco")
+    with pytest.raises(ConfigError, match="face or hopf"):
+        localizer.localize(dataclasses.replace(localizer.simulate(1)[0], name="t"))
+
+
+def test_a_matcher_that_cannot_weigh_says_so(store):
+    localizer = Localizer.create("pin", store=store, **WHOLE, matcher="faiss", temperature=0.02)
+    with pytest.raises(ConfigError, match="dense"):
+        localizer.localize(localizer.simulate(1)[0])
