@@ -22,7 +22,7 @@ setup: $(STAMP) ## make .venv with everything pinned; does nothing when it is up
 
 demo: $(STAMP) ## locate a shipped object from one shipped touch, and draw it in out/demo
 	@echo "demo: one touch, where is the object?"
-	@$(VENV)/bin/tactile-loc run --seed 2 --out out/demo
+	@$(VENV)/bin/tactile-loc run --seed 7 --out out/demo
 	@for picture in out/demo/*.png; do if [ -e "$$picture" ]; then echo "demo: the picture is $$picture"; fi; done
 
 test: lint ## lint, check the types and run the tests

@@ -78,7 +78,7 @@ Sensor = Annotated[
         "gelslim.",
     ),
 ]
-Grid = Annotated[str | None, declare("--grid", "NAME", "Which poses are searched; by default face.")]
+Grid = Annotated[str | None, declare("--grid", "NAME", "Which poses are searched; by default whole.")]
 Renderer = Annotated[str | None, declare("--renderer", "NAME", "What renders contact shapes; by default heightmap.")]
 Encoder = Annotated[str | None, declare("--encoder", "NAME", "What makes vectors of them; by default pixel.")]
 Matcher = Annotated[str | None, declare("--matcher", "NAME", "What compares the vectors; by default dense.")]

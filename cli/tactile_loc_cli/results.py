@@ -37,18 +37,11 @@ def say_result(record: ResultRecord) -> None:
         say(line)
 
 
-def _searched(record: ResultRecord) -> str:
-    """How many poses the probabilities are of, and how likely the object is at none of them."""
-    if not record.elsewhere:
-        return f"{record.grid_poses} poses searched"
-    return f"{record.grid_poses} poses found likely; {record.elsewhere:.0%}: it is at none of them"
-
-
 def _summary(record: ResultRecord) -> Iterator[str]:
     """The lines below the table."""
     yield (
         f"normalised entropy: {record.normalised_entropy:.2f} (0: one pose is certain, 1: nothing is known), "
-        f"{_searched(record)}"
+        f"{record.searched}"
     )
     if (found := record.pose_set) is not None:
         yield (
@@ -59,7 +52,7 @@ def _summary(record: ResultRecord) -> Iterator[str]:
     if grid["name"] == "whole":
         yield "the whole object was searched, every direction; if you know the face that touches: --grid face"
     if (grid["name"], grid["options"].get("face")) == ("face", "auto"):
-        yield f"side searched: {_side(record)}, on which it rests lowest; another: -o grid.face=+z, all: --grid hopf"
+        yield f"side searched: {_side(record)}, on which it rests lowest; another: -o grid.face=+z, all: --grid whole"
     errors = record.errors
     if errors is not None:
         yield (

@@ -186,7 +186,7 @@ def _explain(number: int, dropped: int, poses: int, count: int) -> str:
     return (
         f"no pose touches all {count} sensors: contact {number + 1} drops the last {dropped:,} of the first grid's "
         f"{poses:,} poses; check each T_base_sensor (metres, from sensor to base), or search a grid that covers "
-        "all faces, hopf"
+        "all faces, whole or hopf"
     )
 
 

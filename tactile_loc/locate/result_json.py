@@ -148,6 +148,13 @@ class ResultRecord(_Record):
     errors: ErrorRecord | None = Field(description="where the true pose is known, else null")
     seconds: dict[str, float] = Field(description="duration of each stage, s")
 
+    @property
+    def searched(self) -> str:
+        """How many poses the probabilities are of, in words, and how likely the object is at none of them."""
+        if not self.elsewhere:
+            return f"{self.grid_poses} poses searched"
+        return f"{self.grid_poses} poses found likely, {self.elsewhere:.0%} that it is at none of them"
+
 
 def result_record(
     localizer: Localizer, localization: Localization, seconds: Mapping[str, float] | None = None

@@ -106,7 +106,7 @@ def _about(record: ResultRecord) -> str:
     if record.other_touches:
         what = f"{1 + len(record.other_touches)} touches at once, the first: {touch.name}"
     pressed = f"pressed {1e3 * touch.press_depth_m:.2f} mm deep"
-    return f"{what}, {pressed}; {record.grid_poses} poses searched; {record.created}"
+    return f"{what}, {pressed}; {record.searched}; {record.created}"
 
 
 def _numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:

@@ -73,6 +73,9 @@ TouchNoise = Annotated[
     options.Noise | None,
     typer.Option("--noise", help="How far shapes are from clean renders; by default strong. Images have their own."),
 ]
+Grid = Annotated[
+    str | None, options.declare("--grid", "NAME", "Which poses are searched, of those that list them; by default face.")
+]
 Seed = Annotated[int, options.declare("--seed", "N", "Seed of the touches and the random poses.", min=0)]
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Where results.json, .csv, .md and the pictures go.")]
 
@@ -86,7 +89,7 @@ def evaluate(
     touches: Touches = TouchKind.SHAPES,
     noise: TouchNoise = None,
     sensor: options.Sensor = None,
-    grid: options.Grid = None,
+    grid: Grid = None,
     renderer: options.Renderer = None,
     encoder: Encoders = None,
     matcher: options.Matcher = None,
