@@ -16,6 +16,7 @@ import argparse
 import json
 import tempfile
 import time
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -125,7 +126,7 @@ def main() -> None:
                 arguments.out.write_text(json.dumps(rows, indent=1))
     print("\n| contact area | touches | first | among ten | ambiguous | not found | median, ms | 95 %, ms |")
     print("|---" * 8 + "|")
-    for low, high in zip(AREAS, AREAS[1:], strict=False):
+    for low, high in pairwise(AREAS):
         some = [row for row in rows if low <= row["area"] < high]
         if some:
             print(line([f"{100 * low:g} to {100 * high:g} %"], shares(some)))

@@ -187,7 +187,7 @@ def _component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, A
         given = {"name": default.name, **default.options, **given}
     if slot == "sensor" and flag is not None:
         _warn_of_namesake(flag)
-    if flag is not None and flag != given.get("name", default_component(slot, "").name):
+    if flag is not None and flag != given.get("name", flag):
         given = {}
     if flag is not None:
         given["name"] = flag

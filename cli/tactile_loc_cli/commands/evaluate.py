@@ -112,7 +112,7 @@ def evaluate(
     from tactile_loc.store.files import require_writable
 
     numbers = None if contacts is None else parse_contacts(contacts)
-    grid = grid or (None if "grid" in _in_file(config) else LISTED.name)  # the protocol compares with all poses
+    grid = grid or (None if _grid_in(config) else LISTED.name)  # the protocol compares with all poses
     given = options.RunOptions(
         units=units, symmetry=symmetry, noise=noise, sensor=sensor, grid=grid, renderer=renderer, matcher=matcher,
         refiner=refiner, fuser=fuser, option=option, config=config,
@@ -223,6 +223,12 @@ def _in_file(path: Path | None) -> dict[str, Any]:
     from tactile_loc.io.toml import read_toml
 
     return {} if path is None else read_toml(path)
+
+
+def _grid_in(path: Path | None) -> list[str]:
+    """The grid that a configuration file names, if it does."""
+    grid = _in_file(path).get("grid")
+    return [grid] if isinstance(grid, str) else _named(grid, "name")
 
 
 def _named(table: Any, key: str) -> list[str]:

@@ -56,33 +56,43 @@ class WholeGrid(GridSampler):
         apart_mm: float = Field(default=2.0, gt=0, description="distance between places along edges and faces, mm")
         near_mm: float = Field(default=3.0, gt=0, description="a place is the lowest so far around, mm")
         level_mm: float = Field(default=0.05, ge=0, description="what is higher by less is as low, mm")
+        max_places: int = Field(default=200_000, ge=1, description="refuse more places than this: 2 kB each")
 
     def places(self, obj: ObjectModel, progress: Progress) -> Places:
         """Return what can touch first, direction by direction. Raises GridError for an object of half a metre."""
         options, mesh = self.options, obj.mesh
-        centre, radius_m = mesh.centroid_m, float(np.linalg.norm(mesh.hull_corners_m - mesh.centroid_m, axis=1).max())
+        radius_m = float(np.linalg.norm(mesh.hull_corners_m - mesh.centroid_m, axis=1).max())
         if 2 * radius_m > LONGEST_M:
             raise GridError(
                 f"{obj.name} is {2e3 * radius_m:.0f} mm across, and the whole grid searches objects of at most "
                 f"{LONGEST_M * 1e3:.0f} mm; check the mesh's units, or choose the face that touches with --grid face"
             )
-        directions = distinct_directions(sphere(options.directions), obj)
         camera = _camera(radius_m)
-        low_m = camera.standoff_m
+        directions = distinct_directions(sphere(options.directions), obj)
+        self._refuse_too_many(obj, directions, camera)
         poses: list[Float] = []
         patches: list[NDArray[np.uint8]] = []
         with progress.task("looking for what touches first", len(directions)) as advance:
             for start in range(0, len(directions), AT_ONCE):
-                R = np.stack([align_to_z(direction) for direction in directions[start : start + AT_ONCE]])
-                T = make_transform(R, [0.0, 0.0, low_m + radius_m] - R @ centre)
-                depth_m = nearest_depths(mesh, T, camera)
-                for T_camera, heights in zip(T, depth_m, strict=True):
-                    pixels = self._lowest(heights)
-                    around, places_m = _around(heights, pixels, camera)
+                some = directions[start : start + AT_ONCE]
+                for T_camera, heights in zip(*_height_maps(obj, some, camera), strict=True):
+                    around, places_m = _around(heights, self._lowest(heights), camera)
                     poses.append(make_transform(T_camera[:3, :3], T_camera[:3, 3] - places_m))
                     patches.append(as_patches(around - places_m[:, 2, None, None]))
-                advance(len(R))
+                advance(len(some))
         return Places(np.concatenate(poses), np.concatenate(patches))
+
+    def _refuse_too_many(self, obj: ObjectModel, directions: Float, camera: SensorGeometry) -> None:
+        """Count the places of some directions, before the rest is looked at. Raises GridError if all are too many."""
+        some = directions[:: max(1, len(directions) // AT_ONCE)]
+        count = sum(len(self._lowest(heights)) for heights in _height_maps(obj, some, camera)[1])
+        expected, limit = count / len(some) * len(directions), self.options.max_places
+        if expected > limit:
+            fewer = max(100, int(self.options.directions * limit / expected))
+            raise GridError(
+                f"the whole grid of {obj.name} would have about {expected:,.0f} places, over the limit of {limit:,}; "
+                f"take grid.directions={fewer}, a greater grid.apart_mm, or raise grid.max_places, at 2 kB each"
+            )
 
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
         """Raise ConfigError: the poses of a whole object are not listed."""
@@ -143,6 +153,14 @@ def _camera(radius_m: float) -> SensorGeometry:
     return SensorGeometry(
         "orthographic", side, side, 1 / PITCH_M, 1 / PITCH_M, side / 2, side / 2, MARGIN_M, 2 * radius_m + MARGIN_M
     )
+
+
+def _height_maps(obj: ObjectModel, directions: Float, camera: SensorGeometry) -> tuple[Float, NDArray[np.float32]]:
+    """What a camera sees along each of N directions, its poses (N, 4, 4) and heights (N, H, W), metres."""
+    R = np.stack([align_to_z(direction) for direction in directions])
+    middle = np.array([0.0, 0.0, camera.standoff_m + (camera.max_depth_m - MARGIN_M) / 2])
+    T = make_transform(R, middle - R @ obj.mesh.centroid_m)
+    return T, nearest_depths(obj.mesh, T, camera)
 
 
 def _around(

@@ -103,3 +103,10 @@ def test_drawn_poses_touch_with_their_lowest_point_over_the_sensor():
     assert ((lowest[:, 0] >= x0) & (lowest[:, 0] <= x1) & (lowest[:, 1] >= y0) & (lowest[:, 1] <= y1)).all()
     directions = T[:, 2, :3]
     assert np.abs(directions.mean(axis=0)).max() < 0.15
+
+
+def test_more_places_than_fit_are_refused_with_a_number_that_fits():
+    with pytest.raises(GridError, match=r"grid.directions=\d+") as refused:
+        places_of(block(), max_places=100)
+    fewer = int(str(refused.value).split("grid.directions=")[1].split(",")[0])
+    assert fewer == 100
