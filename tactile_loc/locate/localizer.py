@@ -31,6 +31,7 @@ from tactile_loc.store.store import StageStore
 MODE_RADIUS = 2.0  # grid spacings between poses that count as one hypothesis
 PROPOSAL_RADIUS = 0.25  # mode radii between poses that are refined
 SAME_POSE = 0.25  # mode radii between refined poses that count as one
+SEARCHED = 20  # poses of a whole object that are refined against one touch
 DOUBTED = 12  # modes that are refined again without a touch that may contradict the others
 
 
@@ -210,16 +211,13 @@ def _located(
     radius_m = PROPOSAL_RADIUS * first.mode_radius_m
     with times.stage("modes"):
         modes: list[Mode] = []
-        if len(views) > 1:
-            searched = first.search is not None
-            modes = (
-                best_apart(posterior, radius_m, REFINED)
-                if searched
-                else proposed(views, alone, posterior, radius_m, REFINED)
-            )
+        if first.search is not None:
+            modes = best_apart(posterior, radius_m, REFINED if len(views) > 1 else max(top, SEARCHED))
+        elif len(views) > 1:
+            modes = proposed(views, alone, posterior, radius_m, REFINED)
         if poses is not None:
             modes += posterior.modes(first.mode_radius_m, None, core=poses.indices)
-        elif len(views) == 1:
+        elif not modes:
             modes = posterior.modes(first.mode_radius_m, top)
     refiner = first.refiner if len(views) == 1 else first.refiner_of_several
 

@@ -23,6 +23,7 @@ from tactile_loc.plugin import (
     Poses,
     Progress,
     SensorGeometry,
+    TriangleMesh,
     align_to_z,
     as_patches,
     make_transform,
@@ -39,6 +40,7 @@ AT_ONCE = 50  # directions drawn together
 MARGIN_M = 0.01  # between the object and the camera
 LONGEST_M = 0.5  # of an object's diameter: its height maps have as many pixels as fit the memory
 MOST_PLACES = 4096  # of one direction
+ALIKE, MOST_FLAT = 5e-3, 400  # normals that differ by less are one; faces that are looked at straight on
 GENERIC = np.array([0.5377, 0.6512, 0.5355])  # no direction of symmetry: which of several that look alike is kept
 
 
@@ -56,6 +58,7 @@ class WholeGrid(GridSampler):
         apart_mm: float = Field(default=2.0, gt=0, description="distance between places along edges and faces, mm")
         near_mm: float = Field(default=3.0, gt=0, description="a place is the lowest so far around, mm")
         level_mm: float = Field(default=0.05, ge=0, description="what is higher by less is as low, mm")
+        flat_mm2: float = Field(default=4.0, gt=0, description="flat faces so large are looked at straight on, mm^2")
         max_places: int = Field(default=200_000, ge=1, description="refuse more places than this: 2 kB each")
 
     def places(self, obj: ObjectModel, progress: Progress) -> Places:
@@ -68,7 +71,9 @@ class WholeGrid(GridSampler):
                 f"{LONGEST_M * 1e3:.0f} mm; check the mesh's units, or choose the face that touches with --grid face"
             )
         camera = _camera(radius_m)
-        directions = distinct_directions(sphere(options.directions), obj)
+        step_rad = np.sqrt(4 * np.pi / options.directions)
+        every = np.concatenate([sphere(options.directions), flat_directions(mesh, options.flat_mm2 * 1e-6)])
+        directions = distinct_directions(every, obj, step_rad)
         self._refuse_too_many(obj, directions, camera)
         poses: list[Float] = []
         patches: list[NDArray[np.uint8]] = []
@@ -133,12 +138,30 @@ def sphere(count: int) -> Float:
     return np.stack([across * np.cos(azimuth_rad), across * np.sin(azimuth_rad), z], axis=1)
 
 
-def distinct_directions(directions: Float, obj: ObjectModel) -> Float:
+def flat_directions(mesh: TriangleMesh, area_m2: float) -> Float:
+    """Return the unit directions (N, 3) along which faces of at least an area, m^2, are pressed flat on a sensor.
+
+    At most MOST_FLAT, the largest faces'. A face that is touched flat shows none of its tilt: a direction that is a
+    degree off it would have its edge touch first.
+    """
+    a, b, c = np.moveaxis(mesh.triangles_m, 1, 0)
+    across = np.cross(b - a, c - a)
+    areas = 0.5 * np.linalg.norm(across, axis=1)
+    some = areas > 0
+    normals = across[some] / (2 * areas[some, None])
+    _, which = np.unique(np.rint(normals / ALIKE).astype(int), axis=0, return_inverse=True)
+    area = np.bincount(which.ravel(), areas[some])
+    mean = np.stack([np.bincount(which.ravel(), areas[some] * normals[:, k]) for k in range(3)], axis=1)
+    largest = np.argsort(-area, kind="stable")[:MOST_FLAT]
+    largest = largest[area[largest] >= area_m2]
+    return np.asarray(-mean[largest] / np.linalg.norm(mean[largest], axis=1, keepdims=True))
+
+
+def distinct_directions(directions: Float, obj: ObjectModel, step_rad: float) -> Float:
     """Return those of unit directions (N, 3) that stand for all that look alike by the object's symmetry.
 
     Of those that look alike the one most along GENERIC is kept, and what is within a step of it.
     """
-    step_rad = np.sqrt(4 * np.pi / len(directions))
     S = obj.symmetry.elements(max_step_rad=0.5 * step_rad)[:, :3, :3]
     if len(S) == 1:
         return directions

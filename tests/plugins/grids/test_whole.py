@@ -9,8 +9,10 @@ from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.places import BELOW, FAR, PATCH_PX, PITCH_M, STEP_M
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.symmetry import SymmetryGroup
-from tactile_loc.plugins.grids.whole import WholeGrid, distinct_directions, sphere
+from tactile_loc.plugins.grids.whole import WholeGrid, distinct_directions, flat_directions, sphere
 from tactile_loc.testing.problems import CAMERAS, block, box
+
+STEP_RAD = np.sqrt(4 * np.pi / 4000)
 
 
 def of(mesh: TriangleMesh, name: str = "some", symmetry: SymmetryGroup | None = None) -> ObjectModel:
@@ -38,7 +40,7 @@ def test_directions_are_spread_evenly():
 
 def test_a_ball_has_one_place_a_direction_and_its_patch_is_a_sphere(ball):
     places = places_of(ball)
-    assert len(places) == 200
+    assert len(places) == 200  # no facet is 4 mm^2
     offset_m = (np.arange(PATCH_PX) - PATCH_PX // 2) * PITCH_M
     across2 = offset_m[:, None] ** 2 + offset_m**2
     rise_m = 0.01 - np.sqrt(np.maximum(0.01**2 - across2, 0))
@@ -72,7 +74,7 @@ def test_along_an_edge_that_lies_level_there_are_places():
 def test_directions_that_look_alike_are_searched_once():
     obj = of(box((-0.01, -0.01, -0.004), (0.01, 0.01, 0.004)), symmetry=SymmetryGroup.parse("z4", np.zeros(3)))
     directions = sphere(4000)
-    kept = distinct_directions(directions, obj)
+    kept = distinct_directions(directions, obj, STEP_RAD)
     assert 0.2 < len(kept) / len(directions) < 0.35
     S = obj.symmetry.elements()[:, :3, :3]
     alike = np.einsum("kij,nj->nki", S, directions)
@@ -81,7 +83,7 @@ def test_directions_that_look_alike_are_searched_once():
 
 
 def test_without_symmetry_all_directions_are_searched():
-    assert len(distinct_directions(sphere(500), block())) == 500
+    assert len(distinct_directions(sphere(500), block(), 0.1)) == 500
 
 
 def test_no_poses_are_listed():
@@ -110,3 +112,16 @@ def test_more_places_than_fit_are_refused_with_a_number_that_fits():
         places_of(block(), max_places=100)
     fewer = int(str(refused.value).split("grid.directions=")[1].split(",")[0])
     assert fewer == 100
+
+
+def test_the_faces_of_a_box_are_looked_at_straight_on():
+    mesh = box((-0.01, -0.006, -0.004), (0.01, 0.006, 0.004))
+    flat = flat_directions(mesh, 4e-6)
+    assert sorted(map(tuple, np.rint(flat).astype(int).tolist())) == sorted(
+        [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
+    )
+    assert np.abs(flat).max(axis=1) == pytest.approx(1)
+    assert len(flat_directions(mesh, 2e-4)) == 2  # those of 20 x 12 mm
+    places = places_of(of(mesh))
+    level = (places.patches[:, 18:23, 18:23] == BELOW).all(axis=(1, 2))
+    assert level.sum() > 50  # faces, 2 mm apart
