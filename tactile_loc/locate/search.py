@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry import invert
 from tactile_loc.core.interfaces import Encoder, GridSampler, Matcher, Scene, View
-from tactile_loc.core.places import CAMERA, HIGHEST_M, Places, turned_patches
+from tactile_loc.core.places import CAMERA, HIGHEST_M, Places
 from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.progress import Progress, StageTimes
@@ -34,6 +34,7 @@ SETTLED = 300  # poses that are registered to a touch
 DRAWN_PX = 40  # pixels a side of what is drawn of them
 ENCODED = 4096  # places at once
 NEAREST_MM = 0.5  # between poses that are kept
+COMMON = 100  # poses of each of several touches, for all of them
 FREEDOM_M = 1e-3  # along z, of a pose that another touch found
 
 
@@ -87,6 +88,8 @@ class PlaceSearch:
 
     def alike(self, touch: Touch) -> tuple[Poses, NDArray[np.float64]]:
         """Return the poses (K, 4, 4), metres, of the turned places that are most alike, and how much they are (K,)."""
+        from tactile_loc.core.turned_patches import turned_patches
+
         matcher = self._banks.matcher(touch.press_depth_m)
         press_m = min(self._banks.bank_press_m(touch.press_depth_m), touch.press_depth_m)
         poses, scores = [], []
@@ -110,12 +113,12 @@ class PlaceSearch:
 def in_common(
     views: Sequence[View], alone: Sequence[PosePosterior], scalings: Sequence[TemperatureScaling]
 ) -> list[PosePosterior]:
-    """Return what each of several touches says of the poses that any of them found likely.
+    """Return what each of several touches says of the poses that any of them found likely, COMMON each.
 
     They are drawn coarsely for each touch, whose probabilities are scaled as its own search's.
     """
     poses = np.concatenate([
-        invert(view.T_sensor_first) @ posterior.grid.T_sensor_object
+        invert(view.T_sensor_first) @ posterior.grid.T_sensor_object[posterior.top(COMMON)]
         for view, posterior in zip(views, alone, strict=True)
     ])  # fmt: skip
     ious, metric = explained(views, poses, DRAWN_PX, FREEDOM_M), alone[0].grid.metric

@@ -15,7 +15,7 @@ from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.search import PlaceSearch, anchors, in_common
+from tactile_loc.locate.search import COMMON, PlaceSearch, anchors, in_common
 from tactile_loc.store.store import StageStore
 
 WHOLE = {"grid": {"name": "whole"}, "sensor": "gelsight-mini"}
@@ -118,7 +118,7 @@ def test_touches_are_compared_at_the_poses_that_any_of_them_found(localizer, exa
     T = np.linalg.inv(np.asarray(some[1].T_base_sensor)) @ np.asarray(some[0].T_base_sensor)
     views = [View(touch, localizer.scene.of_touch(touch), M) for touch, M in zip(some, (np.eye(4), T), strict=True)]
     first, second = in_common(views, alone, [localizer.temperature_scaling] * 2)
-    assert len(first.grid) == len(second.grid) == sum(len(p.grid) for p in alone)
+    assert len(first.grid) == len(second.grid) == sum(min(len(p.grid), COMMON) for p in alone)
     assert T @ first.grid.T_sensor_object == pytest.approx(second.grid.T_sensor_object)
     found = localize_together([(localizer, touch) for touch in some]).posterior
     assert found.touches == 2

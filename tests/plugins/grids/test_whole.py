@@ -54,8 +54,8 @@ def test_the_corners_of_a_box_touch_first_and_faces_nearly_level():
     mesh = box((-0.01, -0.006, -0.004), (0.01, 0.006, 0.004))
     places = places_of(of(mesh)).T_place_object
     where = -np.einsum("nji,nj->ni", places[:, :3, :3], places[:, :3, 3])
-    corners = mesh.vertices_m
-    to_corner = np.linalg.norm(where[:, None] - corners, axis=-1).min(axis=1)
+    tilted = np.abs(places[:, 2, :3]).max(axis=1) < 0.999
+    to_corner = np.linalg.norm(where[tilted, None] - mesh.vertices_m, axis=-1).min(axis=1)
     assert np.median(to_corner) < 1e-3
     assert (np.abs(where) <= np.array([0.01, 0.006, 0.004]) + 1e-6).all()
 
