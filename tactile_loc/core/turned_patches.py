@@ -1,4 +1,4 @@
-"""The patch of a touch that is compared with those of an object's places: turned back by many yaws, compiled (numba)."""
+"""The patch of a touch that is compared with those of places, turned back by many yaws; compiled (numba)."""
 
 from __future__ import annotations
 

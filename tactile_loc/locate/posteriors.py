@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import cached_property
@@ -169,7 +168,7 @@ class TouchPosteriors:
         truth: list[int] = []
         number, levels = self._fitted_to
         with self.progress.task("fitting probabilities", number) as advance:
-            for (seed, count), level in zip(probabilities.batches(number), itertools.cycle(levels), strict=False):
+            for seed, count, level in probabilities.batches(number, levels):
                 for touch in self.simulate(count, seed, noise=level):
                     ((grid, found),) = exact.scored([touch])
                     scores.append(found)

@@ -35,7 +35,7 @@ LEAST = 1e-12  # probability of the truth, lest one touch decide alone
 FUSED_STAGE, FUSED_VERSION = "fused-temperature", 1
 FUSED_TOUCHES = (2, 3, 5, 7)  # of the examples that are fitted to
 FUSED_EXAMPLES, FUSED_SEED = 40, 0xF05ED  # of each number of touches
-SEARCHED, SEARCHED_TOUCHES, SEARCHED_EXAMPLES = 75, (2, 3, 5), 10  # of a whole object, which takes longer
+SEARCHED, SEARCHED_TOUCHES, SEARCHED_EXAMPLES = 45, (2, 3, 5), 10  # of a whole object, which takes longer
 SEARCHED_NOISE = ("none", "mild", "strong")  # in turn: how well a touch is explained says how far it is to be trusted
 MOST_ELSEWHERE = 0.999
 EXPONENTS = np.linspace(0.0, 1.0, 41)
@@ -132,10 +132,12 @@ def fit_fused_scaling(fused: Sequence[tuple[int, NDArray[np.float64], int]]) -> 
     return FusedScaling(float(EXPONENTS[np.argmin(losses)]))
 
 
-def batches(touches: int = TOUCHES) -> Iterator[tuple[int, int]]:
-    """Yield seed and number of the touches to fit to, batch by batch."""
-    for start in range(0, touches, BATCH):
-        yield SEED + start, min(BATCH, touches - start)
+def batches(touches: int, levels: Sequence[str]) -> Iterator[tuple[int, int, str]]:
+    """Yield seed, number and level of noise of the touches to fit to, batch by batch; of each level as many."""
+    share = -(-touches // len(levels))
+    for number, level in enumerate(levels):
+        for start in range(0, share, BATCH):
+            yield SEED + number * share + start, min(BATCH, share - start), level
 
 
 def describe_touches(touches: int = TOUCHES, levels: Sequence[str] = (TOUCH_NOISE,)) -> dict[str, Any]:
