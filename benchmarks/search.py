@@ -26,8 +26,8 @@ from contacts import LEVELS, Located, located
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.evaluation.protocol import contact_share
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.evaluation.simulated_touches import contact_share
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
 

@@ -186,7 +186,7 @@ class PosteriorPrior(PosePrior):
     stayed, inv(T_base_sensor_new) @ T_base_sensor_old. d is the root mean square distance of the object's surface,
     symmetry regarded; s is `std_m`, the uncertainty that the motion adds, and at least half the earlier grid's spacing,
     below which the two grids would miss one another. `floor`, f, keeps a share of 1 / N everywhere, N the number of the
-    earlier poses. All of it is raised to `power`. Metres. Raises ConfigError when the motion is not rigid, std_m
+    earlier poses; what the earlier posterior said is elsewhere comes to it. All of it is raised to `power`. Metres. Raises ConfigError when the motion is not rigid, std_m
     negative or f not in [0, 1).
     """
 
@@ -209,8 +209,9 @@ class PosteriorPrior(PosePrior):
         near = np.flatnonzero(self._moved.nearest(T_sensor_object, KERNEL_RADII * self.spread_m)[1] >= 0)
         for some, density in self._density(T_sensor_object[near]):
             log_w[near[some]] = np.log1p(-self.floor) + density
-        if self.floor > 0:
-            log_w = np.logaddexp(log_w, np.log(self.floor / len(self.posterior.grid)))
+        anywhere = self.floor + (1 - self.floor) * self.posterior.elsewhere
+        if anywhere > 0:
+            log_w = np.logaddexp(log_w, np.log(anywhere / len(self.posterior.grid)))
         return self.power * log_w
 
     @property

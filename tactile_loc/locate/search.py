@@ -29,7 +29,7 @@ from tactile_loc.store.workspace import Workspace
 
 STAGE, STAGE_VERSION = "places", 1
 SEARCH_VERSION = 1
-ALIKE = 1000  # turned places that are most alike, of each anchor
+ALIKE = 1000  # turned places that are most alike
 SETTLED = 300  # poses that are registered to a touch
 DRAWN_PX = 40  # pixels a side of what is drawn of them
 ENCODED = 4096  # places at once
@@ -92,17 +92,15 @@ class PlaceSearch:
 
         matcher = self._banks.matcher(touch.press_depth_m)
         press_m = min(self._banks.bank_press_m(touch.press_depth_m), touch.press_depth_m)
-        poses, scores = [], []
-        for anchor_m in anchors(touch):
-            depths_m, seen = turned_patches(touch, anchor_m[:2], self.yaws_rad)
-            cut_m = np.minimum(depths_m, np.float32(press_m))
-            queries, weights = self.encoder.encode_seen(cut_m, seen, press_m, CAMERA)
-            rows = matcher.weighted_scores(queries, weights)
-            best = np.argpartition(-rows, min(ALIKE, rows.size) - 1, axis=None)[:ALIKE]
-            yaw, number = np.unravel_index(best, rows.shape)
-            poses.append(self.places.poses(number, np.broadcast_to(anchor_m, (len(best), 3)), self.yaws_rad[yaw]))
-            scores.append(rows.ravel()[best].astype(float))
-        return np.concatenate(poses), np.concatenate(scores)
+        anchor_m = anchor(touch)
+        depths_m, seen = turned_patches(touch, anchor_m[:2], self.yaws_rad)
+        cut_m = np.minimum(depths_m, np.float32(press_m))
+        queries, weights = self.encoder.encode_seen(cut_m, seen, press_m, CAMERA)
+        scores = matcher.weighted_scores(queries, weights)
+        best = np.argpartition(-scores, min(ALIKE, scores.size) - 1, axis=None)[:ALIKE]
+        yaw, number = np.unravel_index(best, scores.shape)
+        at_m = np.broadcast_to(anchor_m, (len(best), 3))
+        return self.places.poses(number, at_m, self.yaws_rad[yaw]), scores.ravel()[best].astype(float)
 
     def _bank(self, press_depth_m: float) -> Scores:
         starts = range(0, len(self.places), ENCODED)
@@ -128,12 +126,11 @@ def in_common(
     ]
 
 
-def anchors(touch: Touch) -> NDArray[np.float64]:
-    """Return where the places (K, 3) that touch first may be, in metres of the sensor's frame."""
+def anchor(touch: Touch) -> NDArray[np.float64]:
+    """Return where the place (3,) that touches first is, in metres of the sensor's frame: where the touch is deepest."""
     geometry, shape = touch.geometry, touch.contact_shape
     depth = np.where(shape.contact & geometry.observed_mask, shape.depth_m, np.inf)
     row, column = np.unravel_index(depth.argmin(), depth.shape)
     x, y = (slopes[i] for slopes, i in zip(geometry.pixel_slopes, (column, row), strict=True))
-    z = geometry.standoff_m
-    k = z if geometry.is_pinhole else 1.0
-    return np.array([[x * k, y * k, z]])
+    k = geometry.standoff_m if geometry.is_pinhole else 1.0
+    return np.array([x * k, y * k, geometry.standoff_m])

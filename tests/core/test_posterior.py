@@ -179,3 +179,18 @@ def test_a_training_distribution_is_finite_and_one_a_pose(box, log_train):
     assert PosePosterior(grid, np.zeros(3)).log_train is None
     with pytest.raises(GridError, match="the training distribution has the shape"):
         PosePosterior(grid, np.zeros(3), log_train)
+
+
+def test_probabilities_and_what_is_elsewhere_sum_to_one(box):
+    posterior = PosePosterior(line(box, np.arange(4) * 0.01), np.log([0.1, 0.2, 0.3, 0.4]), elsewhere=0.5)
+    assert posterior.probabilities == pytest.approx([0.05, 0.1, 0.15, 0.2])
+    assert posterior.entropy > PosePosterior(line(box, np.arange(4) * 0.01), np.log([0.1, 0.2, 0.3, 0.4])).entropy * 0.5
+    assert len(posterior.sample(10, np.random.default_rng(0))) == 10
+    assert posterior.credible_set(0.4).tolist() == [3, 2, 1]
+    assert posterior.tempered(0.5).elsewhere == 0.5
+
+
+@pytest.mark.parametrize("elsewhere", [-0.1, 1.0, float("nan")])
+def test_an_impossible_share_elsewhere_is_refused(box, elsewhere):
+    with pytest.raises(GridError, match="other poses"):
+        PosePosterior(line(box, np.arange(2) * 0.01), np.zeros(2), elsewhere=elsewhere)

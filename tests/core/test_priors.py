@@ -195,3 +195,11 @@ class TestPosterior:
 def _distances(metric: PoseMetric, T1: np.ndarray, T2: np.ndarray) -> np.ndarray:
     """Distances (M, N) up to symmetry, one pair after another."""
     return np.array([[metric.symmetric_distance(a[None], b[None])[0] for b in T2] for a in T1])
+
+
+def test_what_an_earlier_posterior_left_elsewhere_is_anywhere(box):
+    grid = PoseGrid(np.stack([translation([x, 0, 0]) for x in (0.0, 0.01)]), PoseMetric(box))
+    far = translation([0.1, 0, 0])[None]
+    sure, doubtful = (PosteriorPrior(PosePosterior(grid, np.zeros(2), elsewhere=e), np.eye(4)) for e in (0.0, 0.4))
+    assert np.exp(sure(far)) == pytest.approx(1e-3 / 2)
+    assert np.exp(doubtful(far)) == pytest.approx((1e-3 + 0.999 * 0.4) / 2)
