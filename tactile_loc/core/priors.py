@@ -186,8 +186,8 @@ class PosteriorPrior(PosePrior):
     stayed, inv(T_base_sensor_new) @ T_base_sensor_old. d is the root mean square distance of the object's surface,
     symmetry regarded; s is `std_m`, the uncertainty that the motion adds, and at least half the earlier grid's spacing,
     below which the two grids would miss one another. `floor`, f, keeps a share of 1 / N everywhere, N the number of the
-    earlier poses; what the earlier posterior said is elsewhere comes to it. All of it is raised to `power`. Metres. Raises ConfigError when the motion is not rigid, std_m
-    negative or f not in [0, 1).
+    earlier poses; what the earlier posterior said is elsewhere comes to it. All of it is raised to `power`. Metres.
+    Raises ConfigError when the motion is not rigid, std_m negative or f not in [0, 1).
     """
 
     posterior: PosePosterior

@@ -127,7 +127,7 @@ def in_common(
 
 
 def anchor(touch: Touch) -> NDArray[np.float64]:
-    """Return where the place (3,) that touches first is, in metres of the sensor's frame: where the touch is deepest."""
+    """Return where the place that touches first is, where the touch is deepest: (3,), metres, in the sensor's frame."""
     geometry, shape = touch.geometry, touch.contact_shape
     depth = np.where(shape.contact & geometry.observed_mask, shape.depth_m, np.inf)
     row, column = np.unravel_index(depth.argmin(), depth.shape)
