@@ -82,7 +82,12 @@ Grid = Annotated[str | None, declare("--grid", "NAME", "Which poses are searched
 Renderer = Annotated[str | None, declare("--renderer", "NAME", "What renders contact shapes; by default heightmap.")]
 Encoder = Annotated[str | None, declare("--encoder", "NAME", "What makes vectors of them; by default pixel.")]
 Matcher = Annotated[str | None, declare("--matcher", "NAME", "What compares the vectors; by default dense.")]
-Refiner = Annotated[str | None, declare("--refiner", "NAME", "What refines the best poses; by default filterreg.")]
+Refiner = Annotated[
+    str | None,
+    declare(
+        "--refiner", "NAME", "What refines the best poses; by default joint, and filterreg where poses are listed."
+    ),
+]
 Fuser = Annotated[str | None, declare("--fuser", "NAME", "What combines touches and prior; by default product.")]
 SetOption = Annotated[
     list[str] | None,
@@ -183,7 +188,7 @@ def _component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, A
     given: dict[str, Any] = {"name": in_file} if isinstance(in_file, str) else dict(_table(in_file or {}, slot))
     given |= given.pop("options", {}) if isinstance(given.get("options"), dict) else {}
     if "name" not in given and flag is None:
-        default = default_component(slot, grid["name"] if slot == "encoder" else None)
+        default = default_component(slot) if slot == "grid" else default_component(slot, grid["name"])
         given = {"name": default.name, **default.options, **given}
     if slot == "sensor" and flag is not None:
         _warn_of_namesake(flag)

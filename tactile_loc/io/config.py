@@ -59,15 +59,16 @@ class TouchConfig(_Strict):
 
 WHOLE = SlotConfig(name="whole")
 LISTED = SlotConfig(name="face")  # of what needs poses that are listed, as the paper's protocol and sweeps do
-PATCHES = SlotConfig(name="pixel", options={"signal": "depth", "cells": 16})  # what places are compared by
+OF_WHOLE = {  # what suits the places of a whole object, where nothing is given
+    "encoder": SlotConfig(name="pixel", options={"signal": "depth", "cells": 16}),
+    "refiner": SlotConfig(name="joint"),
+}
 
 
-def default_component(slot: str, grid: str | None = None) -> SlotConfig:
+def default_component(slot: str, grid: str = WHOLE.name) -> SlotConfig:
     """Return what fills a slot that is not given, with a grid of that name, by default the default one."""
-    if slot == "encoder" and (grid or WHOLE.name) == WHOLE.name:
-        return PATCHES
     chosen: SlotConfig = RunConfig.model_fields[slot].default
-    return chosen
+    return OF_WHOLE.get(slot, chosen) if grid == WHOLE.name else chosen
 
 
 class RunConfig(_Strict):
@@ -76,7 +77,7 @@ class RunConfig(_Strict):
     `together` refines against several touches: "joint" all at once, "each" by what the refiner makes of each touch.
     `drop_outliers` leaves out those of several touches that contradict the others.
     `coverage` asks for all modes of a set of poses that holds the true one with that probability, 0 to 1.
-    An `encoder` that is not given is pixel, with the options that suit the grid.
+    An `encoder` or `refiner` that is not given suits the grid: of a whole object pixel, with options, and joint.
     `drawing` is what touches are compared with: the object "pressed", as the sensor sees it, or where it just touches,
     as in the "paper".
     """
@@ -101,13 +102,13 @@ class RunConfig(_Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _encoder_of_grid(cls, value: Any) -> Any:
-        """An encoder that is not given is the grid's."""
-        if not isinstance(value, dict) or "encoder" in value:
+    def _suiting_the_grid(cls, value: Any) -> Any:
+        """What is not given is what suits the grid."""
+        if not isinstance(value, dict):
             return value
-        grid = value.get("grid", WHOLE.name)
-        name = grid if isinstance(grid, str) else getattr(grid, "name", None) or dict(grid or {}).get("name")
-        return {**value, "encoder": default_component("encoder", str(name))}
+        grid = value.get("grid", WHOLE)
+        named = grid if isinstance(grid, str) else dict(grid).get("name")
+        return {slot: default_component(slot, str(named)) for slot in OF_WHOLE} | value
 
     @classmethod
     def from_toml(cls, path: str | Path) -> RunConfig:
