@@ -143,7 +143,7 @@ class RunOptions:
 
 def run_config(given: RunOptions) -> RunConfig:
     """Merge options over the configuration file that they name, if any. Raises ConfigError for unknown settings."""
-    from tactile_loc.io.config import RunConfig, parse_overrides, parse_settings
+    from tactile_loc.io.config import WHOLE, RunConfig, parse_overrides, parse_settings
     from tactile_loc.io.toml import read_toml
 
     settings = {} if given.config is None else read_toml(given.config)
@@ -156,9 +156,10 @@ def run_config(given: RunOptions) -> RunConfig:
         settings[name] = {**_table(settings.get(name, {}), name), **_without_none(table)}
     plain, words = parse_settings(given.option or [])
     overrides = parse_overrides(words)
-    for slot in sorted(SLOTS, key=lambda slot: slot != "grid"):  # whose default encoder differs
-        flag, changed = getattr(given, slot), overrides.get(slot, {})
-        settings[slot] = _component(slot, settings.get(slot), flag, changed, settings.get("grid"))
+    grid = WHOLE.name
+    for slot in sorted(SLOTS, key=lambda slot: slot != "grid"):  # what suits it is known then
+        settings[slot] = _component(slot, settings.get(slot), getattr(given, slot), overrides.get(slot, {}), grid)
+        grid = settings["grid"]["name"]
     chosen = {"top": given.top, "coverage": given.coverage, "seed": given.seed}
     settings |= plain | _without_none({**chosen, "drop_outliers": given.drop_outliers or None})
     return RunConfig.from_dict(settings, "the command line" if given.config is None else str(given.config))
@@ -178,17 +179,17 @@ def _table(value: Any, section: str) -> dict[str, Any]:
     return value
 
 
-def _component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, Any], grid: Any) -> Any:
+def _component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, Any], grid: str) -> Any:
     """Return one slot's name and options: the file's, unless the flag names another component; `overrides` on top.
 
-    What neither gives is the default, with the `grid` that was chosen.
+    What neither gives is the default with the `grid` of that name.
     """
     from tactile_loc.io.config import default_component, kind_of_sensor
 
     given: dict[str, Any] = {"name": in_file} if isinstance(in_file, str) else dict(_table(in_file or {}, slot))
     given |= given.pop("options", {}) if isinstance(given.get("options"), dict) else {}
     if "name" not in given and flag is None:
-        default = default_component(slot) if slot == "grid" else default_component(slot, grid["name"])
+        default = default_component(slot, grid)
         given = {"name": default.name, **default.options, **given}
     if slot == "sensor" and flag is not None:
         _warn_of_namesake(flag)

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +19,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry import invert
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
+from tactile_loc.core.places import Places
 from tactile_loc.core.poses import PoseGrid, Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing import ContactShape, Drawing, SensorGeometry, Touch, as_drawn, contact_depth
-
-if TYPE_CHECKING:  # compiled code, which few need
-    from tactile_loc.core.places import Places
 
 Float32 = NDArray[np.float32]
 
@@ -61,7 +59,8 @@ class Capabilities:
     `follows_press_depth`: an encoder's bank must be encoded at the touch's own press depth.
     `top_k_only`: a matcher scores only some poses, the others are -inf. `needs_training`: `fit` does work.
     `refines`: a refiner moves poses, unlike the null one. `contact_only`: a fuser asks only which poses touch a sensor,
-    not how probable they are. `uses_normals`, `differentiable`, `device`: as they say.
+    not how probable they are. `places`: a grid lists the object's places instead of poses. `uses_normals`,
+    `differentiable`, `device`: as they say.
     """
 
     deterministic: bool = True

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.common_poses import require_fusable
 from tactile_loc.core.errors import ConfigError, GridError, TouchError
 from tactile_loc.core.geometry import invert
 from tactile_loc.core.interfaces import Candidate, Prior, RefinedPose, Refiner, View
@@ -31,7 +32,7 @@ from tactile_loc.store.store import StageStore
 MODE_RADIUS = 2.0  # grid spacings between poses that count as one hypothesis
 PROPOSAL_RADIUS = 0.25  # mode radii between poses that are refined
 SAME_POSE = 0.25  # mode radii between refined poses that count as one
-SEARCHED = 20  # poses of a whole object that are refined against one touch
+REFINED_ALONE = 20  # poses of a whole object that are refined against one touch
 DOUBTED = 12  # modes that are refined again without a touch that may contradict the others
 
 
@@ -212,7 +213,7 @@ def _located(
     with times.stage("modes"):
         modes: list[Mode] = []
         if first.search is not None:
-            modes = best_apart(posterior, radius_m, REFINED if len(views) > 1 else max(top, SEARCHED))
+            modes = best_apart(posterior, radius_m, REFINED if len(views) > 1 else max(top, REFINED_ALONE))
         elif len(views) > 1:
             modes = proposed(views, alone, posterior, radius_m, REFINED)
         if poses is not None:
@@ -247,10 +248,8 @@ def _in_common(
     if not all(searching):
         raise ConfigError("some touches are searched for in the whole object and others in a grid of listed poses; "
                           "give all their localizers the grid whole, or none")  # fmt: skip
+    require_fusable(alone, [touch.T_base_sensor for _, touch in observations])
     first = observations[0][1]
-    for _, touch in observations:
-        if touch.T_base_sensor is None:
-            return alone  # which the fuser refuses
     views = [_view(first, localizer, touch) for localizer, touch in observations]
     with times.stage("fuse"):
         return in_common(views, alone, [localizer.temperature_scaling for localizer, _ in observations])

@@ -110,10 +110,10 @@ class TouchPosteriors:
         """What searches the whole object, if the grid knows its places: from the store, or built now."""
         if not self.sampler.capabilities.places:
             return None
-        settle = registry().create("refiner", "joint", SETTLING).settled
+        settler = registry().create("refiner", "joint", SETTLING)
         places, key = build_places(self.sampler, self.scene, self.store, self.progress)
         return PlaceSearch(
-            places, key, self.scene, self.encoder, lambda: self._component("matcher"), settle, self.sampler.options
+            places, key, self.scene, self.encoder, lambda: self._component("matcher"), settler, self.sampler.options
         )
 
     @cached_property

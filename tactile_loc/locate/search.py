@@ -57,14 +57,14 @@ class PlaceSearch:
 
     def __init__(
         self, places: Places, key: StageKey, scene: Scene, encoder: Encoder, new_matcher: Callable[[], Matcher],
-        settle: Callable[[Sequence[View], Poses], Poses], options: Any,
+        settler: Any, options: Any,
     ) -> None:  # fmt: skip
         if encoder.capabilities.needs_training:
             raise ConfigError(
                 f"the encoder {type(encoder).__name__} learns from poses that are listed; choose pixel, or a grid that "
                 "lists its poses, such as face or hopf"
             )
-        self.places, self.key, self.scene, self.encoder, self.settle = places, key, scene, encoder, settle
+        self.places, self.key, self.scene, self.encoder, self.settler = places, key, scene, encoder, settler
         self.metric, spacing_m = PoseMetric(scene.object), 1e-3 * options.spacing_mm
         self.radius_m, self.found_m = 0.5 * spacing_m, spacing_m  # between starts; how near the truth is found
         self.yaws_rad = 2 * np.pi * np.arange(options.turns) / options.turns
@@ -77,14 +77,17 @@ class PlaceSearch:
             poses, scores = self.alike(touch)
         with times.stage("settle"):
             poses = poses[apart(poses, scores, self.metric, self.radius_m, SETTLED)]
-            poses = self.settle([view], poses)
+            poses = self.settler.settled([view], poses)
             ious = explained([view], poses, DRAWN_PX)[:, 0]
             kept = apart(poses, ious, self.metric, NEAREST_MM * 1e-3, SETTLED)
         return PoseGrid(poses[kept], self.metric), ious[kept].astype(np.float32)
 
     def describe(self) -> dict[str, Any]:
         """Return what decides what is found of a touch, but for the encoder, as JSON values."""
-        return {"places": self.key.digest, "search": SEARCH_VERSION}
+        return {
+            "places": self.key.digest, "search": SEARCH_VERSION, "settler": self.settler.describe(),
+            "renderer": self.scene.renderer.describe(), "drawing": self.scene.drawing,
+        }  # fmt: skip
 
     def alike(self, touch: Touch) -> tuple[Poses, NDArray[np.float64]]:
         """Return the poses (K, 4, 4), metres, of the turned places that are most alike, and how much they are (K,)."""
