@@ -96,18 +96,24 @@ def require_fusable(posteriors: Sequence[PosePosterior], T_base_sensor: Sequence
         )
     if len(posteriors) == 1:
         return
+    require_sensor_poses(T_base_sensor)
     ours = posteriors[0].grid.metric.object
-    for number, (posterior, T) in enumerate(zip(posteriors, T_base_sensor, strict=True), start=1):
-        if T is None:
-            raise ConfigError(
-                f"touch {number} of {len(posteriors)} does not say where its sensor was; several touches can only be "
-                "fused with the T_base_sensor of each"
-            )
-        if np.shape(T) != (4, 4) or not is_rigid(np.asarray(T, float)):
-            raise ConfigError(f"T_base_sensor of touch {number} is no rigid transform; it must be (4, 4), in metres")
+    for number, posterior in enumerate(posteriors, start=1):
         other = posterior.grid.metric.object
         if other is not ours and other.mesh.digest != ours.mesh.digest:
             raise ConfigError(f"touch {number} is of {other.name}, touch 1 of {ours.name}; fuse touches of one object")
+
+
+def require_sensor_poses(T_base_sensor: Sequence[Poses | None]) -> None:
+    """Raise ConfigError unless each of several touches has a rigid sensor pose (4, 4)."""
+    for number, T in enumerate(T_base_sensor, start=1):
+        if T is None:
+            raise ConfigError(
+                f"touch {number} of {len(T_base_sensor)} does not say where its sensor was; several touches can only "
+                "be fused with the T_base_sensor of each"
+            )
+        if np.shape(T) != (4, 4) or not is_rigid(np.asarray(T, float)):
+            raise ConfigError(f"T_base_sensor of touch {number} is no rigid transform; it must be (4, 4), in metres")
 
 
 def prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.float64]:

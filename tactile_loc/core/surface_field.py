@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.compiled import njit
+from tactile_loc.core.compiled import in_threads, njit
 from tactile_loc.core.objects import TriangleMesh
 
 MOST_CELLS = 6_000_000
@@ -67,6 +67,18 @@ class SurfaceField:
         look_up(np.ascontiguousarray(points_m, float), self.triangles, found, which)
         return found, which
 
+    def mean_gaps(
+        self, points_m: NDArray[np.float64], T_object_points: NDArray[np.float64], most_m: float
+    ) -> NDArray[np.float64]:
+        """Return how far points (N, 3), metres, moved by each of T_object_points (K, 4, 4), are from the surface.
+
+        That is the mean over the points (K,), metres, each counted as at most `most_m`; 0 without points.
+        """
+        gaps = np.zeros(len(T_object_points))
+        points_m = np.ascontiguousarray(points_m, float)
+        in_threads(_mean_gaps, len(gaps), points_m, T_object_points, self.triangles, float(most_m), gaps)
+        return gaps
+
 
 def _neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """The triangles that share an edge with each of the triangles (F, 3, 3), and where each one's end (F + 1,)."""
@@ -97,6 +109,20 @@ def look_up(points, triangles, found, which):
             which[i] = f = downhill(points[i], f, triangles)
             x, y, z = closest_on_triangle(points[i], triangles.corners[f])
             found[i, 0], found[i, 1], found[i, 2] = x, y, z
+
+
+@njit
+def _mean_gaps(first, last, points, T, triangles, most, gaps):
+    """Fill the mean gaps (K,) of the moves (K, 4, 4) from first to last."""
+    x = np.empty(3)
+    for k in range(first, last):
+        total = 0.0
+        for i in range(len(points)):
+            for r in range(3):
+                x[r] = T[k, r, 0] * points[i, 0] + T[k, r, 1] * points[i, 1] + T[k, r, 2] * points[i, 2] + T[k, r, 3]
+            f = triangle_near(x, triangles)
+            total += most if f < 0 else min(most, math.sqrt(_squared_distance(x, triangles.corners[f])))
+        gaps[k] = total / max(1, len(points))
 
 
 @njit

@@ -19,6 +19,7 @@ SHARPNESS = 30.0
 REFINED = 40  # hypotheses of several touches
 LISTED, GLANCED_AT = 400, 200  # poses that a touch proposes, and those that are drawn at GLANCE_PX pixels a side
 GLANCE_PX = 40
+AT_ONCE = 500  # poses that are compared with those chosen before
 DOUBT = 8.0  # nats: no touch's grid makes a pose less likely than that
 
 
@@ -182,10 +183,22 @@ def apart(
 
     None is within `radius_m` metres of a worthier one.
     """
-    points = metric.embed(poses)
-    left = np.argsort(-worth, kind="stable")
+    from scipy.spatial.distance import cdist
+
+    order = np.argsort(-worth, kind="stable")
     chosen: list[int] = []
-    while len(left) and len(chosen) < count:
-        chosen.append(int(left[0]))
-        left = left[np.linalg.norm(points[left] - points[left[0]], axis=1) > radius_m]
+    near = np.empty((0, 0))  # embedded poses of the chosen ones
+    for start in range(0, len(order), AT_ONCE):
+        left = order[start : start + AT_ONCE]
+        points = metric.embed(poses[left])
+        if len(near):
+            free = (cdist(points, near) > radius_m).all(axis=1)
+            left, points = left[free], points[free]
+        while len(left) and len(chosen) < count:
+            chosen.append(int(left[0]))
+            free = np.linalg.norm(points - points[0], axis=1) > radius_m
+            left, points = left[free], points[free]
+        if len(chosen) == count:
+            break
+        near = metric.embed(poses[chosen])
     return np.array(chosen, np.int64)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.common_poses import require_fusable
+from tactile_loc.core.common_poses import require_sensor_poses
 from tactile_loc.core.errors import ConfigError, GridError, TouchError
 from tactile_loc.core.geometry import invert
 from tactile_loc.core.interfaces import Candidate, Prior, RefinedPose, Refiner, View
@@ -26,13 +26,13 @@ from tactile_loc.locate.coverage import PoseSet
 from tactile_loc.locate.hypotheses import REFINED, best_apart, find_hypotheses, likeliest, proposed
 from tactile_loc.locate.posteriors import TouchPosteriors
 from tactile_loc.locate.result import Agreement, Hypothesis, Localization
-from tactile_loc.locate.search import in_common
+from tactile_loc.locate.search import found_together
 from tactile_loc.store.store import StageStore
 
 MODE_RADIUS = 2.0  # grid spacings between poses that count as one hypothesis
 PROPOSAL_RADIUS = 0.25  # mode radii between poses that are refined
 SAME_POSE = 0.25  # mode radii between refined poses that count as one
-REFINED_ALONE = 20  # poses of a whole object that are refined against one touch
+SEARCHED = 20  # poses of a whole object that are refined
 DOUBTED = 12  # modes that are refined again without a touch that may contradict the others
 
 
@@ -132,8 +132,7 @@ def posterior_together(
     """Return the posterior over the first localizer's grid given touches of one object, as for `localize_together`."""
     _require_one_object(observations)
     times = times or StageTimes()
-    alone = [localizer.posteriors([touch], times)[0] for localizer, touch in observations]
-    return _fused(observations, _in_common(observations, alone, times), _beside(observations, prior), times)
+    return _fused(observations, _each(observations, times), _beside(observations, prior), times)
 
 
 def localize_together(
@@ -152,10 +151,10 @@ def localize_together(
     """
     _require_one_object(observations)
     times = StageTimes()
-    alone = [localizer.posteriors([touch], times)[0] for localizer, touch in observations]
     first, left = observations[0], list(range(len(observations)))
     while True:
-        some, posteriors = [observations[k] for k in left], [alone[k] for k in left]
+        some = [observations[k] for k in left]
+        posteriors = _each(some, times)
         try:
             found = _located(some, posteriors, _prior_of(prior, first[1], some[0][1]), top, times, coverage)
             outliers = found.agreement.outliers
@@ -204,8 +203,7 @@ def _located(
     touches = tuple(t for _, t in observations)
     coverage = first.config.coverage if coverage is None else coverage
     known = _beside(observations, prior)
-    common = _in_common(observations, alone, times)
-    posterior = _fused(observations, common, known, times)
+    posterior = _fused(observations, alone, known, times)
     poses = None if coverage is None else PoseSet.of(posterior, first.conformal_sets(posterior.touches), coverage)
     top = top or first.config.top
     views = [_view(touch, localizer, t) for localizer, t in observations]
@@ -213,7 +211,7 @@ def _located(
     with times.stage("modes"):
         modes: list[Mode] = []
         if first.search is not None:
-            modes = best_apart(posterior, radius_m, REFINED if len(views) > 1 else max(top, REFINED_ALONE))
+            modes = best_apart(posterior, radius_m, max(top, SEARCHED))
         elif len(views) > 1:
             modes = proposed(views, alone, posterior, radius_m, REFINED)
         if poses is not None:
@@ -229,8 +227,9 @@ def _located(
         return find_hypotheses(views, some, refiner, metric, first.same_pose_m, known, times, outliers)
 
     def at_best() -> NDArray[np.float64]:
+        own = alone if first.search is None else [_each([one], times)[0] for one in observations]
         with times.stage("refine"):
-            return np.array([best_alone(v, p, refiner, radius_m) for v, p in zip(views, alone, strict=True)])
+            return np.array([best_alone(v, p, refiner, radius_m) for v, p in zip(views, own, strict=True)])
 
     found, agreement = (find(), Agreement()) if len(views) == 1 else agreed(find, at_best)
     with times.stage("choose"):
@@ -238,21 +237,20 @@ def _located(
     return Localization(touch, posterior, listed, times.seconds, touches[1:], poses, agreement)
 
 
-def _in_common(
-    observations: Sequence[Observation], alone: Sequence[PosePosterior], times: StageTimes
-) -> Sequence[PosePosterior]:
-    """What touches say of poses that all of them know: those of grids, or those that any search found."""
-    searching = [localizer.search is not None for localizer, _ in observations]
-    if len(observations) == 1 or not any(searching):
-        return alone
-    if not all(searching):
+def _each(observations: Sequence[Observation], times: StageTimes) -> list[PosePosterior]:
+    """What each touch says for itself: of its localizer's grid, or of the poses that a search of all together found."""
+    searches = [localizer.search for localizer, _ in observations if localizer.search is not None]
+    if len(observations) == 1 or not searches:
+        return [localizer.posteriors([touch], times)[0] for localizer, touch in observations]
+    if len(searches) < len(observations):
         raise ConfigError("some touches are searched for in the whole object and others in a grid of listed poses; "
                           "give all their localizers the grid whole, or none")  # fmt: skip
-    require_fusable(alone, [touch.T_base_sensor for _, touch in observations])
+    require_sensor_poses([touch.T_base_sensor for _, touch in observations])
+    for localizer, touch in observations:
+        localizer.require_own(touch)
     first = observations[0][1]
     views = [_view(first, localizer, touch) for localizer, touch in observations]
-    with times.stage("fuse"):
-        return in_common(views, alone, [localizer.temperature_scaling for localizer, _ in observations])
+    return found_together(views, searches, [localizer.temperature_scaling for localizer, _ in observations], times)
 
 
 def _fused(
@@ -264,8 +262,7 @@ def _fused(
     with times.stage("fuse"):
         each = [posterior.tempered(power) for posterior, power in zip(alone, powers, strict=True)]
         fused: PosePosterior = observations[0][0].fuser.fuse(each, [t.T_base_sensor for _, t in observations], prior)
-    elsewhere = float(np.prod([posterior.elsewhere for posterior in alone]))
-    return replace(fused, touches=count, elsewhere=elsewhere)
+    return replace(fused, touches=count, elsewhere=max(posterior.elsewhere for posterior in alone))
 
 
 def _beside(observations: Sequence[Observation], prior: Prior | None) -> Prior | None:

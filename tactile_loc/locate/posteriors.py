@@ -36,7 +36,7 @@ from tactile_loc.locate.probabilities import (
     fit_temperature_scaling,
 )
 from tactile_loc.locate.scoring import GridScores, Scores
-from tactile_loc.locate.search import PlaceSearch, build_places, in_common
+from tactile_loc.locate.search import PlaceSearch, build_places, found_together
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
@@ -239,15 +239,16 @@ class TouchPosteriors:
             for start in range(0, count, at_once):
                 number, drawn_seed = touches * min(at_once, count - start), seed + 100_000 * touches + start
                 drawn = self.simulate(number, drawn_seed, noise=probabilities.TOUCH_NOISE)
-                posteriors = exact.posteriors(drawn)
+                posteriors = exact.posteriors(drawn) if self.search is None or touches == 1 else []
                 for first in range(0, len(drawn), touches):
-                    poses = np.stack([np.asarray(touch.T_sensor_object) for touch in drawn[first : first + touches]])
+                    some = drawn[first : first + touches]
+                    poses = np.stack([np.asarray(touch.T_sensor_object) for touch in some])
                     alone = posteriors[first : first + touches]
                     if self.search is not None and touches > 1:
-                        seen_from = poses @ invert(poses[0])
-                        together = zip(drawn[first : first + touches], seen_from, strict=True)
-                        views = [View(touch, self.scene.of_touch(touch), T) for touch, T in together]
-                        alone = in_common(views, alone, [self.temperature_scaling] * touches)
+                        seen_from = zip(some, poses @ invert(poses[0]), strict=True)
+                        views = [View(touch, self.scene.of_touch(touch), T) for touch, T in seen_from]
+                        scalings = [self.temperature_scaling] * touches
+                        alone = found_together(views, [self.search] * touches, scalings, StageTimes())
                     truth = self.true_index(alone[0].grid, drawn[first])
                     try:
                         yield self.fuser.fuse(alone, list(invert(poses))), truth
@@ -272,7 +273,7 @@ class TouchPosteriors:
         Raises TouchError when another sensor took one of the touches.
         """
         for touch in touches:
-            self._require_own(touch)
+            self.require_own(touch)
         return self.grid_scores.scores(touches, times or StageTimes())
 
     def posteriors(self, touches: Sequence[Touch], times: StageTimes | None = None) -> list[PosePosterior]:
@@ -291,7 +292,7 @@ class TouchPosteriors:
         if self.search is None:
             return list(zip(map(self.grid_of, touches), self.scores(touches, times), strict=True))
         for touch in touches:
-            self._require_own(touch)
+            self.require_own(touch)
         return [self.search.found(touch, times or StageTimes()) for touch in touches]
 
     def true_index(self, grid: PoseGrid, touch: Touch) -> int:
@@ -303,7 +304,8 @@ class TouchPosteriors:
         """Return the poses that are searched, in metres, pressed as deep as the touch."""
         return self.model.grid.raised(self.scene.geometry.max_depth_m - touch.indentation_m)
 
-    def _require_own(self, touch: Touch) -> None:
+    def require_own(self, touch: Touch) -> None:
+        """Raise TouchError when another sensor took the touch."""
         ours = self.scene.geometry
         if touch.geometry is not ours and not touch.geometry.is_same_sensor(ours):
             raise TouchError(

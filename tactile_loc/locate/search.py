@@ -7,11 +7,13 @@ registered to the touch, drawn, and compared with it. What is left are the likel
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.clouds import contact_cloud
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry import invert
 from tactile_loc.core.interfaces import Encoder, GridSampler, Matcher, Scene, View
@@ -20,6 +22,7 @@ from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.sensing import Touch
+from tactile_loc.core.surface_field import surface_field
 from tactile_loc.locate.hypotheses import apart, explained
 from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.scoring import GridScores, Scores
@@ -34,8 +37,10 @@ SETTLED = 300  # poses that are registered to a touch
 DRAWN_PX = 40  # pixels a side of what is drawn of them
 ENCODED = 4096  # places at once
 NEAREST_MM = 0.5  # between poses that are kept
-COMMON = 100  # poses of each of several touches, for all of them
-FREEDOM_M = 1e-3  # along z, of a pose that another touch found
+PROPOSED = 3000  # turned places that each of several touches is most like
+LOOKED_AT, LOOKED_AT_PX = 30, 120  # points of a touch, and pixels a side that they are taken from
+JOINTLY = 150  # poses that are registered to several touches
+FREEDOM_M = 1e-3  # along z, of a pose that is registered roughly to several touches
 
 
 def build_places(sampler: GridSampler, scene: Scene, store: StageStore, progress: Progress) -> tuple[Places, StageKey]:
@@ -89,8 +94,8 @@ class PlaceSearch:
             "renderer": self.scene.renderer.describe(), "drawing": self.scene.drawing,
         }  # fmt: skip
 
-    def alike(self, touch: Touch) -> tuple[Poses, NDArray[np.float64]]:
-        """Return the poses (K, 4, 4), metres, of the turned places that are most alike, and how much they are (K,)."""
+    def alike(self, touch: Touch, count: int = ALIKE) -> tuple[Poses, NDArray[np.float64]]:
+        """Return the poses (K, 4, 4), metres, of the `count` most alike turned places, and how alike they are (K,)."""
         from tactile_loc.core.turned_patches import turned_patches
 
         matcher = self._banks.matcher(touch.press_depth_m)
@@ -100,7 +105,7 @@ class PlaceSearch:
         cut_m = np.minimum(depths_m, np.float32(press_m))
         queries, weights = self.encoder.encode_seen(cut_m, seen, press_m, CAMERA)
         scores = matcher.weighted_scores(queries, weights)
-        best = np.argpartition(-scores, min(ALIKE, scores.size) - 1, axis=None)[:ALIKE]
+        best = np.argpartition(-scores, min(count, scores.size) - 1, axis=None)[:count]
         yaw, number = np.unravel_index(best, scores.shape)
         at_m = np.broadcast_to(anchor_m, (len(best), 3))
         return self.places.poses(number, at_m, self.yaws_rad[yaw]), scores.ravel()[best].astype(float)
@@ -111,22 +116,42 @@ class PlaceSearch:
         return np.concatenate([self.encoder.encode(some, press_depth_m, CAMERA) for some in depths])
 
 
-def in_common(
-    views: Sequence[View], alone: Sequence[PosePosterior], scalings: Sequence[TemperatureScaling]
+def found_together(
+    views: Sequence[View], searches: Sequence[PlaceSearch], scalings: Sequence[TemperatureScaling], times: StageTimes
 ) -> list[PosePosterior]:
-    """Return what each of several touches says of the poses that any of them found likely, COMMON each.
+    """Return what each of several touches says of poses that all of them may show, each in its own sensor's frame.
 
-    They are drawn coarsely for each touch, whose probabilities are scaled as its own search's.
+    Every touch proposes the turned places that are most like it. Those are kept whose surface is nearest to what all
+    touches show, none near to a better one; they are registered to all touches, drawn, and compared with each touch,
+    whose probabilities are scaled as its own search's. That the true pose is among none of them is as probable as for a
+    touch that is explained as well as these are on the mean.
     """
-    poses = np.concatenate([
-        invert(view.T_sensor_first) @ posterior.grid.T_sensor_object[posterior.top(COMMON)]
-        for view, posterior in zip(views, alone, strict=True)
-    ])  # fmt: skip
-    ious, metric = explained(views, poses, DRAWN_PX, FREEDOM_M), alone[0].grid.metric
+    with times.stage("match"):
+        found = [search.alike(v.touch, PROPOSED)[0] for v, search in zip(views, searches, strict=True)]
+        poses = np.concatenate([invert(v.T_sensor_first) @ some for v, some in zip(views, found, strict=True)])
+        poses = poses[apart(poses, -_gaps(views, poses), searches[0].metric, searches[0].radius_m, JOINTLY)]
+    with times.stage("settle"):
+        poses = searches[0].settler.settled(views, poses)
+        ious = explained(views, poses, DRAWN_PX, FREEDOM_M)
+        kept = apart(poses, ious.mean(axis=1), searches[0].metric, NEAREST_MM * 1e-3, JOINTLY)
+        poses, ious = poses[kept], ious[kept]
+    elsewhere = scalings[0].elsewhere(float(ious.mean(axis=1).max()))
     return [
-        scaling.posterior(PoseGrid(view.T_sensor_first @ poses, metric), said)
-        for view, scaling, said in zip(views, scalings, ious.T, strict=True)
+        replace(scaling.posterior(PoseGrid(view.T_sensor_first @ poses, search.metric), said), elsewhere=elsewhere)
+        for view, search, scaling, said in zip(views, searches, scalings, ious.T, strict=True)
     ]
+
+
+def _gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
+    """How far what the touches show is from the surface of the object at poses (K, 4, 4): (K,), metres, their sum."""
+    field, seen_from = surface_field(views[0].scene.object.mesh), invert(poses)
+    gaps = np.zeros(len(poses))
+    for view in views:
+        geometry, shape = view.touch.thinned(LOOKED_AT_PX)
+        points_m = contact_cloud(shape, geometry)[0]
+        points_m = points_m[:: max(1, len(points_m) // LOOKED_AT)]
+        gaps += field.mean_gaps(points_m, seen_from @ invert(view.T_sensor_first), field.reach_m)
+    return gaps
 
 
 def anchor(touch: Touch) -> NDArray[np.float64]:

@@ -43,6 +43,20 @@ def test_beyond_reach_there_is_nothing():
     np.testing.assert_allclose(found[1], [0, 0, 0.008], atol=1e-4)
 
 
+def test_the_mean_gap_of_a_ball():
+    solid = SOLIDS["ball"]
+    field = SurfaceField.of(TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64)))
+    points = np.array([[0.008, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.1]])
+    turn = np.eye(4)
+    turn[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    outwards = np.eye(4)
+    outwards[0, 3] = 1e-3  # the first point then is 1 mm off, the second hypot(1, 10) - 8
+    expected = [2e-3 + 3e-3, 2e-3 + 3e-3, 1e-3 + np.hypot(1e-3, 1e-2) - 8e-3 + 3e-3]
+    gaps = field.mean_gaps(points, np.stack([np.eye(4), turn, outwards]), 3e-3)
+    np.testing.assert_allclose(gaps, np.array(expected) / 3, atol=3e-5)
+    assert field.mean_gaps(np.zeros((0, 3)), np.eye(4)[None], 3e-3).tolist() == [0.0]
+
+
 def test_every_region_of_a_triangle():
     corners = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
     cases = {
