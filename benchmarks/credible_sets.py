@@ -5,7 +5,9 @@ For each object, held-out examples of 1, 2, 3 and 7 simulated touches with stron
 fit. For every number of touches: the share of examples whose truth (the grid pose nearest to it) lies in the 50, 80 and
 95 % credible sets of the fused posterior; the same of the product of probabilities as it is, uncalibrated; and of split
 conformal sets: the share of all examples, the share in the quarter with the greatest entropy, and how many poses a set
-has, median. Meshes are given as FILE[:UNITS] or a demo object's name; by default the demo objects.
+has, median. `--whole` searches the whole object: what is not found counts as the least likely of all, with the
+probability that the posterior gives it, and the share that was found and its mean probability are printed. Meshes are
+given as FILE[:UNITS] or a demo object's name; by default the demo objects.
 """
 
 from __future__ import annotations
@@ -38,20 +40,21 @@ def examples(
     drawn = localizer.simulate(touches * count, seed + touches, noise="strong")
     for start in range(0, len(drawn), touches):
         some = [replace(t, T_base_sensor=invert(np.asarray(t.T_sensor_object))) for t in drawn[start : start + touches]]
-        truth = np.asarray(some[0].T_sensor_object)
         try:
             fused = posterior_together([(localizer, touch) for touch in some])
         except GridError:  # no pose touches all sensors
             continue
-        alone = localizer.posteriors(some)
-        product = localizer.fuser.fuse(alone, [touch.T_base_sensor for touch in some])
-        found.append((fused, product, int(fused.grid.nearest(truth[None])[1][0])))
+        power = 1.0 if touches == 1 else localizer.fused_scaling.power(touches)
+        found.append((fused, fused.tempered(1 / power), localizer.true_index(fused.grid, some[0])))
     return found
 
 
 def covered(posteriors: list[PosePosterior], truths: list[int], rng: np.random.Generator) -> list[float]:
     """The shares of truths in the credible sets of LEVELS."""
-    levels = np.array([p.credible_level(t, rng.random()) for p, t in zip(posteriors, truths, strict=True)])
+    levels = np.array([
+        p.credible_level(t, lot) if t >= 0 else 1 - p.elsewhere * (1 - lot)
+        for p, t, lot in zip(posteriors, truths, rng.random(len(truths)), strict=True)
+    ])  # fmt: skip
     return [float((levels <= level).mean()) for level in LEVELS]
 
 
@@ -61,16 +64,17 @@ def measure(localizer: Localizer, touches: int, arguments: argparse.Namespace) -
     found = examples(localizer, touches, arguments.examples, arguments.seed)
     fused, product, truths = [list(column) for column in zip(*found, strict=True)]
     sets = [PoseSet.of(p, localizer.conformal_sets(touches), arguments.coverage) for p in fused]
-    held = np.array([t in s.indices for s, t in zip(sets, truths, strict=True)])
+    held = np.array([t in s.indices if t >= 0 else s.elsewhere for s, t in zip(sets, truths, strict=True)])
     entropy = np.array([p.entropy for p in fused])
     uncertain = entropy >= np.quantile(entropy, 0.75)
     return {
         "object": localizer.object.name, "touches": touches, "examples": len(found),
-        "without_common_pose": arguments.examples - len(found), "poses": localizer.model.size,
+        "without_common_pose": arguments.examples - len(found), "poses": float(np.median([len(p.grid) for p in fused])),
         "exponent": localizer.fused_scaling.exponent, "levels": LEVELS, "fused": covered(fused, truths, rng),
         "product": covered(product, truths, rng), "conformal": float(held.mean()),
         "conformal_uncertain": float(held[uncertain].mean()), "held": held.tolist(), "entropy": entropy.tolist(),
         "set_poses": float(np.median([len(s.indices) for s in sets])),
+        "found": float(np.mean(np.array(truths) >= 0)), "said_found": float(np.mean([1 - p.elsewhere for p in fused])),
     }  # fmt: skip
 
 
@@ -81,6 +85,8 @@ def main() -> None:
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3, 7])
     parser.add_argument("--examples", type=int, default=100)
     parser.add_argument("--spacing-mm", type=float, default=4.0)
+    parser.add_argument("--whole", action="store_true")
+    parser.add_argument("--sensor", default="gelslim")
     parser.add_argument("--coverage", type=float, default=0.95)
     parser.add_argument("--seed", type=int, default=77)
     parser.add_argument("--out", type=Path)
@@ -91,15 +97,16 @@ def main() -> None:
         path, _, units = mesh.partition(":")
         with tempfile.TemporaryDirectory() as store:
             localizer = Localizer.create(
-                path, units=units or "auto", store=StageStore(Path(store)),
-                grid={"name": "face", "spacing_mm": arguments.spacing_mm},
+                path, units=units or "auto", store=StageStore(Path(store)), sensor=arguments.sensor,
+                grid="whole" if arguments.whole else {"name": "face", "spacing_mm": arguments.spacing_mm},
             )  # fmt: skip
             for touches in arguments.touches:
                 rows.append(row := measure(localizer, touches, arguments))
                 shares = "   ".join(" ".join(f"{share:5.0%}" for share in row[name]) for name in ("fused", "product"))
                 print(
                     f"{row['object']:14s} {touches:7d}  {shares}   {row['conformal']:5.0%} "
-                    f"{row['conformal_uncertain']:5.0%} {row['set_poses']:6.0f} of {row['poses']}", flush=True,
+                    f"{row['conformal_uncertain']:5.0%} {row['set_poses']:6.0f} of {row['poses']:.0f}"
+                    f"   found {row['found']:.0%}, said {row['said_found']:.0%}", flush=True,
                 )  # fmt: skip
                 if arguments.out:
                     arguments.out.write_text(json.dumps(rows, indent=1))

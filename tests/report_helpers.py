@@ -67,7 +67,7 @@ def write_contacts(folder: Path) -> Path:
     errors = 1e-3 * np.random.default_rng(0).uniform(1, 30, (9, 3, 3))
     alone = np.zeros((9, 3, 2), bool)
     alone[:4, 2] = True
-    run = FusionRun("pin", "none", "pixel", 100, FusionEvaluation((1, 2, 5), errors, alone))
+    run = FusionRun("pin", "none", "pixel", 100, FusionEvaluation((1, 2, 5), errors, alone, np.arange(9)))
     write_fusion_tables(folder, [run], {"examples": 9, "noise": "mild", "seed": 1}, "title")
     return folder
 

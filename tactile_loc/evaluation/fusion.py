@@ -24,12 +24,12 @@ from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 
-FUSION_VERSION = 1  # raised when the same localizer would get other numbers
+FUSION_VERSION = 2  # raised when the same localizer would get other numbers
 FUSION_LINES = ("best-1", "kinematic", "random")
 FUSED_LINES = FUSION_LINES[:2]
 MOST_FUSED = 20
 SHARD = 10  # examples located, saved and resumed at once
-ARRAYS = ("errors_m", "alone")
+ARRAYS = ("errors_m", "alone", "refused")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,12 +37,14 @@ class FusionEvaluation:
     """How far off E examples were located from each of C numbers of contacts.
 
     `errors_m` (E, C, L) is the ADD in metres of every line of FUSION_LINES, symmetry regarded; `alone` (E, C, 2) says
-    where a line of FUSED_LINES found no pose common to all contacts, and its pose is that of the first contact alone.
+    where a line of FUSED_LINES found no pose common to all contacts, and its pose is that of the first contact alone;
+    `refused` (E,) how many presses of an example showed no touch, and do not count.
     """
 
     contacts: tuple[int, ...]
     errors_m: NDArray[np.float64]
     alone: NDArray[np.bool_]
+    refused: NDArray[np.int64]
 
     def errors(self, line: str, contacts: int) -> NDArray[np.float64]:
         """Return the errors (E,) of a line with so many contacts, metres."""
@@ -97,27 +99,29 @@ class _Examples:
     source: SimulatedTouches
 
     def locate(self, numbers: range) -> list[NDArray[Any]]:
-        """Errors (E, C, L) in metres, and where a fuser found no common pose (E, C, 2), of the examples `numbers`."""
+        """Errors (E, C, L) in metres, where a fuser found no common pose (E, C, 2), and presses refused (E,)."""
         name = self.localizer.object.name
         task = f"locating {name} by contacts, examples {numbers[0] + 1} to {numbers[-1] + 1}"
         with self.localizer.progress.task(task, len(numbers)) as advance:
-            posteriors, poses = self._touched(numbers)
+            posteriors, poses, refused = self._touched(numbers)
             rows = []
             for number, own, truths in zip(numbers, posteriors, poses, strict=True):
                 rows.append(self._example(number, own, truths))
                 advance(1)
-        return [np.stack(column) for column in zip(*rows, strict=True)]
+        return [*(np.stack(column) for column in zip(*rows, strict=True)), refused]
 
-    def _touched(self, numbers: range) -> tuple[list[list[PosePosterior]], list[Poses]]:
-        """What each touch of each example says alone, and their true poses (M, 4, 4), metres."""
+    def _touched(self, numbers: range) -> tuple[list[list[PosePosterior]], list[Poses], NDArray[np.int64]]:
+        """What each touch of each example says alone, their true poses (M, 4, 4), metres, and presses refused (E,)."""
         most = self.contacts[-1]
-        touches = [self.source.touch(self.localizer, MOST_FUSED * e + k) for e in numbers for k in range(most)]
+        drawn = [self.source.drawn(self.localizer, MOST_FUSED * e + k) for e in numbers for k in range(most)]
+        touches = [touch for touch, _ in drawn]
+        refused = np.array([count for _, count in drawn]).reshape(len(numbers), most).sum(axis=1)
         found: dict[int, PosePosterior] = {}
         for i in sorted(range(len(touches)), key=lambda i: touches[i].press_depth_m):  # those of one bank together
             found[i] = self.localizer.posteriors([touches[i]])[0]
         starts = range(0, len(touches), most)
         poses = [np.stack([true_pose(touch) for touch in touches[i : i + most]]) for i in starts]
-        return [[found[i + k] for k in range(most)] for i in starts], poses
+        return [[found[i + k] for k in range(most)] for i in starts], poses, refused
 
     def _example(
         self, number: int, posteriors: Sequence[PosePosterior], truths: Poses

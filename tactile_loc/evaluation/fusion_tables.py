@@ -57,7 +57,10 @@ def markdown(runs: Sequence[FusionRun], heading: str) -> str:
     for run in runs:
         random = mm(run.evaluation.scale_m())
         parts.append(f"## {run.object}, {run.encoder}\n")
-        parts.append(f"{run.grid_poses} grid poses, symmetry {run.symmetry}; a random pose: {random} mm in the mean\n")
+        parts.append(
+            f"{run.grid_poses} grid poses, symmetry {run.symmetry}; a random pose: {random} mm in the mean; "
+            f"{run.evaluation.refused.sum()} presses that showed no touch were refused\n"
+        )
         parts.append(tabular.markdown_table(_DETAILS, list(_detail_rows(run))))
     return "\n".join(parts)
 
@@ -99,7 +102,8 @@ def _run_record(run: FusionRun) -> dict[str, Any]:
         ]
         for line in FUSION_LINES
     }
-    return run.record(examples=len(found.errors_m), random_mean_m=found.scale_m(), lines=lines)
+    counts = {"examples": len(found.errors_m), "refused": int(found.refused.sum())}
+    return run.record(**counts, random_mean_m=found.scale_m(), lines=lines)
 
 
 def _long_rows(runs: Sequence[FusionRun]) -> Iterator[dict[str, Any]]:

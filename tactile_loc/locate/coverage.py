@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.posterior import PosePosterior
 
-STAGE, STAGE_VERSION = "conformal", 2
+STAGE, STAGE_VERSION = "conformal", 3
 EXAMPLES = 200  # held out
 UNCERTAIN = 0.25  # of them, those with the greatest entropy, vouch for their like
 MOST_TOUCHES = 7  # more are taken as so many: sets of more touches are no larger
+NOT_FOUND = 1.0  # score of a truth that is at none of the posterior's poses
 SEED = 0xC0DE  # neither an evaluation's nor that of a fit
 
 
@@ -66,16 +67,19 @@ class PoseSet:
     """Grid poses, among them the one nearest to the truth with probability `coverage`, 0 to 1.
 
     `indices` (K,) are those in the posterior's grid, the likeliest first; their probabilities, which need not be true,
-    say that they hold `level` or more; `examples` held-out ones vouch for the coverage.
+    say that they hold `level` or more; `examples` held-out ones vouch for the coverage. Where a search of the whole
+    object does not find the truth often enough, the set has everything that was found, and what is `elsewhere` too.
     """
 
     coverage: float
     level: float
     examples: int
     indices: NDArray[np.int64]
+    elsewhere: bool = False
 
     @classmethod
     def of(cls, posterior: PosePosterior, sets: ConformalSets, coverage: float) -> PoseSet:
         """Return the set of a posterior with the coverage asked for. Raises ConfigError if it cannot be promised."""
         level = sets.level(coverage, posterior.entropy)
-        return cls(coverage, level, len(sets.like(posterior.entropy)), posterior.credible_set(level))
+        elsewhere = level >= NOT_FOUND and posterior.elsewhere > 0
+        return cls(coverage, level, len(sets.like(posterior.entropy)), posterior.credible_set(level), elsewhere)

@@ -215,7 +215,10 @@ class TouchPosteriors:
             scores, entropies = [], []
             for fused, truth in self._examples(number, conformal.EXAMPLES, conformal.SEED):
                 posterior = None if fused is None else fused.tempered(power)
-                scores.append(1.0 if posterior is None or truth < 0 else posterior.credible_level(truth))
+                if posterior is None or truth < 0:
+                    scores.append(conformal.NOT_FOUND)
+                else:
+                    scores.append(posterior.credible_level(truth))
                 entropies.append(UNKNOWN if posterior is None else posterior.entropy)
             work.save_json(conformal.STAGE, {"scores": scores, "entropies": entropies})
 
@@ -251,7 +254,8 @@ class TouchPosteriors:
                         alone = found_together(views, [self.search] * touches, scalings, StageTimes())
                     truth = self.true_index(alone[0].grid, drawn[first])
                     try:
-                        yield self.fuser.fuse(alone, list(invert(poses))), truth
+                        fused = self.fuser.fuse(alone, list(invert(poses)))
+                        yield dataclasses.replace(fused, elsewhere=alone[0].elsewhere), truth
                     except GridError:
                         yield None, truth
                     advance(1)

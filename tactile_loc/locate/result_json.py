@@ -100,6 +100,9 @@ class PoseSetRecord(_Record):
     level: float = Field(description="the credible level that this takes, 0 to 1")
     examples: int = Field(description="simulated, held-out examples that vouch for it")
     grid_poses: int = Field(description="poses in the set: the most probable ones, so the first of `result.npz`")
+    elsewhere: bool = Field(
+        default=False, description="whether the pose may also be one that was not found, as not every search finds it"
+    )
 
 
 class ErrorRecord(_Record):
@@ -284,8 +287,9 @@ def _pose_set(found: PoseSet | None) -> PoseSetRecord | None:
     if found is None:
         return None
     return PoseSetRecord(
-        coverage=found.coverage, level=found.level, examples=found.examples, grid_poses=len(found.indices)
-    )
+        coverage=found.coverage, level=found.level, examples=found.examples, grid_poses=len(found.indices),
+        elsewhere=found.elsewhere,
+    )  # fmt: skip
 
 
 def _errors(localization: Localization, errors_m: NDArray[np.float64] | None) -> ErrorRecord | None:

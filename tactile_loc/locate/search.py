@@ -31,7 +31,7 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 STAGE, STAGE_VERSION = "places", 1
-SEARCH_VERSION = 1
+SEARCH_VERSION = 2
 ALIKE = 1000  # turned places that are most alike
 SETTLED = 300  # poses that are registered to a touch
 DRAWN_PX = 40  # pixels a side of what is drawn of them

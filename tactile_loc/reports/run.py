@@ -117,6 +117,7 @@ def _numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
     yield "normalised entropy", f"{record.normalised_entropy:.2f}", "0: one pose is certain, 1: nothing is known"
     if (found := record.pose_set) is not None:
         size = f"{found.grid_poses} grid poses, {len(record.hypotheses)} hypotheses"
+        size += ", or one that was not found" if found.elsewhere else ""
         holds = f"holds the one nearest to the truth so often, as judged by {found.examples} simulated examples"
         yield f"{found.coverage:.1%} set", size, holds
     explains = "how well the best pose explains the touch, in depth and outline"

@@ -140,6 +140,17 @@ def test_a_seed_always_gives_the_same_and_another_others(evaluation, pipe):
     assert not np.allclose(other.errors_m, evaluation.errors_m[:2])
 
 
+def test_refused_presses_are_counted(pipe, monkeypatch):
+    drawn = SimulatedTouches.drawn
+
+    def after_refusals(self, localizer, number):
+        return drawn(self, localizer, number)[0], number
+
+    monkeypatch.setattr(SimulatedTouches, "drawn", after_refusals)
+    found = evaluate_fusion(pipe, (3,), 2, SOURCE)
+    assert found.refused.tolist() == [0 + 1 + 2, 3 * MOST_FUSED + 0 + 1 + 2]
+
+
 def test_which_numbers_are_asked_for_does_not_change_a_number(evaluation, pipe):
     found = evaluate_fusion(pipe, (2,), 2, SOURCE)
     for line in FUSION_LINES:

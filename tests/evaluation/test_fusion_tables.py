@@ -28,7 +28,7 @@ def make_contact_run(name: str, encoder: str, seed: int) -> FusionRun:
     scales = 1e-3 * np.array([[20, 40, 40], [5, 30, 40], [2, 15, 40]])
     alone = np.zeros((40, 3, 2), bool)
     alone[:4, 2] = True
-    found = FusionEvaluation(CONTACTS, scales * rng.uniform(0.5, 1.5, (40, 3, 3)), alone)
+    found = FusionEvaluation(CONTACTS, scales * rng.uniform(0.5, 1.5, (40, 3, 3)), alone, np.full(40, 2))
     return FusionRun(name, "none", encoder, 1000, found, {"grid": {"name": "face"}})
 
 
@@ -67,6 +67,7 @@ def test_files_are_written(run, tmp_path):
     assert set(first["lines"]) == set(FUSION_LINES)
     best = first["lines"]["best-1"][2]
     assert (best["contacts"], best["without_common"]) == (5, 4)
+    assert first["refused"] == 80
     assert np.median(best["errors_m"]) == pytest.approx(best["metres"]["median"])
     assert written[2].read_text() == markdown([run, make_contact_run("hook", "pixel", 1)], "Title")
 
@@ -75,4 +76,5 @@ def test_markdown_says_what_fell_back(run):
     text = markdown([run], "Title")
     assert text.startswith("# Title\n")
     assert "without common pose" in text
+    assert "80 presses that showed no touch were refused" in text
     assert next(line for line in text.splitlines() if line.startswith("| best-1 | 5 |")).endswith("| 4 |")

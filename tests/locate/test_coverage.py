@@ -68,6 +68,16 @@ def test_a_set_tells_what_vouches_for_it(grid):
     assert found.indices.tolist() == [0, 1], "0.63 is likelier than the second, 0.86 than the third"
 
 
+def test_what_a_search_may_not_have_found_is_in_a_set_that_needs_it(grid):
+    missed = ConformalSets([0.0, 0.3, 1.0, 1.0], [0.5] * 4)
+    posterior = PosePosterior(grid, -np.arange(30.0), elsewhere=0.4)
+    few, all_found = (PoseSet.of(posterior, missed, coverage) for coverage in (0.4, 0.8))
+    assert not few.elsewhere
+    assert all_found.elsewhere
+    assert len(all_found.indices) == 30
+    assert not PoseSet.of(PosePosterior(grid, -np.arange(30.0)), missed, 0.8).elsewhere, "a grid that lists all poses"
+
+
 def test_a_localisation_lists_all_modes_of_the_set(store):
     localizer = Localizer.create("pin", store=store, **COARSE)
     touch = localizer.simulate(1, seed=3, noise="strong")[0]

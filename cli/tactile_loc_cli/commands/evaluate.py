@@ -363,13 +363,13 @@ def _report_fusion(runs: Sequence[FusionRun], plan: _Plan) -> dict[str, Any]:
     say("\nmedian ADD as a share of a random pose's mean")
     say_table([header, *median_rows(runs, normalised=True)], left=3)
     for run in runs:
-        _say_without_common(run)
+        _say_left_out(run)
     say(f"\nwritten: {', '.join(map(str, written))}")
     return _summarised(record(runs, protocol), written)
 
 
-def _say_without_common(run: FusionRun) -> None:
-    """Say how often no pose touched all sensors, if it happened."""
+def _say_left_out(run: FusionRun) -> None:
+    """Say how often no pose touched all sensors, and how many presses showed no touch, if it happened."""
     found = run.evaluation
     counts = {n: found.without_common("best-1", n) for n in found.contacts}
     if any(counts.values()):
@@ -378,3 +378,5 @@ def _say_without_common(run: FusionRun) -> None:
             f"\n{run.object}: examples without a pose that touches all sensors, located from the first contact alone: "
             f"{listed} contacts"
         )
+    if found.refused.any():
+        say(f"\n{run.object}: {found.refused.sum()} presses that showed no touch were refused, and others drawn")
