@@ -250,7 +250,9 @@ def _each(observations: Sequence[Observation], times: StageTimes) -> list[PosePo
         localizer.require_own(touch)
     first = observations[0][1]
     views = [_view(first, localizer, touch) for localizer, touch in observations]
-    return found_together(views, searches, [localizer.temperature_scaling for localizer, _ in observations], times)
+    found = found_together(views, searches, times)
+    elsewhere = observations[0][0].fused_scaling.elsewhere(found.best)
+    return found.posteriors(views, [localizer.temperature_scaling for localizer, _ in observations], elsewhere)
 
 
 def _fused(

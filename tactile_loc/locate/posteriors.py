@@ -30,6 +30,7 @@ from tactile_loc.locate import probabilities
 from tactile_loc.locate.coverage import ConformalSets
 from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel, build_bank, build_model, train_encoder
 from tactile_loc.locate.probabilities import (
+    FusedExample,
     FusedScaling,
     TemperatureScaling,
     fit_fused_scaling,
@@ -42,6 +43,7 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 EXAMPLE_TOUCHES = 50  # of simulated examples, in memory at once
+EACH_LEVEL = 10_000  # between the seeds of examples with one level of noise and with the next
 UNKNOWN = 1e3  # nats: the entropy of what no pose explains
 SETTLING = {"points": 200, "iterations": 8, "image_px": 60}  # options of the joint refiner, for many poses
 
@@ -174,7 +176,8 @@ class TouchPosteriors:
                     scores.append(found)
                     truth.append(self.true_index(grid, touch))
                     advance(1)
-        work.save_json(probabilities.STAGE, asdict(fit_temperature_scaling(scores, np.array(truth))))
+        fitted = fit_temperature_scaling(scores, np.array(truth), self.search is not None)
+        work.save_json(probabilities.STAGE, asdict(fitted))
 
     @cached_property
     def fused_scaling(self) -> FusedScaling:
@@ -196,13 +199,15 @@ class TouchPosteriors:
     def _fit_fused_scaling(self, work: Workspace) -> None:
         """Fuse simulated touches of known pose, and save how sure they are to make."""
         numbers, count, seed = self._fused_examples
+        _, levels = self._fitted_to
         fused = [
-            (number, found.log_p, truth)
+            FusedExample(number, found.log_p, truth, best)
             for number in numbers
-            for found, truth in self._examples(number, count, seed)
-            if found is not None and truth >= 0
+            for place, level in enumerate(levels)
+            for found, truth, best in self._examples(number, count // len(levels), seed + EACH_LEVEL * place, level)
+            if found is not None
         ]
-        work.save_json(probabilities.FUSED_STAGE, asdict(fit_fused_scaling(fused)))
+        work.save_json(probabilities.FUSED_STAGE, asdict(fit_fused_scaling(fused, self.search is not None)))
 
     def conformal_sets(self, touches: int) -> ConformalSets:
         """Return how large sets of poses are to be, given so many touches, to hold the truth as often as asked for."""
@@ -213,8 +218,10 @@ class TouchPosteriors:
         def score(work: Workspace) -> None:
             power = 1.0 if number == 1 else self.fused_scaling.power(number)
             scores, entropies = [], []
-            for fused, truth in self._examples(number, conformal.EXAMPLES, conformal.SEED):
+            for fused, truth, best in self._examples(number, conformal.EXAMPLES, conformal.SEED):
                 posterior = None if fused is None else fused.tempered(power)
+                if posterior is not None and self.search is not None and number > 1:
+                    posterior = dataclasses.replace(posterior, elsewhere=self.fused_scaling.elsewhere(best))
                 if posterior is None or truth < 0:
                     scores.append(conformal.NOT_FOUND)
                 else:
@@ -231,8 +238,11 @@ class TouchPosteriors:
             "scores": self.temperature_key().digest, "temperature": self.config.temperature,
         }  # fmt: skip
 
-    def _examples(self, touches: int, count: int, seed: int) -> Iterator[tuple[PosePosterior | None, int]]:
-        """What so many simulated touches of the object at rest say, fused but not tempered, and the true pose's index.
+    def _examples(
+        self, touches: int, count: int, seed: int, noise: str = probabilities.TOUCH_NOISE
+    ) -> Iterator[tuple[PosePosterior | None, int, float]]:
+        """What so many simulated touches of the object at rest say, fused but not tempered, the true pose's index, and
+        what a search's best pose explains of them.
 
         None where no pose touches all sensors. No touch is in two examples; their noise is that of the other fits.
         """
@@ -241,23 +251,23 @@ class TouchPosteriors:
         with self.progress.task(f"fusing examples of {touches} touches", count) as advance:
             for start in range(0, count, at_once):
                 number, drawn_seed = touches * min(at_once, count - start), seed + 100_000 * touches + start
-                drawn = self.simulate(number, drawn_seed, noise=probabilities.TOUCH_NOISE)
+                drawn = self.simulate(number, drawn_seed, noise=noise)
                 posteriors = exact.posteriors(drawn) if self.search is None or touches == 1 else []
                 for first in range(0, len(drawn), touches):
-                    some = drawn[first : first + touches]
+                    some, best = drawn[first : first + touches], 1.0
                     poses = np.stack([np.asarray(touch.T_sensor_object) for touch in some])
                     alone = posteriors[first : first + touches]
                     if self.search is not None and touches > 1:
                         seen_from = zip(some, poses @ invert(poses[0]), strict=True)
                         views = [View(touch, self.scene.of_touch(touch), T) for touch, T in seen_from]
-                        scalings = [self.temperature_scaling] * touches
-                        alone = found_together(views, [self.search] * touches, scalings, StageTimes())
-                    truth = self.true_index(alone[0].grid, drawn[first])
+                        found = found_together(views, [self.search] * touches, StageTimes())
+                        alone, best = found.posteriors(views, [self.temperature_scaling] * touches, 0.0), found.best
+                    truth = self.true_index(alone[0].grid, some[0])
                     try:
                         fused = self.fuser.fuse(alone, list(invert(poses)))
-                        yield dataclasses.replace(fused, elsewhere=alone[0].elsewhere), truth
+                        yield dataclasses.replace(fused, elsewhere=alone[0].elsewhere), truth, best
                     except GridError:
-                        yield None, truth
+                        yield None, truth, best
                     advance(1)
 
     def describe_scores(self) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from tactile_loc.core.noise import noise_level
 from tactile_loc.core.poses import PoseGrid
 from tactile_loc.core.posterior import PosePosterior
 
-STAGE, STAGE_VERSION = "temperature", 1
+STAGE, STAGE_VERSION = "temperature", 2
 TOUCHES, BATCH = 150, 25  # simulated, of known pose
 TOUCH_NOISE = "strong"  # real touches are as far from renders as that, at least
 SEED = 0x5EED  # no evaluation's: its touches must not be those that were fitted
@@ -32,12 +32,13 @@ STEPS_PER_E = 6  # temperatures tried for each factor of e
 REACH = 12  # factors of e below the widest temperature that are tried
 LEAST = 1e-12  # probability of the truth, lest one touch decide alone
 
-FUSED_STAGE, FUSED_VERSION = "fused-temperature", 1
+FUSED_STAGE, FUSED_VERSION = "fused-temperature", 2
 FUSED_TOUCHES = (2, 3, 5, 7)  # of the examples that are fitted to
 FUSED_EXAMPLES, FUSED_SEED = 40, 0xF05ED  # of each number of touches
-SEARCHED, SEARCHED_TOUCHES, SEARCHED_EXAMPLES = 45, (2, 3, 5), 10  # of a whole object, which takes longer
+SEARCHED, SEARCHED_TOUCHES, SEARCHED_EXAMPLES = 45, (2, 3, 5), 15  # of a whole object, which takes longer
 SEARCHED_NOISE = ("none", "mild", "strong")  # in turn: how well a touch is explained says how far it is to be trusted
 MOST_ELSEWHERE = 0.999
+AS_KNOWN = 3  # touches that are explained not at all, and fully, as if they were seen
 EXPONENTS = np.linspace(0.0, 1.0, 41)
 
 
@@ -75,20 +76,19 @@ class TemperatureScaling:
 
     def elsewhere(self, best: float) -> float:
         """Return the probability that the true pose is near none of those that were scored, the `best` one so well."""
-        if self.found is None:
-            return 0.0
-        offset, slope = self.found
-        return float(min(1 / (1 + np.exp(offset + slope * best)), MOST_ELSEWHERE))
+        return _elsewhere(self.found, best)
 
 
-def fit_temperature_scaling(scores: Sequence[NDArray[np.floating]], truth: NDArray[np.int64]) -> TemperatureScaling:
+def fit_temperature_scaling(
+    scores: Sequence[NDArray[np.floating]], truth: NDArray[np.int64], searched: bool = False
+) -> TemperatureScaling:
     """Return the scaling that makes the true poses most probable: least mean negative log-likelihood.
 
     `scores` holds (N,) for each of T touches, `truth` (T,) the index of the pose nearest to the true one, -1 where none
-    of them is.
+    of them is, which is learned for poses that were `searched`.
     """
     known = np.flatnonzero(truth >= 0)
-    odds = None if len(known) == len(truth) else _fit_found(np.array([max(row) for row in scores]), truth >= 0)
+    odds = _fit_found(np.array([max(row) for row in scores]), truth >= 0) if searched else None
     if len(known) == 0:
         return TemperatureScaling(1.0, TAILS[-1], odds)  # nothing is told apart
     rows, truth = [np.asarray(scores[int(number)], np.float64) for number in known], truth[known]
@@ -107,29 +107,46 @@ def fit_temperature_scaling(scores: Sequence[NDArray[np.floating]], truth: NDArr
 class FusedScaling:
     """How sure a product of N touches' posteriors is to be: as sure as its N**-exponent-th power.
 
-    0: as sure as the product, as if nothing were common to the touches' errors; 1: as their geometric mean.
+    0: as sure as the product, as if nothing were common to the touches' errors; 1: as their geometric mean. Of touches
+    of a whole object `found` is as TemperatureScaling's, in what the best pose explains of all touches on the mean.
     """
 
     exponent: float = 0.0
+    found: tuple[float, float] | None = None
 
     def power(self, touches: int) -> float:
         """Return the power to which a product of so many touches' probabilities is raised, above 0, at most 1."""
         return float(max(1, touches) ** -self.exponent)
 
+    def elsewhere(self, best: float) -> float:
+        """Return the probability that the true pose is near none that was found, the `best` explaining so much."""
+        return _elsewhere(self.found, best)
 
-def fit_fused_scaling(fused: Sequence[tuple[int, NDArray[np.float64], int]]) -> FusedScaling:
-    """Return the scaling that makes the true poses of fused examples most probable: least mean negative log-likelihood.
 
-    Each example is a number of touches, the log-probabilities (N,) of their product, and the index of the pose nearest
-    to the truth.
+class FusedExample(NamedTuple):
+    """What `touches` of known pose say: the log-probabilities (N,) of their product, the index of the pose nearest to
+    the truth, -1 where none of them is, and what the best of them explains of the touches on the mean, 0 to 1."""
+
+    touches: int
+    log_p: NDArray[np.float64]
+    truth: int
+    best: float = 1.0
+
+
+def fit_fused_scaling(fused: Sequence[FusedExample], searched: bool = False) -> FusedScaling:
+    """Return the scaling that makes the true poses of fused examples most probable: least negative log-likelihood.
+
+    Whether there is a true one among them is learned for poses that were `searched`.
     """
+    known = np.array([example.truth >= 0 for example in fused], bool)
+    found = _fit_found(np.array([example.best for example in fused]), known) if searched else None
     losses = np.zeros(len(EXPONENTS))
-    for touches, log_p, truth in fused:
+    for touches, log_p, truth, _ in (example for example in fused if example.truth >= 0):
         known = log_p[np.isfinite(log_p)]
         for k, exponent in enumerate(EXPONENTS):
             power = FusedScaling(exponent).power(touches)
             losses[k] -= max(power * log_p[truth] - _log_sum(power * known), np.log(LEAST))
-    return FusedScaling(float(EXPONENTS[np.argmin(losses)]))
+    return FusedScaling(float(EXPONENTS[np.argmin(losses)]), found)
 
 
 def batches(touches: int, levels: Sequence[str]) -> Iterator[tuple[int, int, str]]:
@@ -155,10 +172,23 @@ def _losses(scores: NDArray[np.float64], index: int, tried: Sequence[Temperature
     return -np.log(np.maximum(mixed, LEAST))
 
 
+def _elsewhere(found: tuple[float, float] | None, best: float) -> float:
+    if found is None:
+        return 0.0
+    offset, slope = found
+    return float(min(1 / (1 + np.exp(offset + slope * best)), MOST_ELSEWHERE))
+
+
 def _fit_found(best: NDArray[np.float64], found: NDArray[np.bool_]) -> tuple[float, float]:
-    """The line (offset, slope) of log odds over best scores (T,) that fits which (T,) were found; few count as half."""
+    """The line (offset, slope) of log odds over best scores (T,), 0 to 1, that fits which (T,) were found.
+
+    What explains nothing counts as not found and what explains all as found, a few times each: few of either kind say
+    little of the slope.
+    """
     from scipy.optimize import minimize
 
+    best = np.concatenate([best, np.repeat([0.0, 1.0], AS_KNOWN)])
+    found = np.concatenate([found, np.repeat([False, True], AS_KNOWN)])
     right, wrong = int(found.sum()), int((~found).sum())
     wanted = np.where(found, (right + 1) / (right + 2), 1 / (wrong + 2))
 

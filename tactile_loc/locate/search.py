@@ -7,7 +7,7 @@ registered to the touch, drawn, and compared with it. What is left are the likel
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -116,30 +116,49 @@ class PlaceSearch:
         return np.concatenate([self.encoder.encode(some, press_depth_m, CAMERA) for some in depths])
 
 
-def found_together(
-    views: Sequence[View], searches: Sequence[PlaceSearch], scalings: Sequence[TemperatureScaling], times: StageTimes
-) -> list[PosePosterior]:
-    """Return what each of several touches says of poses that all of them may show, each in its own sensor's frame.
+@dataclass(frozen=True, eq=False)
+class FoundTogether:
+    """The likeliest poses (K, 4, 4), metres, in the first of N touches' sensor frame, and their imprint IoUs (K, N)."""
+
+    T_first_object: Poses
+    ious: NDArray[np.float64]
+    metric: PoseMetric
+
+    @property
+    def best(self) -> float:
+        """What the best pose explains of the touches on the mean, 0 to 1."""
+        return float(self.ious.mean(axis=1).max())
+
+    def posteriors(
+        self, views: Sequence[View], scalings: Sequence[TemperatureScaling], elsewhere: float
+    ) -> list[PosePosterior]:
+        """Return what each touch says of the poses, in its own sensor's frame, its probabilities scaled as alone.
+
+        `elsewhere` is how probable it is that the true pose is near none of them.
+        """
+        grids = [PoseGrid(view.T_sensor_first @ self.T_first_object, self.metric) for view in views]
+        return [
+            replace(scaling.posterior(grid, said), elsewhere=elsewhere)
+            for grid, scaling, said in zip(grids, scalings, self.ious.T, strict=True)
+        ]
+
+
+def found_together(views: Sequence[View], searches: Sequence[PlaceSearch], times: StageTimes) -> FoundTogether:
+    """Return the likeliest poses of several touches; adds to `times`.
 
     Every touch proposes the turned places that are most like it. Those are kept whose surface is nearest to what all
-    touches show, none near to a better one; they are registered to all touches, drawn, and compared with each touch,
-    whose probabilities are scaled as its own search's. That the true pose is among none of them is as probable as for a
-    touch that is explained as well as these are on the mean.
+    touches show, none near to a better one; they are registered to all touches, drawn, and compared with each touch.
     """
+    metric, radius_m = searches[0].metric, searches[0].radius_m
     with times.stage("match"):
         found = [search.alike(v.touch, PROPOSED)[0] for v, search in zip(views, searches, strict=True)]
         poses = np.concatenate([invert(v.T_sensor_first) @ some for v, some in zip(views, found, strict=True)])
-        poses = poses[apart(poses, -_gaps(views, poses), searches[0].metric, searches[0].radius_m, JOINTLY)]
+        poses = poses[apart(poses, -_gaps(views, poses), metric, radius_m, JOINTLY)]
     with times.stage("settle"):
         poses = searches[0].settler.settled(views, poses)
         ious = explained(views, poses, DRAWN_PX, FREEDOM_M)
-        kept = apart(poses, ious.mean(axis=1), searches[0].metric, NEAREST_MM * 1e-3, JOINTLY)
-        poses, ious = poses[kept], ious[kept]
-    elsewhere = scalings[0].elsewhere(float(ious.mean(axis=1).max()))
-    return [
-        replace(scaling.posterior(PoseGrid(view.T_sensor_first @ poses, search.metric), said), elsewhere=elsewhere)
-        for view, search, scaling, said in zip(views, searches, scalings, ious.T, strict=True)
-    ]
+        kept = apart(poses, ious.mean(axis=1), metric, NEAREST_MM * 1e-3, JOINTLY)
+    return FoundTogether(poses[kept], ious[kept], metric)
 
 
 def _gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:

@@ -14,12 +14,12 @@ from tactile_loc.core.formatting import mm
 from tactile_loc.core.registry import SLOTS
 from tactile_loc.evaluation.tabular import markdown_table
 from tactile_loc.store.files import write_atomically
+from tactile_loc.sweeps.plan import SETTINGS
 from tactile_loc.sweeps.table import IDENTITY
 
 if TYPE_CHECKING:
     import pandas as pd
 
-SETTINGS = ("shape_px", "temperature")
 ERROR = "error_mm"
 CHANGED = 1.10  # a ratio of medians beyond which an error counts as worse or better
 WORSE, BETTER, ONLY_OLD, ONLY_NEW, FAILED = "worse", "better", "only in old", "only in new", "failed"

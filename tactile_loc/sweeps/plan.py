@@ -25,7 +25,8 @@ from tactile_loc.io.config import (
 from tactile_loc.io.toml import read_toml
 from tactile_loc.store.keys import canonical_json
 
-KEYS = ("object", *SLOTS, "noise", "seed", "count", "option", "shape_px", "temperature")
+SETTINGS = ("shape_px", "temperature", "drawing")  # of all combinations of a sweep
+KEYS = ("object", *SLOTS, "noise", "seed", "count", "option", *SETTINGS)
 DEFAULT_COUNT, DEFAULT_NOISE = 150, "strong"
 
 
@@ -34,7 +35,7 @@ class Plan:
     """The values of everything that a sweep varies; it evaluates their full product.
 
     `slots` holds the choices of each slot with all their options; `count` simulated touches are asked about for each
-    combination. `shape_px` and `temperature` are RunConfig's, for all of them.
+    combination. `settings` are RunConfig's SETTINGS, for all of them.
     """
 
     objects: tuple[ObjectConfig, ...]
@@ -134,9 +135,8 @@ def _one(values: tuple[int, ...], source: str) -> int:
 
 def _settings(values: Mapping[str, Any], source: str) -> dict[str, Any]:
     """The other settings of a run, as they are after validation."""
-    given = {key: values[key] for key in ("shape_px", "temperature") if key in values}
-    config = RunConfig.from_dict(given, source)
-    return {"shape_px": config.shape_px, "temperature": config.temperature}
+    config = RunConfig.from_dict({key: values[key] for key in SETTINGS if key in values}, source)
+    return {key: getattr(config, key) for key in SETTINGS}
 
 
 def expand(slot: str, named: Sequence[SlotConfig], options: Mapping[str, Sequence[Any]]) -> tuple[SlotConfig, ...]:

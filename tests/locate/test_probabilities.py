@@ -17,6 +17,7 @@ from tactile_loc.locate.localizer import Localizer, posterior_together
 from tactile_loc.locate.probabilities import (
     TAIL_HEAT,
     TAILS,
+    FusedExample,
     FusedScaling,
     TemperatureScaling,
     fit_fused_scaling,
@@ -104,8 +105,24 @@ def test_what_errs_alike_adds_nothing_and_what_errs_apart_all(alike, exponent):
             # Gaussian observations of the truth's unit vector: scores are exact log-likelihoods
             seen = np.eye(40)[truth] + 0.5 * rng.normal(size=(touches, 40))
             seen = np.repeat(seen[:1], touches, axis=0) if alike else seen
-            fused.append((touches, made.log_p(seen / 0.25).sum(axis=0), truth))
+            fused.append(FusedExample(touches, made.log_p(seen / 0.25).sum(axis=0), truth))
     assert fit_fused_scaling(fused).exponent == pytest.approx(exponent, abs=0.12)
+
+
+def test_what_the_best_pose_explains_tells_how_probably_the_truth_was_found():
+    """Examples that are found with a probability that grows with what is explained: the fit gives it back."""
+    rng = np.random.default_rng(8)
+    explained = rng.random(3000)
+    truth = np.where(rng.random(3000) < 1 / (1 + np.exp(4 - 8 * explained)), 0, -1)
+    fused = [FusedExample(3, np.log([0.7, 0.3]), int(t), float(b)) for t, b in zip(truth, explained, strict=True)]
+    fitted = fit_fused_scaling(fused, searched=True)
+    for best in (0.1, 0.5, 0.9):
+        assert fitted.elsewhere(best) == pytest.approx(1 / (1 + np.exp(8 * best - 4)), abs=0.04)
+    always = [example for example in fused if example.truth >= 0]
+    assert fit_fused_scaling(always).elsewhere(0.0) == 0, "a grid that lists all poses"
+    few = fit_fused_scaling([FusedExample(3, np.log([0.7, 0.3]), 0, 0.9)] * 5, searched=True)
+    assert few.elsewhere(0.95) < 0.15
+    assert few.elsewhere(0.0) > 0.4, "touches that nothing explains were not found, though none of these was missed"
 
 
 def test_a_power_of_one_touch_is_one():
@@ -183,9 +200,9 @@ def test_what_is_shipped_is_fitted_to_as_many_touches_as_it_says(tmp_path, monke
     localizer = Localizer.create("pin", store=StageStore(tmp_path), **COARSE)
     fitted_to: list[int] = []
 
-    def fit(scores, truth):
+    def fit(scores, *others):
         fitted_to.append(len(scores))
-        return fit_temperature_scaling(scores, truth)
+        return fit_temperature_scaling(scores, *others)
 
     monkeypatch.setattr("tactile_loc.locate.posteriors.fit_temperature_scaling", fit)
     scaling = localizer.temperature_scaling

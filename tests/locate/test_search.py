@@ -119,8 +119,10 @@ def test_a_touch_that_nothing_explains_is_said_to_be_elsewhere(localizer, exampl
 def together(localizer: Localizer, some: list[Touch]) -> list[PosePosterior]:
     seen_from = [np.linalg.inv(np.asarray(t.T_base_sensor)) @ np.asarray(some[0].T_base_sensor) for t in some]
     views = [View(t, localizer.scene.of_touch(t), T) for t, T in zip(some, seen_from, strict=True)]
-    scalings = [localizer.temperature_scaling] * len(some)
-    return found_together(views, [localizer.search] * len(some), scalings, StageTimes())
+    found = found_together(views, [localizer.search] * len(some), StageTimes())
+    return found.posteriors(
+        views, [localizer.temperature_scaling] * len(some), localizer.fused_scaling.elsewhere(found.best)
+    )
 
 
 def test_several_touches_are_compared_at_the_same_poses(localizer, examples):

@@ -50,7 +50,7 @@ def test_the_key_is_the_same_for_the_same_and_another_for_anything_else(monkeypa
     changes = [
         {"object": ["head"]}, {"object": [{"path": "pin", "symmetry": "none"}]}, {"refiner": ["none"]},
         {"refiner": [{"name": "icp", "max_iterations": 7}]}, {"noise": ["mild"]}, {"seed": [1]}, {"count": 5},
-        {"shape_px": 32}, {"temperature": 0.1},
+        {"shape_px": 32}, {"temperature": 0.1}, {"drawing": "paper"},
     ]  # fmt: skip
     others = [keys({**base, **change})[0] for change in changes]
     assert len({key, *others}) == 1 + len(changes)

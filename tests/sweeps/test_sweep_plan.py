@@ -78,7 +78,9 @@ def test_a_sensor_may_be_a_file_or_a_folder(tmp_path, flat_sensor, monkeypatch):
 
 
 def test_what_is_described_can_be_planned_again():
-    plan = Plan.from_values({"object": ["pin"], "refiner": ["none", "icp"], "seed": 3, "shape_px": 32})
+    plan = Plan.from_values(
+        {"object": ["pin"], "refiner": ["none", "icp"], "seed": 3, "shape_px": 32, "drawing": "paper"}
+    )
     said = plan.describe()
     again = {key: value for key, value in said.items() if key != "temperature"}
     again |= {slot: [{"name": one["name"], **one["options"]} for one in said[slot]] for slot in plan.slots}
@@ -112,6 +114,7 @@ def test_what_is_described_can_be_planned_again():
         ({"object": [{"path": "pin", "unit": "mm"}]}, "Did you mean 'units'"),
         ({"object": [7]}, "7"),
         ({"shape_px": 3}, "shape_px"),
+        ({"drawing": "papre"}, "drawing"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_sentence(values, said):
