@@ -32,7 +32,7 @@ from tactile_loc.core.sensing import Touch
 from tactile_loc.core.simulation import PressNoise
 from tactile_loc.evaluation.outside import UnseenNoise, decimated, scanned
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.store.store import StageStore
 
 PRESS = (0.3, 0.9)  # of the sensor's deepest
@@ -82,7 +82,8 @@ def measure(localizers: dict[int, Localizer], case: str, arguments: argparse.Nam
             else:
                 taken, _ = around.example(touches, rng)
             try:
-                found.append(located(localizer, taken))
+                said = localize_together([(localizer, touch) for touch in taken])
+                found.append(located(localizer, taken, said))
             except TactileLocError:
                 found.append(Located())
         chosen, best = np.array([(one.chosen_mm, one.nearest_mm) for one in found]).T

@@ -1,0 +1,111 @@
+#!/usr/bin/env python3
+"""How searching a whole object grows with its size and with how dense its directions are.
+
+Each object is made smaller and larger, and searched with fewer and more directions. Printed for each: how many poses
+are told apart, places times turns; seconds to list the places; and the median time of one touch to ten refined
+hypotheses, pressed from random directions and drawn by ray casting. A figure draws both against size and directions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.registry import registry
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.drawing.pictures import make_figure, save_figure
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.io.config import RunConfig
+from tactile_loc.io.meshes import load_object
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.store import StageStore
+
+SCALES, DIRECTIONS = (0.5, 1.0, 2.0, 4.0), (1000, 4000, 16_000)
+MEASURED = {"places_s": "listing places (s)", "touch_s": "one touch (s)"}
+
+
+def scaled(obj: ObjectModel, scale: float) -> ObjectModel:
+    """The object, so many times as large."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, f"{obj.name}.ply")
+        trimesh.Trimesh(obj.mesh.vertices_m * scale, obj.mesh.faces, process=False).export(path)
+        return load_object(path, "m")
+
+
+def measure(obj: ObjectModel, directions: int, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Build and search one object."""
+    config = RunConfig.from_dict(
+        {"sensor": arguments.sensor, "temperature": 0.03, "grid": {"name": "whole", "directions": directions}}, "growth"
+    )
+    with tempfile.TemporaryDirectory() as store:
+        localizer, start = Localizer(config, obj, StageStore(Path(store))), time.perf_counter()
+        assert localizer.search is not None
+        places_s = time.perf_counter() - start
+        source = RobotTouches(obj, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
+        seconds = []
+        for number in range(arguments.touches + 1):  # the first warms up
+            (touch,), _ = source.example(1, np.random.default_rng([arguments.seed, number]))
+            start = time.perf_counter()
+            localizer.localize(touch)
+            seconds.append(time.perf_counter() - start)
+        return {
+            "size_mm": 1e3 * float(np.linalg.norm(obj.mesh.extents_m)), "directions": directions,
+            "poses": len(localizer.search.places) * len(localizer.search.yaws_rad), "places_s": places_s,
+            "touch_s": float(np.median(seconds[1:])),
+        }  # fmt: skip
+
+
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
+    """Draw what was measured against size and directions, on logarithmic axes."""
+    figure = make_figure(9, 6.5, constrained=True)
+    panels = figure.subplots(2, 2, sharey="row")
+    for axes, (key, label) in zip(panels, MEASURED.items(), strict=True):
+        for name in dict.fromkeys(row["object"] for row in rows):
+            own = [row for row in rows if row["object"] == name]
+            by_size = [row for row in own if row["directions"] == DIRECTIONS[1]]
+            by_density = [row for row in own if row["scale"] == 1.0]
+            axes[0].loglog([r["size_mm"] for r in by_size], [r[key] for r in by_size], "o-", label=name)
+            axes[1].loglog([r["directions"] for r in by_density], [r[key] for r in by_density], "o-", label=name)
+        axes[0].set_ylabel(label)
+        axes[0].set_xlabel(f"diagonal of the object (mm), {DIRECTIONS[1]} directions")
+        axes[1].set_xlabel("directions, the object as it is")
+        for one in axes:
+            one.grid(which="both", alpha=0.3)
+    panels[0, 0].legend(fontsize=8)
+    save_figure(path, figure)
+
+
+def main() -> None:
+    """Measure, print a table, and draw it if asked."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("meshes", nargs="*", default=list(DEMO_OBJECTS))
+    parser.add_argument("--sensor", default="gelsight-mini")
+    parser.add_argument("--touches", type=int, default=7)
+    parser.add_argument("--seed", type=int, default=17)
+    parser.add_argument("--figure", type=Path, help="draw the growth in this PNG")
+    arguments = parser.parse_args()
+    rows = []
+    print("| object | diagonal, mm | directions | poses, million | places, s | one touch, ms |")
+    print("|---" * 6 + "|")
+    for path in arguments.meshes:
+        name, _, units = path.partition(":")
+        obj = load_object(name, units or "auto")
+        jobs = [(scale, DIRECTIONS[1]) for scale in SCALES] + [(1.0, n) for n in DIRECTIONS if n != DIRECTIONS[1]]
+        for scale, directions in jobs:
+            row = {"object": obj.name, "scale": scale, **measure(scaled(obj, scale), directions, arguments)}
+            rows.append(row)
+            print(f"| {obj.name} | {row['size_mm']:.0f} | {directions} | {row['poses'] / 1e6:.2f} | "
+                  f"{row['places_s']:.1f} | {1e3 * row['touch_s']:.0f} |", flush=True)  # fmt: skip
+    if arguments.figure:
+        draw(sorted(rows, key=lambda row: (row["size_mm"], row["directions"])), arguments.figure)
+
+
+if __name__ == "__main__":
+    main()
