@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.explained import Explained, explained
 from tactile_loc.core.geometry import invert
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.places import Places
@@ -30,9 +31,6 @@ Float32 = NDArray[np.float32]
 IOU_PX = 100
 # Of an indentation, what its measurement may be off by: a pose is as good if it explains a touch that much deeper.
 PRESS_ERROR, LEAST_PRESS_ERROR_M = 0.2, 5e-5
-# Of the press depth, what a pixel counts for being in contact at all: as much as the deepest imprint does. With less,
-# the depth, which noise falsifies first, decides between poses; with more, depth hardly matters.
-OUTLINE_SHARE = 1.0
 
 
 class ComponentOptions(BaseModel):
@@ -223,7 +221,7 @@ class Scene:
         on about IOU_PX pixels a side. A pose counts as it is, but for what the measured press may be off by: one that
         hovers over the sensor explains nothing.
         """
-        return self.ious(T_sensor_object, touch)[0]
+        return self.explained(T_sensor_object, touch).contact_ious.tolist()
 
     def imprint_ious(self, T_sensor_object: Poses, touch: Touch) -> NDArray[np.float64]:
         """Return how well poses (N, 4, 4), metres, explain a touch in depth and outline: (N,), 0 to 1, unitless.
@@ -231,22 +229,18 @@ class Scene:
         A generalised intersection over union: the sum of the smaller over the sum of the larger of what pose and touch
         press in, raised by OUTLINE_SHARE of the press depth wherever there is contact; otherwise as `contact_ious`.
         """
-        return self.ious(T_sensor_object, touch)[1]
+        return self.explained(T_sensor_object, touch).imprint_ious
 
-    def ious(
+    def explained(
         self, T_sensor_object: Poses, touch: Touch, pixels: int = IOU_PX, freedom_m: float = 0.0
-    ) -> tuple[list[float], NDArray[np.float64]]:
-        """Return contact IoUs and imprint IoUs of poses (N, 4, 4), metres, which are drawn once.
+    ) -> Explained:
+        """Return how well poses (N, 4, 4), metres, which are drawn once, explain a touch: IoUs, and evidence.
 
         Poses may be `freedom_m` metres farther off along z than the measured press allows.
         """
         geometry, wanted = touch.thinned(pixels)
-        press_m = touch.press_depth_m
         made = dataclasses.replace(self, geometry=geometry).depths_explaining(T_sensor_object, touch, freedom_m)
-        contact_ious = [ContactShape(depth, press_m).contact_iou(wanted, geometry.observed_mask) for depth in made]
-        a, b = (_imprint(depth_m, press_m, geometry.observed_mask) for depth_m in (made, wanted.depth_m))
-        common, either = (np.sum(both, axis=(-2, -1), dtype=float) for both in (np.minimum(a, b), np.maximum(a, b)))
-        return contact_ious, np.asarray(common / np.maximum(either, 1.0), float)
+        return explained(made, wanted.depth_m, touch.press_depth_m, geometry.observed_mask, geometry.pixel_pitch_m)
 
 
 class GridSampler(Component):
@@ -418,9 +412,13 @@ class View:
     sensor_std_m: float = 0.0
     sensor_std_rad: float = 0.0
 
+    def explained(self, T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0) -> Explained:
+        """Return how well poses (N, 4, 4) in the first sensor's frame, metres, explain this touch: see Scene's."""
+        return self.scene.explained(self.T_sensor_first @ T_first_object, self.touch, pixels, freedom_m)
+
     def imprint_ious(self, T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0) -> NDArray[np.float64]:
-        """Return how well poses (N, 4, 4) in the first sensor's frame, metres, explain this touch: `Scene.ious`."""
-        return self.scene.ious(self.T_sensor_first @ T_first_object, self.touch, pixels, freedom_m)[1]
+        """Return the imprint IoUs (N,) of poses (N, 4, 4) in the first sensor's frame, metres: see `explained`."""
+        return self.explained(T_first_object, pixels, freedom_m).imprint_ious
 
 
 class Refiner(Component):
@@ -476,9 +474,3 @@ class Fuser(Component):
         `T_base_sensor` (4, 4) in metres is where each touch's sensor was, None if unknown. Raises ConfigError for
         touches that it cannot combine, such as several of unknown sensor poses, and GridError when no pose is left.
         """
-
-
-def _imprint(depth_m: NDArray[np.float32], press_depth_m: float, observed: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Shares of the press depth (..., H, W) by which contact depths are pressed in, raised where there is contact."""
-    press = np.float32(press_depth_m)
-    return np.where((depth_m < press) & observed, np.float32(1 + OUTLINE_SHARE) - depth_m / press, np.float32(0))

@@ -15,7 +15,7 @@ from tactile_loc.core.posterior import Mode, PosePosterior
 from tactile_loc.core.progress import StageTimes
 from tactile_loc.locate.result import Hypothesis
 
-SHARPNESS = 30.0
+SHARPNESS = 30.0  # nats that an imprint IoU of 1 is worth beside errors of sensor poses
 REFINED = 40  # hypotheses of several touches
 LISTED, GLANCED_AT = 400, 200  # poses that a touch proposes, and those that are drawn at GLANCE_PX pixels a side
 GLANCE_PX = 40
@@ -37,8 +37,8 @@ def find_hypotheses(
         refined = refiner.refine_together([views[number] for number in trusted], candidates)
     with times.stage("choose"):
         T = np.stack([pose.T_sensor_object for pose in refined])
-        one = len(views) == 1
-        ious = explained(views, T) if one else explained_where_seen(views, T, _seen(views, refined, refiner, trusted))
+        seen = None if len(views) == 1 else _seen(views, refined, refiner, trusted)
+        ious, evidence = explained_where_seen(views, T, seen)
         hypotheses = [
             Hypothesis(
                 mode.probability, mode.T_sensor_object, pose, mode.index, len(mode.members),
@@ -47,7 +47,7 @@ def find_hypotheses(
             for mode, pose, each in zip(modes, refined, ious, strict=True)
         ]  # fmt: skip
         log_prior = None if prior is None else prior(np.stack([h.T_sensor_object for h in hypotheses]))
-        return merge_hypotheses(weighed(hypotheses, len(trusted), log_prior), metric, radius_m)
+        return merge_hypotheses(weighed(hypotheses, evidence[:, trusted].sum(axis=1), log_prior), metric, radius_m)
 
 
 def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radius_m: float) -> tuple[Hypothesis, ...]:
@@ -72,16 +72,16 @@ def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radiu
 
 
 def weighed(
-    hypotheses: Sequence[Hypothesis], touches: int, log_prior: NDArray[np.float64] | None = None
+    hypotheses: Sequence[Hypothesis], evidence: NDArray[np.float64], log_prior: NDArray[np.float64] | None = None
 ) -> tuple[Hypothesis, ...]:
     """Give hypotheses the probabilities of what their refined poses explain, the most probable first.
 
     The grid's posterior compares coarse shapes at poses that are all a little wrong; below the grid's resolution the
-    right one of several explanations shows. For each touch, an imprint IoU that is better by one SHARPNESS-th makes a
-    pose e times as likely; `log_prior` (K,) is added. Together they keep the probability that their modes had.
+    right one of several explanations shows. `evidence` (K,), nats, is that of all touches; `log_prior` (K,) is added.
+    Together hypotheses keep the probability that their modes had.
     """
     known = np.zeros(len(hypotheses)) if log_prior is None else np.maximum(log_prior, -1e300)
-    worth = SHARPNESS * touches * np.array([h.imprint_iou for h in hypotheses]) + known
+    worth = evidence + known
     weights = np.exp(worth - worth.max())
     weights *= min(1.0, sum(h.probability for h in hypotheses)) / weights.sum()
     order = np.lexsort((np.arange(len(hypotheses)), -worth))
@@ -95,18 +95,25 @@ def explained(
     return np.stack([view.imprint_ious(T_first_object, pixels, freedom_m) for view in views], axis=1)
 
 
-def explained_where_seen(views: Sequence[View], T_first_object: Poses, seen: Poses) -> NDArray[np.float64]:
-    """Return how well poses (K, 4, 4) explain each of N touches, (K, N), 0 to 1, if its sensor may have been elsewhere.
+def explained_where_seen(
+    views: Sequence[View], T_first_object: Poses, seen: Poses | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return imprint IoUs and evidence, nats, of poses (K, 4, 4) for each of N touches: (K, N) each.
 
-    `seen` (K, N, 4, 4), metres, is where each sensor would see the object then: for each nat that such an error of its
-    pose costs, half its square in standard deviations, the imprint IoU is one SHARPNESS-th less.
+    `seen` (K, N, 4, 4), metres, is where each sensor would see the object if it is not quite where it is said to be.
+    What such an error of its pose costs, half its square in standard deviations, is taken from the evidence, and one
+    SHARPNESS-th a nat from the imprint IoU; whichever is more, there or at the pose as it is, counts.
     """
-    ious = explained(views, T_first_object)
+    here = [view.explained(T_first_object) for view in views]
+    ious, evidence = (np.stack([one[k] for one in here], axis=1) for k in (1, 2))
+    if seen is None:
+        return ious, evidence
     for number, view in enumerate(views):
         nats = _sensor_error_nats(view, seen[:, number] @ invert(view.T_sensor_first @ T_first_object))
-        found = view.scene.imprint_ious(seen[:, number], view.touch) - nats / SHARPNESS
-        ious[:, number] = np.maximum(ious[:, number], found)
-    return ious
+        there = view.scene.explained(seen[:, number], view.touch)
+        ious[:, number] = np.maximum(ious[:, number], there.imprint_ious - nats / SHARPNESS)
+        evidence[:, number] = np.maximum(evidence[:, number], there.evidence - nats)
+    return ious, evidence
 
 
 def likeliest(modes: Sequence[Mode], views: Sequence[View], freedom_m: float, count: int) -> list[Mode]:

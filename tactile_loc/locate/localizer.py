@@ -32,7 +32,7 @@ from tactile_loc.store.store import StageStore
 MODE_RADIUS = 2.0  # grid spacings between poses that count as one hypothesis
 PROPOSAL_RADIUS = 0.25  # mode radii between poses that are refined
 SAME_POSE = 0.25  # mode radii between refined poses that count as one
-SEARCHED = 20  # poses of a whole object that are refined
+SEARCHED = 20  # poses of a whole object that are refined, at least, and a tenth of what was found
 DOUBTED = 12  # modes that are refined again without a touch that may contradict the others
 
 
@@ -211,7 +211,7 @@ def _located(
     with times.stage("modes"):
         modes: list[Mode] = []
         if first.search is not None:
-            modes = best_apart(posterior, radius_m, max(top, SEARCHED))
+            modes = best_apart(posterior, radius_m, max(top, SEARCHED, len(posterior.grid) // 10))
         elif len(views) > 1:
             modes = proposed(views, alone, posterior, radius_m, REFINED)
         if poses is not None:

@@ -31,7 +31,7 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 STAGE, STAGE_VERSION = "places", 1
-SEARCH_VERSION = 2
+SEARCH_VERSION = 3
 ALIKE = 1000  # turned places that are most alike
 SETTLED = 300  # poses that are registered to a touch
 DRAWN_PX = 40  # pixels a side of what is drawn of them
@@ -39,7 +39,8 @@ ENCODED = 4096  # places at once
 NEAREST_MM = 0.5  # between poses that are kept
 PROPOSED = 3000  # turned places that each of several touches is most like
 LOOKED_AT, LOOKED_AT_PX = 30, 120  # points of a touch, and pixels a side that they are taken from
-JOINTLY = 150  # poses that are registered to several touches
+JOINTLY, WIDELY = 60, 400  # poses that are registered to several touches; if those explain them badly
+WELL = 0.8  # imprint IoU: what the best pose explains of touches that need no wider search, the mean
 FREEDOM_M = 1e-3  # along z, of a pose that is registered roughly to several touches
 
 
@@ -148,17 +149,26 @@ def found_together(views: Sequence[View], searches: Sequence[PlaceSearch], times
 
     Every touch proposes the turned places that are most like it. Those are kept whose surface is nearest to what all
     touches show, none near to a better one; they are registered to all touches, drawn, and compared with each touch.
+    Where none of the best few explains the touches well, more are looked at.
     """
     metric, radius_m = searches[0].metric, searches[0].radius_m
     with times.stage("match"):
         found = [search.alike(v.touch, PROPOSED)[0] for v, search in zip(views, searches, strict=True)]
         poses = np.concatenate([invert(v.T_sensor_first) @ some for v, some in zip(views, found, strict=True)])
-        poses = poses[apart(poses, -_gaps(views, poses), metric, radius_m, JOINTLY)]
+        poses = poses[apart(poses, -_gaps(views, poses), metric, radius_m, WIDELY)]
     with times.stage("settle"):
-        poses = searches[0].settler.settled(views, poses)
-        ious = explained(views, poses, DRAWN_PX, FREEDOM_M)
-        kept = apart(poses, ious.mean(axis=1), metric, NEAREST_MM * 1e-3, JOINTLY)
-    return FoundTogether(poses[kept], ious[kept], metric)
+        settled, ious = _settled(views, searches[0], poses[:JOINTLY])
+        if ious.mean(axis=1).max() < WELL:
+            more, more_ious = _settled(views, searches[0], poses[JOINTLY:])
+            settled, ious = np.concatenate([settled, more]), np.concatenate([ious, more_ious])
+        kept = apart(settled, ious.mean(axis=1), metric, NEAREST_MM * 1e-3, WIDELY)
+    return FoundTogether(settled[kept], ious[kept], metric)
+
+
+def _settled(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple[Poses, NDArray[np.float64]]:
+    """Poses (K, 4, 4), metres, registered roughly to all touches, and their imprint IoUs (K, N), drawn coarsely."""
+    settled = search.settler.settled(views, poses)
+    return settled, explained(views, settled, DRAWN_PX, FREEDOM_M)
 
 
 def _gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from tactile_loc.core.explained import OUTLINE_SHARE
 from tactile_loc.core.geometry import make_transform, rotation_about, translation
-from tactile_loc.core.interfaces import OUTLINE_SHARE, Scene
+from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.sensing import ContactShape, Touch
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, pressed_block, with_depth
@@ -177,6 +178,6 @@ def test_a_tiny_contact_is_explained_by_its_true_pose(make_object):
         shape = ContactShape(pressed.contact_depths(T)[0], press_m)
         share = float(shape.contact[camera.observed_mask].mean())
     assert share > 0.0015
-    contact, imprint = scene.of_touch(touch := Touch(shape, camera)).ious(T, touch)
+    contact, imprint, _ = scene.of_touch(touch := Touch(shape, camera)).explained(T, touch)
     assert contact[0] > 0.9
     assert imprint[0] > 0.9

@@ -49,29 +49,20 @@ def test_what_did_not_converge_is_not_merged(metric):
 
 def test_what_explains_the_touch_best_is_the_most_probable_and_comes_first():
     three = [hypothesis(p, np.eye(4), imprint_iou=e) for p, e in ((0.6, 0.7), (0.3, 0.9), (0.1, 0.8))]
-    found = weighed(three, touches=1)
+    found = weighed(three, np.array([-2.0, 1.0, 0.5]))
     assert [h.imprint_iou for h in found] == [0.9, 0.8, 0.7]
     p = np.array([h.probability for h in found])
     assert p.sum() == pytest.approx(1)
-    np.testing.assert_allclose(np.log(p[:-1] / p[1:]), SHARPNESS * 0.1)
-    assert [h.probability for h in weighed([hypothesis(p, np.eye(4)) for p in (0.6, 0.3)], 1)] == pytest.approx(
-        [0.45, 0.45]
-    )
-
-
-def test_each_touch_adds_to_what_is_known():
-    two = [hypothesis(0.5, np.eye(4), imprint_iou=e) for e in (0.9, 0.8)]
-    one, three = (weighed(two, touches) for touches in (1, 3))
-    odds = [np.log(found[0].probability / found[1].probability) for found in (one, three)]
-    assert odds[1] == pytest.approx(3 * odds[0])
+    np.testing.assert_allclose(np.log(p[:-1] / p[1:]), [0.5, 2.5])
+    alike = weighed([hypothesis(p, np.eye(4)) for p in (0.6, 0.3)], np.zeros(2))
+    assert [h.probability for h in alike] == pytest.approx([0.45, 0.45])
 
 
 def test_a_prior_outweighs_a_better_explanation_when_it_is_sure():
-    two = [hypothesis(0.5, np.eye(4), imprint_iou=e) for e in (0.8, 0.9)]
-    doubt = SHARPNESS * 0.1
-    assert weighed(two, 1, np.array([0.0, -0.9 * doubt]))[0].imprint_iou == 0.9
-    assert weighed(two, 1, np.array([0.0, -1.1 * doubt]))[0].imprint_iou == 0.8
-    assert weighed(two, 1, np.array([0.0, -np.inf]))[0].imprint_iou == 0.8
+    two, evidence = [hypothesis(0.5, np.eye(4), imprint_iou=e) for e in (0.8, 0.9)], np.array([0.0, 3.0])
+    assert weighed(two, evidence, np.array([0.0, -2.7]))[0].imprint_iou == 0.9
+    assert weighed(two, evidence, np.array([0.0, -3.3]))[0].imprint_iou == 0.8
+    assert weighed(two, evidence, np.array([0.0, -np.inf]))[0].imprint_iou == 0.8
 
 
 def test_a_touch_is_compared_where_its_sensor_may_have_been_at_what_that_costs(make_box, make_scene, flat_camera):
@@ -79,12 +70,15 @@ def test_a_touch_is_compared_where_its_sensor_may_have_been_at_what_that_costs(m
     true = scene.pressed(1e-3).in_contact(np.eye(4)[None])[0]
     touch = Touch(scene.contact_shape(true[0], 1e-3), flat_camera)
     beside = translation([1e-3, 0, 0]) @ true  # where it would be if the sensor were where it is said to be
-    nominal = scene.of_touch(touch).imprint_ious(beside, touch)[0]
+    nominal, exact = (scene.of_touch(touch).explained(T, touch) for T in (beside, true))
     for std_m in (1e-3, 0.5e-3, 0.1e-3):
         view = View(touch, scene.of_touch(touch), sensor_std_m=std_m, sensor_std_rad=0.01)
-        found = explained_where_seen([view], beside, true[:, None])
-        exact = scene.of_touch(touch).imprint_ious(true, touch)[0]
+        ious, evidence = explained_where_seen([view], beside, true[:, None])
         costs = (1e-3 / std_m) ** 2 / 2
-        assert found == pytest.approx(np.array([[max(nominal, exact - costs / SHARPNESS)]]), abs=1e-9)
-        np.testing.assert_allclose(explained_where_seen([view], beside, beside[:, None])[0, 0], nominal)
-    assert nominal < exact
+        there = exact.imprint_ious[0] - costs / SHARPNESS
+        assert ious == pytest.approx(np.array([[max(nominal.imprint_ious[0], there)]]), abs=1e-9)
+        assert evidence == pytest.approx(np.array([[max(nominal.evidence[0], exact.evidence[0] - costs)]]), abs=1e-6)
+        for same in (explained_where_seen([view], beside, beside[:, None]), explained_where_seen([view], beside)):
+            np.testing.assert_allclose(same, [[nominal.imprint_ious], [nominal.evidence]])
+    assert nominal.imprint_ious < exact.imprint_ious
+    assert nominal.evidence < exact.evidence

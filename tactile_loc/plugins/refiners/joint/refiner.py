@@ -135,8 +135,8 @@ class JointRefiner(Refiner):
 
 def _explained(views: Sequence[View], T_first_object: Floats) -> tuple[Floats, Floats]:
     """Contact IoUs and imprint IoUs (K,) of poses (K, 4, 4) in the first sensor's frame: means over the touches."""
-    both = [view.scene.ious(view.T_sensor_first @ T_first_object, view.touch) for view in views]
-    return np.mean([contact for contact, _ in both], axis=0), np.mean([imprint for _, imprint in both], axis=0)
+    each = [view.explained(T_first_object) for view in views]
+    return np.mean([one.contact_ious for one in each], axis=0), np.mean([one.imprint_ious for one in each], axis=0)
 
 
 def _lever_m(view: View, T: Floats) -> Floats:

@@ -178,8 +178,8 @@ class RenderRefiner(Refiner):
         self, touch: Touch, scene: Scene, before: Poses, after: Poses, settled: Flags, iterations: Counts
     ) -> list[RefinedPose]:
         """Results of the refined poses, and of the candidates (K, 4, 4) that explain the touch better than theirs."""
-        scores = [scene.ious(T, touch) for T in (before, after)]
-        contact, imprint = (np.stack([both[k] for both in scores]) for k in (0, 1))
+        scores = [scene.explained(T, touch) for T in (before, after)]
+        contact, imprint = (np.stack([one[k] for one in scores]) for k in (0, 1))
         good = (imprint[1] >= imprint[0]) & (contact[1] >= contact[0] - ROUGHLY)
         T = np.where(good[:, None, None], after, before)
         contact_iou = np.where(good, contact[1], contact[0])
