@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from matplotlib.ticker import NullFormatter
 
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.registry import registry
@@ -78,6 +79,11 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
         axes[1].set_xlabel("directions, the object as it is")
         for one in axes:
             one.grid(which="both", alpha=0.3)
+            for axis in (one.xaxis, one.yaxis):
+                axis.set_major_formatter("{x:g}")
+                axis.set_minor_formatter(NullFormatter())
+        axes[0].set_xticks([20, 50, 100, 200, 400])
+        axes[1].set_xticks(DIRECTIONS)
     panels[0, 0].legend(fontsize=8)
     save_figure(path, figure)
 

@@ -22,7 +22,6 @@ from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.sensing import Touch
-from tactile_loc.core.surface_field import surface_field
 from tactile_loc.locate.hypotheses import apart, explained
 from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.scoring import GridScores, Scores
@@ -173,6 +172,8 @@ def _settled(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple[
 
 def _gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
     """How far what the touches show is from the surface of the object at poses (K, 4, 4): (K,), metres, their sum."""
+    from tactile_loc.core.surface_field import surface_field
+
     field, seen_from = surface_field(views[0].scene.object.mesh), invert(poses)
     gaps = np.zeros(len(poses))
     for view in views:

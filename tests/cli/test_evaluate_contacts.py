@@ -20,7 +20,7 @@ def test_objects_are_evaluated_by_number_of_contacts_and_written(cli, tmp_path):
     out = tmp_path / "evaluation"
     assert {path.name for path in out.iterdir()} == {f"contacts.{kind}" for kind in ("json", "csv", "md", "png")}
     record = json.loads((out / "contacts.json").read_text())
-    expected = {"version": 1, "contacts": [1, 2, 3], "examples": 3, "noise": "strong", "seed": 2, "images": False}
+    expected = {"version": 2, "contacts": [1, 2, 3], "examples": 3, "noise": "strong", "seed": 2, "images": False}
     assert record["protocol"] == expected
     assert [run["object"] for run in record["runs"]] == ["pin", "head"]
     assert record["runs"][0]["configuration"]["grid"]["options"]["spacing_mm"] == 8
