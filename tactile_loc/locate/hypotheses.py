@@ -16,6 +16,7 @@ from tactile_loc.core.progress import StageTimes
 from tactile_loc.locate.result import Hypothesis
 
 SHARPNESS = 30.0  # nats that an imprint IoU of 1 is worth beside errors of sensor poses
+STILL_MOVING = 10
 REFINED = 40  # hypotheses of several touches
 LISTED, GLANCED_AT = 400, 200  # poses that a touch proposes, and those that are drawn at GLANCE_PX pixels a side
 GLANCE_PX = 40
@@ -54,14 +55,16 @@ def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radiu
     """Merge hypotheses whose refined poses came out within `radius_m` metres of a likelier one.
 
     They are given in order, the most probable first. What ends at the same pose is the same explanation, however many
-    started towards it: it has the probability of its likeliest.
+    started towards it: it has the probability of its likeliest. One that did not converge must be nearer, within a
+    STILL_MOVING-th of that.
     """
     merged: list[Hypothesis] = []
     for h in hypotheses:
         poses = np.array([m.T_sensor_object for m in merged]).reshape(-1, 4, 4)
         same = np.broadcast_to(h.T_sensor_object, poses.shape)
-        near = np.flatnonzero(metric.symmetric_distance(poses, same) < radius_m)
-        if h.refined.converged and len(near):
+        limit_m = radius_m if h.refined.converged else radius_m / STILL_MOVING
+        near = np.flatnonzero(metric.symmetric_distance(poses, same) < limit_m)
+        if len(near):
             likelier = merged[near[0]]
             merged[near[0]] = dataclasses.replace(likelier, grid_poses=likelier.grid_poses + h.grid_poses)
         else:
@@ -177,10 +180,22 @@ def proposed(
 
 
 def best_apart(posterior: PosePosterior, radius_m: float, top: int) -> list[Mode]:
-    """Return the most probable poses as modes, at most `top`, none within `radius_m` metres of a more probable one."""
-    grid = posterior.grid
+    """Return the most probable poses as modes, at most `top`, none within `radius_m` metres of a more probable one.
+
+    The poses within that of a mode, and nearer to no other one, are its members.
+    """
+    from scipy.spatial.distance import cdist
+
+    grid, p = posterior.grid, posterior.probabilities
     chosen = apart(grid.T_sensor_object, posterior.log_p, grid.metric, radius_m, top)
-    return [Mode(int(k), float(np.exp(posterior.log_p[k])), grid.T_sensor_object[k], np.array([k])) for k in chosen]
+    points = grid.metric.embed(grid.T_sensor_object)
+    far = cdist(points, points[chosen])
+    of, near = far.argmin(axis=1), far.min(axis=1) <= radius_m
+    members = [np.flatnonzero(near & (of == k)) for k in range(len(chosen))]
+    return [
+        Mode(int(k), float(p[some].sum()), grid.T_sensor_object[k], some)
+        for k, some in zip(chosen, members, strict=True)
+    ]
 
 
 def apart(

@@ -8,10 +8,11 @@ import pytest
 from tactile_loc.core.geometry import rotation_about, translation
 from tactile_loc.core.interfaces import RefinedPose, View
 from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.poses import PoseGrid, PoseMetric
+from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.sensing import Touch
 from tactile_loc.core.symmetry import SymmetryGroup
-from tactile_loc.locate.hypotheses import SHARPNESS, explained_where_seen, merge_hypotheses, weighed
+from tactile_loc.locate.hypotheses import SHARPNESS, best_apart, explained_where_seen, merge_hypotheses, weighed
 from tactile_loc.locate.result import Hypothesis
 from tactile_loc.testing.problems import box
 
@@ -42,9 +43,10 @@ def test_poses_that_look_the_same_by_symmetry_are_one(metric):
     assert len(merge_hypotheses([hypothesis(0.6, np.eye(4)), hypothesis(0.4, turned)], metric, 5e-4)) == 1
 
 
-def test_what_did_not_converge_is_not_merged(metric):
-    stuck = hypothesis(0.4, np.eye(4), converged=False)
-    assert len(merge_hypotheses([hypothesis(0.6, np.eye(4)), stuck], metric, 5e-4)) == 2
+def test_what_did_not_converge_is_merged_only_where_it_hardly_differs(metric):
+    for off_m, left in ((0.0, 1), (2e-5, 1), (1e-4, 2)):
+        stuck = hypothesis(0.4, translation([off_m, 0, 0]), converged=False)
+        assert len(merge_hypotheses([hypothesis(0.6, np.eye(4)), stuck], metric, 5e-4)) == left
 
 
 def test_what_explains_the_touch_best_is_the_most_probable_and_comes_first():
@@ -82,3 +84,13 @@ def test_a_touch_is_compared_where_its_sensor_may_have_been_at_what_that_costs(m
             np.testing.assert_allclose(same, [[nominal.imprint_ious], [nominal.evidence]])
     assert nominal.imprint_ious < exact.imprint_ious
     assert nominal.evidence < exact.evidence
+
+
+def test_modes_apart_have_the_poses_beside_them(metric):
+    """Of five poses along a line two are apart; what lies between the likelier one and the limit is its member."""
+    poses = np.concatenate([translation([x, 0, 0])[None] for x in (0.0, 0.4e-3, 0.9e-3, 3e-3, 3.2e-3)])
+    p = np.array([0.4, 0.2, 0.1, 0.25, 0.05])
+    first, second = best_apart(PosePosterior(PoseGrid(poses, metric), np.log(p)), 0.5e-3, 2)
+    assert (first.index, second.index) == (0, 3)
+    assert (first.members.tolist(), second.members.tolist()) == ([0, 1], [3, 4])
+    assert (first.probability, second.probability) == pytest.approx((0.6, 0.3))
