@@ -29,7 +29,7 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
 
 SCALES, DIRECTIONS = (0.5, 1.0, 2.0, 4.0), (1000, 4000, 16_000)
-MEASURED = {"places_s": "listing places (s)", "touch_s": "one touch (s)"}
+MEASURED = {"places_s": ("listing places (s)", [0.3, 1, 3, 10, 30]), "touch_s": ("one touch (s)", [0.1, 0.2, 0.4, 0.8])}
 
 
 def scaled(obj: ObjectModel, scale: float) -> ObjectModel:
@@ -67,7 +67,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     """Draw what was measured against size and directions, on logarithmic axes."""
     figure = make_figure(9, 6.5, constrained=True)
     panels = figure.subplots(2, 2, sharey="row")
-    for axes, (key, label) in zip(panels, MEASURED.items(), strict=True):
+    for axes, (key, (label, ticks)) in zip(panels, MEASURED.items(), strict=True):
         for name in dict.fromkeys(row["object"] for row in rows):
             own = [row for row in rows if row["object"] == name]
             by_size = [row for row in own if row["directions"] == DIRECTIONS[1]]
@@ -75,6 +75,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
             axes[0].loglog([r["size_mm"] for r in by_size], [r[key] for r in by_size], "o-", label=name)
             axes[1].loglog([r["directions"] for r in by_density], [r[key] for r in by_density], "o-", label=name)
         axes[0].set_ylabel(label)
+        axes[0].set_yticks(ticks)
         axes[0].set_xlabel(f"diagonal of the object (mm), {DIRECTIONS[1]} directions")
         axes[1].set_xlabel("directions, the object as it is")
         for one in axes:
