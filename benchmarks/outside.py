@@ -4,8 +4,8 @@
 All touches are drawn by ray casting, pressed by 30 to 90 % of the sensor's deepest press, and located with the mesh as
 it is: from the same mesh; from one with smooth errors along its normals, as a scan has (0.05 and 0.1 mm root mean
 square, over some 2 mm); from one decimated to 0.1 mm; and from the same with noise that nothing was fitted to
-(`UnseenNoise`). For each: one touch on the known face (`face`, 3 mm) and three touches from any direction (`hopf`,
-`--spacing-mm`), as in `contacts.py`. The median error (root mean square over the surface, symmetry regarded), the share
+(`UnseenNoise`). For each: one touch on the known face (`face`, 3 mm) and three touches from any direction, the whole
+object searched, as in `contacts.py`. The median error (root mean square over the surface, symmetry regarded), the share
 within 1 mm, and how often any hypothesis was within 1 mm. Meshes are given as FILE[:UNITS] or a demo object's name.
 """
 
@@ -101,7 +101,6 @@ def main() -> None:
     parser.add_argument("meshes", nargs="*", default=["pin", "damping_pin", "cotter"])
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--examples", type=int, default=20)
-    parser.add_argument("--spacing-mm", type=float, default=6.0)
     parser.add_argument("--cases", nargs="+", default=list(CASES), choices=list(CASES))
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--out", type=Path)
@@ -111,7 +110,7 @@ def main() -> None:
     for mesh in arguments.meshes:
         path, _, units = mesh.partition(":")
         with tempfile.TemporaryDirectory() as folder:
-            grids = {1: {"name": "face"}, 3: {"name": "hopf", "spacing_mm": arguments.spacing_mm}}
+            grids = {1: {"name": "face"}, 3: {"name": "whole"}}
             localizers = {
                 touches: Localizer.create(
                     path, units=units or "auto", store=StageStore(Path(folder)), sensor=arguments.sensor, grid=grid

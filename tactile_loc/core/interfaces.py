@@ -402,8 +402,8 @@ class RefinedPose:
 class View:
     """One of several touches: what it shows, the object before its sensor, and where that is seen from the first.
 
-    `T_sensor_first` (4, 4) in metres is off by an error whose standard deviations are `sensor_std_m` metres along and
-    `sensor_std_rad` radians about each axis.
+    This sensor's pose is off by an error whose standard deviations are `sensor_std_m` metres along and `sensor_std_rad`
+    radians about each axis, each sensor's by its own: `T_sensor_first` (4, 4), metres, by this one's and the first's.
     """
 
     touch: Touch

@@ -112,7 +112,7 @@ def explained_where_seen(
     if seen is None:
         return ious, evidence
     for number, view in enumerate(views):
-        nats = _sensor_error_nats(view, seen[:, number] @ invert(view.T_sensor_first @ T_first_object))
+        nats = _sensor_error_nats(view, views[0], seen[:, number] @ invert(view.T_sensor_first @ T_first_object))
         there = view.scene.explained(seen[:, number], view.touch)
         ious[:, number] = np.maximum(ious[:, number], there.imprint_ious - nats / SHARPNESS)
         evidence[:, number] = np.maximum(evidence[:, number], there.evidence - nats)
@@ -141,11 +141,10 @@ def _seen(
     return seen
 
 
-def _sensor_error_nats(view: View, error: Poses) -> NDArray[np.float64]:
-    """What errors (K, 4, 4) of a sensor's pose cost, metres, in nats (K,)."""
-    # the first sensor is where it is, unless its touch has no say
-    std_m = max(view.sensor_std_m or view.touch.T_base_sensor_std_m, 1e-6)
-    std_rad = max(view.sensor_std_rad or view.touch.T_base_sensor_std_rad, 1e-6)
+def _sensor_error_nats(view: View, first: View, error: Poses) -> NDArray[np.float64]:
+    """What errors (K, 4, 4) of where a sensor is seen from the first one cost, metres, in nats (K,)."""
+    std_m = max(float(np.hypot(view.sensor_std_m, first.sensor_std_m)), 1e-6)
+    std_rad = max(float(np.hypot(view.sensor_std_rad, first.sensor_std_rad)), 1e-6)
     gel = np.array([0.0, 0.0, view.touch.geometry.standoff_m])
     shift_m = np.linalg.norm(error[:, :3, :3] @ gel + error[:, :3, 3] - gel, axis=-1)
     return np.asarray((shift_m / std_m) ** 2 + (rotation_angle(error[:, :3, :3]) / std_rad) ** 2) / 2

@@ -279,12 +279,8 @@ def _beside(observations: Sequence[Observation], prior: Prior | None) -> Prior |
 def _view(first: Touch, localizer: Localizer, touch: Touch) -> View:
     """A touch as hypotheses in the first one's sensor frame are compared with it."""
     scene = localizer.scene.of_touch(touch)
-    if touch is first:
-        return View(touch, scene)
-    std_m = np.hypot(first.T_base_sensor_std_m, touch.T_base_sensor_std_m)
-    std_rad = np.hypot(first.T_base_sensor_std_rad, touch.T_base_sensor_std_rad)
-    T_sensor_first = invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
-    return View(touch, scene, T_sensor_first, float(std_m), float(std_rad))
+    T = np.eye(4) if touch is first else invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
+    return View(touch, scene, T, touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
 
 
 def _require_one_object(observations: Sequence[Observation]) -> None:

@@ -73,13 +73,14 @@ def test_a_touch_is_compared_where_its_sensor_may_have_been_at_what_that_costs(m
     touch = Touch(scene.contact_shape(true[0], 1e-3), flat_camera)
     beside = translation([1e-3, 0, 0]) @ true  # where it would be if the sensor were where it is said to be
     nominal, exact = (scene.of_touch(touch).explained(T, touch) for T in (beside, true))
-    for std_m in (1e-3, 0.5e-3, 0.1e-3):
-        view = View(touch, scene.of_touch(touch), sensor_std_m=std_m, sensor_std_rad=0.01)
-        ious, evidence = explained_where_seen([view], beside, true[:, None])
-        costs = (1e-3 / std_m) ** 2 / 2
+    for std_m, first_m in ((1e-3, 0.0), (0.5e-3, 0.0), (0.1e-3, 0.0), (0.6e-3, 0.8e-3)):
+        first, view = (View(touch, scene.of_touch(touch), np.eye(4), m, 0.01) for m in (first_m, std_m))
+        seen = np.stack([beside, true], axis=1)
+        ious, evidence = (found[:, 1] for found in explained_where_seen([first, view], beside, seen))
+        costs = 1e-6 / (std_m**2 + first_m**2) / 2
         there = exact.imprint_ious[0] - costs / SHARPNESS
-        assert ious == pytest.approx(np.array([[max(nominal.imprint_ious[0], there)]]), abs=1e-9)
-        assert evidence == pytest.approx(np.array([[max(nominal.evidence[0], exact.evidence[0] - costs)]]), abs=1e-6)
+        assert ious == pytest.approx(max(nominal.imprint_ious[0], there), abs=1e-9)
+        assert evidence == pytest.approx(max(nominal.evidence[0], exact.evidence[0] - costs), abs=1e-6)
         for same in (explained_where_seen([view], beside, beside[:, None]), explained_where_seen([view], beside)):
             np.testing.assert_allclose(same, [[nominal.imprint_ious], [nominal.evidence]])
     assert nominal.imprint_ious < exact.imprint_ious

@@ -72,6 +72,18 @@ class FileCheckpoints(Checkpoints):
             raise KeyboardInterrupt
 
 
+def test_the_slow_copy_has_the_statistics_of_the_network_and_lagging_weights():
+    fast, slow = (torch.nn.Sequential(torch.nn.Conv2d(1, 2, 3), torch.nn.BatchNorm2d(2)) for _ in range(2))
+    before = [weight.detach().clone() for weight in slow.parameters()]
+    fast(3.0 + torch.randn(4, 1, 8, 8))  # training mode: the statistics follow
+    training.follow(slow, fast, 0.9)
+    for theirs, ours in zip(slow.buffers(), fast.buffers(), strict=True):
+        torch.testing.assert_close(theirs, ours)
+    for theirs, was, ours in zip(slow.parameters(), before, fast.parameters(), strict=True):
+        torch.testing.assert_close(theirs, 0.9 * was + 0.1 * ours)
+    assert not torch.allclose(slow[1].running_mean, torch.zeros(2))
+
+
 @pytest.mark.slow
 def test_it_learns_to_tell_the_poses_apart(problem):
     encoder = make(epochs=8, queries=256, noise="none", patience=8)

@@ -217,3 +217,22 @@ def test_elimination_solves():
     solution = right.copy()
     kernels.solve(M.copy(), solution)
     np.testing.assert_allclose(M @ solution, right, atol=1e-10)
+
+
+def test_the_first_sensors_error_is_its_own(block):
+    """Where the first sensor sees the object follows from all touches; its covariance is that of what it sees."""
+    touches = [pressed(block, CAMERAS["orthographic"], towards(d), (0.0, 0.0), 0.001) for d in DIRECTIONS]
+    off = translation([0.0006, 0.0, 0.0])  # the others' sensors are where they are said to be
+    nominal = views_of(block, touches, sensor_std_m=1e-6)
+    moved_views = [View(v.touch, v.scene, v.T_sensor_first @ off, 1e-6) for v in nominal[1:]]
+    truth = touches[0].T_sensor_object
+    spread = {}
+    for std_m in (1e-3, 1e-6):
+        views = [View(touches[0], nominal[0].scene, np.eye(4), std_m), *moved_views]
+        (found,) = JointRefiner().refine_together(views, [Candidate(truth, 0, 0.0)])
+        spread[std_m] = np.sqrt(np.trace(found.covariance[:3, :3]))
+        if std_m == 1e-3:
+            for view, touch, T in zip(views, touches, found.T_sensors_object, strict=True):
+                np.testing.assert_allclose(T[:3, 3], touch.T_sensor_object[:3, 3], atol=2e-4, err_msg=view.touch.name)
+            np.testing.assert_allclose(found.T_sensor_object[:3, 3], truth[:3, 3], atol=2e-4)
+    assert spread[1e-3] > spread[1e-6]

@@ -192,11 +192,7 @@ class Trainer:
         self.crew.average(p.grad for p in self.network.parameters() if p.grad is not None)
         self.optimizer.step()
         self.crew.average(b for b in self.network.buffers() if b.is_floating_point())
-        with torch.no_grad():
-            for slow, fast in zip(
-                self.key_network.state_dict().values(), self.network.state_dict().values(), strict=True
-            ):
-                slow.copy_(torch.lerp(fast, slow, self.recipe.momentum) if slow.is_floating_point() else fast)
+        follow(self.key_network, self.network, self.recipe.momentum)
         mean_loss = loss.detach()
         self.crew.average([mean_loss])
         return float(mean_loss)
@@ -288,6 +284,19 @@ class Trainer:
             state.setdefault(int(number), {})[key] = tensor
         self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": state})
         log.info("training goes on from epoch %d", self.epoch)
+
+
+@torch.no_grad()
+def follow(slow: nn.Module, fast: nn.Module, momentum: float) -> None:
+    """Move the weights of the slow network towards those of the fast one, and copy its statistics.
+
+    Keys are encoded in evaluation mode: normalised by statistics that lag, as the weights do, they would all be alike
+    for the first epochs.
+    """
+    for theirs, ours in zip(slow.parameters(), fast.parameters(), strict=True):
+        theirs.copy_(torch.lerp(ours, theirs, momentum))
+    for theirs, ours in zip(slow.buffers(), fast.buffers(), strict=True):
+        theirs.copy_(ours)
 
 
 def _optimizer(recipe: Recipe, network: nn.Module) -> torch.optim.Optimizer:

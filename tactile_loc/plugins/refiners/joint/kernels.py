@@ -33,7 +33,7 @@ class Observed(NamedTuple):
     neighbouring pixels, the least height of the surface that is seen (beyond the gel's: nothing; NaN: not observed),
     below which nothing between their centres can be, and the place x, y, z of the nearest contact; those of touch i are
     rows of sizes[i] (height, width) from offsets[i]. `noise` is the least standard deviation of a point, which weights
-    assume.
+    assume; `share` (6,) is how much of what the first touch is off is its sensor's pose, not its press.
     """
 
     points: NDArray[np.float64]
@@ -49,17 +49,19 @@ class Observed(NamedTuple):
     sizes: NDArray[np.int64]
     offsets: NDArray[np.int64]
     noise: float
+    share: NDArray[np.float64]
 
 
 @njit(fast=True)
 def register(first, last, T, observed, triangles, samples, middle, scales, finely, T_each, information, moved):
-    """Move the poses T (K, 4, 4) from first to last, in the first sensor's frame, to where they explain all touches.
+    """Move the poses T (K, 4, 4) from first to last to where they explain all touches and the first sensor sees them.
 
     `triangles` are the object's in mm, `samples` (S, 3) points of its surface, `middle` (3,) its centre, `scales` (I,)
     the scale in mm of the robust weights, iteration by iteration, the last `finely` of which look at all points, the
-    others at one of COARSELY. Filled are `T_each` (K, N, 4, 4), where each sensor
-    sees the object, its own pose's error regarded; `information` (K, 6, 6), that of a twist about the middle in the
-    first sensor's frame; and `moved` (K,), the last step, mm.
+    others at one of COARSELY. Filled are `T_each` (K, N, 4, 4), where each sensor sees the object, its own pose's error
+    regarded; `information` (K, 2, 6, 6), what the first touch's points say of a twist about the middle in the first
+    sensor's frame, and what the others say of it in the frame where that sensor is taken to be; and `moved` (K,), the
+    last step, mm.
     """
     count = len(observed.centres)
     for k in range(first, last):
@@ -74,6 +76,24 @@ def register(first, last, T, observed, triangles, samples, middle, scales, finel
                 if every == 1 or finely == 0:
                     break
                 every = 1
+        seen_by_first(T[k], T_each[k, 0], observed)
+
+
+@njit
+def seen_by_first(T, T_each, observed):
+    """Turn T (4, 4), where the first sensor would see the object if it were where it is taken to be, into where it
+    does: its own error regarded, as far as that is not the press's."""
+    x, inverse, motion, moved = np.empty(6), np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+    invert(T, inverse)
+    multiply(T_each, inverse, motion)
+    logarithm(motion, observed.centres[0], x)
+    for r in range(6):
+        x[r] *= observed.share[r]
+    exponential(x, observed.centres[0], motion)
+    multiply(motion, T, moved)
+    for r in range(4):
+        for c in range(4):
+            T[r, c] = moved[r, c]
 
 
 @njit(fast=True)
@@ -89,6 +109,7 @@ def step(T, observed, triangles, samples, middle, scale, every, T_each, informat
     Ad, errors = np.zeros((count, 6, 6)), np.zeros((count, 6))
     misfit, left, H, g = np.zeros(2), np.zeros((count, 6, 7)), np.zeros((6, 6)), np.zeros(6)
     nominal, inverse, gap = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+    information[:] = 0.0
     centre = np.empty(3)
     for a in range(3):
         centre[a] = T[a, 0] * middle[0] + T[a, 1] * middle[1] + T[a, 2] * middle[2] + T[a, 3]
@@ -123,13 +144,18 @@ def step(T, observed, triangles, samples, middle, scale, every, T_each, informat
             for c in range(6):
                 for m in range(6):
                     for n in range(6):
-                        H[r, c] += Ad[i, m, r] * right[m, n] * Ad[i, n, c]
+                        share = Ad[i, m, r] * right[m, n] * Ad[i, n, c]
+                        H[r, c] += share
+                        if i:
+                            information[1, r, c] += share
+                        else:
+                            information[0, r, c] += Ad[i, m, r] * A[i, m, n] * Ad[i, n, c]
             for m in range(6):
                 g[r] += Ad[i, m, r] * right[m, 6]
     x, damped = np.zeros((6, 1)), np.empty((6, 6))
     for r in range(6):
         for c in range(6):
-            information[r, c] = damped[r, c] = H[r, c]
+            damped[r, c] = H[r, c]
     turning, sliding = H[0, 0] + H[1, 1] + H[2, 2], H[3, 3] + H[4, 4] + H[5, 5]
     if not sliding > 0.0:
         return 0.0

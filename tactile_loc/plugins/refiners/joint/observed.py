@@ -21,13 +21,19 @@ Floats = NDArray[np.float64]
 @dataclass(frozen=True, eq=False)
 class Seen:
     """One touch as it is registered: a contact shape, the sensor's geometry while it was pressed, where the sensor is
-    seen from the first one, T_sensor_first (4, 4), and the covariance (6, 6) of a twist, rad before m, by which that
-    and the press may be off."""
+    seen from the first one, T_sensor_first (4, 4), the variances (6,) of a twist, rad^2 before m^2, by which the
+    sensor's pose may be off, and that of its press, m^2."""
 
     shape: ContactShape
     geometry: SensorGeometry
     T_sensor_first: NDArray[np.float64]
-    freedom: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    press_m2: float
+
+    @property
+    def press_variance(self) -> Floats:
+        """The variances (6,) of the twist, rad^2 before m^2, that an error of the press is."""
+        return np.array([0.0, 0.0, 0.0, 0.0, 0.0, self.press_m2])
 
 
 def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float, sample_area_m2: float) -> Observed:
@@ -47,10 +53,14 @@ def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float
     T = np.stack([t.T_sensor_first for t in touches])
     T[:, :3, 3] *= MILLI
     unit = np.array([1.0, 1.0, 1.0, MILLI, MILLI, MILLI])
-    freedom = np.stack([t.freedom * unit * unit[:, None] for t in touches])
+    freedom = np.stack([np.diag((t.variance + t.press_variance) * unit**2) for t in touches])
     pixels = np.concatenate([image.reshape(-1, 4) for image in images])
     offsets = np.cumsum([0, *sizes.prod(axis=1)[:-1]])
-    return Observed(P, n, w, slack, starts, T, freedom, middles, cameras, pixels, sizes, offsets, noise_m * MILLI)
+    first = touches[0]
+    allowed = first.variance + first.press_variance
+    share = np.divide(first.variance, allowed, out=np.zeros(6), where=allowed > 0)
+    noise_mm = noise_m * MILLI
+    return Observed(P, n, w, slack, starts, T, freedom, middles, cameras, pixels, sizes, offsets, noise_mm, share)
 
 
 def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple[Floats, Floats, Floats, Floats]:

@@ -114,12 +114,13 @@ class JointRefiner(Refiner):
         T, count = given.copy(), len(given)
         T[:, :3, 3] *= MILLI
         each = np.empty((count, len(views), 4, 4))
-        information, moved = np.zeros((count, 6, 6)), np.full(count, np.inf)
+        parts, moved = np.zeros((count, 2, 6, 6)), np.full(count, np.inf)
         samples, middle = _samples_mm(mesh), mesh.centroid_m * MILLI
         in_threads(
-            register, count, T, observed, _triangles_mm(mesh), samples, middle, scales_mm, finely, each, information,
-            moved,
+            register, count, T, observed, _triangles_mm(mesh), samples, middle, scales_mm, finely, each, parts, moved
         )  # fmt: skip
+        levers_mm = T[:, :3, :3] @ middle + T[:, :3, 3] - observed.centres[0]
+        information = _of_first(parts, seen[0], levers_mm)
         T[:, :3, 3] /= MILLI
         each[:, :, :3, 3] /= MILLI
         return T, each, information, moved
@@ -127,16 +128,29 @@ class JointRefiner(Refiner):
     def _seen(self, view: View) -> Seen:
         geometry, shape = view.touch.thinned(self.options.image_px)
         press_m = max(self.options.press_error * view.touch.indentation_m, 1e-6)
-        std = np.array([max(view.sensor_std_rad, 1e-6)] * 3 + [max(view.sensor_std_m, 1e-8)] * 3)
-        variance = std**2
-        variance[5] += press_m**2
-        return Seen(shape, geometry, view.T_sensor_first, np.diag(variance))
+        variance = np.array([view.sensor_std_rad] * 3 + [view.sensor_std_m] * 3) ** 2
+        return Seen(shape, geometry, view.T_sensor_first, variance, press_m**2)
 
 
 def _explained(views: Sequence[View], T_first_object: Floats) -> tuple[Floats, Floats]:
     """Contact IoUs and imprint IoUs (K,) of poses (K, 4, 4) in the first sensor's frame: means over the touches."""
     each = [view.explained(T_first_object) for view in views]
     return np.mean([one.contact_ious for one in each], axis=0), np.mean([one.imprint_ious for one in each], axis=0)
+
+
+def _of_first(parts: Floats, first: Seen, levers_mm: Floats) -> Floats:
+    """The information (K, 6, 6), mm and rad, of twists about the object's centre in the first sensor's frame.
+
+    Of `parts` (K, 2, 6, 6) the first touch's is direct, but for its press; the others' reaches it through the error of
+    the first sensor's pose. `levers_mm` (K, 3) lead from the middle of the first touch, about which it may be off by
+    both, to the object's centre.
+    """
+    to_centre = np.zeros((len(parts), 1, 6, 6)) + np.eye(6)
+    to_centre[:, 0, 3:, :3] = np.cross(np.eye(3), levers_mm[:, None]).swapaxes(1, 2)  # w x lever
+    allowed = np.stack([first.press_variance, first.variance]) * [1.0, 1.0, 1.0, MILLI**2, MILLI**2, MILLI**2]
+    off = to_centre @ (allowed[:, :, None] * np.eye(6)) @ to_centre.swapaxes(-1, -2)
+    total = np.linalg.solve(np.eye(6) + parts @ off, parts).sum(axis=1)
+    return np.asarray((total + total.swapaxes(1, 2)) / 2)
 
 
 def _lever_m(view: View, T: Floats) -> Floats:
