@@ -293,10 +293,10 @@ def follow(slow: nn.Module, fast: nn.Module, momentum: float) -> None:
     Keys are encoded in evaluation mode: normalised by statistics that lag, as the weights do, they would all be alike
     for the first epochs.
     """
-    for weight, ours in zip(slow.parameters(), fast.parameters(), strict=True):
-        weight.copy_(torch.lerp(ours, weight, momentum))
-    for statistic, ours in zip(slow.buffers(), fast.buffers(), strict=True):
-        statistic.copy_(ours)
+    for weight, newer in zip(slow.parameters(), fast.parameters(), strict=True):
+        weight.copy_(torch.lerp(newer, weight, momentum))
+    for statistic, current in zip(slow.buffers(), fast.buffers(), strict=True):
+        statistic.copy_(current)
 
 
 def _optimizer(recipe: Recipe, network: nn.Module) -> torch.optim.Optimizer:
