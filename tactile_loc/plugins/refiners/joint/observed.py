@@ -20,20 +20,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """One touch as it is registered: a contact shape, the sensor's geometry while it was pressed, where the sensor is
-    seen from the first one, T_sensor_first (4, 4), the variances (6,) of a twist, rad^2 before m^2, by which the
-    sensor's pose may be off, and that of its press, m^2."""
+    """One touch as it is registered: a contact shape, and the sensor's geometry while it was pressed."""
 
     shape: ContactShape
     geometry: SensorGeometry
-    T_sensor_first: NDArray[np.float64]
-    variance: NDArray[np.float64]
-    press_m2: float
-
-    @property
-    def press_variance(self) -> Floats:
-        """The variances (6,) of the twist, rad^2 before m^2, that an error of the press is."""
-        return np.array([0.0, 0.0, 0.0, 0.0, 0.0, self.press_m2])
 
 
 def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float, sample_area_m2: float) -> Observed:
@@ -50,17 +40,9 @@ def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float
     starts = np.cumsum([0, *(len(cloud[0]) for cloud in clouds)])
     middles = np.stack([_middle_mm(t, cloud[0]) for t, cloud in zip(touches, clouds, strict=True)])
     cameras = np.stack([_camera_mm(t, weight) for t in touches])
-    T = np.stack([t.T_sensor_first for t in touches])
-    T[:, :3, 3] *= MILLI
-    unit = np.array([1.0, 1.0, 1.0, MILLI, MILLI, MILLI])
-    freedom = np.stack([np.diag((t.variance + t.press_variance) * unit**2) for t in touches])
     pixels = np.concatenate([image.reshape(-1, 4) for image in images])
     offsets = np.cumsum([0, *sizes.prod(axis=1)[:-1]])
-    first = touches[0]
-    allowed = first.variance + first.press_variance
-    share = np.divide(first.variance, allowed, out=np.zeros(6), where=allowed > 0)
-    noise_mm = noise_m * MILLI
-    return Observed(P, n, w, slack, starts, T, freedom, middles, cameras, pixels, sizes, offsets, noise_mm, share)
+    return Observed(P, n, w, slack, starts, middles, cameras, pixels, sizes, offsets)
 
 
 def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple[Floats, Floats, Floats, Floats]:

@@ -25,11 +25,10 @@ from tactile_loc.plugin import (
     Touch,
     TriangleMesh,
     View,
-    in_threads,
     surface_field,
 )
-from tactile_loc.plugins.refiners.joint.kernels import register
 from tactile_loc.plugins.refiners.joint.observed import MILLI, Seen, observe
+from tactile_loc.plugins.refiners.joint.registration import Registered, Registration
 
 ROUGHLY = 0.02  # ious are counted in pixels: a loss this small is none
 SETTLED_MM = 1e-3
@@ -68,15 +67,15 @@ class JointRefiner(Refiner):
         if not candidates:
             return []
         given = np.stack([candidate.T_sensor_object for candidate in candidates])
-        poses, each, information, moved_mm = self._registered(views, given, self._scales_mm, FINELY)
-        before, after = (_explained(views, T) for T in (given, poses))
+        found = self._registered(views, given, self._scales_mm, FINELY)
+        before, after = (_explained(views, T) for T in (given, found.T))
         good = after[1] >= before[1] - ROUGHLY
         results = []
         for k in range(len(given)):
-            T, iou = (poses[k], after[0][k]) if good[k] else (given[k].copy(), before[0][k])
-            settled = bool(good[k] and moved_mm[k] < SETTLED_MM and iou > 0)
-            covariance = _covariance(information[k], _lever_m(views[0], T)) if good[k] else None
-            seen = each[k] if good[k] else None
+            T, iou = (found.T[k], after[0][k]) if good[k] else (given[k].copy(), before[0][k])
+            settled = bool(good[k] and found.moved[k] < SETTLED_MM and iou > 0)
+            covariance = _covariance(found.information[k], _lever_m(views[0], T)) if good[k] else None
+            seen = found.T_each[k] if good[k] else None
             results.append(RefinedPose(T, float(iou), settled, self.options.iterations, covariance, seen))
         return results
 
@@ -85,7 +84,7 @@ class JointRefiner(Refiner):
 
         None where they say nothing of it.
         """
-        information = self._registered(views, T_first_object, self._scales_mm[-1:], 1)[2]
+        information = self._registered(views, T_first_object, self._scales_mm[-1:], 1).information
         return [_covariance(A, _lever_m(views[0], T)) for A, T in zip(information, T_first_object, strict=True)]
 
     def settled(self, views: Sequence[View], T_first_object: Floats) -> Floats:
@@ -93,7 +92,7 @@ class JointRefiner(Refiner):
 
         For many poses: a fraction of the points is looked at, and nothing is drawn.
         """
-        return self._registered(views, T_first_object, self._scales_mm, 0)[0]
+        return self._registered(views, T_first_object, self._scales_mm, 0).T
 
     @property
     def _scales_mm(self) -> Floats:
@@ -101,56 +100,34 @@ class JointRefiner(Refiner):
         start, end, count = self.options.scale_mm, self.options.scale_end_mm, self.options.iterations
         return np.asarray(start * (end / start) ** np.clip(np.arange(count) / (0.5 * count), 0, 1))
 
-    def _registered(
-        self, views: Sequence[View], given: Floats, scales_mm: Floats, finely: int
-    ) -> tuple[Floats, Floats, Floats, Floats]:
-        """The poses (K, 4, 4), metres, that the given ones end at, and where each sensor sees them (K, N, 4, 4); the
-        information (K, 6, 6), mm and rad, at the poses before the last steps, and how long those were (K,), mm. The
-        last `finely` steps look at all points."""
+    def _registered(self, views: Sequence[View], T: Floats, scales_mm: Floats, finely: int) -> Registered:
+        """Register poses (K, 4, 4), metres, to touches; poses in metres, but information in mm and rad."""
         options, mesh = self.options, views[0].scene.object.mesh
         area_m2 = float(mesh.face_areas.sum()) / SAMPLES
-        seen = [self._seen(view) for view in views]
+        seen = [Seen(shape, geometry) for geometry, shape in (v.touch.thinned(options.image_px) for v in views)]
         observed = observe(seen, options.points, options.noise_mm / MILLI, options.patch_mm / MILLI, area_m2)
-        T, count = given.copy(), len(given)
-        T[:, :3, 3] *= MILLI
-        each = np.empty((count, len(views), 4, 4))
-        parts, moved = np.zeros((count, 2, 6, 6)), np.full(count, np.inf)
-        samples, middle = _samples_mm(mesh), mesh.centroid_m * MILLI
-        in_threads(
-            register, count, T, observed, _triangles_mm(mesh), samples, middle, scales_mm, finely, each, parts, moved
+        press_mm = [max(options.press_error * view.touch.indentation_m, 1e-6) * MILLI for view in views]
+        sensor = [[view.sensor_std_rad] * 3 + [view.sensor_std_m * MILLI] * 3 for view in views]
+        registration = Registration(
+            observed, _scaled(np.stack([view.T_sensor_first for view in views]), MILLI), np.square(sensor),
+            np.outer(np.square(press_mm), [0, 0, 0, 0, 0, 1]), options.noise_mm, _triangles_mm(mesh), _samples_mm(mesh),
+            mesh.centroid_m * MILLI,
         )  # fmt: skip
-        levers_mm = T[:, :3, :3] @ middle + T[:, :3, 3] - observed.centres[0]
-        information = _of_first(parts, seen[0], levers_mm)
-        T[:, :3, 3] /= MILLI
-        each[:, :, :3, 3] /= MILLI
-        return T, each, information, moved
+        found = registration.registered(_scaled(T, MILLI), scales_mm, finely)
+        return found._replace(T=_scaled(found.T, 1 / MILLI), T_each=_scaled(found.T_each, 1 / MILLI))
 
-    def _seen(self, view: View) -> Seen:
-        geometry, shape = view.touch.thinned(self.options.image_px)
-        press_m = max(self.options.press_error * view.touch.indentation_m, 1e-6)
-        variance = np.array([view.sensor_std_rad] * 3 + [view.sensor_std_m] * 3) ** 2
-        return Seen(shape, geometry, view.T_sensor_first, variance, press_m**2)
+
+def _scaled(T: Floats, unit: float) -> Floats:
+    """Transforms (..., 4, 4) whose lengths are in another unit."""
+    scaled = T.copy()
+    scaled[..., :3, 3] *= unit
+    return scaled
 
 
 def _explained(views: Sequence[View], T_first_object: Floats) -> tuple[Floats, Floats]:
     """Contact IoUs and imprint IoUs (K,) of poses (K, 4, 4) in the first sensor's frame: means over the touches."""
     each = [view.explained(T_first_object) for view in views]
     return np.mean([one.contact_ious for one in each], axis=0), np.mean([one.imprint_ious for one in each], axis=0)
-
-
-def _of_first(parts: Floats, first: Seen, levers_mm: Floats) -> Floats:
-    """The information (K, 6, 6), mm and rad, of twists about the object's centre in the first sensor's frame.
-
-    Of `parts` (K, 2, 6, 6) the first touch's is direct, but for its press; the others' reaches it through the error of
-    the first sensor's pose. `levers_mm` (K, 3) lead from the middle of the first touch, about which it may be off by
-    both, to the object's centre.
-    """
-    to_centre = np.zeros((len(parts), 1, 6, 6)) + np.eye(6)
-    to_centre[:, 0, 3:, :3] = np.cross(np.eye(3), levers_mm[:, None]).swapaxes(1, 2)  # w x lever
-    allowed = np.stack([first.press_variance, first.variance]) * [1.0, 1.0, 1.0, MILLI**2, MILLI**2, MILLI**2]
-    off = to_centre @ (allowed[:, :, None] * np.eye(6)) @ to_centre.swapaxes(-1, -2)
-    total = np.linalg.solve(np.eye(6) + parts @ off, parts).sum(axis=1)
-    return np.asarray((total + total.swapaxes(1, 2)) / 2)
 
 
 def _lever_m(view: View, T: Floats) -> Floats:

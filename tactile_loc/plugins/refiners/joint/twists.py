@@ -1,0 +1,52 @@
+"""Twists in batches: a rotation (rad) before a shift, (..., 6), that turns about a centre given with it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+def exponential(x: Floats, centre: Floats) -> Floats:
+    """Return the motions (..., 4, 4) that turn by x[..., :3] about centres (..., 3), then shift by x[..., 3:]."""
+    turn = x[..., :3]
+    angle = np.sqrt((turn * turn).sum(axis=-1))[..., None, None]
+    K = cross_matrix(turn)
+    R = np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (K @ K)
+    return _motion(R, centre + x[..., 3:] - (R @ centre[..., None])[..., 0])
+
+
+def logarithm(T: Floats, centre: Floats) -> Floats:
+    """Return the twists (..., 6) whose motions about centres (..., 3) are T (..., 4, 4); of less than a right angle."""
+    R = T[..., :3, :3]
+    skew = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
+    sine = np.minimum(1.0, np.sqrt((skew * skew).sum(axis=-1, keepdims=True)))
+    turn = skew * np.where(sine > 1e-9, np.arcsin(sine) / np.maximum(sine, 1e-9), 1.0)
+    return np.concatenate([turn, T[..., :3, 3] - centre + (R @ centre[..., None])[..., 0]], axis=-1)
+
+
+def adjoint(R: Floats, lever: Floats) -> Floats:
+    """Return (..., 6, 6): twists about one centre as twists about another, in axes turned by R (..., 3, 3).
+
+    `lever` (..., 3) leads from the first centre to the other, along the other's axes.
+    """
+    moved = np.zeros((*np.broadcast_shapes(R.shape[:-2], lever.shape[:-1]), 6, 6))
+    moved[..., :3, :3] = moved[..., 3:, 3:] = R
+    moved[..., 3:, :3] = -cross_matrix(lever) @ R  # turning shifts the other centre: w x lever
+    return moved
+
+
+def cross_matrix(v: Floats) -> Floats:
+    """Return the matrices (..., 3, 3) that take w to v x w, of vectors v (..., 3)."""
+    K = np.zeros((*v.shape, 3))
+    K[..., 2, 1] = v[..., 0]
+    K[..., 0, 2] = v[..., 1]
+    K[..., 1, 0] = v[..., 2]
+    return K - K.swapaxes(-1, -2)
+
+
+def _motion(R: Floats, t: Floats) -> Floats:
+    T = np.zeros((*t.shape[:-1], 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
+    return T
