@@ -1,6 +1,8 @@
 """Depths by a z-buffer: every triangle is drawn pixel by pixel into each picture, exact at pixel centres.
 
-The cost is one pass over the mesh a pose, whatever its rotation: best for few poses that all differ a little.
+The cost is one pass a pose over the part of the mesh that is in view, whatever its rotation: best for poses that all
+differ a little. Triangles are kept in blocks of neighbours, and blocks beyond the contact band or beside the view are
+not looked at.
 A pixel's ray is r = (x/z, y/z, 1). With the corners of a triangle as the columns of P, P b = r gives the weights b of
 the corners; the ray meets the triangle where no weight is negative, at depth 1 / sum(b). Triangles that reach behind
 the camera need no clipping (Olano and Greer, Triangle Scan Conversion using 2D Homogeneous Coordinates, Graphics
@@ -12,6 +14,8 @@ Hardware 1997). Parallel rays have r = (x, y, 1) and the depth is that of the we
 from __future__ import annotations
 
 import math
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +26,19 @@ from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import SensorGeometry
 
 EDGE = 1e-9  # of a weight: a ray that meets the edge between two triangles must not slip through
+BLOCK = 24  # triangles
+NARROW = 4  # pixels: a box that is no wider is looked at whole
 NEAREST = 0.05  # of the standoff: corners nearer to the camera, or behind it, are not projected
+
+
+class Blocks(NamedTuple):
+    """The triangles of a mesh in blocks of neighbours, metres: `corners` (F, 3, 3), those of block b from starts[b] to
+    starts[b + 1] inside the sphere about centres[b] (B, 3) of radii[b] (B,)."""
+
+    corners: NDArray[np.float64]
+    starts: NDArray[np.int64]
+    centres: NDArray[np.float64]
+    radii: NDArray[np.float64]
 
 
 def nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> NDArray[np.float32]:
@@ -32,34 +48,76 @@ def nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorG
     """
     T = np.ascontiguousarray(T_sensor_object, float)
     depth = np.empty((len(T), *geometry.shape), np.float32)
-    vertices, faces = np.ascontiguousarray(mesh.vertices_m, float), np.ascontiguousarray(mesh.faces)
     ends = NEAREST * geometry.standoff_m, geometry.standoff_m + geometry.max_depth_m
     camera = geometry.is_pinhole, geometry.fx, geometry.fy, geometry.cx, geometry.cy, *ends
-    in_threads(_draw, len(T), vertices, faces, T, camera, *geometry.pixel_slopes, depth)
+    in_threads(_draw, len(T), blocks_of(mesh), T, camera, *geometry.pixel_slopes, depth)
     return depth
 
 
+@lru_cache(maxsize=16)
+def blocks_of(mesh: TriangleMesh) -> Blocks:
+    """Part the triangles of a mesh at the middle of their longest side, again and again, into blocks of BLOCK."""
+    corners, middles = mesh.triangles_m, mesh.triangles_m.mean(axis=1)
+    waiting, parts = [np.arange(len(corners))], []
+    while waiting:
+        some = waiting.pop()
+        if len(some) <= BLOCK:
+            parts.append(some)
+            continue
+        side = np.ptp(middles[some], axis=0).argmax()
+        some = some[np.argsort(middles[some, side], kind="stable")]
+        waiting += [some[len(some) // 2 :], some[: len(some) // 2]]
+    starts = np.cumsum([0, *map(len, parts)])
+    corners = np.ascontiguousarray(corners[np.concatenate(parts)], float)
+    low, high = (part.reduceat(corners, starts[:-1], axis=0) for part in (np.minimum, np.maximum))
+    centres = (low.min(axis=1) + high.max(axis=1)) / 2
+    far = np.linalg.norm(corners - np.repeat(centres, np.diff(starts), axis=0)[:, None], axis=2).max(axis=1)
+    return Blocks(corners, starts, centres, np.maximum.reduceat(far, starts[:-1]) * (1 + 1e-9))
+
+
 @njit
-def _draw(first, last, vertices, faces, T, camera, slopes_x, slopes_y, depth):
+def _draw(first, last, blocks, T, camera, slopes_x, slopes_y, depth):
     """Fill depths (N, H, W) of the poses (N, 4, 4) from first to last."""
+    placed, centre = np.empty((3, 3)), np.empty(3)
+    pinhole, far = camera[0], camera[6]
+    # the planes of the outermost rays, each by its slope
+    left, right, top, bottom = slopes_x[0], slopes_x[-1], slopes_y[0], slopes_y[-1]
     for i in range(first, last):
-        _draw_one(vertices, faces, T[i], camera, slopes_x, slopes_y, depth[i])
+        picture = depth[i]
+        for v in range(picture.shape[0]):
+            for u in range(picture.shape[1]):
+                picture[v, u] = np.inf
+        for b in range(len(blocks.radii)):
+            _place(T[i], blocks.centres[b], centre)
+            x, y, z = centre
+            r = blocks.radii[b]
+            k = z if pinhole else 1.0
+            if (
+                z - r > far
+                or _beyond(left * k - x, left, pinhole, r)
+                or _beyond(x - right * k, right, pinhole, r)
+                or _beyond(top * k - y, top, pinhole, r)
+                or _beyond(y - bottom * k, bottom, pinhole, r)
+            ):
+                continue
+            for f in range(blocks.starts[b], blocks.starts[b + 1]):
+                for a in range(3):
+                    _place(T[i], blocks.corners[f, a], placed[a])
+                if min(placed[0, 2], placed[1, 2], placed[2, 2]) < far:
+                    _draw_triangle(placed[0], placed[1], placed[2], camera, slopes_x, slopes_y, picture)
 
 
 @njit
-def _draw_one(vertices, faces, T, camera, slopes_x, slopes_y, picture):
-    """Fill a picture (H, W) with the nearest depth, metres, of the triangles that reach into the band."""
-    picture.fill(np.inf)
-    placed = np.empty_like(vertices)
-    for i in range(len(vertices)):
-        x, y, z = vertices[i]
-        for a in range(3):
-            placed[i, a] = T[a, 0] * x + T[a, 1] * y + T[a, 2] * z + T[a, 3]
-    far = camera[6]
-    for f in range(len(faces)):
-        i, j, k = faces[f]
-        if min(placed[i, 2], placed[j, 2], placed[k, 2]) < far:
-            _draw_triangle(placed[i], placed[j], placed[k], camera, slopes_x, slopes_y, picture)
+def _place(T, p, placed):
+    """Fill the point (3,) where the pose T (4, 4) has p (3,)."""
+    for a in range(3):
+        placed[a] = T[a, 0] * p[0] + T[a, 1] * p[1] + T[a, 2] * p[2] + T[a, 3]
+
+
+@njit
+def _beyond(outside, slope, pinhole, r):
+    """Whether a sphere of radius r is beyond a plane of rays, its centre so far outside, measured across the view."""
+    return outside > r * (math.sqrt(1.0 + slope * slope) if pinhole else 1.0) * (1.0 + 1e-9)
 
 
 @njit
@@ -78,17 +136,37 @@ def _draw_triangle(p, q, s, camera, slopes_x, slopes_y, picture):
     if determinant == 0.0:  # seen edge-on
         return
     k = 1.0 / determinant
+    ap, aq, as_ = ap * k, aq * k, as_ * k
+    widest = max(abs(slopes_x[u0]), abs(slopes_x[u1]))
     for v in range(v0, v1 + 1):
         y = slopes_y[v]
-        for u in range(u0, u1 + 1):
+        fp, fq, fs = (bp * y + cp) * k, (bq * y + cq) * k, (bs * y + cs) * k
+        first, last = u0, u1
+        if u1 - u0 > NARROW:  # of slivers that lie across, most of the box is empty
+            most = (abs(ap) + abs(aq) + abs(as_)) * widest + abs(fp) + abs(fq) + abs(fs)
+            first, last = _covered(ap, fp, 2 * EDGE * most, camera, first, last)
+            first, last = _covered(aq, fq, 2 * EDGE * most, camera, first, last)
+            first, last = _covered(as_, fs, 2 * EDGE * most, camera, first, last)
+        for u in range(first, last + 1):
             x = slopes_x[u]
-            wp, wq, ws = (ap * x + bp * y + cp) * k, (aq * x + bq * y + cq) * k, (as_ * x + bs * y + cs) * k
+            wp, wq, ws = ap * x + fp, aq * x + fq, as_ * x + fs
             total = wp + wq + ws
             if min(wp, wq, ws) < -EDGE * abs(total):
                 continue
             z = 1.0 / total if pinhole else (wp * p[2] + wq * q[2] + ws * s[2]) / total
             if 0.0 < z < far and z < picture[v, u]:
                 picture[v, u] = z
+
+
+@njit
+def _covered(a, b, least, camera, first, last):
+    """First and last pixel of a row, of those from first to last, where a x + b may be no less than -least."""
+    if a == 0.0:
+        return (first, last) if b >= -least else (0, -1)
+    border = min(max(-1e9, (-least - b) / a * camera[1] + camera[3] - 0.5), 1e9)
+    if a > 0.0:
+        return max(first, math.floor(border)), last
+    return first, min(last, math.ceil(border))
 
 
 @njit
