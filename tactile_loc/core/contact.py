@@ -10,12 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.blocks import triangle_blocks
 from tactile_loc.core.compiled import in_threads, njit
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import SensorGeometry
 
-BINS = 256  # into which triangles are sorted by height
+BINS = 256  # into which blocks of triangles are sorted by height
 
 
 def bring_to_contact(
@@ -38,7 +39,7 @@ def lowest_points(
     """Return z (N,) in metres of the surface's lowest point over a rectangle (x0, x1, y0, y1); inf where none is."""
     R, t = T_sensor_object[:, :3, :3], T_sensor_object[:, :3, 3]
     rotations, starts, members = group_rotations(R)
-    triangles, t = np.ascontiguousarray(mesh.triangles_m), np.ascontiguousarray(t)
+    triangles, t = triangle_blocks(mesh), np.ascontiguousarray(t)
     rectangle = np.asarray(rectangle_m, float)
     result = np.full(len(members), np.inf)
     in_threads(_lowest, len(rotations), triangles, rotations, starts, members, t, rectangle, result)
@@ -67,22 +68,28 @@ def _lowest(first, last, triangles, rotations, starts, members, t, rectangle, re
 
 @njit
 def _lowest_of_rotation(triangles, R, members, t, rectangle, result):  # type: ignore[no-untyped-def]
-    """Search the triangles roughly from the lowest up, and stop when no other can be lower; fill `result`."""
-    turned = _turn(triangles, R)
-    floor = np.empty(len(turned))
-    for k in range(len(turned)):
-        floor[k] = min(turned[k, 0, 2], turned[k, 1, 2], turned[k, 2, 2])
-    ordered = len(members) > 4  # sorting pays only when several poses share it
-    order, bin_m = _from_below(floor) if ordered else (np.arange(len(floor)), np.inf)
+    """Search the blocks of triangles roughly from the lowest up, and stop when no other can be lower."""
+    count = len(triangles.radii)
+    middles, floor, p = np.empty((count, 3)), np.empty(count), np.empty((3, 3))
+    for b in range(count):
+        _turn(R, triangles.centres[b], middles[b])
+        floor[b] = middles[b, 2] - triangles.radii[b]
+    order, bin_m = _from_below(floor)
     for i in members:
         x0, x1 = rectangle[0] - t[i, 0], rectangle[1] - t[i, 0]
         y0, y1 = rectangle[2] - t[i, 1], rectangle[3] - t[i, 1]
         best = np.inf
-        for f in order:
-            if floor[f] < best:
-                best = min(best, _lowest_of_triangle(turned[f], x0, x1, y0, y1))
-            elif floor[f] >= best + bin_m:
+        for b in order:
+            if floor[b] >= best + bin_m:
                 break
+            x, y, r = middles[b, 0], middles[b, 1], triangles.radii[b]
+            if floor[b] >= best or x + r < x0 or x - r > x1 or y + r < y0 or y - r > y1:
+                continue
+            for f in range(triangles.starts[b], triangles.starts[b + 1]):
+                for c in range(3):
+                    _turn(R, triangles.corners[f, c], p[c])
+                if min(p[0, 2], p[1, 2], p[2, 2]) < best:
+                    best = min(best, _lowest_of_triangle(p, x0, x1, y0, y1))
         result[i] = best + t[i, 2]
 
 
@@ -105,14 +112,10 @@ def _from_below(heights):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _turn(triangles, R):  # type: ignore[no-untyped-def]
-    turned = np.empty_like(triangles)
-    for f in range(len(triangles)):
-        for c in range(3):
-            for a in range(3):
-                p = triangles[f, c]
-                turned[f, c, a] = R[a, 0] * p[0] + R[a, 1] * p[1] + R[a, 2] * p[2]
-    return turned
+def _turn(R, p, turned):  # type: ignore[no-untyped-def]
+    """Fill the point (3,) where the rotation R takes p (3,)."""
+    for a in range(3):
+        turned[a] = R[a, 0] * p[0] + R[a, 1] * p[1] + R[a, 2] * p[2]
 
 
 @njit

@@ -26,12 +26,14 @@ SIDES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0
 
 
 class NearestTriangles(NamedTuple):
-    """What compiled code takes: `corners` (F, 3, 3) and unit `normals` (F, 3); cells of side `cell` from the corner
-    `low` (3,), each with the number of its nearest triangle, `nearest` (X, Y, Z), -1 beyond reach. One unit of length.
-    The triangles that share an edge with triangle f are `beside` (R,) from ends[f] to ends[f + 1].
+    """What compiled code takes, in one unit of length: `corners` (F, 3), `sides` (F, 2, 3) that lead from them to the
+    other corners, unit `normals` (F, 3); cells of side `cell` from the corner `low` (3,), each with the number of
+    its nearest triangle, `nearest` (X, Y, Z), -1 beyond reach. The triangles that share an edge with triangle f are
+    `beside` (R,) from ends[f] to ends[f + 1].
     """
 
     corners: NDArray[np.float64]
+    sides: NDArray[np.float64]
     normals: NDArray[np.float64]
     low: NDArray[np.float64]
     cell: float
@@ -57,8 +59,16 @@ class SurfaceField:
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         nearest = np.full(np.ceil(size / cell_m).astype(int) + 1, -1, np.int32)
-        carry(corners, normals, low, cell_m, reach_m, nearest)
-        return cls(NearestTriangles(corners, normals, low, cell_m, nearest, *_neighbours(corners)), reach_m)
+        first, sides = np.ascontiguousarray(corners[:, 0]), corners[:, 1:] - corners[:, :1]
+        carry(first, sides, normals, low, cell_m, reach_m, nearest)
+        return cls(NearestTriangles(first, sides, normals, low, cell_m, nearest, *_neighbours(corners)), reach_m)
+
+    def in_unit(self, per_m: float) -> NearestTriangles:
+        """Return what compiled code takes, in another unit of length, of which a metre has `per_m`."""
+        of = self.triangles
+        return of._replace(
+            corners=of.corners * per_m, sides=of.sides * per_m, low=of.low * per_m, cell=of.cell * per_m
+        )  # fmt: skip
 
     def closest(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Return the surface's nearest points (N, 3), metres, to points (N, 3) of the object's frame, and the number
@@ -107,7 +117,7 @@ def look_up(points, triangles, found, which):
         which[i] = f
         if f >= 0:
             which[i] = f = downhill(points[i], f, triangles)
-            x, y, z = closest_on_triangle(points[i], triangles.corners[f])
+            x, y, z = closest_on_triangle(points[i], triangles.corners[f], triangles.sides[f])
             found[i, 0], found[i, 1], found[i, 2] = x, y, z
 
 
@@ -121,7 +131,9 @@ def _mean_gaps(first, last, points, T, triangles, most, gaps):
             for r in range(3):
                 x[r] = T[k, r, 0] * points[i, 0] + T[k, r, 1] * points[i, 1] + T[k, r, 2] * points[i, 2] + T[k, r, 3]
             f = triangle_near(x, triangles)
-            total += most if f < 0 else min(most, math.sqrt(_squared_distance(x, triangles.corners[f])))
+            total += (
+                most if f < 0 else min(most, math.sqrt(_squared_distance(x, triangles.corners[f], triangles.sides[f])))
+            )
         gaps[k] = total / max(1, len(points))
 
 
@@ -140,15 +152,15 @@ def triangle_near(x, triangles):
 @njit
 def downhill(x, f, triangles):
     """The triangle nearest to x (3,) that is reached from triangle f over ever nearer ones that share an edge."""
-    least = _squared_distance(x, triangles.corners[f])
+    least = _squared_distance(x, triangles.corners[f], triangles.sides[f])
     while True:
         best = f
         for number in range(triangles.ends[f], triangles.ends[f + 1]):
             other = triangles.beside[number]
-            a, n = triangles.corners[other, 0], triangles.normals[other]
+            a, n = triangles.corners[other], triangles.normals[other]
             off = n[0] * (x[0] - a[0]) + n[1] * (x[1] - a[1]) + n[2] * (x[2] - a[2])
             if off * off < least:  # else even its plane is farther
-                d = _squared_distance(x, triangles.corners[other])
+                d = _squared_distance(x, a, triangles.sides[other])
                 if d < least:
                     least, best = d, other
         if best == f:
@@ -157,44 +169,39 @@ def downhill(x, f, triangles):
 
 
 @njit
-def closest_on_triangle(x, corners):
-    """The point of a triangle (3, 3) that is nearest to x (3,): Ericson, Real-Time Collision Detection, 5.1.5."""
-    a, b, c = corners[0], corners[1], corners[2]
-    d1 = d2 = d3 = d4 = d5 = d6 = 0.0
-    for m in range(3):
-        ab, ac = b[m] - a[m], c[m] - a[m]
-        d1 += ab * (x[m] - a[m])
-        d2 += ac * (x[m] - a[m])
-        d3 += ab * (x[m] - b[m])
-        d4 += ac * (x[m] - b[m])
-        d5 += ab * (x[m] - c[m])
-        d6 += ac * (x[m] - c[m])
-    u = v = w = 0.0
+def closest_on_triangle(x, a, sides):
+    """The point that is nearest to x (3,) of the triangle from corner a (3,) with `sides` (2, 3): Ericson, Real-Time
+    Collision Detection, 5.1.5."""
+    ab0, ab1, ab2 = sides[0, 0], sides[0, 1], sides[0, 2]
+    ac0, ac1, ac2 = sides[1, 0], sides[1, 1], sides[1, 2]
+    p0, p1, p2 = x[0] - a[0], x[1] - a[1], x[2] - a[2]
+    d1, d2 = ab0 * p0 + ab1 * p1 + ab2 * p2, ac0 * p0 + ac1 * p1 + ac2 * p2
+    between = ab0 * ac0 + ab1 * ac1 + ab2 * ac2
+    d3, d4 = d1 - (ab0 * ab0 + ab1 * ab1 + ab2 * ab2), d2 - between
+    d5, d6 = d1 - between, d2 - (ac0 * ac0 + ac1 * ac1 + ac2 * ac2)
+    v = w = 0.0
     va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
     if d1 <= 0.0 and d2 <= 0.0:
-        u = 1.0
+        pass
     elif d3 >= 0.0 and d4 <= d3:
         v = 1.0
     elif d6 >= 0.0 and d5 <= d6:
         w = 1.0
     elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
         v = d1 / (d1 - d3)
-        u = 1.0 - v
     elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
         w = d2 / (d2 - d6)
-        u = 1.0 - w
     elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
         w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
         v = 1.0 - w
     else:
         total = va + vb + vc
         v, w = vb / total, vc / total
-        u = 1.0 - v - w
-    return (u * a[0] + v * b[0] + w * c[0], u * a[1] + v * b[1] + w * c[1], u * a[2] + v * b[2] + w * c[2])
+    return a[0] + v * ab0 + w * ac0, a[1] + v * ab1 + w * ac1, a[2] + v * ab2 + w * ac2
 
 
 @njit
-def carry(corners, normals, low, cell, reach, nearest):
+def carry(corners, sides, normals, low, cell, reach, nearest):
     """Fill the nearest triangle (X, Y, Z): of the cells that triangles cross, then outwards from cell to cell."""
     X, Y, Z = nearest.shape
     squared = np.empty((X, Y, Z), np.float32)
@@ -202,7 +209,7 @@ def carry(corners, normals, low, cell, reach, nearest):
         for j in range(Y):
             for k in range(Z):
                 squared[i, j, k] = np.inf
-    count = _cross(corners, normals, low, cell, nearest, squared)
+    count = _cross(corners, sides, normals, low, cell, nearest, squared)
     wave = np.empty((count, 3), np.int32)
     count = 0
     for i in range(X):
@@ -222,7 +229,7 @@ def carry(corners, normals, low, cell, reach, nearest):
                 if i < 0 or j < 0 or k < 0 or i >= X or j >= Y or k >= Z or nearest[i, j, k] == f:
                     continue
                 x[0], x[1], x[2] = low[0] + (i + 0.5) * cell, low[1] + (j + 0.5) * cell, low[2] + (k + 0.5) * cell
-                d = _squared_distance(x, corners[f])
+                d = _squared_distance(x, corners[f], sides[f])
                 if d < squared[i, j, k] and d <= reach * reach:
                     squared[i, j, k], nearest[i, j, k] = d, f
                     if queued[i, j, k] != layer:
@@ -235,17 +242,17 @@ def carry(corners, normals, low, cell, reach, nearest):
 
 
 @njit
-def _cross(corners, normals, low, cell, nearest, squared):
+def _cross(corners, sides, normals, low, cell, nearest, squared):
     """Give the cells within two sides of a triangle that triangle; return how many cells have one."""
     x, first, last, count = np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64), 0
     near = 2.0 * cell
     for f in range(len(corners)):
         for m in range(3):
-            least = min(corners[f, 0, m], corners[f, 1, m], corners[f, 2, m])
-            most = max(corners[f, 0, m], corners[f, 1, m], corners[f, 2, m])
+            least = corners[f, m] + min(0.0, sides[f, 0, m], sides[f, 1, m])
+            most = corners[f, m] + max(0.0, sides[f, 0, m], sides[f, 1, m])
             first[m] = max(0, math.floor((least - low[m]) / cell) - 1)
             last[m] = min(nearest.shape[m] - 1, math.floor((most - low[m]) / cell) + 1)
-        n, a = normals[f], corners[f, 0]
+        n, a = normals[f], corners[f]
         for i in range(first[0], last[0] + 1):
             x[0] = low[0] + (i + 0.5) * cell
             for j in range(first[1], last[1] + 1):
@@ -255,7 +262,7 @@ def _cross(corners, normals, low, cell, nearest, squared):
                     off = n[0] * (x[0] - a[0]) + n[1] * (x[1] - a[1]) + n[2] * (x[2] - a[2])
                     if abs(off) > near:
                         continue
-                    d = _squared_distance(x, corners[f])
+                    d = _squared_distance(x, corners[f], sides[f])
                     if d < squared[i, j, k] and d <= near * near:
                         count += nearest[i, j, k] < 0
                         squared[i, j, k], nearest[i, j, k] = d, f
@@ -263,6 +270,6 @@ def _cross(corners, normals, low, cell, nearest, squared):
 
 
 @njit
-def _squared_distance(x, corners):
-    p = closest_on_triangle(x, corners)
+def _squared_distance(x, a, sides):
+    p = closest_on_triangle(x, a, sides)
     return (x[0] - p[0]) ** 2 + (x[1] - p[1]) ** 2 + (x[2] - p[2]) ** 2

@@ -14,31 +14,19 @@ Hardware 1997). Parallel rays have r = (x, y, 1) and the depth is that of the we
 from __future__ import annotations
 
 import math
-from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.blocks import triangle_blocks
 from tactile_loc.core.compiled import in_threads, njit
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import SensorGeometry
 
 EDGE = 1e-9  # of a weight: a ray that meets the edge between two triangles must not slip through
-BLOCK = 24  # triangles
 NARROW = 4  # pixels: a box that is no wider is looked at whole
 NEAREST = 0.05  # of the standoff: corners nearer to the camera, or behind it, are not projected
-
-
-class Blocks(NamedTuple):
-    """The triangles of a mesh in blocks of neighbours, metres: `corners` (F, 3, 3), those of block b from starts[b] to
-    starts[b + 1] inside the sphere about centres[b] (B, 3) of radii[b] (B,)."""
-
-    corners: NDArray[np.float64]
-    starts: NDArray[np.int64]
-    centres: NDArray[np.float64]
-    radii: NDArray[np.float64]
 
 
 def nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> NDArray[np.float32]:
@@ -50,33 +38,12 @@ def nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorG
     depth = np.empty((len(T), *geometry.shape), np.float32)
     ends = NEAREST * geometry.standoff_m, geometry.standoff_m + geometry.max_depth_m
     camera = geometry.is_pinhole, geometry.fx, geometry.fy, geometry.cx, geometry.cy, *ends
-    in_threads(_draw, len(T), blocks_of(mesh), T, camera, *geometry.pixel_slopes, depth)
+    in_threads(_draw, len(T), triangle_blocks(mesh), T, camera, *geometry.pixel_slopes, depth)
     return depth
 
 
-@lru_cache(maxsize=16)
-def blocks_of(mesh: TriangleMesh) -> Blocks:
-    """Part the triangles of a mesh at the middle of their longest side, again and again, into blocks of BLOCK."""
-    corners, middles = mesh.triangles_m, mesh.triangles_m.mean(axis=1)
-    waiting, parts = [np.arange(len(corners))], []
-    while waiting:
-        some = waiting.pop()
-        if len(some) <= BLOCK:
-            parts.append(some)
-            continue
-        side = np.ptp(middles[some], axis=0).argmax()
-        some = some[np.argsort(middles[some, side], kind="stable")]
-        waiting += [some[len(some) // 2 :], some[: len(some) // 2]]
-    starts = np.cumsum([0, *map(len, parts)])
-    corners = np.ascontiguousarray(corners[np.concatenate(parts)], float)
-    low, high = (part.reduceat(corners, starts[:-1], axis=0) for part in (np.minimum, np.maximum))
-    centres = (low.min(axis=1) + high.max(axis=1)) / 2
-    far = np.linalg.norm(corners - np.repeat(centres, np.diff(starts), axis=0)[:, None], axis=2).max(axis=1)
-    return Blocks(corners, starts, centres, np.maximum.reduceat(far, starts[:-1]) * (1 + 1e-9))
-
-
 @njit
-def _draw(first, last, blocks, T, camera, slopes_x, slopes_y, depth):
+def _draw(first, last, triangles, T, camera, slopes_x, slopes_y, depth):
     """Fill depths (N, H, W) of the poses (N, 4, 4) from first to last."""
     placed, centre = np.empty((3, 3)), np.empty(3)
     pinhole, far = camera[0], camera[6]
@@ -87,10 +54,10 @@ def _draw(first, last, blocks, T, camera, slopes_x, slopes_y, depth):
         for v in range(picture.shape[0]):
             for u in range(picture.shape[1]):
                 picture[v, u] = np.inf
-        for b in range(len(blocks.radii)):
-            _place(T[i], blocks.centres[b], centre)
+        for b in range(len(triangles.radii)):
+            _place(T[i], triangles.centres[b], centre)
             x, y, z = centre
-            r = blocks.radii[b]
+            r = triangles.radii[b]
             k = z if pinhole else 1.0
             if (
                 z - r > far
@@ -100,9 +67,9 @@ def _draw(first, last, blocks, T, camera, slopes_x, slopes_y, depth):
                 or _beyond(y - bottom * k, bottom, pinhole, r)
             ):
                 continue
-            for f in range(blocks.starts[b], blocks.starts[b + 1]):
+            for f in range(triangles.starts[b], triangles.starts[b + 1]):
                 for a in range(3):
-                    _place(T[i], blocks.corners[f, a], placed[a])
+                    _place(T[i], triangles.corners[f, a], placed[a])
                 if min(placed[0, 2], placed[1, 2], placed[2, 2]) < far:
                     _draw_triangle(placed[0], placed[1], placed[2], camera, slopes_x, slopes_y, picture)
 

@@ -65,4 +65,6 @@ def test_every_region_of_a_triangle():
         (2.0, 2.0, -1.0): (1.0, 1.0, 0.0),
     }  # fmt: skip
     for point, nearest in cases.items():
-        np.testing.assert_allclose(closest_on_triangle(np.array(point), corners), nearest, atol=1e-12)
+        np.testing.assert_allclose(
+            closest_on_triangle(np.array(point), corners[0], corners[1:] - corners[0]), nearest, atol=1e-12
+        )

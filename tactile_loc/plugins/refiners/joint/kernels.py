@@ -44,18 +44,31 @@ class Observed(NamedTuple):
     offsets: NDArray[np.int64]
 
 
+class Samples(NamedTuple):
+    """Points of an object's surface, mm, in blocks of neighbours: `points` (S, 3), those of block b from starts[b] to
+    starts[b + 1] inside the sphere about centres[b] (B, 3) of radii[b] (B,)."""
+
+    points: NDArray[np.float64]
+    starts: NDArray[np.int64]
+    centres: NDArray[np.float64]
+    radii: NDArray[np.float64]
+
+
 @njit(fast=True)
 def equations(first, last, T_each, every, observed, triangles, samples, scale, A, b, misfit):
     """Fill the equations A u = b of twists u by which poses T_each (K, N, 4, 4) explain their touches better.
 
-    Of the poses from first to last, one of `every` (K,) points; `triangles` are the object's in mm, `samples` (S, 3)
-    points of its surface, `scale` in mm that of the robust weights. A (K, N, 6, 6), b (K, N, 6) and `misfit` (K, 2),
+    Of the poses from first to last, one of `every` (K,) points; `triangles` are the object's in mm, `samples` points of
+    its surface, `scale` in mm that of the robust weights. A (K, N, 6, 6), b (K, N, 6) and `misfit` (K, 2),
     the points' weighted squared distances, mm^2, and their weights, are zero before.
     """
     for k in range(first, last):
         for i in range(T_each.shape[1]):
             seen(i, T_each[k, i], observed, triangles, scale, every[k], A[k, i], b[k, i], misfit[k])
             kept_out(i, T_each[k, i], observed, samples, scale, every[k], A[k, i], b[k, i])
+            for m in range(6):
+                for n in range(m):
+                    A[k, i, m, n] = A[k, i, n, m]
 
 
 @njit(fast=True)
@@ -79,7 +92,7 @@ def seen(i, T, observed, triangles, scale, every, A, b, misfit):
         facing = m[0] * y[0] + m[1] * y[1] + m[2] * y[2]
         if facing <= 0.0:
             continue
-        c = closest_on_triangle(x, triangles.corners[f])
+        c = closest_on_triangle(x, triangles.corners[f], triangles.sides[f])
         e0, e1, e2 = x[0] - c[0], x[1] - c[1], x[2] - c[2]
         off = e0 * m[0] + e1 * m[1] + e2 * m[2]
         squared = e0 * e0 + e1 * e1 + e2 * e2
@@ -107,36 +120,42 @@ def kept_out(i, T, observed, samples, scale, every, A, b):
     pinhole, fx, fy, cx, cy, gel = camera[0] > 0.0, camera[1], camera[2], camera[3], camera[4], camera[5]
     height, width, offset = observed.sizes[i, 0], observed.sizes[i, 1], observed.offsets[i]
     d, p, J = np.empty(3), np.empty(3), np.empty(6)
-    for j in range(0, len(samples), every):
-        s = samples[j]
-        z = T[2, 0] * s[0] + T[2, 1] * s[1] + T[2, 2] * s[2] + T[2, 3]
-        if z >= gel:
+    z0, z1, z2, above = T[2, 0], T[2, 1], T[2, 2], T[2, 3] - gel
+    for block in range(len(samples.radii)):
+        s = samples.centres[block]
+        if z0 * s[0] + z1 * s[1] + z2 * s[2] + above >= samples.radii[block]:
             continue
-        x = T[0, 0] * s[0] + T[0, 1] * s[1] + T[0, 2] * s[2] + T[0, 3]
-        y = T[1, 0] * s[0] + T[1, 1] * s[1] + T[1, 2] * s[2] + T[1, 3]
-        if x < camera[6] or x > camera[7] or y < camera[8] or y > camera[9]:
-            continue
-        k = 1.0 / z if pinhole else 1.0
-        u, v = math.floor(fx * x * k + cx - 0.5), math.floor(fy * y * k + cy - 0.5)
-        if u < 0 or v < 0 or u >= width or v >= height:
-            continue
-        pixel = observed.images[offset + v * width + u]
-        if not pixel[0] > z:  # not observed, or nothing is wrong
-            continue
-        r = min(pixel[0], gel) - z
-        d[0] = d[1] = 0.0
-        d[2] = 1.0
-        aside, across = pixel[1] - x, pixel[2] - y
-        far = math.sqrt(aside * aside + across * across)
-        if pixel[0] >= gel and far < r:  # nearer to the contact beside it than to the gel's surface
-            r = far
-            if r < 1e-6:
+        for j in range(samples.starts[block], samples.starts[block + 1], every):
+            s = samples.points[j]
+            z = z0 * s[0] + z1 * s[1] + z2 * s[2] + above
+            if z >= 0.0:
                 continue
-            d[0], d[1], d[2] = aside / far, across / far, 0.0
-        p[0], p[1], p[2] = x, y, z
-        row(p, observed.centres[i], d, J)
-        # here the point itself moves with the object, towards d, by r
-        add(J, r, every * camera[10] / (1.0 + r * r / (scale * scale)) ** 2, A, b)
+            z += gel
+            x = T[0, 0] * s[0] + T[0, 1] * s[1] + T[0, 2] * s[2] + T[0, 3]
+            y = T[1, 0] * s[0] + T[1, 1] * s[1] + T[1, 2] * s[2] + T[1, 3]
+            if x < camera[6] or x > camera[7] or y < camera[8] or y > camera[9]:
+                continue
+            k = 1.0 / z if pinhole else 1.0
+            u, v = math.floor(fx * x * k + cx - 0.5), math.floor(fy * y * k + cy - 0.5)
+            if u < 0 or v < 0 or u >= width or v >= height:
+                continue
+            pixel = observed.images[offset + v * width + u]
+            if not pixel[0] > z:  # not observed, or nothing is wrong
+                continue
+            r = min(pixel[0], gel) - z
+            d[0] = d[1] = 0.0
+            d[2] = 1.0
+            aside, across = pixel[1] - x, pixel[2] - y
+            far = math.sqrt(aside * aside + across * across)
+            if pixel[0] >= gel and far < r:  # nearer to the contact beside it than to the gel's surface
+                r = far
+                if r < 1e-6:
+                    continue
+                d[0], d[1], d[2] = aside / far, across / far, 0.0
+            p[0], p[1], p[2] = x, y, z
+            row(p, observed.centres[i], d, J)
+            # here the point itself moves with the object, towards d, by r
+            add(J, r, every * camera[10] / (1.0 + r * r / (scale * scale)) ** 2, A, b)
 
 
 @njit(fast=True)
@@ -149,9 +168,9 @@ def row(p, centre, d, J):
 
 @njit(fast=True)
 def add(J, r, weight, A, b):
-    """Add weight J^T J and weight J^T r."""
+    """Add weight J^T J, its upper half, and weight J^T r."""
     for m in range(6):
         w = weight * J[m]
         b[m] += w * r
-        for n in range(6):
+        for n in range(m, 6):
             A[m, n] += w * J[n]

@@ -25,8 +25,10 @@ from tactile_loc.plugin import (
     Touch,
     TriangleMesh,
     View,
+    blocks_of,
     surface_field,
 )
+from tactile_loc.plugins.refiners.joint.kernels import Samples
 from tactile_loc.plugins.refiners.joint.observed import MILLI, Seen, observe
 from tactile_loc.plugins.refiners.joint.registration import Registered, Registration
 
@@ -34,6 +36,7 @@ ROUGHLY = 0.02  # ious are counted in pixels: a loss this small is none
 SETTLED_MM = 1e-3
 FINELY = 6  # of the steps, the last, that look at all points
 SAMPLES = 4000  # points of the object's surface that must not reach into the gel
+BLOCK = 16  # of them that are passed over together
 Floats = NDArray[np.float64]
 
 
@@ -156,11 +159,12 @@ def _covariance(information: Floats, lever_m: Floats) -> Floats | None:
 
 
 @lru_cache(maxsize=16)
-def _samples_mm(mesh: TriangleMesh) -> Floats:
-    return mesh.sample(SAMPLES, np.random.default_rng(0)) * MILLI
+def _samples_mm(mesh: TriangleMesh) -> Samples:
+    points = mesh.sample(SAMPLES, np.random.default_rng(0)) * MILLI
+    blocks = blocks_of(points[:, None], BLOCK)
+    return Samples(points[blocks.order], *blocks[1:])
 
 
 @lru_cache(maxsize=16)
 def _triangles_mm(mesh: TriangleMesh) -> NearestTriangles:
-    found = surface_field(mesh).triangles
-    return found._replace(corners=found.corners * MILLI, low=found.low * MILLI, cell=found.cell * MILLI)
+    return surface_field(mesh).in_unit(MILLI)
