@@ -47,9 +47,10 @@ class Places:
 
     def depths(self, press_depth_m: float, some: slice = slice(None)) -> Float32:
         """Return the contact depths (K, PATCH_PX, PATCH_PX), metres, of `some` places, cut at a press depth."""
-        rise_m = (self.patches[some].astype(np.float32) - BELOW) * np.float32(STEP_M)
-        rise_m[self.patches[some] == FAR] = np.inf
-        return np.clip(rise_m, 0.0, np.float32(press_depth_m))
+        rise_m = (np.arange(FAR + 1, dtype=np.float32) - BELOW) * np.float32(STEP_M)
+        rise_m[FAR] = np.inf
+        depths: Float32 = np.clip(rise_m, 0.0, np.float32(press_depth_m))[self.patches[some]]
+        return depths
 
     def poses(self, numbers: NDArray[np.int64], place_m: NDArray[np.float64], yaw_rad: NDArray[np.float64]) -> Poses:
         """Return the poses (K, 4, 4) in which places `numbers` (K,), turned by yaws (K,), are at place_m (K, 3)."""

@@ -116,7 +116,7 @@ def look_up(points, triangles, found, which):
         f = triangle_near(points[i], triangles)
         which[i] = f
         if f >= 0:
-            which[i] = f = downhill(points[i], f, triangles)
+            which[i] = f = downhill(points[i], f, triangles)[0]
             x, y, z = closest_on_triangle(points[i], triangles.corners[f], triangles.sides[f])
             found[i, 0], found[i, 1], found[i, 2] = x, y, z
 
@@ -151,7 +151,8 @@ def triangle_near(x, triangles):
 
 @njit
 def downhill(x, f, triangles):
-    """The triangle nearest to x (3,) that is reached from triangle f over ever nearer ones that share an edge."""
+    """The triangle nearest to x (3,) that is reached from triangle f over ever nearer ones that share an edge, and its
+    squared distance."""
     least = _squared_distance(x, triangles.corners[f], triangles.sides[f])
     while True:
         best = f
@@ -164,7 +165,7 @@ def downhill(x, f, triangles):
                 if d < least:
                     least, best = d, other
         if best == f:
-            return f
+            return f, least
         f = best
 
 

@@ -87,20 +87,18 @@ def seen(i, T, observed, triangles, scale, every, A, b, misfit):
         f = triangle_near(x, triangles)
         if f < 0:
             continue
-        f = downhill(x, f, triangles)
+        f, squared = downhill(x, f, triangles)
         m = triangles.normals[f]
         facing = m[0] * y[0] + m[1] * y[1] + m[2] * y[2]
         if facing <= 0.0:
             continue
-        c = closest_on_triangle(x, triangles.corners[f], triangles.sides[f])
-        e0, e1, e2 = x[0] - c[0], x[1] - c[1], x[2] - c[2]
-        off = e0 * m[0] + e1 * m[1] + e2 * m[2]
-        squared = e0 * e0 + e1 * e1 + e2 * e2
-        beside = max(0.0, squared - off * off)
+        corner = triangles.corners[f]
+        off = m[0] * (x[0] - corner[0]) + m[1] * (x[1] - corner[1]) + m[2] * (x[2] - corner[2])
         d0, d1, d2, r = m[0], m[1], m[2], off
-        if beside > (NEAR_PLANE_MM + 0.5 * abs(off)) ** 2:
+        if squared - off * off > (NEAR_PLANE_MM + 0.5 * abs(off)) ** 2:  # beside the triangle
+            c = closest_on_triangle(x, corner, triangles.sides[f])
             r = math.sqrt(squared)
-            d0, d1, d2 = e0 / r, e1 / r, e2 / r
+            d0, d1, d2 = (x[0] - c[0]) / r, (x[1] - c[1]) / r, (x[2] - c[2]) / r
         r = math.copysign(max(0.0, abs(r) - observed.slack[j]), r)
         weight = every * observed.weights[j] * facing / (1.0 + r * r / (scale * scale)) ** 2
         # back into the sensor's frame; the object moves by u, so that the residual falls by d . u(p)
