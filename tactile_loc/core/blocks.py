@@ -24,10 +24,11 @@ class Blocks(NamedTuple):
 
 
 class TriangleBlocks(NamedTuple):
-    """The triangles of a mesh in blocks of neighbours, metres: `corners` (F, 3, 3), those of block b from starts[b] to
-    starts[b + 1] inside the sphere about centres[b] (B, 3) of radii[b] (B,)."""
+    """The triangles of a mesh in blocks of neighbours, metres: `corners` (F, 3, 3) of its faces `order` (F,), those of
+    block b from starts[b] to starts[b + 1] inside the sphere about centres[b] (B, 3) of radii[b] (B,)."""
 
     corners: NDArray[np.float64]
+    order: NDArray[np.int64]
     starts: NDArray[np.int64]
     centres: NDArray[np.float64]
     radii: NDArray[np.float64]
@@ -58,4 +59,4 @@ def blocks_of(corners: NDArray[np.float64], most: int) -> Blocks:
 def triangle_blocks(mesh: TriangleMesh) -> TriangleBlocks:
     """Return the triangles of a mesh in blocks of TRIANGLES, parted when they are first asked for."""
     blocks = blocks_of(mesh.triangles_m, TRIANGLES)
-    return TriangleBlocks(np.ascontiguousarray(mesh.triangles_m[blocks.order], float), *blocks[1:])
+    return TriangleBlocks(np.ascontiguousarray(mesh.triangles_m[blocks.order], float), *blocks)

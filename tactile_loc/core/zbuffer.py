@@ -38,13 +38,31 @@ def nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorG
     depth = np.empty((len(T), *geometry.shape), np.float32)
     ends = NEAREST * geometry.standoff_m, geometry.standoff_m + geometry.max_depth_m
     camera = geometry.is_pinhole, geometry.fx, geometry.fy, geometry.cx, geometry.cy, *ends
-    in_threads(_draw, len(T), triangle_blocks(mesh), T, camera, *geometry.pixel_slopes, depth)
+    which = np.empty((len(T), 0, 0), np.int32)
+    in_threads(_draw, len(T), triangle_blocks(mesh), T, camera, *geometry.pixel_slopes, depth, which)
     return depth
 
 
+def nearest_faces(
+    mesh: TriangleMesh, T_camera_object: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Return what parallel rays along z, through evenly spaced x (W,) and y (H,), meet first of one pose (4, 4).
+
+    Depths (H, W), inf where nothing is met, and the mesh's faces (H, W), -1 there; in the unit of the mesh.
+    """
+    triangles, T = triangle_blocks(mesh), np.ascontiguousarray(T_camera_object, float)[None]
+    depth = np.empty((1, len(y), len(x)), np.float32)
+    which = np.full(depth.shape, -1, np.int32)
+    fx, fy = 1 / (x[1] - x[0]), 1 / (y[1] - y[0])
+    camera = False, fx, fy, 0.5 - fx * x[0], 0.5 - fy * y[0], 0.0, np.inf
+    _draw(0, 1, triangles, T, camera, x, y, depth, which)
+    order = np.append(triangles.order, -1)
+    return depth[0], order[which[0]]
+
+
 @njit
-def _draw(first, last, triangles, T, camera, slopes_x, slopes_y, depth):
-    """Fill depths (N, H, W) of the poses (N, 4, 4) from first to last."""
+def _draw(first, last, triangles, T, camera, slopes_x, slopes_y, depth, which):
+    """Fill depths (N, H, W) of the poses (N, 4, 4) from first to last, and `which` triangles they are of, if asked."""
     placed, centre = np.empty((3, 3)), np.empty(3)
     pinhole, far = camera[0], camera[6]
     # the planes of the outermost rays, each by its slope
@@ -71,7 +89,7 @@ def _draw(first, last, triangles, T, camera, slopes_x, slopes_y, depth):
                 for a in range(3):
                     _place(T[i], triangles.corners[f, a], placed[a])
                 if min(placed[0, 2], placed[1, 2], placed[2, 2]) < far:
-                    _draw_triangle(placed[0], placed[1], placed[2], camera, slopes_x, slopes_y, picture)
+                    _draw_triangle(f, placed, camera, slopes_x, slopes_y, picture, which[i])
 
 
 @njit
@@ -88,8 +106,9 @@ def _beyond(outside, slope, pinhole, r):
 
 
 @njit
-def _draw_triangle(p, q, s, camera, slopes_x, slopes_y, picture):
-    """Draw one triangle; its corners (3,) are in the camera's frame."""
+def _draw_triangle(f, corners, camera, slopes_x, slopes_y, picture, which):
+    """Draw triangle f; its corners (3, 3) are in the camera's frame."""
+    p, q, s = corners[0], corners[1], corners[2]
     u0, u1, v0, v1 = _box(p, q, s, camera, picture.shape[1], picture.shape[0])
     if u0 > u1 or v0 > v1:
         return
@@ -123,6 +142,8 @@ def _draw_triangle(p, q, s, camera, slopes_x, slopes_y, picture):
             z = 1.0 / total if pinhole else (wp * p[2] + wq * q[2] + ws * s[2]) / total
             if 0.0 < z < far and z < picture[v, u]:
                 picture[v, u] = z
+                if which.size:
+                    which[v, u] = f
 
 
 @njit

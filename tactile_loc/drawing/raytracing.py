@@ -1,17 +1,22 @@
-"""A shaded picture of posed meshes as an orthographic camera sees them, drawn by ray casting (open3d)."""
+"""A shaded picture of posed meshes as an orthographic camera sees them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry import make_transform
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.zbuffer import nearest_faces
+
 Array = NDArray[np.float64]
+Bounds = tuple[float, float, float, float]
 
 LIGHT = np.array([0.35, -0.45, 0.82])  # sensor frame, unitless: from the upper right in front
 CREASE_DEG = 28.0
+LIT_PX = 1500  # pixels along the longer side of the picture from the light
 
 
 @dataclass(frozen=True)
@@ -65,41 +70,58 @@ class Tracer:
     """Surfaces, each triangles (F, 3, 3) of any one unit, seen from a view."""
 
     def __init__(self, surfaces: list[Array], view: View) -> None:
-        import open3d as o3d
-
         self.view = view
-        self._scene = o3d.t.geometry.RaycastingScene()
-        core: Any = o3d.core
-        self._tensor = core.Tensor
-        for triangles in surfaces:
-            corners = np.ascontiguousarray(triangles.reshape(-1, 3), np.float32)
-            faces = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
-            self._scene.add_triangles(self._tensor(corners), self._tensor(faces))
-        self._distance = 4.0 * max(float(np.abs(t).max()) for t in surfaces) + 1.0
+        corners = np.concatenate([triangles.reshape(-1, 3) for triangles in surfaces])
+        self._mesh = TriangleMesh(corners, np.arange(len(corners)).reshape(-1, 3))
+        self._of_face = np.append(np.repeat(np.arange(len(surfaces)), [len(triangles) for triangles in surfaces]), -1)
+        a, b, c = np.moveaxis(corners.reshape(-1, 3, 3), 1, 0)
+        normals = np.cross(b - a, c - a)
+        self._normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        self._distance = 4.0 * float(np.abs(corners).max()) + 1.0
 
-    def look(self, bounds: tuple[float, float, float, float], shape: tuple[int, int]) -> Buffers:
+    def look(self, bounds: Bounds, shape: tuple[int, int]) -> Buffers:
         """Cast a ray through each of `shape` (H, W) pixels over bounds (left, right, bottom, top) of the picture."""
+        axes = self.view.axes
+        depth, face, u, v = self._seen_along(axes, bounds, shape)
+        surface = self._of_face[face]
+        normal = np.where(surface[..., None] >= 0, self._normals[face], 0.0)
+        normal *= np.where((normal @ axes[2]) < 0, -1.0, 1.0)[..., None]  # towards the viewer, however it is wound
+        origin = u[None, :, None] * axes[0] + v[:, None, None] * axes[1] + self._distance * axes[2]
+        point = origin - np.where(surface >= 0, depth, 0.0)[..., None] * axes[2]
+        return Buffers(surface, depth, normal, point)
+
+    def shadow(self, buffers: Buffers, lift: float) -> NDArray[np.bool_]:
+        """Mark (H, W) the points that another surface hides from the light, as a picture from there shows; `lift`, and
+        a pixel of that picture, keep them off their own surface."""
+        towards = LIGHT / np.linalg.norm(LIGHT)
+        right = np.cross([0.0, 1.0, 0.0], towards)
+        right /= np.linalg.norm(right)
+        axes = np.stack([right, np.cross(towards, right), towards])
+        flat = self._mesh.vertices_m @ axes[:2].T
+        low, high = flat.min(axis=0), flat.max(axis=0)
+        pixel = float((high - low).max()) / LIT_PX
+        rows, columns = (int(np.ceil(size / pixel)) + 1 for size in (high - low)[::-1])
+        bounds = low[0], low[0] + columns * pixel, low[1], low[1] + rows * pixel
+        depth, *_ = self._seen_along(axes, bounds, (rows, columns))
+        start = buffers.point[buffers.hit] + (lift + 1.5 * pixel) * buffers.normal[buffers.hit]
+        at = start @ axes.T
+        column = ((at[:, 0] - low[0]) / pixel).astype(int).clip(0, columns - 1)
+        row = (rows - 1 - ((at[:, 1] - low[1]) / pixel).astype(int)).clip(0, rows - 1)
+        hidden = np.zeros(buffers.surface.shape, bool)
+        hidden[buffers.hit] = depth[row, column] < self._distance - at[:, 2]
+        return hidden
+
+    def _seen_along(
+        self, axes: Array, bounds: Bounds, shape: tuple[int, int]
+    ) -> tuple[Array, NDArray[np.int64], Array, Array]:
+        """Depths and faces (H, W) along -axes[2], and where pixels are: u (W,) right and v (H,) up in the picture."""
         left, right, bottom, top = bounds
         height, width = shape
         u = left + (np.arange(width) + 0.5) / width * (right - left)
         v = top - (np.arange(height) + 0.5) / height * (top - bottom)
-        axes = self.view.axes
-        origin = u[None, :, None] * axes[0] + v[:, None, None] * axes[1] + self._distance * axes[2]
-        rays = np.concatenate([origin, np.broadcast_to(-axes[2], origin.shape)], -1).astype(np.float32)
-        answer = self._scene.cast_rays(self._tensor(rays))
-        depth = answer["t_hit"].numpy().astype(float)
-        hit = np.isfinite(depth)
-        normal = answer["primitive_normals"].numpy().astype(float)
-        normal *= np.where((normal @ axes[2]) < 0, -1.0, 1.0)[..., None]  # towards the viewer, however it is wound
-        surface = np.where(hit, answer["geometry_ids"].numpy().astype(np.int64), -1)
-        return Buffers(surface, depth, normal, origin - np.where(hit, depth, 0.0)[..., None] * axes[2])
-
-    def shadow(self, buffers: Buffers, lift: float) -> NDArray[np.bool_]:
-        """Mark (H, W) the points that another surface hides from the light; `lift` keeps them off their own surface."""
-        start = buffers.point + lift * buffers.normal
-        light = np.broadcast_to(LIGHT / np.linalg.norm(LIGHT), start.shape)
-        rays = np.concatenate([start, light], -1).astype(np.float32)
-        return self._scene.test_occlusions(self._tensor(rays)).numpy() & buffers.hit
+        looking = make_transform(axes * [[1.0], [-1.0], [-1.0]], [0.0, 0.0, self._distance])
+        depth, face = nearest_faces(self._mesh, looking, u, -v)
+        return depth.astype(float), face, u, v
 
 
 def shade(buffers: Buffers, colours: Array, shadow: NDArray[np.bool_]) -> Array:
