@@ -214,10 +214,13 @@ def _warn_of_namesake(name: str) -> None:
 def open_localizer(config: RunConfig, store: Path | None, obj: ObjectModel | None = None) -> Localizer:
     """Make a localizer of the object, which is loaded if it is not given. Raises TactileLocError for bad input."""
     from tactile_loc.locate.localizer import Localizer
+    from tactile_loc.locate.model import stored_object
     from tactile_loc.store.store import StageStore
     from tactile_loc_cli.console import progress
 
-    return Localizer(config, obj or load_object(config), StageStore(store), progress())
+    kept, chosen = StageStore(store), config.object
+    obj = obj or stored_object(chosen.path, chosen.units, chosen.symmetry, kept)
+    return Localizer(config, obj, kept, progress())
 
 
 def load_object(config: RunConfig) -> ObjectModel:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import logging
 import warnings
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ObjectError, did_you_mean
 from tactile_loc.core.objects import ObjectModel, TriangleMesh, check_surface
@@ -22,35 +24,16 @@ METRES_PER_UNIT: dict[str, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-
 _detected: dict[str, SymmetryGroup] = {}  # by the surface's digest: a sweep opens the same file again and again
 
 
-def load_object(
-    path: str | Path, units: Units = "auto", symmetry: str = "auto", name: str | None = None
-) -> ObjectModel:
-    """Read any mesh format that trimesh reads, or a demo object by its name, and return the object in metres.
+class Surface(NamedTuple):
+    """What a mesh file holds, in the file's unit: `vertices` (V, 3) and triangles `faces` (F, 3); do they close?"""
 
-    `units` is the file's unit; "auto" guesses it from the size and notes what it guessed. `symmetry` is declared
-    ("none", "z2", "z6*x2", "zinf", ...) and checked against the surface, or "auto" to detect it. What was guessed or
-    looks doubtful is in the result's `notes` and logged as a warning. Raises ObjectError or SymmetryError.
-    """
-    demo = DEMO_OBJECTS.get(str(path))
-    if demo is not None and not Path(path).is_file():
-        path, units = demo.path, "m"
-        symmetry = demo.symmetry if symmetry == "auto" else symmetry
-    path = Path(path)
-    name = name or path.stem
-    raw = _read(path)
-    scale, notes = _unit_scale(raw, units, path.name)
-    mesh = TriangleMesh(np.asarray(raw.vertices, float) * scale, np.asarray(raw.faces, np.int64))
-    check_surface(mesh, path.name)
-    if not raw.is_watertight:
-        notes.append(f"{path.name} is not watertight; touches are rendered from the faces it has")
-    group = _symmetry(symmetry, mesh, notes)
-    for note in notes:
-        log.warning(note)
-    return ObjectModel(name, mesh, group, tuple(notes), str(path))
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    is_watertight: bool
 
 
-def _read(path: Path) -> Any:
-    """Load and merge the triangles of a file, in the file's own unit."""
+def read_surface(path: Path) -> Surface:
+    """Read and merge the triangles of a mesh file. Raises ObjectError when there is none, or nothing in it."""
     if not path.is_file():
         near = did_you_mean(str(path), DEMO_OBJECTS)
         raise ObjectError(
@@ -73,10 +56,39 @@ def _read(path: Path) -> Any:
     raw.remove_unreferenced_vertices()  # strays would enlarge the box that bounds where the object can touch
     if len(raw.faces) == 0:
         raise ObjectError(f"{path} has zero extent: all its faces are points or lines; export the mesh again")
-    return raw
+    return Surface(np.asarray(raw.vertices, float), np.asarray(raw.faces, np.int64), bool(raw.is_watertight))
 
 
-def _unit_scale(raw: Any, units: str, name: str) -> tuple[float, list[str]]:
+def load_object(
+    path: str | Path, units: Units = "auto", symmetry: str = "auto", name: str | None = None,
+    read: Callable[[Path], Surface] = read_surface,
+) -> ObjectModel:  # fmt: skip
+    """Read any mesh format that trimesh reads, or a demo object by its name, and return the object in metres.
+
+    `units` is the file's unit; "auto" guesses it from the size and notes what it guessed. `symmetry` is declared
+    ("none", "z2", "z6*x2", "zinf", ...) and checked against the surface, or "auto" to detect it. What was guessed or
+    looks doubtful is in the result's `notes` and logged as a warning. `read` is what reads the file. Raises ObjectError
+    or SymmetryError.
+    """
+    demo = DEMO_OBJECTS.get(str(path))
+    if demo is not None and not Path(path).is_file():
+        path, units = demo.path, "m"
+        symmetry = demo.symmetry if symmetry == "auto" else symmetry
+    path = Path(path)
+    name = name or path.stem
+    surface = read(path)
+    scale, notes = _unit_scale(surface, units, path.name)
+    mesh = TriangleMesh(surface.vertices * scale, surface.faces)
+    check_surface(mesh, path.name)
+    if not surface.is_watertight:
+        notes.append(f"{path.name} is not watertight; touches are rendered from the faces it has")
+    group = _symmetry(symmetry, mesh, notes)
+    for note in notes:
+        log.warning(note)
+    return ObjectModel(name, mesh, group, tuple(notes), str(path))
+
+
+def _unit_scale(surface: Surface, units: str, name: str) -> tuple[float, list[str]]:
     """Return metres per file unit, and what was guessed.
 
     Parts that a hand-sized sensor touches are 4 mm to 1 m long: a number below 1 is read as metres, others as mm.
@@ -85,7 +97,7 @@ def _unit_scale(raw: Any, units: str, name: str) -> tuple[float, list[str]]:
         raise ObjectError(f"unknown unit {units!r} for {name}; give one of {', '.join(get_args(Units))}")
     if units != "auto":
         return METRES_PER_UNIT[units], []
-    size = float(np.ptp(raw.vertices, axis=0).max())
+    size = float(np.ptp(surface.vertices, axis=0).max())
     guess = "m" if size < 1.0 else "mm"
     scale = METRES_PER_UNIT[guess]
     return scale, [

@@ -23,12 +23,19 @@ from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import Touch
 from tactile_loc.core.simulation import simulate_touches
 from tactile_loc.io.config import RunConfig, SlotConfig
-from tactile_loc.io.meshes import Units, load_object
+from tactile_loc.io.meshes import Units
 from tactile_loc.io.touches import read_touch
 from tactile_loc.locate import coverage as conformal
 from tactile_loc.locate import probabilities
 from tactile_loc.locate.coverage import ConformalSets
-from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel, build_bank, build_model, train_encoder
+from tactile_loc.locate.model import (
+    STAGE_VERSIONS,
+    ObjectPoseModel,
+    build_bank,
+    build_model,
+    stored_object,
+    train_encoder,
+)
 from tactile_loc.locate.probabilities import (
     FusedExample,
     FusedScaling,
@@ -80,7 +87,8 @@ class TouchPosteriors:
         """
         chosen = {"path": str(object), "units": units, "symmetry": symmetry}
         config = RunConfig.from_dict({"object": chosen, **settings}, "Localizer.create")
-        return cls(config, load_object(object, units, symmetry), store, progress)
+        store = store or StageStore()
+        return cls(config, stored_object(object, units, symmetry, store), store, progress)
 
     def _component(self, slot: str) -> Any:
         chosen = getattr(self.config, slot)
