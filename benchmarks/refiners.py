@@ -55,10 +55,11 @@ OURS: dict[str, tuple[str, dict[str, Any]]] = {
     "filterreg, 1 iteration": ("filterreg", {"iterations": 1}),
     "filterreg, 10 iterations": ("filterreg", {"iterations": 10}),
     "filterreg": ("filterreg", {}),
+    "joint": ("joint", {}),
     "kiss-icp": ("kiss-icp", {}),
     "render": ("render", {}),
 }
-CHOOSING = ("icp", "filterreg", "render")  # refine the ten most probable poses, too
+CHOOSING = ("icp", "filterreg", "joint", "render")  # refine the ten most probable poses, too
 REFERENCE = "icp"
 LINES = ("reg-1", "chosen of 10", "nearest of 10")
 TEN = 10

@@ -142,8 +142,8 @@ def _uphill(grid: PoseGrid, ordered: NDArray[np.int64], radius_m: float) -> NDAr
     tree = cKDTree(same[0])
     parent = np.arange(len(ordered))
     for equivalents in same:
-        for place, near in enumerate(tree.query_ball_point(equivalents, radius_m)):
-            parent[place] = min([parent[place], *near])
+        pairs = cKDTree(equivalents).sparse_distance_matrix(tree, radius_m, output_type="ndarray")
+        np.minimum.at(parent, pairs["i"], pairs["j"])
     while (parent != parent[parent]).any():
         parent = parent[parent]
     return parent
