@@ -11,11 +11,11 @@ PYTEST_FLAGS ?= -q -n 2 --dist loadfile --no-loadscope-reorder
 # ROS and others put their own packages, pytest plugins among them, in front of ours.
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help setup demo test lint smoke docs bench clean
+.PHONY: help setup demo test lint smoke docs bench bench-compare clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-13s %s\n", $$1, $$2 }' Makefile
 
 setup: $(STAMP) ## make .venv with everything pinned; does nothing when it is up to date
 	@echo "setup: $(VENV) is ready"
@@ -45,11 +45,11 @@ docs: $(STAMP) ## build the documentation site in out/site; any broken link is a
 	@echo "docs: out/site/index.html"
 	@NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict --quiet
 
-bench: $(STAMP) ## run the benchmarks
-	@for script in benchmarks/*.py; do \
-		[ -e "$$script" ] || { echo "bench: there are no benchmarks"; break; }; \
-		echo "bench: $$script"; $(VENV)/bin/python "$$script" || exit 1; \
-	done
+bench: $(STAMP) ## run all benchmarks, hours, and keep what they print
+	@$(VENV)/bin/python scripts/bench.py keep --all
+
+bench-compare: $(STAMP) ## tell what benchmarks print otherwise than in the version before
+	@$(VENV)/bin/python scripts/bench.py compare
 
 clean: ## remove .venv, out, build and the tools' caches
 	@echo "clean: removing .venv, out, build, dist and caches"

@@ -1,0 +1,105 @@
+"""Results of benchmarks: what is printed is kept, and what changed is told; times are multiples of a yardstick."""
+
+import dataclasses
+import re
+
+import bench
+import pytest
+
+PRINTED = """symmetry found
+| object | faces | median, ms | error, mm |
+|---|---|---|---|
+| pin | 1768 | 50 | 0.10 |
+| | 1768 | 60, 70 | 12 of 15 |
+| hook | 6576 | 80 | left out |
+
+| contact | share |
+|---|---|
+| 0 to 1 % | 59% |
+"""
+
+
+def kept(version, yardstick_ms=10.0, text=PRINTED):
+    return bench.Kept("joint", ["pin"], version, "2026-01-01", 3.0, yardstick_ms, {"processor": "x", "cores": 2}, {},
+                      bench.tables(text))  # fmt: skip
+
+
+def test_tables_are_found_in_what_is_printed():
+    first, second = bench.tables(PRINTED)
+    assert first.columns == ["object", "faces", "median, ms", "error, mm"]
+    assert first.rows[1] == ["pin", "1768", "60, 70", "12 of 15"]
+    assert second.rows == [["0 to 1 %", "59%"]]
+
+
+def test_what_is_kept_is_read_again(tmp_path):
+    path = kept("0.1.0").write(tmp_path)
+    assert path == tmp_path / "0.1.0" / "joint.json"
+    assert bench.Kept.read(path) == kept("0.1.0")
+
+
+def test_every_figure_is_compared_with_its_own():
+    changes = {
+        change.where: change for change in bench.compared(kept("1"), kept("2", text=PRINTED.replace("0.10", "0.30")))
+    }
+    assert changes["joint: pin, error, mm"].ratio == pytest.approx(3)
+    assert [round(c.ratio, 6) for c in bench.compared(kept("1"), kept("2"))] == [1.0] * 13
+
+
+@pytest.mark.parametrize(
+    ("yardstick_ms", "printed_ms", "fails"), [(10, "56", 1), (10, "54", 0), (20, "100", 0), (5, "50", 1)]
+)
+def test_a_time_that_grew_by_a_tenth_of_the_yardsticks_fails(tmp_path, capsys, yardstick_ms, printed_ms, fails):
+    kept("0.9.0").write(tmp_path)
+    kept("0.10.0", yardstick_ms, PRINTED.replace("| 50 |", f"| {printed_ms} |")).write(tmp_path)
+    others = [c for c in bench.compared(kept("1"), kept("2", yardstick_ms)) if c.is_worse]
+    assert bench.compare(tmp_path) == (1 if fails or others else 0)
+    said = capsys.readouterr().out
+    assert ("WORSE  joint: pin, median, ms:" in said) == bool(fails)
+    assert "0.9.0 -> 0.10.0" in said
+
+
+def test_an_error_that_grew_is_told_and_does_not_fail(tmp_path, capsys):
+    kept("0.1.0").write(tmp_path)
+    kept("0.2.0", text=PRINTED.replace("0.10", "0.20")).write(tmp_path)
+    assert bench.compare(tmp_path) == 0
+    assert "joint: pin, error, mm: 0.1 -> 0.2 (2.00 times)" in capsys.readouterr().out
+
+
+def test_one_version_has_nothing_to_compare_with(tmp_path, capsys):
+    kept("0.1.0").write(tmp_path)
+    assert bench.compare(tmp_path) == 0
+    assert "only 0.1.0" in capsys.readouterr().out
+    assert not bench.draw(tmp_path / "figure.png", tmp_path)
+
+
+def test_times_are_drawn_by_version(tmp_path):
+    for version, unit in (("0.1.0", 10.0), ("0.2.0", 20.0)):
+        kept(version, unit).write(tmp_path)
+    assert bench.draw(tmp_path / "figure.png", tmp_path)
+    assert (tmp_path / "figure.png").stat().st_size > 5000
+
+
+def test_a_benchmark_is_run_and_kept(tmp_path, monkeypatch, capsys):
+    script = tmp_path / "tiny.py"
+    script.write_text(f"import sys\nprint({PRINTED!r})\nsys.exit(len(sys.argv) > 2)\n")
+    monkeypatch.setattr(bench, "BENCHMARKS", tmp_path)
+    result = bench.keep("tiny", [str(script)], tmp_path / "results")
+    assert result.tables == bench.tables(PRINTED)
+    assert result.arguments == ["tiny.py"]  # no path of this machine
+    assert result.yardstick_ms > 0
+    assert bench.Kept.read(next((tmp_path / "results").glob("*/tiny.json"))) == result
+    with pytest.raises(SystemExit, match="nothing is kept"):
+        bench.keep("tiny", ["a", "b"], tmp_path / "others")
+    assert not (tmp_path / "others").exists()
+    with pytest.raises(SystemExit, match="there are tiny"):
+        bench.keep("other", [])
+
+
+def test_the_page_is_that_of_what_is_kept():
+    assert bench.PAGE.read_text() == bench.page()
+
+
+def test_no_path_is_kept():
+    for path in bench.RESULTS.glob("*/*.json"):
+        found = dataclasses.asdict(bench.Kept.read(path))
+        assert not re.search(r"(/\w+){2}", str(found["arguments"]) + str(found["machine"]))
