@@ -132,7 +132,7 @@ def posterior_together(
     """Return the posterior over the first localizer's grid given touches of one object, as for `localize_together`."""
     _require_one_object(observations)
     times = times or StageTimes()
-    return _fused(observations, _each(observations, times), _beside(observations, prior), times)
+    return _fused(observations, _each(observations, times, prior), _beside(observations, prior), times)
 
 
 def localize_together(
@@ -154,9 +154,10 @@ def localize_together(
     first, left = observations[0], list(range(len(observations)))
     while True:
         some = [observations[k] for k in left]
-        posteriors = _each(some, times)
+        known = _prior_of(prior, first[1], some[0][1])
+        posteriors = _each(some, times, known)
         try:
-            found = _located(some, posteriors, _prior_of(prior, first[1], some[0][1]), top, times, coverage)
+            found = _located(some, posteriors, known, top, times, coverage)
             outliers = found.agreement.outliers
         except GridError as error:
             outliers = _excluding(some, posteriors)
@@ -237,11 +238,15 @@ def _located(
     return Localization(touch, posterior, listed, times.seconds, touches[1:], poses, agreement)
 
 
-def _each(observations: Sequence[Observation], times: StageTimes) -> list[PosePosterior]:
-    """What each touch says for itself: of its localizer's grid, or of the poses that a search of all together found."""
+def _each(observations: Sequence[Observation], times: StageTimes, prior: Prior | None = None) -> list[PosePosterior]:
+    """What each touch says for itself: of its localizer's grid, or of the poses that a search of all together found.
+
+    A prior over poses in the first sensor's frame only says where to search the more.
+    """
     searches = [localizer.search for localizer, _ in observations if localizer.search is not None]
     if len(observations) == 1 or not searches:
-        return [localizer.posteriors([touch], times)[0] for localizer, touch in observations]
+        given = prior if len(observations) == 1 else None
+        return [localizer.posteriors([touch], times, given)[0] for localizer, touch in observations]
     if len(searches) < len(observations):
         raise ConfigError("some touches are searched for in the whole object and others in a grid of listed poses; "
                           "give all their localizers the grid whole, or none")  # fmt: skip
@@ -250,7 +255,7 @@ def _each(observations: Sequence[Observation], times: StageTimes) -> list[PosePo
         localizer.require_own(touch)
     first = observations[0][1]
     views = [_view(first, localizer, touch) for localizer, touch in observations]
-    found = found_together(views, searches, times)
+    found = found_together(views, searches, times, prior)
     elsewhere = observations[0][0].fused_scaling.elsewhere(found.best)
     return found.posteriors(views, [localizer.temperature_scaling for localizer, _ in observations], elsewhere)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from tactile_loc.core.errors import GridError, TouchError
 from tactile_loc.core.geometry import invert
-from tactile_loc.core.interfaces import Matcher, Scene, View
+from tactile_loc.core.interfaces import Matcher, Prior, Scene, View
 from tactile_loc.core.noise import noise_level
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseGrid
@@ -298,24 +298,30 @@ class TouchPosteriors:
             self.require_own(touch)
         return self.grid_scores.scores(touches, times or StageTimes())
 
-    def posteriors(self, touches: Sequence[Touch], times: StageTimes | None = None) -> list[PosePosterior]:
+    def posteriors(
+        self, touches: Sequence[Touch], times: StageTimes | None = None, prior: Prior | None = None
+    ) -> list[PosePosterior]:
         """Return what each touch alone says of the grid's poses, before anything is fused with it.
 
-        Raises TouchError when another sensor took one of the touches.
+        A `prior` only says where a whole object is searched the more. Raises TouchError when another sensor took one
+        of the touches.
         """
         scaling = self.temperature_scaling
-        return [scaling.posterior(grid, scores) for grid, scores in self.scored(touches, times)]
+        return [scaling.posterior(grid, scores) for grid, scores in self.scored(touches, times, prior)]
 
-    def scored(self, touches: Sequence[Touch], times: StageTimes | None = None) -> list[tuple[PoseGrid, Scores]]:
+    def scored(
+        self, touches: Sequence[Touch], times: StageTimes | None = None, prior: Prior | None = None
+    ) -> list[tuple[PoseGrid, Scores]]:
         """Return the poses that are compared with each touch, metres, and how alike they are (N,), unitless.
 
-        They are those of the grid, or of a whole object the likeliest ones. Raises TouchError as `scores` does.
+        They are those of the grid, or of a whole object the likeliest ones: see `PlaceSearch.found`. Raises TouchError
+        as `scores` does.
         """
         if self.search is None:
             return list(zip(map(self.grid_of, touches), self.scores(touches, times), strict=True))
         for touch in touches:
             self.require_own(touch)
-        return [self.search.found(touch, times or StageTimes()) for touch in touches]
+        return [self.search.found(touch, times or StageTimes(), prior) for touch in touches]
 
     def true_index(self, grid: PoseGrid, touch: Touch) -> int:
         """Return the index of the pose nearest to a touch's true one; -1 if a search did not find any near it."""

@@ -14,12 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.clouds import contact_cloud
+from tactile_loc.core.common_poses import prior_weights
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry import invert
-from tactile_loc.core.interfaces import Encoder, GridSampler, Matcher, Scene, View
+from tactile_loc.core.interfaces import Encoder, GridSampler, Matcher, Prior, Scene, View
 from tactile_loc.core.places import CAMERA, HIGHEST_M, Places
 from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
 from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.priors import SeenFrom
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.sensing import Touch
 from tactile_loc.locate.hypotheses import apart, explained
@@ -32,6 +34,7 @@ from tactile_loc.store.workspace import Workspace
 STAGE, STAGE_VERSION = "places", 1
 SEARCH_VERSION = 3
 ALIKE = 1000  # turned places that are most alike
+POOL = 30_000  # turned places among which those are that a prior finds likeliest
 SETTLED = 300  # poses that are registered to a touch
 DRAWN_PX = 40  # pixels a side of what is drawn of them
 ENCODED = 4096  # places at once
@@ -75,13 +78,17 @@ class PlaceSearch:
         self.yaws_rad = 2 * np.pi * np.arange(options.turns) / options.turns
         self._banks = GridScores(encoder, new_matcher, self._bank, HIGHEST_M)
 
-    def found(self, touch: Touch, times: StageTimes) -> tuple[PoseGrid, Scores]:
-        """Return the likeliest poses of a touch, and their imprint IoUs (K,), drawn coarsely; adds to `times`."""
+    def found(self, touch: Touch, times: StageTimes, prior: Prior | None = None) -> tuple[PoseGrid, Scores]:
+        """Return the likeliest poses of a touch, and their imprint IoUs (K,), drawn coarsely; adds to `times`.
+
+        With a `prior` half of the poses that are registered are those that it finds likeliest of many.
+        """
         view = View(touch, self.scene.of_touch(touch))
         with times.stage("match"):
-            poses, scores = self.alike(touch)
+            groups = self.proposed(touch, ALIKE, prior)
         with times.stage("settle"):
-            poses = poses[apart(poses, scores, self.metric, self.radius_m, SETTLED)]
+            most = SETTLED // len(groups)
+            poses = np.concatenate([p[apart(p, scores, self.metric, self.radius_m, most)] for p, scores in groups])
             poses = self.settler.settled([view], poses)
             ious = explained([view], poses, DRAWN_PX)[:, 0]
             kept = apart(poses, ious, self.metric, NEAREST_MM * 1e-3, SETTLED)
@@ -93,6 +100,22 @@ class PlaceSearch:
             "places": self.key.digest, "search": SEARCH_VERSION, "settler": self.settler.describe(),
             "renderer": self.scene.renderer.describe(), "drawing": self.scene.drawing,
         }  # fmt: skip
+
+    def proposed(self, touch: Touch, count: int, prior: Prior | None = None) -> list[tuple[Poses, NDArray[np.float64]]]:
+        """Return the `count` most alike turned places, and as many that a prior finds likeliest of the POOL most alike.
+
+        Each group are poses (K, 4, 4), metres, and by what they are ordered (K,).
+        """
+        if prior is None:
+            return [self.alike(touch, count)]
+        poses, scores = self.alike(touch, POOL)
+        order = np.argsort(-scores, kind="stable")
+        poses, scores = poses[order], scores[order]
+        weights = prior_weights(prior, PoseGrid(poses, self.metric))
+        likeliest = np.argsort(-weights, kind="stable")[:count]
+        likeliest = likeliest[weights[likeliest] > -np.inf]
+        alike = poses[:count], scores[:count]
+        return [alike, (poses[likeliest], -np.arange(len(likeliest), dtype=float))] if len(likeliest) else [alike]
 
     def alike(self, touch: Touch, count: int = ALIKE) -> tuple[Poses, NDArray[np.float64]]:
         """Return the poses (K, 4, 4), metres, of the `count` most alike turned places, and how alike they are (K,)."""
@@ -143,8 +166,10 @@ class FoundTogether:
         ]
 
 
-def found_together(views: Sequence[View], searches: Sequence[PlaceSearch], times: StageTimes) -> FoundTogether:
-    """Return the likeliest poses of several touches; adds to `times`.
+def found_together(
+    views: Sequence[View], searches: Sequence[PlaceSearch], times: StageTimes, prior: Prior | None = None
+) -> FoundTogether:
+    """Return the likeliest poses of several touches; adds to `times`. A `prior` is over poses of the first one's frame.
 
     Every touch proposes the turned places that are most like it. Those are kept whose surface is nearest to what all
     touches show, none near to a better one; they are registered to all touches, drawn, and compared with each touch.
@@ -152,8 +177,11 @@ def found_together(views: Sequence[View], searches: Sequence[PlaceSearch], times
     """
     metric, radius_m = searches[0].metric, searches[0].radius_m
     with times.stage("match"):
-        found = [search.alike(v.touch, PROPOSED)[0] for v, search in zip(views, searches, strict=True)]
-        poses = np.concatenate([invert(v.T_sensor_first) @ some for v, some in zip(views, found, strict=True)])
+        poses = np.concatenate([
+            invert(view.T_sensor_first) @ some
+            for view, search in zip(views, searches, strict=True)
+            for some, _ in search.proposed(view.touch, PROPOSED, _seen_by(view, prior))
+        ])  # fmt: skip
         poses = poses[apart(poses, -_gaps(views, poses), metric, radius_m, WIDELY)]
     with times.stage("settle"):
         settled, ious = _settled(views, searches[0], poses[:JOINTLY])
@@ -162,6 +190,10 @@ def found_together(views: Sequence[View], searches: Sequence[PlaceSearch], times
             settled, ious = np.concatenate([settled, more]), np.concatenate([ious, more_ious])
         kept = apart(settled, ious.mean(axis=1), metric, NEAREST_MM * 1e-3, WIDELY)
     return FoundTogether(settled[kept], ious[kept], metric)
+
+
+def _seen_by(view: View, prior: Prior | None) -> Prior | None:
+    return None if prior is None else SeenFrom(prior, invert(view.T_sensor_first))
 
 
 def _settled(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple[Poses, NDArray[np.float64]]:

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.geometry import invert, make_transform, rotation_about, translation
 from tactile_loc.core.interfaces import View
+from tactile_loc.core.noise import noise_level
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.priors import GaussianPrior, SeenFrom
 from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import Touch
@@ -175,3 +178,53 @@ def test_a_matcher_that_cannot_weigh_says_so(store):
     localizer = Localizer.create("pin", store=store, **WHOLE, matcher="faiss", temperature=0.02)
     with pytest.raises(ConfigError, match="dense"):
         localizer.localize(localizer.simulate(1)[0])
+
+
+@pytest.fixture(scope="module")
+def noisy(localizer) -> list[Touch]:
+    raycast = registry().create("renderer", "raycast", {})
+    source = RobotTouches(localizer.object, localizer.scene.geometry, raycast, noise=noise_level("mild"))
+    return [source.example(1, np.random.default_rng([31, k]))[0][0] for k in range(16)]
+
+
+def near(touch: Touch, rng: np.random.Generator) -> GaussianPrior:
+    """What is known of a pose to some 2 mm and 4 degrees."""
+    truth = np.asarray(touch.T_sensor_object)
+    turn = make_transform(rotation_about(rng.normal(size=3), np.radians(4)), np.zeros(3))
+    middle = translation(truth[:3, 3])
+    return GaussianPrior(translation(2e-3 * rng.normal(size=3)) @ middle @ turn @ invert(middle) @ truth, 3e-3, 0.1)
+
+
+def test_a_prior_guides_the_search(localizer, search, noisy):
+    rng, found = np.random.default_rng(4), {"alone": [], "guided": []}
+    for touch in noisy:
+        for name, prior in (("alone", None), ("guided", near(touch, rng))):
+            poses = search.found(touch, StageTimes(), prior)[0].T_sensor_object
+            found[name].append(off_mm(localizer, poses, touch).min() < 1.0)
+    assert np.mean(found["guided"]) > np.mean(found["alone"])
+
+
+def test_a_prior_of_several_touches_is_over_poses_in_the_first_ones_frame(localizer, search, examples):
+    touches = examples[2]
+    T_base = [np.asarray(touch.T_base_sensor) for touch in touches]
+    views = [
+        View(touch, localizer.scene.of_touch(touch), invert(T) @ T_base[0])
+        for touch, T in zip(touches, T_base, strict=True)
+    ]
+    prior = near(touches[0], np.random.default_rng(5))
+    for view in views:
+        _, (poses, _) = search.proposed(view.touch, 200, SeenFrom(prior, invert(view.T_sensor_first)))
+        likely = prior(invert(view.T_sensor_first) @ poses)
+        assert (np.diff(likely) <= 1e-9).all()  # the likeliest first
+        others = prior(invert(view.T_sensor_first) @ search.proposed(view.touch, 200)[0][0])
+        assert np.median(likely) > np.median(others)
+    found = found_together(views, [search] * 3, StageTimes(), prior)
+    assert off_mm(localizer, found.T_first_object, touches[0]).min() < 1.0
+
+
+def test_a_prior_that_excludes_everything_adds_nothing_and_a_wrong_one_is_refused(search, examples):
+    touch = examples[0][0]
+    (alone,) = search.proposed(touch, 100, lambda poses: np.full(len(poses), -np.inf))
+    assert len(alone[0]) == 100
+    with pytest.raises(ConfigError, match="one log-weight a pose"):
+        search.found(touch, StageTimes(), lambda poses: 0.0)

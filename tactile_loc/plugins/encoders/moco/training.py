@@ -290,8 +290,8 @@ class Trainer:
 def follow(slow: nn.Module, fast: nn.Module, momentum: float) -> None:
     """Move the weights of the slow network towards those of the fast one, and copy its statistics.
 
-    Keys are encoded in evaluation mode: normalised by statistics that lag, as the weights do, they would all be alike
-    for the first epochs.
+    Keys are encoded in evaluation mode, with the statistics: were they to lag as the weights do, they would be those of
+    no network.
     """
     for weight, newer in zip(slow.parameters(), fast.parameters(), strict=True):
         weight.copy_(torch.lerp(newer, weight, momentum))
