@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
@@ -122,7 +121,6 @@ class TouchPosteriors:
         if not self.sampler.capabilities.places:
             return None
         settler = registry().create("refiner", "joint", SETTLING)
-        ThreadPoolExecutor(1).submit(settler.prepare, self.object.mesh)  # compiles while the places are listed
         places, key = build_places(self.sampler, self.scene, self.store, self.progress)
         return PlaceSearch(
             places, key, self.scene, self.encoder, lambda: self._component("matcher"), settler, self.sampler.options

@@ -18,7 +18,6 @@ from tactile_loc.core.geometry import (
 from tactile_loc.core.interfaces import Candidate, Scene, View
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
-from tactile_loc.plugins.refiners.joint import kernels
 from tactile_loc.plugins.refiners.joint.refiner import JointRefiner
 from tactile_loc.plugins.refiners.joint.twists import adjoint, exponential, logarithm
 from tactile_loc.testing.problems import ReferenceRenderer, stepped_block
@@ -231,13 +230,3 @@ def test_the_first_sensors_error_is_its_own(block):
                 np.testing.assert_allclose(T[:3, 3], touch.T_sensor_object[:3, 3], atol=2e-4, err_msg=view.touch.name)
             np.testing.assert_allclose(found.T_sensor_object[:3, 3], truth[:3, 3], atol=2e-4)
     assert spread[1e-3] > spread[1e-6]
-
-
-def test_preparing_compiles_what_touches_are_registered_with(block):
-    equations = kernels.equations
-    JointRefiner().prepare(block.mesh)
-    compiled = list(equations.signatures)
-    touch = pressed(block, CAMERAS["orthographic"], towards([0, 0, 1]), (0.0, 0.0), 0.001)
-    JointRefiner().refine(touch, Candidate(touch.T_sensor_object, 0, 0.0), views_of(block, [touch])[0].scene)
-    assert compiled
-    assert equations.signatures == compiled

@@ -28,7 +28,7 @@ from tactile_loc.plugin import (
     blocks_of,
     surface_field,
 )
-from tactile_loc.plugins.refiners.joint.kernels import Observed, Samples, equations
+from tactile_loc.plugins.refiners.joint.kernels import Samples
 from tactile_loc.plugins.refiners.joint.observed import MILLI, Seen, observe
 from tactile_loc.plugins.refiners.joint.registration import Registered, Registration
 
@@ -89,17 +89,6 @@ class JointRefiner(Refiner):
         """
         information = self._registered(views, T_first_object, self._scales_mm[-1:], 1).information
         return [_covariance(A, _lever_m(views[0], T)) for A, T in zip(information, T_first_object, strict=True)]
-
-    def prepare(self, mesh: TriangleMesh) -> None:
-        """Do once what the first touch of an object would wait for: compile, and look where its surface is nearest."""
-        none, floats = np.empty(0, np.int64), np.empty((0, 3))
-        nothing = Observed(
-            floats, floats, np.empty(0), np.empty(0), none, floats, np.empty((0, 11)), np.empty((0, 4), np.float32),
-            np.empty((0, 2), np.int64), none,
-        )  # fmt: skip
-        A, b, misfit = np.empty((0, 1, 6, 6)), np.empty((0, 1, 6)), np.empty((0, 2))
-        mm = _triangles_mm(mesh), _samples_mm(mesh)
-        equations(0, 0, np.empty((0, 1, 4, 4)), none, nothing, *mm, 1.0, A, b, misfit)
 
     def settled(self, views: Sequence[View], T_first_object: Floats) -> Floats:
         """Return where poses (K, 4, 4), metres, end that are registered roughly, whether they explain more or not.
