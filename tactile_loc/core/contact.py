@@ -96,7 +96,9 @@ def _lowest_of_rotation(triangles, R, members, t, rectangle, result):  # type: i
 @njit
 def _from_below(heights):  # type: ignore[no-untyped-def]
     """The order (F,) of heights (F,) sorted into bins, and how wide a bin is: numpy's sort takes seconds to compile."""
-    low, high = heights.min(), heights.max()
+    low = high = heights[0]
+    for height in heights:
+        low, high = min(low, height), max(high, height)
     bin_m = (high - low) / BINS
     ends, which = np.zeros(BINS + 1, np.int64), np.empty(len(heights), np.int64)
     for f in range(len(heights)):
