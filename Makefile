@@ -67,4 +67,6 @@ $(STAMP): pyproject.toml constraints.txt
 		echo "setup: making $(VENV) with $$python" && "$$python" -m venv $(VENV)
 	@echo "setup: installing the pinned packages, a minute or two the first time"
 	@$(RUN) pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@echo "setup: compiling what locating takes"
+	@$(RUN) tactile_loc_cli.doctor.trials kernels > /dev/null || echo "setup: that failed; the first run will say why"
 	@echo "$(CURDIR)" > $(STAMP)

@@ -208,3 +208,27 @@ def test_a_check_is_written_as_json():
     check = Check("a", State.OK, "b", facts={"cores": 2})
     expected = {"name": "a", "state": "ok", "says": "b", "remedy": "", "required": False, "cores": 2}
     assert json.loads(json.dumps(check.record())) == expected
+
+
+def test_what_locating_takes_is_compiled_when_asked(cli, libraries, monkeypatch, tmp_path):
+    libraries()
+    asked = []
+
+    def tried(trial, *words, timeout_s=None):
+        asked.append(trial)
+        return checks.Outcome({"says": "compiled", "seconds": 9.5}, "")
+
+    monkeypatch.setattr(checks, "attempt", tried)
+    plain, compiled = (json.loads(cli("doctor", "--json", *more).stdout)["checks"] for more in ([], ["--compile"]))
+    assert "kernels" not in {check["name"] for check in plain}
+    (found,) = [check for check in compiled if check["name"] == "kernels"]
+    assert (found["state"], found["seconds"], asked.count("kernels")) == ("ok", 9.5, 1)
+
+
+@pytest.mark.slow
+def test_kernels_are_kept_on_disk(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    outcome = checks.attempt("kernels", timeout_s=300)
+    assert not outcome.failure
+    kept = {path.name.partition("-")[0] for path in tmp_path.rglob("*.nbi")}
+    assert {"kernels.equations", "zbuffer._draw", "contact._lowest", "surface_field.carry"} <= kept

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from tactile_loc_cli.console import say, say_table
 from tactile_loc_cli.failures import UNEXPECTED, Finding
@@ -13,7 +15,12 @@ if TYPE_CHECKING:
     from tactile_loc_cli.doctor.checks import Check
 
 
-def doctor(store: Store = None) -> dict[str, Any]:
+def doctor(
+    store: Store = None,
+    compiling: Annotated[
+        bool, typer.Option("--compile", help="Compile what locating takes: the first run need not.")
+    ] = False,
+) -> dict[str, Any]:
     """Say what is installed, and whether it works.
 
     Each library is tried, in a process of its own; for what is missing or broken the line says what to do. The exit
@@ -21,7 +28,7 @@ def doctor(store: Store = None) -> dict[str, Any]:
     """
     from tactile_loc_cli.doctor.checks import examine
 
-    checks = examine(store)
+    checks = examine(store, compiling=compiling)
     _report(checks)
     fatal = [check.name for check in checks if check.is_fatal]
     result = {"ready": not fatal, "broken": fatal, "checks": [check.record() for check in checks]}

@@ -75,6 +75,7 @@ class Probe:
 
 
 TIMEOUT_S = 90.0
+COMPILE_S = 600.0
 LONGEST = 240  # characters of a reason that are shown
 
 
@@ -221,8 +222,11 @@ LIBRARIES = (
 )  # fmt: skip
 
 
-def examine(store: Path | None, workers: int = 4) -> list[Check]:
-    """Look at everything, several things at a time, and return what was found. Never raises."""
+def examine(store: Path | None, workers: int = 4, compiling: bool = False) -> list[Check]:
+    """Look at everything, several things at a time, and return what was found. Never raises.
+
+    `compiling` also compiles what locating takes.
+    """
     probes = [
         Probe("versions", _versions, required=True),
         Probe("machine", _machine),
@@ -230,6 +234,7 @@ def examine(store: Path | None, workers: int = 4) -> list[Check]:
         Probe("system libraries", lambda: list(shared_libraries())),
         Probe("plugins", lambda: list(_plugins()), required=True),
         Probe("store", lambda: [_store(store)], required=True),
+        *([Probe("kernels", lambda: [_kernels()], required=True)] if compiling else []),
     ]
     with ThreadPoolExecutor(workers) as pool:
         return [check for checks in pool.map(Probe.checks, probes) for check in checks]
@@ -277,6 +282,16 @@ def _library(library: Library) -> Sequence[Check]:
         return [Check(library.module, State.BROKEN, says, remedy, library.required, facts)]
     says = ", ".join(filter(None, [version, outcome.facts.get("says")]))
     return [Check(library.module, State.OK, says, required=library.required, facts=facts)]
+
+
+def _kernels() -> Check:
+    """Whether what locating takes can be compiled: it is, now."""
+    outcome = attempt("kernels", timeout_s=COMPILE_S)
+    if outcome.failure:
+        remedy = remedy_for(outcome.failure, "tactile-loc -vv run says more")
+        return Check("kernels", State.BROKEN, outcome.failure, remedy, required=True)
+    facts = {"seconds": outcome.facts["seconds"]}
+    return Check("kernels", State.OK, str(outcome.facts["says"]), required=True, facts=facts)
 
 
 def _version_of(distributions: Sequence[str]) -> str | None:
