@@ -79,18 +79,27 @@ def indentation_from_slopes(slope: NDArray[np.floating], geometry: SensorGeometr
     steep or, once most of the drift is gone, deep, and what that encloses: the flat middle of an imprint. One that
     reaches over the image's border is told from the untouched gel beside it by the side on which the steep is higher.
     """
-    from scipy.ndimage import binary_fill_holes
-
     surface = integrate(slope, geometry)
     steepness = _steepness(slope, geometry)
     steep = steepness > _threshold(steepness, TOUCHED_SLOPE)
-    touched = binary_fill_holes(steep)
+    touched = _filled(steep)
     touched |= _plateaus(touched, slope)
     for _ in range(ROUNDS):
         surface = surface - _drift(surface, ~touched, geometry)
         away = np.abs(surface)
-        touched = binary_fill_holes(steep | (away > _threshold(away[~touched], TOUCHED_M)))
+        touched = _filled(steep | (away > _threshold(away[~touched], TOUCHED_M)))
     return surface.astype(np.float32)
+
+
+def _filled(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """What is marked (H, W), and what it encloses: a tenth of the time of scipy's binary_fill_holes."""
+    from scipy.ndimage import label
+
+    parts, count = label(~marked)
+    outside = np.zeros(count + 1, bool)
+    for border in (parts[0], parts[-1], parts[:, 0], parts[:, -1]):
+        outside[border] = True
+    return marked | ~outside[parts]
 
 
 def _plateaus(steep: NDArray[np.bool_], slope: NDArray[np.floating]) -> NDArray[np.bool_]:
@@ -129,19 +138,25 @@ def _drift(
     surface_m: NDArray[np.float64], untouched: NDArray[np.bool_], geometry: SensorGeometry
 ) -> NDArray[np.float64]:
     """The smooth surface (H, W), metres, through the untouched pixels (H, W), continued where there are none."""
-    from scipy.ndimage import gaussian_filter
-
     step = max(1, round(max(geometry.shape) / COARSE_PX))
     sigma = DRIFT_M / (step * geometry.pixel_pitch_m)
     weight = untouched.astype(float)
     seen, weights = (_blocks(a, step) for a in (surface_m * weight, weight))
-    coarse = gaussian_filter(seen, sigma, mode="nearest", truncate=6)
-    coarse /= np.maximum(gaussian_filter(weights, sigma, mode="nearest", truncate=6), 1e-9)
+    down, across = (_smoothing(blocks, sigma) for blocks in seen.shape)
+    coarse = (down @ seen @ across.T) / np.maximum(down @ weights @ across.T, 1e-9)
     height, width = surface_m.shape
     rows, columns = (
         _between(blocks, step, pixels) for blocks, pixels in zip(coarse.shape, (height, width), strict=True)
     )
     return rows @ coarse @ columns.T
+
+
+@lru_cache(maxsize=8)
+def _smoothing(blocks: int, sigma: float) -> NDArray[np.float64]:
+    """Weights (blocks, blocks) of a Gaussian of `sigma` blocks; beyond the borders they go on."""
+    from scipy.ndimage import gaussian_filter1d
+
+    return np.asarray(gaussian_filter1d(np.eye(blocks), sigma, axis=0, mode="nearest", truncate=6))
 
 
 @lru_cache(maxsize=8)

@@ -9,7 +9,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import binary_fill_holes, gaussian_filter
 
 torch = pytest.importorskip("torch")
 
@@ -25,6 +25,7 @@ from press_sets import (  # noqa: E402
     sensor,
 )
 
+from tactile_loc.calibration import photometric  # noqa: E402
 from tactile_loc.calibration.calibrate import press_errors  # noqa: E402
 from tactile_loc.calibration.estimator import CalibrationProblem, estimator_class, estimator_options  # noqa: E402
 from tactile_loc.calibration.labels import Chosen, LabelledPresses, untouched_label  # noqa: E402
@@ -341,3 +342,18 @@ def test_a_flat_face_that_reaches_over_the_images_border_keeps_its_depth(corners
     found = indentation_from_slopes(slopes_of(true, FINE) + bent(FINE, drift), FINE)
     assert found[true > 0.99 * 5e-4].mean() == pytest.approx(5e-4, abs=75 * UM)
     assert np.abs(found[true < 1e-9]).mean() < 20 * UM
+
+
+def test_what_is_enclosed_is_filled_as_scipy_does():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        marked = gaussian_filter(rng.normal(size=rng.integers(3, 60, 2)), 1) > 0
+        np.testing.assert_array_equal(photometric._filled(marked), binary_fill_holes(marked))
+
+
+def test_smoothing_by_matrices_is_scipys():
+    image = np.random.default_rng(0).normal(size=(60, 80))
+    down, across = (photometric._smoothing(blocks, 9.3) for blocks in image.shape)
+    np.testing.assert_allclose(
+        down @ image @ across.T, gaussian_filter(image, 9.3, mode="nearest", truncate=6), atol=1e-12
+    )
