@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -23,6 +24,8 @@ from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey, hash_file
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
+
+logger = logging.getLogger(__name__)
 
 SHARD = 1024  # poses rendered, saved and resumed at once
 NO_CONTACT = 65535
@@ -54,7 +57,10 @@ def _stored_surface(path: Path, store: StageStore) -> Surface:
         work.save_array("faces", surface.faces)
         work.save_json("watertight", surface.is_watertight)
 
-    store.build(key, save)
+    try:
+        store.build(key, save)
+    except StoreError as error:  # what is built next says so, if it cannot be kept either
+        logger.info("the surface of %s is read again next time: %s", path.name, error)
     return surface
 
 

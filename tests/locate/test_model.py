@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.errors import GridError, ObjectError
+from tactile_loc.core.errors import GridError, ObjectError, StoreError
 from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.progress import Progress
 from tactile_loc.io import meshes
@@ -261,3 +261,15 @@ def test_what_is_no_mesh_is_refused_as_without_a_store_and_leaves_nothing(tmp_pa
         module.stored_object(path, "auto", "auto", store)
     assert str(stored.value) == str(alone.value)
     assert not store.entries()
+
+
+def test_a_surface_that_cannot_be_kept_is_read_all_the_same(tmp_path, monkeypatch):
+    path = tmp_path / "part.stl"
+    trimesh.creation.box((0.02, 0.01, 0.01)).export(path)
+    store = StageStore(tmp_path / "store")
+
+    def full(*_):
+        raise StoreError("the disk is full")
+
+    monkeypatch.setattr(store, "build", full)
+    assert len(module.stored_object(path, "m", "none", store).mesh.faces) == 12
