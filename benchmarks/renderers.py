@@ -19,8 +19,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from tactile_loc.core.contact import bring_to_contact
 from tactile_loc.core.errors import RenderError
@@ -123,16 +121,15 @@ def agreement(depth: Float32, reference: Float32, g: SensorGeometry) -> tuple[fl
 
 def show(rows: Sequence[Row]) -> None:
     """Print the rows as a table."""
-    table = Table(title="Contact poses at 200 x 200 px (medians; agreement with raycast)")
-    for heading in ("camera", "mesh", "faces", "poses/rot.", "renderer"):
-        table.add_column(heading)
-    for heading in ("poses/s", "x pyrender", "same contact %", "IoU %", "depth diff. um"):
-        table.add_column(heading, justify="right")
+    print("Contact poses at 200 x 200 px (medians; agreement with raycast)\n")
+    names = ["camera", "mesh", "faces", "poses/rot.", "renderer"]
+    names += ["poses/s", "x pyrender", "same contact %", "IoU %", "depth diff. um"]
+    print(f"| {' | '.join(names)} |\n|{'---|' * len(names)}")
     for r in rows:
         speed = (f"{r.poses_per_s:.0f}", f"{r.ratio_to_pyrender:.1f}")
         match = (f"{100 * r.mask_agreement:.3f}", f"{100 * r.contact_iou:.2f}", f"{r.depth_difference_um:.3f}")
-        table.add_row(r.camera, r.mesh, str(r.faces), f"{r.poses}/{r.rotations}", r.renderer, *speed, *match)
-    Console(width=130).print(table)
+        what = (r.camera, r.mesh, str(r.faces), f"{r.poses}/{r.rotations}", r.renderer)
+        print(f"| {' | '.join([*what, *speed, *match])} |")
 
 
 def main() -> None:

@@ -5,8 +5,8 @@
 benchmarks/results/VERSION/NAME.json with the machine, the versions, the date and the arguments; `--all` runs every
 benchmark as it is. Times of different machines, and of a busy one, are compared as multiples of a yardstick: a fixed
 piece of work, measured before and after. `compare` tells what changed since the latest earlier version that has
-results, and fails where a time grew by more than a tenth; `page` writes the documentation's page of what is kept, and
-its figure.
+results, and fails where a time grew or a speed fell by more than a tenth; `page` writes the documentation's page of
+what is kept, and its figure.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ PACKAGES = ("numpy", "scipy", "numba", "torch", "open3d", "trimesh", "faiss-cpu"
 WORSE = 0.1  # of a time, by which it may grow
 CHANGED = 0.1  # of a figure, from which on a change is told
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
-TIME = re.compile(r"\b(m?s|seconds|milliseconds)\b")
+TIME = re.compile(r"(?<!/)\b(m?s|seconds|milliseconds)\b")
+RATE = re.compile(r"/s\b")
+RATIO = re.compile(r"^x \w")  # how many times as fast as something else of the same run
 
 
 @dataclass(frozen=True)
@@ -76,12 +78,15 @@ class Kept:
 
 @dataclass(frozen=True)
 class Change:
-    """A figure of a row and column that was `before` and is `now`: times as multiples of the yardstick."""
+    """A figure of a row and column that was `before` and is `now`: times as multiples of the yardstick.
+
+    `wanted` is 1 for a speed, which should be large, -1 for a time, 0 for what is neither.
+    """
 
     where: str
     before: float
     now: float
-    is_time: bool
+    wanted: int
 
     @property
     def ratio(self) -> float:
@@ -90,8 +95,8 @@ class Change:
 
     @property
     def is_worse(self) -> bool:
-        """Whether it is a time that grew by more than WORSE."""
-        return self.is_time and self.ratio > 1 + WORSE
+        """Whether it is a time that grew, or a speed that fell, by more than WORSE."""
+        return self.wanted * math.log(max(self.ratio, 1e-9)) < -math.log(1 + WORSE)
 
 
 def tables(text: str) -> list[Table]:
@@ -118,10 +123,10 @@ def compared(before: Kept, now: Kept) -> list[Change]:
     for table in now.tables:
         for (row, column, place), value in _figures(table).items():
             if (row, column, place) in earlier:
-                is_time = bool(TIME.search(column))
-                unit = (before.yardstick_ms, now.yardstick_ms) if is_time else (1.0, 1.0)
+                power = 1 if RATE.search(column) else -1 if TIME.search(column) else 0  # of the yardstick
+                old, new = earlier[row, column, place] * before.yardstick_ms**power, value * now.yardstick_ms**power
                 where = f"{now.benchmark}: {row}, {column}"
-                changes.append(Change(where, earlier[row, column, place] / unit[0], value / unit[1], is_time))
+                changes.append(Change(where, old, new, 1 if RATIO.search(column) else power))
     return changes
 
 
@@ -188,6 +193,9 @@ def keep(name: str, arguments: list[str], folder: Path = RESULTS) -> Kept:
         lines.append(line)
     if process.wait():
         raise SystemExit(f"bench: {name} failed with exit code {process.returncode}; nothing is kept")
+    found = tables("".join(lines))
+    if not found:
+        raise SystemExit(f"bench: {name} printed no table; nothing is kept")
     packages = {}
     for package in PACKAGES:
         try:
@@ -197,7 +205,7 @@ def keep(name: str, arguments: list[str], folder: Path = RESULTS) -> Kept:
     kept = Kept(
         name, [Path(given).name if Path(given).exists() else given for given in arguments],
         metadata.version("tactile-loc"), f"{datetime.now(UTC):%Y-%m-%d}", round(time.perf_counter() - start, 1),
-        round((first + yardstick_ms()) / 2, 2), machine(), packages, tables("".join(lines)),
+        round((first + yardstick_ms()) / 2, 2), machine(), packages, found,
     )  # fmt: skip
     print(f"bench: kept in {kept.write(folder)}")
     return kept
@@ -227,11 +235,11 @@ def compare(folder: Path = RESULTS) -> int:
             print(f"{path.stem}: new since {old}")
             continue
         for change in compared(Kept.read(folder / old / path.name), Kept.read(path)):
-            if abs(change.ratio - 1) > CHANGED:
+            if change.is_worse or abs(change.ratio - 1) > CHANGED:
                 worse += change.is_worse
                 mark = "WORSE  " if change.is_worse else "       "
                 print(f"{mark}{change.where}: {change.before:.4g} -> {change.now:.4g} ({change.ratio:.2f} times)")
-    print(f"bench: {old} -> {new}: {worse} times grew by more than {WORSE:.0%}")
+    print(f"bench: {old} -> {new}: {worse} times grew, or speeds fell, by more than {WORSE:.0%}")
     return 1 if worse else 0
 
 
@@ -243,7 +251,7 @@ def page(folder: Path = RESULTS) -> str:
         "What the benchmarks printed, kept by `scripts/bench.py keep NAME`, a file a benchmark and version in\n"
         "`benchmarks/results`. Times of different machines are compared as multiples of a yardstick, a fixed piece of\n"
         "work that is measured before and after; `make bench-compare` tells what changed since the version before,\n"
-        "and fails where a time grew by more than a tenth.\n",
+        "and fails where a time grew, or a speed fell, by more than a tenth.\n",
     ]
     if len(known) > 1:
         parts.append("![Times by version, as multiples of the first version's](images/results.png)\n")
@@ -276,7 +284,7 @@ def draw(path: Path, folder: Path = RESULTS) -> bool:
         means = []
         for version in having:
             changes = compared(first, Kept.read(folder / version / f"{name}.json"))
-            logs = [math.log(c.ratio) for c in changes if c.is_time and c.before > 0 and c.now > 0]
+            logs = [math.log(c.ratio) for c in changes if c.wanted == -1 and c.before > 0 and c.now > 0]
             means.append(math.exp(sum(logs) / len(logs)) if logs else math.nan)
         if not all(map(math.isnan, means)):
             axes.plot([known.index(version) for version in having], means, marker="o", label=name)

@@ -65,6 +65,22 @@ def test_an_error_that_grew_is_told_and_does_not_fail(tmp_path, capsys):
     assert "joint: pin, error, mm: 0.1 -> 0.2 (2.00 times)" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("printed", "yardstick_ms", "fails"), [("45.0", 10, 1), ("46.0", 10, 0), ("20.0", 25, 0)])
+def test_a_speed_that_fell_by_a_tenth_fails(tmp_path, printed, yardstick_ms, fails):
+    text = "| renderer | poses/s |\n|---|---|\n| heightmap | 50.0 |\n"
+    kept("0.1.0", text=text).write(tmp_path)
+    kept("0.2.0", yardstick_ms, text.replace("50.0", printed)).write(tmp_path)
+    assert bench.compare(tmp_path) == fails
+
+
+@pytest.mark.parametrize(("printed", "fails"), [("9.0", 1), ("9.5", 0), ("20", 0)])
+def test_a_ratio_to_something_else_of_the_run_knows_no_yardstick(tmp_path, printed, fails):
+    text = "| renderer | x pyrender |\n|---|---|\n| heightmap | 10.0 |\n"
+    kept("0.1.0", text=text).write(tmp_path)
+    kept("0.2.0", 99.0, text.replace("10.0", printed)).write(tmp_path)
+    assert bench.compare(tmp_path) == fails
+
+
 def test_one_version_has_nothing_to_compare_with(tmp_path, capsys):
     kept("0.1.0").write(tmp_path)
     assert bench.compare(tmp_path) == 0
@@ -91,6 +107,9 @@ def test_a_benchmark_is_run_and_kept(tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit, match="nothing is kept"):
         bench.keep("tiny", ["a", "b"], tmp_path / "others")
     assert not (tmp_path / "others").exists()
+    script.write_text("print('no table')")
+    with pytest.raises(SystemExit, match="printed no table"):
+        bench.keep("tiny", [], tmp_path / "others")
     with pytest.raises(SystemExit, match="there are tiny"):
         bench.keep("other", [])
 
