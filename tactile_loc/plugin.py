@@ -79,6 +79,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.geometry import translation as translation
 
     # for sensors and renderers
+    from tactile_loc.core.blocks import Blocks as Blocks
     from tactile_loc.core.blocks import blocks_of as blocks_of
     from tactile_loc.core.compiled import in_threads as in_threads
     from tactile_loc.core.compiled import njit as njit

@@ -14,18 +14,9 @@ TRIANGLES = 24  # of a block
 
 
 class Blocks(NamedTuple):
-    """Which of N things are in which of B blocks: those that order[starts[b]:starts[b + 1]] are the numbers of, all
-    inside the sphere about centres[b] (B, 3) of radii[b] (B,), metres or whatever unit they have."""
-
-    order: NDArray[np.int64]
-    starts: NDArray[np.int64]
-    centres: NDArray[np.float64]
-    radii: NDArray[np.float64]
-
-
-class TriangleBlocks(NamedTuple):
-    """The triangles of a mesh in blocks of neighbours, metres: `corners` (F, 3, 3) of its faces `order` (F,), those of
-    block b from starts[b] to starts[b + 1] inside the sphere about centres[b] (B, 3) of radii[b] (B,)."""
+    """Things of C corners each in blocks of neighbours, metres or whatever unit they have: `corners` (N, C, 3) of the
+    things with the numbers `order` (N,), those of block b from starts[b] to starts[b + 1], inside the sphere about
+    centres[b] (B, 3) of radii[b] (B,)."""
 
     corners: NDArray[np.float64]
     order: NDArray[np.int64]
@@ -47,16 +38,15 @@ def blocks_of(corners: NDArray[np.float64], most: int) -> Blocks:
         some = some[np.argsort(middles[some, side], kind="stable")]
         waiting += [some[len(some) // 2 :], some[: len(some) // 2]]
     order, starts = np.concatenate(parts), np.cumsum([0, *map(len, parts)])
-    sorted_corners = corners[order]
-    low = np.minimum.reduceat(sorted_corners.min(axis=1), starts[:-1])
-    high = np.maximum.reduceat(sorted_corners.max(axis=1), starts[:-1])
+    corners = np.ascontiguousarray(corners[order], float)
+    low = np.minimum.reduceat(corners.min(axis=1), starts[:-1])
+    high = np.maximum.reduceat(corners.max(axis=1), starts[:-1])
     centres = (low + high) / 2
-    far = np.linalg.norm(sorted_corners - np.repeat(centres, np.diff(starts), axis=0)[:, None], axis=2).max(axis=1)
-    return Blocks(order, starts, centres, np.maximum.reduceat(far, starts[:-1]) * (1 + 1e-9))
+    far = np.linalg.norm(corners - np.repeat(centres, np.diff(starts), axis=0)[:, None], axis=2).max(axis=1)
+    return Blocks(corners, order, starts, centres, np.maximum.reduceat(far, starts[:-1]) * (1 + 1e-9))
 
 
 @lru_cache(maxsize=16)
-def triangle_blocks(mesh: TriangleMesh) -> TriangleBlocks:
-    """Return the triangles of a mesh in blocks of TRIANGLES, parted when they are first asked for."""
-    blocks = blocks_of(mesh.triangles_m, TRIANGLES)
-    return TriangleBlocks(np.ascontiguousarray(mesh.triangles_m[blocks.order], float), *blocks)
+def triangle_blocks(mesh: TriangleMesh) -> Blocks:
+    """Return the triangles of a mesh in blocks of TRIANGLES, parted when they are first asked for; metres."""
+    return blocks_of(mesh.triangles_m, TRIANGLES)

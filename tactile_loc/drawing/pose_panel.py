@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry import transform_points
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.drawing.raytracing import Buffers, Tracer, View, box, shade, shrink
+from tactile_loc.drawing.raytracing import Bounds, Buffers, Tracer, View, box, shade, shrink
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
-Bounds = tuple[float, float, float, float]
 
 STEEL, GEL, HOUSING = (0.50, 0.64, 0.80), (0.87, 0.88, 0.86), (0.34, 0.36, 0.40)
 EDGE, TRUTH = "#16202c", "#e8590c"

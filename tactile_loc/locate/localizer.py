@@ -245,8 +245,7 @@ def _each(observations: Sequence[Observation], times: StageTimes, prior: Prior |
     """
     searches = [localizer.search for localizer, _ in observations if localizer.search is not None]
     if len(observations) == 1 or not searches:
-        given = prior if len(observations) == 1 else None
-        return [localizer.posteriors([touch], times, given)[0] for localizer, touch in observations]
+        return [localizer.posteriors([touch], times, prior)[0] for localizer, touch in observations]
     if len(searches) < len(observations):
         raise ConfigError("some touches are searched for in the whole object and others in a grid of listed poses; "
                           "give all their localizers the grid whole, or none")  # fmt: skip

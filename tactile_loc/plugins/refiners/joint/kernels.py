@@ -44,22 +44,12 @@ class Observed(NamedTuple):
     offsets: NDArray[np.int64]
 
 
-class Samples(NamedTuple):
-    """Points of an object's surface, mm, in blocks of neighbours: `points` (S, 3), those of block b from starts[b] to
-    starts[b + 1] inside the sphere about centres[b] (B, 3) of radii[b] (B,)."""
-
-    points: NDArray[np.float64]
-    starts: NDArray[np.int64]
-    centres: NDArray[np.float64]
-    radii: NDArray[np.float64]
-
-
 @njit(fast=True)
 def equations(first, last, T_each, every, observed, triangles, samples, scale, A, b, misfit):
     """Fill the equations A u = b of twists u by which poses T_each (K, N, 4, 4) explain their touches better.
 
     Of the poses from first to last, one of `every` (K,) points; `triangles` are the object's in mm, `samples` points of
-    its surface, `scale` in mm that of the robust weights. A (K, N, 6, 6), b (K, N, 6) and `misfit` (K, 2),
+    its surface in blocks, `scale` in mm that of the robust weights. A (K, N, 6, 6), b (K, N, 6) and `misfit` (K, 2),
     the points' weighted squared distances, mm^2, and their weights, are zero before.
     """
     for k in range(first, last):
@@ -124,7 +114,7 @@ def kept_out(i, T, observed, samples, scale, every, A, b):
         if z0 * s[0] + z1 * s[1] + z2 * s[2] + above >= samples.radii[block]:
             continue
         for j in range(samples.starts[block], samples.starts[block + 1], every):
-            s = samples.points[j]
+            s = samples.corners[j, 0]
             z = z0 * s[0] + z1 * s[1] + z2 * s[2] + above
             if z >= 0.0:
                 continue

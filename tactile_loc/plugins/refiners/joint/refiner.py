@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactile_loc.plugin import (
+    Blocks,
     Candidate,
     Capabilities,
     ComponentOptions,
@@ -28,7 +29,6 @@ from tactile_loc.plugin import (
     blocks_of,
     surface_field,
 )
-from tactile_loc.plugins.refiners.joint.kernels import Samples
 from tactile_loc.plugins.refiners.joint.observed import MILLI, Seen, observe
 from tactile_loc.plugins.refiners.joint.registration import Registered, Registration
 
@@ -159,10 +159,9 @@ def _covariance(information: Floats, lever_m: Floats) -> Floats | None:
 
 
 @lru_cache(maxsize=16)
-def _samples_mm(mesh: TriangleMesh) -> Samples:
+def _samples_mm(mesh: TriangleMesh) -> Blocks:
     points = mesh.sample(SAMPLES, np.random.default_rng(0)) * MILLI
-    blocks = blocks_of(points[:, None], BLOCK)
-    return Samples(points[blocks.order], *blocks[1:])
+    return blocks_of(points[:, None], BLOCK)
 
 
 @lru_cache(maxsize=16)

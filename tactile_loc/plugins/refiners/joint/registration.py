@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.plugin import NearestTriangles, in_threads, invert
-from tactile_loc.plugins.refiners.joint.kernels import Observed, Samples, equations
+from tactile_loc.plugin import Blocks, NearestTriangles, in_threads, invert
+from tactile_loc.plugins.refiners.joint.kernels import Observed, equations
 from tactile_loc.plugins.refiners.joint.twists import adjoint, exponential, logarithm
 
 SETTLED_MM = 1e-4
@@ -37,7 +37,7 @@ class Registered(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """What N touches show, and the object: its triangles, `samples` (S, 3) of its surface and its centre `middle` (3,).
+    """What N touches show, and the object: its triangles, `samples` of its surface and its centre `middle` (3,).
 
     `T_sensor_first` (N, 4, 4) is where a sensor is, but for a twist about its touch's centre, with the variances
     `sensor` (N, 6) of the sensor's pose and `press` (N, 6) of its press. `noise` is the least standard deviation of a
@@ -50,7 +50,7 @@ class Registration:
     press: Floats
     noise: float
     triangles: NearestTriangles
-    samples: Samples
+    samples: Blocks
     middle: Floats
 
     def registered(self, T: Floats, scales: Floats, finely: int) -> Registered:

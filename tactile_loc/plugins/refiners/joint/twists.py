@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.plugin import make_transform
+
 Floats = NDArray[np.float64]
 
 
@@ -14,7 +16,7 @@ def exponential(x: Floats, centre: Floats) -> Floats:
     angle = np.sqrt((turn * turn).sum(axis=-1))[..., None, None]
     K = cross_matrix(turn)
     R = np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (K @ K)
-    return _motion(R, centre + x[..., 3:] - (R @ centre[..., None])[..., 0])
+    return make_transform(R, centre + x[..., 3:] - (R @ centre[..., None])[..., 0])
 
 
 def logarithm(T: Floats, centre: Floats) -> Floats:
@@ -44,9 +46,3 @@ def cross_matrix(v: Floats) -> Floats:
     K[..., 0, 2] = v[..., 1]
     K[..., 1, 0] = v[..., 2]
     return K - K.swapaxes(-1, -2)
-
-
-def _motion(R: Floats, t: Floats) -> Floats:
-    T = np.zeros((*t.shape[:-1], 4, 4))
-    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
-    return T
