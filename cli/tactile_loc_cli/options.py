@@ -84,9 +84,7 @@ Encoder = Annotated[str | None, declare("--encoder", "NAME", "What makes vectors
 Matcher = Annotated[str | None, declare("--matcher", "NAME", "What compares the vectors; by default dense.")]
 Refiner = Annotated[
     str | None,
-    declare(
-        "--refiner", "NAME", "What refines the best poses; by default joint, and filterreg where poses are listed."
-    ),
+    declare("--refiner", "NAME", "What refines the best poses; by default joint."),
 ]
 Fuser = Annotated[str | None, declare("--fuser", "NAME", "What combines touches and prior; by default product.")]
 SetOption = Annotated[
@@ -214,7 +212,7 @@ def _warn_of_namesake(name: str) -> None:
 def open_localizer(config: RunConfig, store: Path | None, obj: ObjectModel | None = None) -> Localizer:
     """Make a localizer of the object, which is loaded if it is not given. Raises TactileLocError for bad input."""
     from tactile_loc.locate.localizer import Localizer
-    from tactile_loc.locate.model import stored_object
+    from tactile_loc.locate.stored_object import stored_object
     from tactile_loc.store.store import StageStore
     from tactile_loc_cli.console import progress
 

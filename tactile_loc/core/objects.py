@@ -39,15 +39,19 @@ class TriangleMesh:
         return np.ptp(self.vertices_m, axis=0)
 
     @cached_property
+    def corners_m(self) -> NDArray[np.float64]:
+        """The vertices (V, 3) that faces have, metres."""
+        return self.vertices_m[np.unique(self.faces)]
+
+    @cached_property
     def hull_corners_m(self) -> NDArray[np.float64]:
         """The corners (V, 3) of the surface's convex hull, metres; all its vertices when it is flat."""
         from scipy.spatial import ConvexHull, QhullError
 
-        used = self.vertices_m[np.unique(self.faces)]
         try:
-            return np.asarray(used[ConvexHull(used).vertices])
+            return np.asarray(self.corners_m[ConvexHull(self.corners_m).vertices])
         except QhullError:
-            return used
+            return self.corners_m
 
     @cached_property
     def centroid_m(self) -> NDArray[np.float64]:

@@ -161,10 +161,8 @@ class PoseGrid:
 
     def distances(self, T_sensor_object: Poses) -> NDArray[np.float64]:
         """Return the distance (N,) in metres of every grid pose from one pose (4, 4), the least over the symmetry."""
-        points = self._orbit_tree.data
         same = self._at_level(self.metric.embed_orbits(T_sensor_object[None])[:, 0])
-        squared = (points**2).sum(axis=1)[:, None] - 2 * points @ same.T + (same**2).sum(axis=1)
-        return np.asarray(np.sqrt(np.maximum(squared.min(axis=1), 0.0)))
+        return np.asarray(distances_between(self._orbit_tree.data, same).min(axis=1))
 
     def neighbour_spacing(self, subset: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
         """Return each pose's distance (N,) in metres to its nearest other pose (of `subset` indices, or of all)."""
@@ -179,6 +177,12 @@ class PoseGrid:
         same = self.metric.embed_orbits(self.T_sensor_object[index : index + 1])[:, 0]
         found = self._orbit_tree.query_ball_point(self._at_level(same), radius_m)
         return np.unique(np.concatenate([np.asarray(f, np.int64) for f in found]))
+
+
+def distances_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the Euclidean distances (A, B) between points (A, D) and (B, D), to some 1e-8 of how large they are."""
+    squared = (a * a).sum(axis=1)[:, None] - 2 * (a @ b.T) + (b * b).sum(axis=1)
+    return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
 def remove_equivalent(T_sensor_object: Poses, metric: PoseMetric, radius_m: float) -> NDArray[np.bool_]:

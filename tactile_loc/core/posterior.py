@@ -82,12 +82,13 @@ class PosePosterior:
         p = self.probabilities
         return min(1.0, float(p[p > p[index]].sum() + lot * p[p == p[index]].sum()))
 
-    def credible_set(self, level: float) -> NDArray[np.int64]:
+    def credible_set(self, level: float, most: int | None = None) -> NDArray[np.int64]:
         """Return the indices (K,), likeliest first, of the poses whose `credible_level` is at most `level`.
 
-        They hold that probability at least, and without the least likely of them less, or just as much.
+        They hold that probability at least, and without the least likely of them less, or just as much; unless they
+        are more than `most`, of which the likeliest are returned.
         """
-        order = self.top(len(self.log_p))
+        order = self.top(len(self.log_p) if most is None else most)
         p = self.probabilities[order]
         first = np.searchsorted(-p, -p, side="left")  # of those as probable
         likelier = np.concatenate([[0.0], np.cumsum(p)])[first]
@@ -125,13 +126,16 @@ class PosePosterior:
         `core` (K,), the most probable first; by default the poses that hold `mass`, at most MOST_CLUSTERED.
         """
         p = self.probabilities
-        core = self.credible_set(mass)[:MOST_CLUSTERED] if core is None else core
-        peaks = _uphill(self.grid, core, radius_m)
-        modes = []
-        for peak in np.unique(peaks):
-            members = core[peaks == peak]
-            modes.append(Mode(int(members[0]), float(p[members].sum()), self.grid.T_sensor_object[members[0]], members))
-        return sorted(modes, key=lambda m: (-m.probability, m.index))[:count]
+        core = self.credible_set(mass, MOST_CLUSTERED) if core is None else core
+        peaks = _uphill(self.grid, core, radius_m)  # each is its own mode's first member
+        tops, of = np.unique(peaks, return_inverse=True)
+        masses = np.bincount(of, p[core])
+        order = np.lexsort((core[tops], -masses))[:count]
+        members = [core[of == k] for k in order]
+        return [
+            Mode(int(core[tops[k]]), float(masses[k]), self.grid.T_sensor_object[core[tops[k]]], some)
+            for k, some in zip(order, members, strict=True)
+        ]
 
 
 def _uphill(grid: PoseGrid, ordered: NDArray[np.int64], radius_m: float) -> NDArray[np.int64]:

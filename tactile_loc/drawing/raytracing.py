@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,27 +42,48 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Buffers:
-    """What each pixel's ray meets, (H, W): number of the surface (-1: none), depth, unit normal (H, W, 3), point."""
+    """What each pixel's ray meets, (H, W): number of the surface and of the face (-1: none), and depth.
+
+    `hit` marks the rays that meet any, K of them, whose normals and points are had in their order.
+    """
 
     surface: NDArray[np.int64]
-    depth: Array
-    normal: Array
-    point: Array
+    face: NDArray[np.int64]
+    depth: NDArray[np.float32]
+    face_normals: Array
+    """Unit normals (F, 3), towards the viewer."""
+    origins: tuple[Array, Array, Array]
+    """A ray begins at right (W, 3) + up (H, 3) of its pixel and follows the last (3,), backwards."""
 
-    @property
+    @cached_property
     def hit(self) -> NDArray[np.bool_]:
         """Where a ray meets any surface (H, W)."""
         return self.surface >= 0
 
+    @cached_property
+    def normals(self) -> Array:
+        """Unit normals (K, 3)."""
+        return self.face_normals[self.face[self.hit]]
+
+    @cached_property
+    def points(self) -> Array:
+        """Where rays meet a surface (K, 3)."""
+        rows, columns = np.nonzero(self.hit)
+        right, up, towards = self.origins
+        return right[columns] + up[rows] - self.depth[self.hit][:, None] * towards
+
     def edges(self, jump: float) -> NDArray[np.bool_]:
         """Mark (H, W) outlines, creases, and places where the depth jumps by more than `jump` (the points' unit)."""
         marked = np.zeros(self.surface.shape, bool)
+        depth = np.where(self.hit, self.depth, np.float32(0))
         for axis in (0, 1):
-            near, far = _pairs(self.normal, axis)
-            crease = (near * far).sum(-1) < np.cos(np.radians(CREASE_DEG))
             a, b = _pairs(self.surface, axis)
-            z0, z1 = _pairs(np.where(self.hit, self.depth, 0.0), axis)
-            differs = (a != b) | ((a >= 0) & (crease | (np.abs(z1 - z0) > jump)))
+            z0, z1 = _pairs(depth, axis)
+            differs = (a != b) | (np.abs(z1 - z0) > jump)
+            near, far = _pairs(self.face, axis)
+            two = (near != far) & ~differs
+            cosines = (self.face_normals[near[two]] * self.face_normals[far[two]]).sum(axis=-1)
+            differs[two] = cosines < np.cos(np.radians(CREASE_DEG))
             marked[: -1 if axis == 0 else None, : -1 if axis == 1 else None] |= differs
         return marked
 
@@ -83,12 +105,9 @@ class Tracer:
         """Cast a ray through each of `shape` (H, W) pixels over bounds (left, right, bottom, top) of the picture."""
         axes = self.view.axes
         depth, face, u, v = self._seen_along(axes, bounds, shape)
-        surface = self._of_face[face]
-        normal = np.where(surface[..., None] >= 0, self._normals[face], 0.0)
-        normal *= np.where((normal @ axes[2]) < 0, -1.0, 1.0)[..., None]  # towards the viewer, however it is wound
-        origin = u[None, :, None] * axes[0] + v[:, None, None] * axes[1] + self._distance * axes[2]
-        point = origin - np.where(surface >= 0, depth, 0.0)[..., None] * axes[2]
-        return Buffers(surface, depth, normal, point)
+        towards = np.where(self._normals @ axes[2] < 0, -1.0, 1.0)[:, None] * self._normals  # however they are wound
+        origins = u[:, None] * axes[0] + self._distance * axes[2], v[:, None] * axes[1], axes[2]
+        return Buffers(self._of_face[face], face, depth, towards, origins)
 
     def shadow(self, buffers: Buffers, lift: float) -> NDArray[np.bool_]:
         """Mark (H, W) the points that another surface hides from the light, as a picture from there shows; `lift`, and
@@ -103,7 +122,7 @@ class Tracer:
         rows, columns = (int(np.ceil(size / pixel)) + 1 for size in (high - low)[::-1])
         bounds = low[0], low[0] + columns * pixel, low[1], low[1] + rows * pixel
         depth, *_ = self._seen_along(axes, bounds, (rows, columns))
-        start = buffers.point[buffers.hit] + (lift + 1.5 * pixel) * buffers.normal[buffers.hit]
+        start = buffers.points + (lift + 1.5 * pixel) * buffers.normals
         at = start @ axes.T
         column = ((at[:, 0] - low[0]) / pixel).astype(int).clip(0, columns - 1)
         row = (rows - 1 - ((at[:, 1] - low[1]) / pixel).astype(int)).clip(0, rows - 1)
@@ -113,7 +132,7 @@ class Tracer:
 
     def _seen_along(
         self, axes: Array, bounds: Bounds, shape: tuple[int, int]
-    ) -> tuple[Array, NDArray[np.int64], Array, Array]:
+    ) -> tuple[NDArray[np.float32], NDArray[np.int64], Array, Array]:
         """Depths and faces (H, W) along -axes[2], and where pixels are: u (W,) right and v (H,) up in the picture."""
         left, right, bottom, top = bounds
         height, width = shape
@@ -121,17 +140,20 @@ class Tracer:
         v = top - (np.arange(height) + 0.5) / height * (top - bottom)
         looking = make_transform(axes * [[1.0], [-1.0], [-1.0]], [0.0, 0.0, self._distance])
         depth, face = nearest_faces(self._mesh, looking, u, -v)
-        return depth.astype(float), face, u, v
+        return depth, face, u, v
 
 
 def shade(buffers: Buffers, colours: Array, shadow: NDArray[np.bool_]) -> Array:
     """Return RGBA (H, W, 4), 0 to 1, of surfaces in `colours` (S, 3); where nothing is hit it is transparent."""
     light = LIGHT / np.linalg.norm(LIGHT)
-    diffuse = np.clip(buffers.normal @ light, 0.0, 1.0) * np.where(shadow, 0.35, 1.0)
-    sky = 0.5 + 0.5 * buffers.normal[..., 2]
+    lit = np.where(shadow[buffers.hit], 0.35, 1.0)
+    diffuse = np.clip(buffers.normals @ light, 0.0, 1.0) * lit
+    sky = 0.5 + 0.5 * buffers.normals[:, 2]
     brightness = 0.30 + 0.22 * sky + 0.55 * diffuse
-    rgb = np.clip(colours[buffers.surface] * brightness[..., None], 0.0, 1.0)
-    return np.concatenate([rgb, buffers.hit[..., None].astype(float)], -1)
+    image = np.zeros((*buffers.surface.shape, 4))
+    image[buffers.hit, :3] = np.clip(colours[buffers.surface[buffers.hit]] * brightness[:, None], 0.0, 1.0)
+    image[buffers.hit, 3] = 1.0
+    return image
 
 
 def shrink(image: Array, factor: int) -> Array:

@@ -61,7 +61,6 @@ WHOLE = SlotConfig(name="whole")
 LISTED = SlotConfig(name="face")  # of what needs poses that are listed, as the paper's protocol and sweeps do
 OF_WHOLE = {  # what suits the places of a whole object, where nothing is given
     "encoder": SlotConfig(name="pixel", options={"signal": "depth", "cells": 16}),
-    "refiner": SlotConfig(name="joint"),
 }
 
 
@@ -77,7 +76,7 @@ class RunConfig(_Strict):
     `together` refines against several touches: "joint" all at once, "each" by what the refiner makes of each touch.
     `drop_outliers` leaves out those of several touches that contradict the others.
     `coverage` asks for all modes of a set of poses that holds the true one with that probability, 0 to 1.
-    An `encoder` or `refiner` that is not given suits the grid: of a whole object pixel, with options, and joint.
+    An `encoder` that is not given suits the grid: of a whole object, pixel with its options.
     `drawing` is what touches are compared with: the object "pressed", as the sensor sees it, or where it just touches,
     as in the "paper".
     """
@@ -89,7 +88,7 @@ class RunConfig(_Strict):
     grid: SlotConfig = WHOLE
     encoder: SlotConfig = SlotConfig(name="pixel")
     matcher: SlotConfig = SlotConfig(name="dense")
-    refiner: SlotConfig = SlotConfig(name="filterreg")
+    refiner: SlotConfig = SlotConfig(name="joint")
     fuser: SlotConfig = SlotConfig(name="product")
     top: int = Field(default=10, ge=1)
     seed: int = Field(default=0, ge=0)

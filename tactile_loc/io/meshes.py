@@ -59,16 +59,31 @@ def read_surface(path: Path) -> Surface:
     return Surface(np.asarray(raw.vertices, float), np.asarray(raw.faces, np.int64), bool(raw.is_watertight))
 
 
+def find_symmetry(declared: str, mesh: TriangleMesh) -> SymmetryGroup:
+    """Return the symmetry of a surface, found if declared "auto", else read and checked. Raises SymmetryError."""
+    from tactile_loc.core.symmetry_detection import detect_symmetry, require_symmetry
+
+    if declared == "auto":
+        if mesh.digest not in _detected:
+            _detected[mesh.digest] = detect_symmetry(mesh.vertices_m, mesh.faces)
+        return _detected[mesh.digest]
+    group = SymmetryGroup.parse(declared, mesh.centroid_m)
+    if not group.is_trivial:
+        require_symmetry(group, mesh.vertices_m, mesh.faces)
+    return group
+
+
 def load_object(
     path: str | Path, units: Units = "auto", symmetry: str = "auto", name: str | None = None,
     read: Callable[[Path], Surface] = read_surface,
+    judge: Callable[[str, TriangleMesh], SymmetryGroup] = find_symmetry,
 ) -> ObjectModel:  # fmt: skip
     """Read any mesh format that trimesh reads, or a demo object by its name, and return the object in metres.
 
     `units` is the file's unit; "auto" guesses it from the size and notes what it guessed. `symmetry` is declared
     ("none", "z2", "z6*x2", "zinf", ...) and checked against the surface, or "auto" to detect it. What was guessed or
-    looks doubtful is in the result's `notes` and logged as a warning. `read` is what reads the file. Raises ObjectError
-    or SymmetryError.
+    looks doubtful is in the result's `notes` and logged as a warning. `read` is what reads the file, `judge` what finds
+    or checks the symmetry. Raises ObjectError or SymmetryError.
     """
     demo = DEMO_OBJECTS.get(str(path))
     if demo is not None and not Path(path).is_file():
@@ -82,7 +97,9 @@ def load_object(
     check_surface(mesh, path.name)
     if not surface.is_watertight:
         notes.append(f"{path.name} is not watertight; touches are rendered from the faces it has")
-    group = _symmetry(symmetry, mesh, notes)
+    group = judge(symmetry, mesh)
+    if symmetry == "auto" and not group.is_trivial:
+        notes.append(f"symmetry found: {group} (say --symmetry to be sure)")
     for note in notes:
         log.warning(note)
     return ObjectModel(name, mesh, group, tuple(notes), str(path))
@@ -104,22 +121,6 @@ def _unit_scale(surface: Surface, units: str, name: str) -> tuple[float, list[st
         f"{name} is {size:.4g} units long; guessed {guess}, so {size * scale * 1e3:.4g} mm "
         "(say --units to be sure)"
     ]  # fmt: skip
-
-
-def _symmetry(declared: str, mesh: TriangleMesh, notes: list[str]) -> SymmetryGroup:
-    from tactile_loc.core.symmetry_detection import detect_symmetry, require_symmetry
-
-    if declared == "auto":
-        if mesh.digest not in _detected:
-            _detected[mesh.digest] = detect_symmetry(mesh.vertices_m, mesh.faces)
-        group = _detected[mesh.digest]
-        if not group.is_trivial:
-            notes.append(f"symmetry found: {group} (say --symmetry to be sure)")
-        return group
-    group = SymmetryGroup.parse(declared, mesh.centroid_m)
-    if not group.is_trivial:
-        require_symmetry(group, mesh.vertices_m, mesh.faces)
-    return group
 
 
 def _first_line(error: Exception) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry import invert, rotation_angle
 from tactile_loc.core.interfaces import IOU_PX, Candidate, Prior, RefinedPose, Refiner, View
-from tactile_loc.core.poses import PoseMetric, Poses
+from tactile_loc.core.poses import PoseMetric, Poses, distances_between
 from tactile_loc.core.posterior import Mode, PosePosterior
 from tactile_loc.core.progress import StageTimes
 from tactile_loc.locate.result import Hypothesis
@@ -183,12 +183,10 @@ def best_apart(posterior: PosePosterior, radius_m: float, top: int) -> list[Mode
 
     The poses within that of a mode, and nearer to no other one, are its members.
     """
-    from scipy.spatial.distance import cdist
-
     grid, p = posterior.grid, posterior.probabilities
     chosen = apart(grid.T_sensor_object, posterior.log_p, grid.metric, radius_m, top)
     points = grid.metric.embed(grid.T_sensor_object)
-    far = cdist(points, points[chosen])
+    far = distances_between(points, points[chosen])
     of, near = far.argmin(axis=1), far.min(axis=1) <= radius_m
     members = [np.flatnonzero(near & (of == k)) for k in range(len(chosen))]
     return [
@@ -204,8 +202,6 @@ def apart(
 
     None is within `radius_m` metres of a worthier one.
     """
-    from scipy.spatial.distance import cdist
-
     order = np.argsort(-worth, kind="stable")
     chosen: list[int] = []
     near = np.empty((0, 0))  # embedded poses of the chosen ones
@@ -213,7 +209,7 @@ def apart(
         left = order[start : start + AT_ONCE]
         points = metric.embed(poses[left])
         if len(near):
-            free = (cdist(points, near) > radius_m).all(axis=1)
+            free = (distances_between(points, near) > radius_m).all(axis=1)
             left, points = left[free], points[free]
         while len(left) and len(chosen) < count:
             chosen.append(int(left[0]))

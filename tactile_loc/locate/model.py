@@ -1,4 +1,4 @@
-"""What is built once of an object and a sensor, each a stage of the store: surface, grid, shapes, encoder, bank."""
+"""What is built once of an object and a sensor, each a stage of the store: grid, shapes, encoder, bank."""
 
 from __future__ import annotations
 
@@ -6,22 +6,18 @@ import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import GridError, StoreError
+from tactile_loc.core.errors import GridError
 from tactile_loc.core.grids import contact_grid, enough_contact
 from tactile_loc.core.interfaces import Encoder, GridSampler, Scene, TrainingProblem
-from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseGrid, PoseMetric
 from tactile_loc.core.progress import Progress, rank
-from tactile_loc.io.meshes import Surface, Units, load_object, read_surface
 from tactile_loc.store.artifact import Artifact
-from tactile_loc.store.keys import StageKey, hash_file
+from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
@@ -29,39 +25,7 @@ logger = logging.getLogger(__name__)
 
 SHARD = 1024  # poses rendered, saved and resumed at once
 NO_CONTACT = 65535
-SELF_CONTAINED = (".stl", ".obj", ".ply", ".off")  # mesh files that no other file's triangles are part of
-STAGE_VERSIONS = {"surface": 1, "grid": 4, "shapes": 2, "encoder": 3, "bank": 2}
-
-
-def stored_object(path: str | Path, units: Units, symmetry: str, store: StageStore) -> ObjectModel:
-    """Load an object as `load_object` does, the surface from the store if it is there: trimesh is slow to import."""
-    return load_object(path, units, symmetry, read=lambda file: _stored_surface(file, store))
-
-
-def _stored_surface(path: Path, store: StageStore) -> Surface:
-    if path.suffix.lower() not in SELF_CONTAINED:
-        return read_surface(path)
-    try:
-        digest = hash_file(path)
-    except StoreError:
-        return read_surface(path)  # which says why it cannot
-    described = {"file": digest, "suffix": path.suffix.lower(), "trimesh": metadata.version("trimesh")}
-    key = StageKey("surface", STAGE_VERSIONS["surface"], described, path.stem)
-    found = store.get(key)
-    if found is not None:
-        return Surface(np.array(found.array("vertices")), np.array(found.array("faces")), found.json("watertight"))
-    surface = read_surface(path)
-
-    def save(work: Workspace) -> None:
-        work.save_array("vertices", surface.vertices)
-        work.save_array("faces", surface.faces)
-        work.save_json("watertight", surface.is_watertight)
-
-    try:
-        store.build(key, save)
-    except StoreError as error:  # what is built next says so, if it cannot be kept either
-        logger.info("the surface of %s is read again next time: %s", path.name, error)
-    return surface
+STAGE_VERSIONS = {"grid": 4, "shapes": 2, "encoder": 3, "bank": 2}
 
 
 def grid_key(scene: Scene, sampler: GridSampler) -> StageKey:

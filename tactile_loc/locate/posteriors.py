@@ -33,7 +33,6 @@ from tactile_loc.locate.model import (
     ObjectPoseModel,
     build_bank,
     build_model,
-    stored_object,
     train_encoder,
 )
 from tactile_loc.locate.probabilities import (
@@ -45,6 +44,7 @@ from tactile_loc.locate.probabilities import (
 )
 from tactile_loc.locate.scoring import GridScores, Scores
 from tactile_loc.locate.search import PlaceSearch, build_places, found_together
+from tactile_loc.locate.stored_object import stored_object
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace

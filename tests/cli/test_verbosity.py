@@ -142,7 +142,7 @@ def test_outside_of_components_the_command_is_named(cli, monkeypatch):
     def fail(*_):
         raise RuntimeError
 
-    monkeypatch.setattr("tactile_loc.locate.model.stored_object", fail)
+    monkeypatch.setattr("tactile_loc.locate.stored_object.stored_object", fail)
     done = cli("build")
     assert (done.exit_code, done.stderr) == (
         1, "error: unexpected RuntimeError in build; run with -vv for the traceback\n",

@@ -35,10 +35,9 @@ def test_rays_meet_the_nearest_surface():
     seen = Tracer([BLOCK, behind], FRONT).look((-5, 5, -1, 6), (70, 100))
     share = [(seen.surface == k).mean() * 70 for k in (0, 1)]
     assert share == pytest.approx([4 * 3, 8 * 5 - 4 * 3], abs=0.5)
-    assert seen.point[seen.surface == 0][:, 1] == pytest.approx(-1, abs=1e-4)
-    assert seen.normal[seen.surface == 0] == pytest.approx(
-        np.tile([0, -1.0, 0], ((seen.surface == 0).sum(), 1)), abs=1e-5
-    )
+    front = seen.surface[seen.hit] == 0
+    assert seen.points[front][:, 1] == pytest.approx(-1, abs=1e-4)
+    assert seen.normals[front] == pytest.approx(np.tile([0, -1.0, 0], (front.sum(), 1)), abs=1e-5)
     assert (seen.surface[0] == -1).all()  # above everything
 
 
@@ -54,7 +53,7 @@ def test_a_shadow_lies_opposite_the_light():
     floor = box((-20, 20), (-20, 20), (-1, 0))
     tracer = Tracer([box((-1, 1), (-1, 1), (4, 6)), floor], View(0.0, 89.0))
     seen = tracer.look((-20, 20, -20, 20), (200, 200))
-    dark = seen.point[tracer.shadow(seen, 0.01) & (seen.surface == 1)]
+    dark = seen.points[(tracer.shadow(seen, 0.01) & (seen.surface == 1))[seen.hit]]
     assert dark.mean(axis=0)[:2] == pytest.approx(-5 * LIGHT[:2] / LIGHT[2], abs=0.6)
 
 

@@ -2,16 +2,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 
-from tactile_loc.core.errors import GridError, ObjectError, StoreError
+from tactile_loc.core.errors import GridError
 from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.progress import Progress
-from tactile_loc.io import meshes
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate import model as module
 from tactile_loc.locate.model import ObjectPoseModel, build_bank, build_model
@@ -233,43 +230,3 @@ def test_progress_counts_every_pose(make_pin_scene, sampler, own_store):
     assert len(done) == 3
     assert all(total == steps for total, steps in done.values())
     assert done["encoding contact shapes"][0] == model.size
-
-
-def test_a_surface_is_read_once_and_again_when_the_file_changes(tmp_path, monkeypatch):
-    store, path = StageStore(tmp_path / "store"), tmp_path / "part.stl"
-    read: list[Path] = []
-    monkeypatch.setattr(module, "read_surface", lambda file: read.append(file) or meshes.read_surface(file))
-    for size, times in ((0.02, 1), (0.02, 1), (0.03, 2)):
-        trimesh.creation.box((size, 0.01, 0.01)).export(path)
-        for _ in range(2):
-            found = module.stored_object(path, "m", "none", store)
-            plain = meshes.load_object(path, "m", "none")
-            np.testing.assert_array_equal(found.mesh.vertices_m, plain.mesh.vertices_m)
-            np.testing.assert_array_equal(found.mesh.faces, plain.mesh.faces)
-            assert (found.name, found.notes, found.source) == (plain.name, plain.notes, plain.source)
-        assert len(read) == times
-
-
-@pytest.mark.parametrize("content", [None, b"", b"no mesh at all"])
-def test_what_is_no_mesh_is_refused_as_without_a_store_and_leaves_nothing(tmp_path, content):
-    store, path = StageStore(tmp_path / "store"), tmp_path / "part.stl"
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(ObjectError) as alone:
-        meshes.load_object(path)
-    with pytest.raises(ObjectError) as stored:
-        module.stored_object(path, "auto", "auto", store)
-    assert str(stored.value) == str(alone.value)
-    assert not store.entries()
-
-
-def test_a_surface_that_cannot_be_kept_is_read_all_the_same(tmp_path, monkeypatch):
-    path = tmp_path / "part.stl"
-    trimesh.creation.box((0.02, 0.01, 0.01)).export(path)
-    store = StageStore(tmp_path / "store")
-
-    def full(*_):
-        raise StoreError("the disk is full")
-
-    monkeypatch.setattr(store, "build", full)
-    assert len(module.stored_object(path, "m", "none", store).mesh.faces) == 12

@@ -56,7 +56,7 @@ def test_the_whole_object_is_searched_unless_told_otherwise():
     assert config.encoder.options == {"signal": "depth", "cells": 16}
     assert config.refiner.name == "joint"
     assert RunConfig(grid="face").encoder.options == {}
-    assert RunConfig(grid="face").refiner.name == "filterreg"
+    assert RunConfig(grid="face").refiner.name == "joint"
     assert RunConfig(refiner="icp").refiner.name == "icp"
     assert RunConfig(grid={"name": "hopf"}).encoder.name == "pixel"
     assert RunConfig(encoder={"name": "pixel", "cells": 9}).encoder.options == {"cells": 9}

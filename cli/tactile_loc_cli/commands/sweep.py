@@ -31,7 +31,7 @@ Renderers = Annotated[list[str] | None, declare("--renderer", "NAME,...", "Rende
 Grids = Annotated[list[str] | None, declare("--grid", "NAME,...", "Grids; by default face.")]
 Encoders = Annotated[list[str] | None, declare("--encoder", "NAME,...", "Encoders; by default pixel.")]
 Matchers = Annotated[list[str] | None, declare("--matcher", "NAME,...", "Matchers; by default dense.")]
-Refiners = Annotated[list[str] | None, declare("--refiner", "NAME,...", "Refiners; by default filterreg.")]
+Refiners = Annotated[list[str] | None, declare("--refiner", "NAME,...", "Refiners; by default joint.")]
 Fusers = Annotated[list[str] | None, declare("--fuser", "NAME,...", "Fusers; by default product.")]
 Noises = Annotated[
     list[str] | None, declare("--noise", "NAME,...", "Noises of the touches: none, mild, strong; by default strong.")

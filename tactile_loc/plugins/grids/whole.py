@@ -64,7 +64,7 @@ class WholeGrid(GridSampler):
     def places(self, obj: ObjectModel, progress: Progress) -> Places:
         """Return what can touch first, direction by direction. Raises GridError for an object of half a metre."""
         options, mesh = self.options, obj.mesh
-        radius_m = float(np.linalg.norm(mesh.hull_corners_m - mesh.centroid_m, axis=1).max())
+        radius_m = float(np.linalg.norm(mesh.corners_m - mesh.centroid_m, axis=1).max())
         if 2 * radius_m > LONGEST_M:
             raise GridError(
                 f"{obj.name} is {2e3 * radius_m:.0f} mm across, and the whole grid searches objects of at most "
@@ -114,8 +114,8 @@ class WholeGrid(GridSampler):
         R = random_rotations(count, rng)
         x0, x1, y0, y1 = geometry.rectangle
         over = np.column_stack([rng.uniform(x0, x1, count), rng.uniform(y0, y1, count), np.zeros(count)])
-        corners = obj.mesh.hull_corners_m
-        lowest = corners[(R[:, 2] @ corners.T).argmin(axis=1)]
+        corners = obj.mesh.corners_m
+        lowest = np.stack([corners[(corners @ down).argmin()] for down in R[:, 2]])
         return make_transform(R, over - np.einsum("nij,nj->ni", R, lowest))
 
     def _lowest(self, heights: NDArray[np.float32]) -> NDArray[np.int64]:

@@ -75,12 +75,14 @@ def _image_mm(touch: Seen) -> NDArray[np.float32]:
 
     geometry = touch.geometry
     contact = touch.shape.contact & geometry.observed_mask
-    z_m = touch.shape.depth_m.astype(float) + geometry.standoff_m
-    rows, columns = distance_transform_edt(~contact, return_distances=False, return_indices=True)
+    z_m = touch.shape.depth_m + np.float32(geometry.standoff_m)
+    rows, columns = distance_transform_edt(~contact, return_distances=False, return_indices=True)[:, :-1, :-1]
     height = np.where(geometry.observed_mask, np.where(contact, z_m * MILLI, NOTHING_MM), np.nan)
-    places = geometry.backproject(z_m)[rows, columns] * MILLI
-    four = np.stack([height[:-1, :-1], height[1:, :-1], height[:-1, 1:], height[1:, 1:]])
-    return np.concatenate([four.min(axis=0)[..., None], places[:-1, :-1]], axis=-1).astype(np.float32)
+    above, below = height[:-1], height[1:]
+    image = np.empty((*rows.shape, 4), np.float32)
+    image[..., 0] = np.minimum(np.minimum(above[:, :-1], above[:, 1:]), np.minimum(below[:, :-1], below[:, 1:]))
+    image[..., 1:] = (geometry.backproject(z_m) * MILLI)[rows, columns]
+    return image
 
 
 def _camera_mm(touch: Seen, weight: float) -> Floats:

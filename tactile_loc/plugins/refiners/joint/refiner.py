@@ -30,11 +30,10 @@ from tactile_loc.plugin import (
     surface_field,
 )
 from tactile_loc.plugins.refiners.joint.observed import MILLI, Seen, observe
-from tactile_loc.plugins.refiners.joint.registration import Registered, Registration
+from tactile_loc.plugins.refiners.joint.registration import SETTLED_MM, Registered, Registration
 
 ROUGHLY = 0.02  # ious are counted in pixels: a loss this small is none
-SETTLED_MM = 1e-3
-FINELY = 6  # of the steps, the last, that look at all points
+FINELY = 4  # of the steps, the last, that look at all points
 SAMPLES = 4000  # points of the object's surface that must not reach into the gel
 BLOCK = 16  # of them that are passed over together
 Floats = NDArray[np.float64]
@@ -71,11 +70,14 @@ class JointRefiner(Refiner):
             return []
         given = np.stack([candidate.T_sensor_object for candidate in candidates])
         found = self._registered(views, given, self._scales_mm, FINELY)
-        before, after = (_explained(views, T) for T in (given, found.T))
-        good = after[1] >= before[1] - ROUGHLY
+        after = _explained(views, found.T)
+        before = np.ones_like(after)
+        doubted = after[1] < 1 - ROUGHLY  # what explains nearly everything explains no less than before
+        before[:, doubted] = _explained(views, given[doubted])
+        good = ~doubted | (after[1] >= before[1] - ROUGHLY)
         results = []
         for k in range(len(given)):
-            T, iou = (found.T[k], after[0][k]) if good[k] else (given[k].copy(), before[0][k])
+            T, iou = (found.T[k], after[0, k]) if good[k] else (given[k].copy(), before[0, k])
             settled = bool(good[k] and found.moved[k] < SETTLED_MM and iou > 0)
             covariance = _covariance(found.information[k], _lever_m(views[0], T)) if good[k] else None
             seen = found.T_each[k] if good[k] else None
@@ -127,10 +129,12 @@ def _scaled(T: Floats, unit: float) -> Floats:
     return scaled
 
 
-def _explained(views: Sequence[View], T_first_object: Floats) -> tuple[Floats, Floats]:
-    """Contact IoUs and imprint IoUs (K,) of poses (K, 4, 4) in the first sensor's frame: means over the touches."""
-    each = [view.explained(T_first_object) for view in views]
-    return np.mean([one.contact_ious for one in each], axis=0), np.mean([one.imprint_ious for one in each], axis=0)
+def _explained(views: Sequence[View], T_first_object: Floats) -> Floats:
+    """Contact IoUs and imprint IoUs (2, K) of poses (K, 4, 4) in the first sensor's frame: means over the touches."""
+    if not len(T_first_object):
+        return np.empty((2, 0))
+    each = [view.explained(T_first_object)[:2] for view in views]
+    return np.asarray(np.mean(each, axis=0))
 
 
 def _lever_m(view: View, T: Floats) -> Floats:

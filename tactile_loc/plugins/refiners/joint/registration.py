@@ -16,7 +16,7 @@ from tactile_loc.plugin import Blocks, NearestTriangles, in_threads, invert
 from tactile_loc.plugins.refiners.joint.kernels import Observed, equations
 from tactile_loc.plugins.refiners.joint.twists import adjoint, exponential, logarithm
 
-SETTLED_MM = 1e-4
+SETTLED_MM = 1e-3  # a pose that moves less has arrived
 COARSELY = 3  # one point of so many is looked at at first
 FARTHEST_RAD, FARTHEST_MM = 0.2, 3.0  # of a step
 DAMPING = 1e-4
@@ -86,14 +86,9 @@ class Registration:
         (1 + A S)^-1 (A, b + A e) for the object's twist x, u = Ad x - e + (what S allows). All touches' points are
         taken for as noisy as they are off together.
         """
-        A, b = np.zeros((*T_each.shape[:2], 6, 6)), np.zeros((*T_each.shape[:2], 6))
-        misfit = np.zeros((len(T), 2))
-        in_threads(
-            equations, len(T), T_each, every, self.observed, self.triangles, self.samples, scale, A, b, misfit
-        )  # fmt: skip
-        surer = np.minimum(1.0, self.noise**2 * misfit[:, 1] / np.maximum(misfit[:, 0], 1e-30))
-        A *= surer[:, None, None, None]
-        b *= surer[:, None, None]
+        A, b = self._equations(T_each, scale, every)
+        if len(self.press) == 1:
+            return self._step_of_one(T, A[:, 0], b[:, 0])
         centres, R_each = self.observed.centres, self.T_sensor_first[:, :3, :3]
         nominal = self.T_sensor_first @ T[:, None]
         errors = logarithm(T_each @ invert(nominal), centres)
@@ -106,18 +101,33 @@ class Registration:
         H, g = H_each.sum(axis=1), each[..., 6].sum(axis=1)
         first = Ad[:, 0].swapaxes(-1, -2) @ A[:, 0] @ Ad[:, 0]
         parts = np.stack([first, H - H_each[:, 0]], axis=1)
-        diagonal = np.einsum("kii->ki", H).reshape(-1, 2, 3)  # turning, then sliding
-        damping = DAMPING * np.repeat(diagonal.mean(axis=2), 3, axis=1) + 1e-9
-        x = np.linalg.solve(H + damping[:, :, None] * np.eye(6), g[..., None])[..., 0]
-        x *= diagonal[:, 1].sum(axis=1, keepdims=True) > 0.0
-        angle, far = np.sqrt((x.reshape(-1, 2, 3) ** 2).sum(axis=2)).T
-        shorter = np.minimum(1.0, np.minimum(FARTHEST_RAD / (angle + 1e-12), FARTHEST_MM / (far + 1e-12)))
-        x *= shorter[:, None]
+        x, moved = _limited_step(H, g)
         T = exponential(x, T[:, :3, :3] @ self.middle + T[:, :3, 3]) @ T
         # each sensor's own error, given where the object is: S (1 + A S)^-1 (b + A e - A Ad x)
         own = left[..., 6] - (left[..., :6] @ (Ad @ x[:, None, :, None]))[..., 0]
         T_each = exponential(S * own, centres) @ (self.T_sensor_first @ T[:, None])
-        return T, T_each, parts, (far + LEVER_MM * angle) * shorter
+        return T, T_each, parts, moved
+
+    def _step_of_one(self, T: Floats, A: Floats, b: Floats) -> tuple[Floats, ...]:
+        """The same of one touch alone, of equations A (K, 6, 6) and b (K, 6): the pose takes up all errors."""
+        seen, R = self.T_sensor_first @ T, self.T_sensor_first[:, :3, :3]
+        lever = self.observed.centres - seen[:, :3, :3] @ self.middle - seen[:, :3, 3]
+        Ad = adjoint(R, lever)
+        across = Ad.swapaxes(-1, -2)
+        H = across @ A @ Ad
+        x, moved = _limited_step(H, (across @ b[..., None])[..., 0])
+        T = exponential(x, T[:, :3, :3] @ self.middle + T[:, :3, 3]) @ T
+        return T, (self.T_sensor_first @ T)[:, None], np.stack([H, np.zeros_like(H)], axis=1), moved
+
+    def _equations(self, T_each: Floats, scale: float, every: NDArray[np.int64]) -> tuple[Floats, Floats]:
+        """The equations A (K, N, 6, 6), b (K, N, 6) of twists by which poses T_each explain each touch better."""
+        A, b = np.zeros((*T_each.shape[:2], 6, 6)), np.zeros((*T_each.shape[:2], 6))
+        misfit = np.zeros((len(T_each), 2))
+        in_threads(
+            equations, len(T_each), T_each, every, self.observed, self.triangles, self.samples, scale, A, b, misfit
+        )  # fmt: skip
+        surer = np.minimum(1.0, self.noise**2 * misfit[:, 1] / np.maximum(misfit[:, 0], 1e-30))[:, None, None]
+        return A * surer[..., None], b * surer
 
     def _of_first(self, parts: Floats, T: Floats) -> Floats:
         """The information (K, 6, 6) of twists, about the object's centre, of where the first sensor sees the object.
@@ -139,3 +149,16 @@ class Registration:
         share = np.divide(self.sensor[0], allowed, out=np.zeros(6), where=allowed > 0)
         centre = self.observed.centres[0]
         return exponential(share * logarithm(seen @ invert(T), centre), centre) @ T
+
+
+def _limited_step(H: Floats, g: Floats) -> tuple[Floats, Floats]:
+    """The twists x (K, 6) that solve H x = g, slightly damped, none too far; and how far they move poses (K,), mm."""
+    diagonal = np.einsum("kii->ki", H).reshape(-1, 2, 3)  # turning, then sliding
+    damping = DAMPING * diagonal.mean(axis=2, keepdims=True) + np.full((1, 1, 3), 1e-9)
+    damped = H.copy()
+    np.einsum("kii->ki", damped)[:] += damping.reshape(-1, 6)
+    x = np.linalg.solve(damped, g[..., None])[..., 0]
+    x *= diagonal[:, 1].sum(axis=1, keepdims=True) > 0.0
+    angle, far = np.sqrt((x.reshape(-1, 2, 3) ** 2).sum(axis=2)).T
+    shorter = np.minimum(1.0, np.minimum(FARTHEST_RAD / (angle + 1e-12), FARTHEST_MM / (far + 1e-12)))
+    return x * shorter[:, None], (far + LEVER_MM * angle) * shorter

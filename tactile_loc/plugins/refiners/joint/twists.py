@@ -7,15 +7,17 @@ from numpy.typing import NDArray
 
 from tactile_loc.plugin import make_transform
 
+TINY = 1e-30  # of a squared angle: no turn at all has none by which to divide
 Floats = NDArray[np.float64]
 
 
 def exponential(x: Floats, centre: Floats) -> Floats:
     """Return the motions (..., 4, 4) that turn by x[..., :3] about centres (..., 3), then shift by x[..., 3:]."""
     turn = x[..., :3]
-    angle = np.sqrt((turn * turn).sum(axis=-1))[..., None, None]
+    half = 0.5 * np.sqrt((turn * turn).sum(axis=-1) + TINY)[..., None, None]
     K = cross_matrix(turn)
-    R = np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (K @ K)
+    sinc = np.sin(half) / half
+    R = np.eye(3) + sinc * np.cos(half) * K + 0.5 * sinc * sinc * (K @ K)
     return make_transform(R, centre + x[..., 3:] - (R @ centre[..., None])[..., 0])
 
 

@@ -1,0 +1,88 @@
+"""An object whose surface and symmetry are kept in the store: reading a mesh and finding its symmetry take seconds."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from tactile_loc.core.errors import StoreError
+from tactile_loc.core.objects import ObjectModel, TriangleMesh
+from tactile_loc.core.symmetry import SymmetryGroup, SymmetryTerm
+from tactile_loc.io.meshes import Surface, Units, find_symmetry, load_object, read_surface
+from tactile_loc.store.artifact import Artifact
+from tactile_loc.store.keys import StageKey, hash_file
+from tactile_loc.store.store import StageStore
+from tactile_loc.store.workspace import Workspace
+
+logger = logging.getLogger(__name__)
+
+SELF_CONTAINED = (".stl", ".obj", ".ply", ".off")  # mesh files that no other file's triangles are part of
+SURFACE_VERSION, SYMMETRY_VERSION = 1, 1  # raise them when the same file is read, or judged, otherwise
+
+Kept = TypeVar("Kept")
+
+
+def stored_object(path: str | Path, units: Units, symmetry: str, store: StageStore) -> ObjectModel:
+    """Load an object as `load_object` does, its surface and its symmetry from the store if they are there."""
+    return load_object(
+        path, units, symmetry, read=lambda file: _stored_surface(file, store),
+        judge=lambda declared, mesh: _stored_symmetry(declared, mesh, store),
+    )  # fmt: skip
+
+
+def _stored_surface(path: Path, store: StageStore) -> Surface:
+    if path.suffix.lower() not in SELF_CONTAINED:
+        return read_surface(path)
+    try:
+        digest = hash_file(path)
+    except StoreError:
+        return read_surface(path)  # which says why it cannot
+    described = {"file": digest, "suffix": path.suffix.lower(), "trimesh": metadata.version("trimesh")}
+    key = StageKey("surface", SURFACE_VERSION, described, path.stem)
+
+    def save(surface: Surface, work: Workspace) -> None:
+        work.save_array("vertices", surface.vertices)
+        work.save_array("faces", surface.faces)
+        work.save_json("watertight", surface.is_watertight)
+
+    def load(kept: Artifact) -> Surface:
+        return Surface(np.array(kept.array("vertices")), np.array(kept.array("faces")), kept.json("watertight"))
+
+    return _kept(store, key, lambda: read_surface(path), save, load)
+
+
+def _stored_symmetry(declared: str, mesh: TriangleMesh, store: StageStore) -> SymmetryGroup:
+    key = StageKey("symmetry", SYMMETRY_VERSION, {"mesh": mesh.digest, "declared": declared})
+
+    def save(group: SymmetryGroup, work: Workspace) -> None:
+        terms = [[*term.axis, "inf" if math.isinf(term.order) else int(term.order)] for term in group.terms]
+        work.save_json("group", {"centre_m": group.centre_m.tolist(), "terms": terms})
+
+    def load(kept: Artifact) -> SymmetryGroup:
+        group = kept.json("group")
+        terms = [SymmetryTerm((x, y, z), float(order)) for x, y, z, order in group["terms"]]
+        return SymmetryGroup(np.array(group["centre_m"]), tuple(terms))
+
+    return _kept(store, key, lambda: find_symmetry(declared, mesh), save, load)
+
+
+def _kept(
+    store: StageStore, key: StageKey, make: Callable[[], Kept], save: Callable[[Kept, Workspace], None],
+    load: Callable[[Artifact], Kept],
+) -> Kept:  # fmt: skip
+    """What the store has, else what is made, and kept if it can be."""
+    found = store.get(key)
+    if found is not None:
+        return load(found)
+    made = make()
+    try:
+        store.build(key, lambda work: save(made, work))
+    except StoreError as error:  # what is built next says so, if it cannot be kept either
+        logger.info("the %s is made again next time: %s", key.stage, error)
+    return made
