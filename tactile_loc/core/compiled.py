@@ -12,6 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 from numba import config
@@ -30,7 +31,49 @@ def njit(function: Callable[..., Any] | None = None, *, fast: bool = False) -> A
     """
     if function is None:
         return lambda f: njit(f, fast=fast)
-    return numba_njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH if fast else False)(function)
+    compiled = numba_njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH if fast else False)(function)
+    _require_fresh(compiled)
+    return compiled
+
+
+def _require_fresh(compiled: Any) -> None:
+    """Let compiled code on disk be used only if it is of all the source that is in it, and can be read.
+
+    numba looks at the file of the function itself, not at those of the functions that it calls and that are compiled
+    into it: after an upgrade old code would go on working with new. And an index that names a class which is gone, or
+    was cut off, would end the program.
+    """
+    file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
+    if file is None:  # nothing is kept: numba is told not to compile
+        return
+    load_index, load_data = file._load_index, file._load_data
+
+    def index() -> dict[Any, str]:
+        file._source_stamp = _stamps(compiled)  # only now are all names of the functions it calls there
+        try:
+            return dict(load_index())
+        except Exception:  # noqa: BLE001 - whatever a damaged or foreign file makes of unpickling
+            return {}
+
+    def data(name: str) -> Any:
+        try:
+            return load_data(name)
+        except Exception as error:
+            raise OSError(f"{name} cannot be read") from error  # then numba compiles
+
+    file._load_index, file._load_data = index, data
+
+
+def _stamps(compiled: Any) -> list[tuple[str, int, int]]:
+    """The files of a compiled function and of those that it calls: name, time and size."""
+    functions, files = [compiled], set()
+    for function in functions:  # grows while it is walked
+        python = function.py_func
+        files.add(python.__code__.co_filename)
+        called = (python.__globals__.get(name) for name in python.__code__.co_names)
+        functions += [other for other in called if isinstance(other, type(compiled)) and other not in functions]
+    stats = [(Path(file).name, os.stat(file)) for file in sorted(files)]
+    return [(name, stat.st_mtime_ns, stat.st_size) for name, stat in stats]
 
 
 def in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -67,3 +69,58 @@ def test_it_may_be_called_from_within(monkeypatch):
 
     in_threads(outer, 4)
     assert (done == 1).all()
+
+
+CALLED = """
+from typing import NamedTuple
+from tactile_loc.core.compiled import njit
+
+class {pair}(NamedTuple):
+    a: float
+    b: float
+
+@njit
+def helper(pair):
+    return pair.a * {factor}.0 + pair.b
+"""
+CALLING = """
+from called import {pair}, helper
+from tactile_loc.core.compiled import njit
+
+@njit
+def kernel(pair):
+    return later(pair)
+
+@njit
+def later(pair):
+    return helper(pair)
+"""
+
+
+def run(folder, **values):
+    """Run a kernel of one file that calls one of another; return what it says, and how often it was found on disk."""
+    for name, text in (("called", CALLED), ("calling", CALLING)):
+        path = folder / f"{name}.py"
+        if not path.exists() or path.read_text() != text.format(**values):
+            path.write_text(text.format(**values))
+    main = "from calling import *; print(kernel({pair}(3.0, 1.0)), sum(kernel.stats.cache_hits.values()))"
+    done = subprocess.run(
+        [sys.executable, "-c", main.format(**values)], cwd=folder, capture_output=True, text=True, check=True
+    )
+    return done.stdout.split()
+
+
+def test_compiled_code_is_kept_until_any_source_of_it_changes(tmp_path):
+    assert run(tmp_path, pair="Pair", factor=2) == ["7.0", "0"]
+    assert run(tmp_path, pair="Pair", factor=2) == ["7.0", "1"]
+    assert run(tmp_path, pair="Pair", factor=4) == ["13.0", "0"]  # a function in another file, called by one it calls
+    assert run(tmp_path, pair="Two", factor=4) == ["13.0", "0"]  # an index that names a class which is gone
+
+
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+def test_compiled_code_that_was_cut_off_is_compiled_again(tmp_path, suffix):
+    assert run(tmp_path, pair="Pair", factor=2) == ["7.0", "0"]
+    for path in tmp_path.rglob(f"*.{suffix}"):
+        path.write_bytes(path.read_bytes()[:-5])
+    assert run(tmp_path, pair="Pair", factor=2) == ["7.0", "0"]
+    assert run(tmp_path, pair="Pair", factor=2) == ["7.0", "1"]
