@@ -32,7 +32,7 @@ def stored_object(path: str | Path, units: Units, symmetry: str, store: StageSto
     """Load an object as `load_object` does, its surface and its symmetry from the store if they are there."""
     return load_object(
         path, units, symmetry, read=lambda file: _stored_surface(file, store),
-        judge=lambda declared, mesh: _stored_symmetry(declared, mesh, store),
+        judge=lambda declared, mesh: _stored_symmetry(declared, mesh, Path(path).stem, store),
     )  # fmt: skip
 
 
@@ -57,8 +57,8 @@ def _stored_surface(path: Path, store: StageStore) -> Surface:
     return _kept(store, key, lambda: read_surface(path), save, load)
 
 
-def _stored_symmetry(declared: str, mesh: TriangleMesh, store: StageStore) -> SymmetryGroup:
-    key = StageKey("symmetry", SYMMETRY_VERSION, {"mesh": mesh.digest, "declared": declared})
+def _stored_symmetry(declared: str, mesh: TriangleMesh, name: str, store: StageStore) -> SymmetryGroup:
+    key = StageKey("symmetry", SYMMETRY_VERSION, {"mesh": mesh.digest, "declared": declared}, name)
 
     def save(group: SymmetryGroup, work: Workspace) -> None:
         terms = [[*term.axis, "inf" if math.isinf(term.order) else int(term.order)] for term in group.terms]

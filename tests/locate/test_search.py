@@ -200,8 +200,8 @@ def test_a_prior_guides_the_search(localizer, search, noisy):
     for touch in noisy:
         for name, prior in (("alone", None), ("guided", near(touch, rng))):
             poses = search.found(touch, StageTimes(), prior)[0].T_sensor_object
-            found[name].append(off_mm(localizer, poses, touch).min() < 1.0)
-    assert np.mean(found["guided"]) > np.mean(found["alone"])
+            found[name].append(off_mm(localizer, poses, touch).min())
+    assert np.mean(found["guided"]) < 0.75 * np.mean(found["alone"])
 
 
 def test_a_prior_of_several_touches_is_over_poses_in_the_first_ones_frame(localizer, search, examples):

@@ -21,7 +21,7 @@ def test_an_empty_plan_is_an_evaluation_of_the_defaults():
     assert [one.path for one in plan.objects] == list(DEMO_OBJECTS)
     assert {slot: names(plan, slot) for slot in plan.slots} == {
         "sensor": ["gelslim"], "renderer": ["heightmap"], "grid": ["face"], "encoder": ["pixel"], "matcher": ["dense"],
-        "refiner": ["filterreg"], "fuser": ["product"],
+        "refiner": ["joint"], "fuser": ["product"],
     }  # fmt: skip
     assert (plan.noises, plan.seeds, plan.count) == (("strong",), (0,), 150)
 

@@ -41,6 +41,6 @@ def test_failures_are_shown_with_their_errors(made_up):
 
 
 def test_where_nothing_varies_the_components_are_named(made_up):
-    assert "| pixel + filterreg | **1.00** |" in markdown(
+    assert "| pixel + joint | **1.00** |" in markdown(
         made_up({"object": "pin"}, lambda one: {"chosen_median_mm": 1.0}), "chosen"
     )
