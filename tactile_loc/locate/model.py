@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 
 SHARD = 1024  # poses rendered, saved and resumed at once
 NO_CONTACT = 65535
-STAGE_VERSIONS = {"grid": 4, "shapes": 2, "encoder": 3, "bank": 2}
+STAGE_VERSIONS = {"grid": 4, "shapes": 3, "encoder": 3, "bank": 3}
 
 
 def grid_key(scene: Scene, sampler: GridSampler) -> StageKey:
@@ -127,7 +127,8 @@ def build_bank(
             for depths in _pressed_shapes(model, pressed):
                 rows.append(encoder.encode(depths, press_depth_m, pressed.geometry))
                 advance(len(depths))
-        work.save_array("bank", np.concatenate(rows))
+        # vectors of what is mostly empty, unless they were learned
+        work.save_array("bank", np.concatenate(rows), packed=not encoder.capabilities.needs_training)
 
     return np.asarray(store.build(bank_key(model.key, encoder, press_depth_m, trained), encode).array("bank"))
 
@@ -168,7 +169,7 @@ def _render_all(work: Workspace, grid: PoseGrid, scene: Scene, percent: float, p
                 depths = scene.grid_depths(poses)
                 enough = enough_contact(depths, scene, percent)
                 codes = _encoded(depths[enough], scene.geometry.max_depth_m)
-                work.save_array(name, codes)
+                work.save_array(name, codes, packed=True)
                 work.save_array(f"{name}-enough", enough, keep=False)
             kept.append(start + np.flatnonzero(enough))
             sizes.append(len(codes))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import StoreError
 from tactile_loc.store.keys import StageKey, canonical_json, hash_file
+from tactile_loc.store.packed import read_packed
 
 MANIFEST = "manifest.json"
 _FORMAT = 1
@@ -65,12 +66,16 @@ class Artifact:
     def array(self, name: str, mmap: bool = True) -> NDArray[Any]:
         """Return the array stored as `<name>.npy`, mapped read-only from the disk, or in memory if not `mmap`.
 
+        One that was packed, `<name>.npz`, is always in memory.
+
         Raises:
             StoreError: if there is no such array or it cannot be read; arrays of pickled objects never are.
         """
-        path = self.file(f"{name}.npy")
+        packed = f"{name}.npz" in self.files
+        path = self.file(f"{name}.npz" if packed else f"{name}.npy")
         try:
-            array: NDArray[Any] = np.load(path, mmap_mode="r" if mmap else None, allow_pickle=False)
+            array: NDArray[Any]
+            array = read_packed(path) if packed else np.load(path, "r" if mmap else None, allow_pickle=False)
         except (OSError, ValueError, EOFError) as error:
             raise StoreError(f"Cannot read {path}: {error}; remove {self.path} and run again.") from error
         return array

@@ -20,6 +20,7 @@ from tactile_loc.core.interfaces import Checkpoints
 from tactile_loc.store.artifact import MANIFEST, FileRecord, write_manifest
 from tactile_loc.store.files import delete, replacing, sync_folder
 from tactile_loc.store.keys import StageKey, hash_file
+from tactile_loc.store.packed import read_packed, write_packed
 
 logger = logging.getLogger(__name__)
 
@@ -59,8 +60,12 @@ class Workspace:
 
     def load(self, name: str, keep: bool = True) -> NDArray[Any] | None:
         """Return the array saved under this name, now or by an interrupted build; None if absent or damaged."""
-        path = self.load_file(f"{name}.npy", keep)
-        return None if path is None else np.load(path, allow_pickle=False)
+        for read, file_name in ((np.load, f"{name}.npy"), (read_packed, f"{name}.npz")):
+            path = self.load_file(file_name, keep)
+            if path is not None:
+                array: NDArray[Any] = read(path)
+                return array
+        return None
 
     def load_file(self, file_name: str, keep: bool = True) -> Path | None:
         """Return where the file saved under this name is, now or by an interrupted build; None if absent or damaged."""
@@ -73,15 +78,20 @@ class Workspace:
         logger.info("Stage %s: the piece %s is there already.", self._key, file_name)
         return self.path / file_name
 
-    def save_array(self, name: str, array: NDArray[Any], keep: bool = True) -> None:
-        """Save an array of any shape as `<name>.npy`, replacing an earlier one.
+    def save_array(self, name: str, array: NDArray[Any], keep: bool = True, packed: bool = False) -> None:
+        """Save an array of any shape as `<name>.npy`, or `packed`, deflated, as `<name>.npz`, replacing an earlier one.
+
+        A packed array takes time to read and is never mapped; contact shapes, mostly empty, take a tenth of the space.
 
         Raises:
             StoreError: if it holds Python objects, the name cannot be used, or the disk refuses it.
         """
         if array.dtype.hasobject:
             raise StoreError(f"Array {name!r} of stage {self._key} holds Python objects; convert it to numbers.")
-        self.save_file(f"{name}.npy", lambda path: np.save(path, array, allow_pickle=False), keep)
+        if packed:
+            self.save_file(f"{name}.npz", lambda path: write_packed(path, array), keep)
+        else:
+            self.save_file(f"{name}.npy", lambda path: np.save(path, array, allow_pickle=False), keep)
 
     def save_json(self, name: str, value: Any, keep: bool = True) -> None:
         """Save a value as `<name>.json`, keys sorted.

@@ -61,9 +61,9 @@ def test_build_states_the_grids_size_and_spacing(cli, tmp_path):
 
 def test_run_uses_what_build_built(cli, tmp_path):
     cli("build", *TINY, "--store", tmp_path / "store")
-    before = sorted((tmp_path / "store").rglob("*.npy"))
+    before = sorted((tmp_path / "store").rglob("*.np[yz]"))
     assert cli("run", *TINY, "--store", tmp_path / "store").exit_code == 0
-    assert sorted((tmp_path / "store").rglob("*.npy")) == before
+    assert sorted((tmp_path / "store").rglob("*.np[yz]")) == before
 
 
 def test_simulate_writes_touches_that_run_reads(cli):

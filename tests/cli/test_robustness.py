@@ -77,13 +77,13 @@ def test_an_interrupted_build_is_resumed_and_ends_alike(tmp_path, uninterrupted)
     assert "what was finished is kept" in stderr
     assert "Traceback" not in stderr
     assert not list(store.glob("bank/*/manifest.json"))
-    (first_shard,) = store.glob("shapes/*.partial/depth-00000.npy")
+    (first_shard,) = store.glob("shapes/*.partial/depth-00000.npz")
     kept = first_shard.stat()
     ended(start(tmp_path, store), 0)
     assert contents(store) == uninterrupted
-    (shard,) = store.glob("shapes/*/depth-00000.npy")
+    (shard,) = store.glob("shapes/*/depth-00000.npz")
     assert (shard.stat().st_ino, shard.stat().st_mtime_ns) == (kept.st_ino, kept.st_mtime_ns)  # not rendered again
-    assert len(list(shard.parent.glob("depth-*.npy"))) > 2
+    assert len(list(shard.parent.glob("depth-*.npz"))) > 2
 
 
 def test_two_processes_build_the_same_object_at_once(tmp_path, uninterrupted):
@@ -103,7 +103,7 @@ def test_two_processes_build_the_same_object_at_once(tmp_path, uninterrupted):
 def test_a_truncated_artifact_is_rebuilt(cli, tmp_path):
     store = tmp_path / "store"
     assert cli("run", *TINY, "--store", store, "--out", "first").exit_code == 0
-    for bank in store.glob("bank/*/bank.npy"):
+    for bank in store.glob("bank/*/bank.npz"):
         bank.chmod(0o644)
         bank.write_bytes(bank.read_bytes()[:100])
     again = cli("run", *TINY, "--store", store, "--out", "second")

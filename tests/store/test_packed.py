@@ -1,0 +1,73 @@
+"""Packed arrays come back as they were, and what is no such says so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import StoreError
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.packed import read_packed, write_packed
+from tactile_loc.store.store import StageStore
+
+KEY = StageKey("shapes", 1, {"of": "a test"})
+MOSTLY_EMPTY = np.pad(np.arange(64, dtype=np.uint16).reshape(8, 8), 60, constant_values=65535)
+
+
+@pytest.mark.parametrize("array", [MOSTLY_EMPTY, np.float32(3.5), np.empty((0, 4)), np.asfortranarray(MOSTLY_EMPTY)])
+def test_a_packed_array_comes_back(tmp_path, array):
+    for name in ("a.npz", "b.npz"):
+        write_packed(tmp_path / name, np.asarray(array))
+    found = read_packed(tmp_path / "a.npz")
+    assert (found.dtype, found.shape) == (np.asarray(array).dtype, np.shape(array))
+    np.testing.assert_array_equal(found, array)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_what_is_mostly_empty_takes_a_tenth_of_the_space(tmp_path):
+    write_packed(tmp_path / "a.npz", np.stack([MOSTLY_EMPTY] * 50))
+    assert (tmp_path / "a.npz").stat().st_size < 50 * MOSTLY_EMPTY.nbytes / 10
+
+
+def test_the_store_packs_what_is_asked_to_be_packed(tmp_path):
+    store = StageStore(tmp_path)
+    artifact = store.build(KEY, lambda work: work.save_array("codes", MOSTLY_EMPTY, packed=True))
+    assert artifact.names == ("codes.npz",)
+    np.testing.assert_array_equal(artifact.array("codes"), MOSTLY_EMPTY)
+
+
+def test_an_interrupted_build_finds_packed_arrays_again(tmp_path):
+    store, made = StageStore(tmp_path), []
+
+    def build(work, interrupted):
+        found = work.load("codes")
+        if found is None:
+            made.append(1)
+            work.save_array("codes", MOSTLY_EMPTY, packed=True)
+        if interrupted:
+            raise KeyboardInterrupt
+        np.testing.assert_array_equal(work.load("codes"), MOSTLY_EMPTY)
+
+    with pytest.raises(KeyboardInterrupt):
+        store.build(KEY, lambda work: build(work, True))
+    store.build(KEY, lambda work: build(work, False))
+    assert len(made) == 1
+
+
+@pytest.mark.parametrize("content", [b"", b"PK nothing", "cut", "other"])
+def test_what_is_no_packed_array_is_refused(tmp_path, content):
+    path = tmp_path / "codes.npz"
+    write_packed(path, MOSTLY_EMPTY)
+    if content == "cut":
+        content = path.read_bytes()[:-40]
+    if content == "other":
+        np.savez(path, something=MOSTLY_EMPTY)
+    else:
+        path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"packed|file"):
+        read_packed(path)
+    artifact = StageStore(tmp_path / "store").build(
+        KEY, lambda work: work.save_file("codes.npz", lambda to: to.write_bytes(path.read_bytes()))
+    )
+    with pytest.raises(StoreError, match="run again"):
+        artifact.array("codes")
