@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 
 SHARD = 1024  # poses rendered, saved and resumed at once
 NO_CONTACT = 65535
-STAGE_VERSIONS = {"grid": 4, "shapes": 3, "encoder": 3, "bank": 3}
+STAGE_VERSIONS = {"grid": 5, "shapes": 3, "encoder": 3, "bank": 3}
 
 
 def grid_key(scene: Scene, sampler: GridSampler) -> StageKey:
@@ -91,7 +91,9 @@ class ObjectPoseModel:
 def build_model(scene: Scene, sampler: GridSampler, store: StageStore, progress: Progress) -> ObjectPoseModel:
     """Build, or fetch from the store, the grid of `sampler` and its contact shapes in `scene`."""
     grid = grid_key(scene, sampler)
-    artifact = store.build(grid, lambda work: work.save_array("T_sensor_object", _grid(scene, sampler, progress)))
+    artifact = store.build(
+        grid, lambda work: work.save_array("T_sensor_object", _grid(scene, sampler, progress), packed=True)
+    )
     contact = PoseGrid(np.array(artifact.array("T_sensor_object")), PoseMetric(scene.object))
     key = shapes_key(grid, scene)
     percent = sampler.options.min_contact_percent
