@@ -81,7 +81,7 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=10_000, help="about how many poses a grid has")
     parser.add_argument("--touches", type=int, default=200)
     parser.add_argument("--sensor", default="gelslim")
-    parser.add_argument("--refiner", default="filterreg")
+    parser.add_argument("--refiner", default="joint")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--json", type=Path, help="also write the rows here")
     arguments = parser.parse_args()
