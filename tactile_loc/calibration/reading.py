@@ -53,7 +53,8 @@ def require_image(image: NDArray[Any], background: Image, camera_px: tuple[int, 
         raise TouchError("the image is black; is the sensor's light on, and its camera uncovered?")
     if (image >= WHITE).any(axis=2).mean() > 0.5 > (background >= WHITE).any(axis=2).mean():
         raise TouchError("more than half of the image is saturated; lower the camera's exposure or its gain")
-    if np.median(np.abs(image.astype(np.int16) - background)) > STRANGE:
+    some = np.s_[::2, ::2]  # the median of a quarter is that of all
+    if np.median(np.abs(image[some].astype(np.int16) - background[some])) > STRANGE:
         raise TouchError(
             "the image does not look like the sensor's untouched gel anywhere; was it taken by another sensor, or has "
             "the light changed? calibrate this one"
