@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.calibration.estimator import CalibrationProblem, GelEstimator, estimator_class, estimator_options
 from tactile_loc.calibration.folder import WEIGHTS
+from tactile_loc.calibration.health import Health, health, worst
 from tactile_loc.calibration.labels import Chosen, Image, LabelledPresses, PressLabel
 from tactile_loc.calibration.presses import TABLE, PressFolder
 from tactile_loc.core.errors import CalibrationError
@@ -24,7 +25,8 @@ from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
 HELD_OUT = 0.2  # of the presses
 FEWEST = 5  # presses, of which one is held out
-STAGE_VERSION, RECORD = 2, "held-out"
+STAGE_VERSION, RECORD = 3, "held-out"
+LOOKED_AT = 60  # presses, at most, whose health is measured
 
 
 @dataclass(frozen=True)
@@ -57,11 +59,13 @@ class Calibrated:
     estimator: GelEstimator
     held_out: tuple[int, ...]
     errors: tuple[PressErrors, ...]
+    usual: Health
 
     def record(self) -> dict[str, Any]:
-        """Return the errors as JSON values, and the noise of the untouched gel, metres."""
+        """Return the errors as JSON values, the noise of the untouched gel, metres, and the usual health."""
         mean = mean_errors(self.errors)
-        return {"noise_m": mean.get("untouched_m", 0.0), "held_out": {"presses": list(self.held_out), "mean": mean}}
+        held_out = {"presses": list(self.held_out), "mean": mean}
+        return {"noise_m": mean.get("untouched_m", 0.0), "held_out": held_out, "health": self.usual.record()}
 
 
 def calibrate(
@@ -83,7 +87,14 @@ def calibrate(
     )
     made.fit(problem)
     errors = tuple(press_errors(made, *presses.press(number)) for number in held_out)
-    return Calibrated(made, held_out, errors)
+    return Calibrated(made, held_out, errors, _usual_health(made, presses, learned))
+
+
+def _usual_health(estimator: GelEstimator, presses: LabelledPresses, learned: Sequence[int]) -> Health:
+    """The worst health of the presses that were learned from, or of some of many."""
+    some = learned[:: -(-len(learned) // LOOKED_AT)]
+    images = (presses.press(number)[0] for number in some)
+    return worst(health(i, estimator.untouched, estimator.read(i)[1], estimator.geometry) for i in images)
 
 
 def split(count: int, seed: int) -> tuple[tuple[int, ...], tuple[int, ...]]:

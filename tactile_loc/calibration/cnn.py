@@ -290,7 +290,7 @@ class CnnEstimator(GelEstimator):
 
     def indentation(self, image: Image) -> Float32:
         """Return how far the gel is pressed in by the contact (H, W), metres, 0 outside of it."""
-        planes = features(image, self.background, self._fixed)
+        planes = features(image, self.untouched, self._fixed)
         with torch.inference_mode():
             found = self._network.metres(torch.from_numpy(planes).permute(2, 0, 1)[None])
         return found[0].numpy()

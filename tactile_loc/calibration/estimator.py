@@ -47,6 +47,8 @@ class CalibrationProblem:
 class GelEstimator(ABC):
     """Estimates how far the gel is pressed in, from its image and that of the untouched gel.
 
+    `background` (H, W, 3) is the untouched gel that it learned with; images are compared with `untouched`, which may be
+    a newer image of it.
     `sees_skirt` says whether that includes the gel that hangs down around the contact, or is of the contact alone.
     """
 
@@ -57,7 +59,7 @@ class GelEstimator(ABC):
         """No options."""
 
     def __init__(self, geometry: SensorGeometry, background: Image, options: ComponentOptions | None = None) -> None:
-        self.geometry, self.background = geometry, background
+        self.geometry, self.background, self.untouched = geometry, background, background
         self.options: Any = options if options is not None else self.Options()
 
     @abstractmethod
@@ -67,6 +69,10 @@ class GelEstimator(ABC):
     @abstractmethod
     def indentation(self, image: Image) -> NDArray[np.float32]:
         """Return how far the gel is pressed in (H, W), metres, about 0 where it is untouched."""
+
+    def read(self, image: Image) -> tuple[NDArray[np.float32], Float32 | None]:
+        """Return the indentation, and the slopes (H, W, 2), unitless, that it comes from, if there are any."""
+        return self.indentation(image), None
 
     @abstractmethod
     def save(self, path: Path) -> None:

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tactile_loc.calibration.estimator import GelEstimator, estimator_class, estimator_options
+from tactile_loc.calibration.health import Health, health, require_healthy
 from tactile_loc.calibration.labels import Image
+from tactile_loc.calibration.reading import read_zero, require_image
 from tactile_loc.core.errors import CalibrationError, OutputError, SensorError, TouchError
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.imaging.optics import Optics
 from tactile_loc.io.images import read_colour_image, write_image
 from tactile_loc.io.sensor_files import CALIBRATION, read_sensor_file, write_sensor_file
 from tactile_loc.store.files import recover_folder, replacing_folder
-from tactile_loc.store.keys import hash_file
+from tactile_loc.store.keys import hash_arrays, hash_file
 
 SCHEMA_VERSION = 1
 SENSOR, BACKGROUND, WEIGHTS = "sensor.toml", "background.png", "estimator.safetensors"
@@ -26,10 +33,15 @@ OURS = {SENSOR, "sensor_mask.png", BACKGROUND, CALIBRATION, WEIGHTS, PICTURE}
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A calibrated sensor: `record` is what calibration.json says; `folder` holds the weights."""
+    """A calibrated sensor: `record` is what calibration.json says; `folder` holds the weights.
+
+    `untouched` (H, W, 3) is the image of the untouched gel that others are compared with: `background`, that of the
+    calibration, or a newer one.
+    """
 
     geometry: SensorGeometry
     background: Image
+    untouched: Image
     record: dict[str, Any]
     folder: Path
 
@@ -44,13 +56,31 @@ class Calibration:
         rows, columns = self.record.get("camera_px", self.geometry.shape)
         return int(rows), int(columns)
 
+    @property
+    def usual_health(self) -> Health | None:
+        """The worst health of the presses that it learned from; None if it is not known."""
+        found = self.record.get("health")
+        return None if found is None else Health.of_record(found)
+
     @cached_property
     def estimator(self) -> GelEstimator:
         """The estimator with what it learned. Raises WeightsError, MissingLibraryError."""
         kind = estimator_class(self.record["estimator"])
         estimator = kind(self.geometry, self.background, estimator_options(kind, self.record["options"]))
         estimator.load(self.folder / WEIGHTS)
+        estimator.untouched = self.untouched
         return estimator
+
+    def indentation(self, image: NDArray[Any]) -> NDArray[np.float32]:
+        """Return how far the gel is pressed in (H, W), metres, of an image (H, W, 3) of the camera's or sensor's size.
+
+        Raises TouchError for an image of another sensor, or of one that has changed; logs a warning if it has a little.
+        """
+        image = require_image(image, self.untouched, self.camera_px)
+        indentation, slopes = self.estimator.read(image)
+        if self.usual_health is not None:
+            require_healthy(health(image, self.untouched, slopes, self.geometry), self.usual_health)
+        return indentation
 
     @property
     def optics(self) -> Optics:
@@ -66,11 +96,15 @@ class Calibration:
     def describe(self) -> dict[str, Any]:
         """Return what identifies the calibration, as JSON values."""
         files = {name: hash_file(self.folder / name) for name in (BACKGROUND, WEIGHTS)}
-        return {"geometry": self.geometry.describe(), "estimator": self.record["estimator"], **files}
+        newer = {} if self.untouched is self.background else {"untouched": hash_arrays(image=self.untouched)}
+        return {"geometry": self.geometry.describe(), "estimator": self.record["estimator"], **files, **newer}
 
 
-def read_calibration(folder: Path) -> Calibration:
-    """Read a calibrated sensor. Raises CalibrationError when something is missing, damaged, or of another sensor."""
+def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
+    """Read a calibrated sensor; `zero` is a newer image of its untouched gel.
+
+    Raises CalibrationError when something is missing, damaged, or of another sensor, TouchError for a `zero` that is.
+    """
     recover_folder(folder)
     if not folder.is_dir():
         raise CalibrationError(f"there is no folder {folder}; make it with tactile-loc calibrate")
@@ -94,18 +128,28 @@ def read_calibration(folder: Path) -> Calibration:
         raise CalibrationError(
             f"{folder}: {BACKGROUND} does not have the size that {SENSOR} says; they belong to two sensors"
         )
-    return Calibration(geometry, background, record, folder)
+    found = Calibration(geometry, background, background, record, folder)
+    if zero is None:
+        return found
+    return replace(found, untouched=require_image(read_zero(zero), background, found.camera_px))
 
 
 def _require_record(record: dict[str, Any], path: Path) -> None:
     """Refuse a record that does not say what reading an image takes."""
     wanted: dict[str, Any] = {"estimator": str, "options": dict, "noise_m": (int, float)}
     wrong = [key for key, kind in wanted.items() if not isinstance(record.get(key), kind)]
+    usual = record.get("health")
+    if usual is not None and not (isinstance(usual, dict) and _numbers(usual.get(n) for n in ("light", "unfit"))):
+        wrong.append("health")
     camera = record.get("camera_px", [1, 1])
     if not (isinstance(camera, list) and len(camera) == 2 and all(isinstance(v, int) and v > 0 for v in camera)):
         wrong.append("camera_px")
     if wrong:
         raise CalibrationError(f"{path} is damaged: {wrong[0]} is missing or ill-typed; calibrate the sensor again")
+
+
+def _numbers(values: Iterable[Any]) -> bool:
+    return all(value is None or (isinstance(value, int | float) and math.isfinite(value)) for value in values)
 
 
 def require_replaceable(folder: Path) -> None:

@@ -28,6 +28,7 @@ from tactile_loc.calibration.estimator import (
     save_network,
 )
 from tactile_loc.calibration.labels import Float32, Image
+from tactile_loc.calibration.surface import integrate
 from tactile_loc.core.errors import CalibrationError, TrainingError
 from tactile_loc.core.interfaces import ComponentOptions
 from tactile_loc.core.sensing import SensorGeometry
@@ -47,28 +48,6 @@ OUTLIER_RAD = 0.1  # an error of the angle from which on it counts by its size, 
 STEPS_A_PRESS, MOST_STEPS = 100, 5000
 PIXELS_AT_ONCE = 1 << 16
 REPORT_EVERY = 50  # steps
-
-
-def integrate(slope: NDArray[np.floating], geometry: SensorGeometry) -> NDArray[np.float64]:
-    """Return the surface (..., H, W), metres, of zero mean, whose slopes (..., H, W, 2) come nearest to those given.
-
-    Least squares with free borders: the Poisson equation with the slope across the border given, solved by a cosine
-    transform; each step between two pixels is the mean of their slopes.
-    """
-    from scipy.fft import dctn, idctn
-
-    sx, sy = geometry.scale_at_surface
-    across, down = slope[..., 0] / sx, slope[..., 1] / sy  # metres a pixel
-    pad = [(0, 0)] * (slope.ndim - 3)
-    steps_x = np.pad(0.5 * (across[..., 1:] + across[..., :-1]), [*pad, (0, 0), (1, 1)])
-    steps_y = np.pad(0.5 * (down[..., 1:, :] + down[..., :-1, :]), [*pad, (1, 1), (0, 0)])
-    divergence = np.diff(steps_x, axis=-1) + np.diff(steps_y, axis=-2)
-    height, width = divergence.shape[-2:]
-    k, m = (2 * np.cos(np.pi * np.arange(n) / n) - 2 for n in (width, height))
-    eigenvalues = k[None, :] + m[:, None]
-    eigenvalues[0, 0] = np.inf  # the mean is free
-    spectrum = dctn(divergence, type=2, axes=(-2, -1), norm="ortho") / eigenvalues
-    return np.asarray(idctn(spectrum, type=2, axes=(-2, -1), norm="ortho"))
 
 
 def indentation_from_slopes(slope: NDArray[np.floating], geometry: SensorGeometry) -> Float32:
@@ -130,7 +109,7 @@ def _steepness(slope: NDArray[np.floating], geometry: SensorGeometry) -> NDArray
 
 
 def _threshold(values: NDArray[np.float64], least: float) -> float:
-    """What stands out among magnitudes of which most are noise: at least `least`; a quarter of them tells the median."""
+    """What stands out among magnitudes of which most are noise: at least `least`; a quarter tells the median."""
     return max(least, NOISES * float(np.median(values.ravel()[::4])) if values.size else least)
 
 
@@ -248,7 +227,12 @@ class PhotometricEstimator(GelEstimator):
 
     def indentation(self, image: Image) -> Float32:
         """Return how far the gel is pressed in (H, W), metres, about 0 where it is untouched."""
-        return indentation_from_slopes(self.slopes(image), self.geometry)
+        return self.read(image)[0]
+
+    def read(self, image: Image) -> tuple[Float32, Float32]:
+        """Return the indentation (H, W), metres, and the slopes (H, W, 2), unitless, that it comes from."""
+        slopes = self.slopes(image)
+        return indentation_from_slopes(slopes, self.geometry), slopes
 
     def save(self, path: Path) -> None:
         """Write the network to a safetensors file."""
@@ -261,7 +245,7 @@ class PhotometricEstimator(GelEstimator):
     def _features(self, image: Image) -> Float32:
         from scipy.ndimage import gaussian_filter
 
-        planes = np.ascontiguousarray(np.moveaxis(colour_difference(image, self.background), -1, 0))  # twice as fast
+        planes = np.ascontiguousarray(np.moveaxis(colour_difference(image, self.untouched), -1, 0))  # twice as fast
         smooth = [gaussian_filter(planes, (0, s, s), mode="nearest", truncate=3) for s in SMOOTHINGS_PX]
         return np.concatenate([np.moveaxis(np.concatenate(smooth), 0, -1), self._fixed], axis=-1)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from tactile_loc.calibration.labels import Image
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.sensing import ContactShape, SensorGeometry
+from tactile_loc.io.images import read_colour_image
 
 SKIRT, MOST_SKIRT = 0.3, 0.75  # of the press: below the first nothing touches, and above the second all that is left
 STEEP = 0.25  # of the steepest slope: what is flatter hangs nowhere
@@ -59,6 +61,14 @@ def require_image(image: NDArray[Any], background: Image, camera_px: tuple[int, 
             "the image does not look like the sensor's untouched gel anywhere; was it taken by another sensor, or has "
             "the light changed? calibrate this one"
         )
+    return image
+
+
+def read_zero(path: Path) -> Image:
+    """Return a newer image (H, W, 3) of the untouched gel. Raises TouchError when the file holds no colour image."""
+    image = read_colour_image(path)
+    if image is None:
+        raise TouchError(f"{path} is no colour image; as the untouched gel (--zero) give a photo of it, PNG or JPEG")
     return image
 
 

@@ -30,6 +30,7 @@ from tactile_loc.calibration.calibrate import (  # noqa: E402
     split,
 )
 from tactile_loc.calibration.estimator import GelEstimator  # noqa: E402
+from tactile_loc.calibration.health import Health  # noqa: E402
 from tactile_loc.calibration.labels import Chosen, LabelledPresses, PressLabel, untouched_label  # noqa: E402
 from tactile_loc.calibration.photometric import PhotometricEstimator  # noqa: E402
 from tactile_loc.calibration.presses import read_presses  # noqa: E402
@@ -143,12 +144,16 @@ def test_means_are_over_what_can_be_said():
 
 def test_the_record_is_json_and_has_the_noise():
     errors = (PressErrors(1.0, 2e-5, math.nan, 5e-6), PressErrors(math.nan, 4e-5, math.nan, 7e-6))
-    record = Calibrated(Oracle(GEOMETRY, BALLS.background), (3, 8), errors).record()
+    record = Calibrated(Oracle(GEOMETRY, BALLS.background), (3, 8), errors, Health(2.0, math.nan)).record()
     assert json.loads(json.dumps(record, allow_nan=False)) == record
     assert record["noise_m"] == pytest.approx(6e-6)
     assert record["held_out"]["presses"] == [3, 8]
+    assert record["health"] == {"light": 2.0, "unfit": None}
     nowhere_untouched = (PressErrors(1.0, 2e-5, math.nan, math.nan),)
-    assert Calibrated(Oracle(GEOMETRY, BALLS.background), (3,), nowhere_untouched).record()["noise_m"] == 0.0
+    assert (
+        Calibrated(Oracle(GEOMETRY, BALLS.background), (3,), nowhere_untouched, Health(2.0, 0.1)).record()["noise_m"]
+        == 0.0
+    )
 
 
 class Few(LabelledPresses):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import time
 from pathlib import Path
@@ -38,6 +39,10 @@ TouchUnit = Annotated[
     options.TouchUnit | None,
     typer.Option("--touch-unit", help="Unit of the touch's depths, if its file does not say."),
 ]
+Zero = Annotated[
+    Path | None,
+    typer.Option("--zero", metavar="IMAGE", help="A newer image of the calibrated sensor's untouched gel."),
+]
 PriorFile = Annotated[
     Path | None, typer.Option("--prior", metavar="FILE", help="What is known of the pose before: a TOML file.")
 ]
@@ -72,6 +77,7 @@ def run(
     press_depth: options.PressDepth = None,
     noise: options.TouchNoise = None,
     sensor: options.Sensor = None,
+    zero: Zero = None,
     grid: options.Grid = None,
     renderer: options.Renderer = None,
     encoder: options.Encoder = None,
@@ -98,6 +104,8 @@ def run(
     from tactile_loc.locate.touch_files import is_folder
     from tactile_loc.store.files import require_writable
 
+    if zero is not None:
+        option = [*(option or []), f"sensor.zero={json.dumps(str(zero))}"]
     settings = options.run_config(
         options.RunOptions(
             object=object, units=units, symmetry=symmetry, touch=touch, touch_unit=touch_unit, press_depth=press_depth,

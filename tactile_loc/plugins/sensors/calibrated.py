@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactile_loc.calibration.folder import Calibration, read_calibration
-from tactile_loc.calibration.reading import contact_shape, require_image
+from tactile_loc.calibration.reading import contact_shape
 from tactile_loc.plugin import ComponentOptions, ContactShape, DepthSensor, SensorGeometry
 
 
@@ -21,6 +21,7 @@ class CalibratedSensor(DepthSensor):
         """`path` of the calibration's folder."""
 
         path: str = Field(description="the folder that `tactile-loc calibrate` wrote")
+        zero: str | None = Field(default=None, description="a newer image of the untouched gel, to compare with")
 
     def describe(self) -> dict[str, Any]:
         """Return what identifies the sensor, as JSON values: what the folder holds, not where it lies."""
@@ -38,9 +39,8 @@ class CalibratedSensor(DepthSensor):
         return contact_shape(self.indentation(image), self.geometry, self.calibration.noise_m, sees_skirt)
 
     def indentation(self, image: NDArray[Any]) -> NDArray[np.float32]:
-        """Return how far the gel is pressed in (H, W), metres. Raises TouchError for an image of another sensor."""
-        image = require_image(image, self.calibration.background, self.calibration.camera_px)
-        return self.calibration.estimator.indentation(image)
+        """Return how far the gel is pressed in (H, W), metres. Raises TouchError for an image that is not of this."""
+        return self.calibration.indentation(image)
 
     def simulated_image(self, shape: ContactShape, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Return the image (H, W, 3) of a contact shape, by the lamps of the simulated images it was calibrated on.
@@ -54,5 +54,6 @@ class CalibratedSensor(DepthSensor):
         return touch_images(shape.depth_m[None], press_m, self.geometry, optics, rng, background=background)[0]
 
     def _make_geometry(self) -> SensorGeometry:
-        self.calibration: Calibration = read_calibration(Path(self.options.path).expanduser())
+        zero = None if self.options.zero is None else Path(self.options.zero).expanduser()
+        self.calibration: Calibration = read_calibration(Path(self.options.path).expanduser(), zero)
         return self.calibration.geometry

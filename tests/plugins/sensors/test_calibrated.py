@@ -140,6 +140,55 @@ def test_images_that_are_not_this_sensors_are_refused(sensor, photo, change, wor
         sensor.contact_shape(change(photo))
 
 
+def brighter(image: np.ndarray) -> np.ndarray:
+    return np.clip(1.1 * image.astype(float), 0, 255).astype(np.uint8)
+
+
+def with_zero(folder: Path, image: np.ndarray, path: Path) -> CalibratedSensor:
+    return CalibratedSensor(CalibratedSensor.Options(path=str(folder), zero=str(write_image(path, image))))
+
+
+def test_a_changed_light_is_refused_until_the_untouched_gel_is_shown(sensor, folder, photo, truth, tmp_path):
+    with pytest.raises(TouchError, match=r"the light has changed.*--zero"):
+        sensor.contact_shape(brighter(photo))
+    zeroed = with_zero(folder, brighter(BALLS.background), tmp_path / "zero.png")
+    found = zeroed.contact_shape(brighter(photo))
+    usual = sensor.contact_shape(photo)
+    assert (found.contact & usual.contact).sum() > 0.85 * (found.contact | usual.contact).sum()
+    assert zeroed.describe() != sensor.describe()
+
+
+def test_lamps_of_other_colours_are_refused_though_the_untouched_gel_is_shown(folder, photo, tmp_path):
+    def other(image: np.ndarray) -> np.ndarray:
+        """The same untouched gel, but what a touch adds to one colour is another's."""
+        difference = image.astype(int) - BALLS.background
+        return np.clip(BALLS.background + difference[..., [1, 2, 0]], 0, 255).astype(np.uint8)
+
+    with pytest.raises(TouchError, match="no surface looks so"):
+        with_zero(folder, BALLS.background, tmp_path / "zero.png").contact_shape(other(photo))
+
+
+def test_what_is_no_image_of_the_untouched_gel_is_refused(folder, photo, tmp_path):
+    with pytest.raises(TouchError, match="64 x 50 px"):
+        with_zero(folder, BALLS.background[:50], tmp_path / "zero.png").contact_shape(photo)
+    text = tmp_path / "zero.txt"
+    text.write_text("no image")
+    with pytest.raises(TouchError, match=r"zero\.txt is no colour image"):
+        CalibratedSensor(CalibratedSensor.Options(path=str(folder), zero=str(text))).contact_shape(photo)
+
+
+def test_a_calibration_that_says_nothing_of_health_still_reads(folder, photo, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    record = json.loads((copy / "calibration.json").read_text())
+    del record["health"]
+    (copy / "calibration.json").write_text(json.dumps(record))
+    assert CalibratedSensor(CalibratedSensor.Options(path=str(copy))).contact_shape(photo).contact.any()
+    (copy / "calibration.json").write_text(json.dumps({**record, "health": {"light": "much"}}))
+    with pytest.raises(CalibrationError, match="health"):
+        CalibratedSensor(CalibratedSensor.Options(path=str(copy)))
+
+
 def test_a_photos_file_is_read(sensor, photo, tmp_path):
     path = write_image(tmp_path / "photo.png", photo)
     touch = read_touch(path, sensor)

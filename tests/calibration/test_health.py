@@ -1,0 +1,82 @@
+"""Whether an image is what the calibrated sensor would see: figures whose value is known."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+from press_sets import ball_indentation, sensor
+
+from tactile_loc.calibration.health import Health, health, require_healthy, worst
+from tactile_loc.core.errors import TouchError
+
+GEOMETRY = sensor(64)
+UNTOUCHED = np.full((*GEOMETRY.shape, 3), 100, np.uint8)
+USUAL = Health(light=4.0, unfit=0.2)
+
+
+def bump() -> np.ndarray:
+    """The slopes (H, W, 2) of a smooth hill, as steep as 0.6."""
+    x = np.linspace(-3, 3, 64)
+    hill = np.exp(-(x[:, None] ** 2) - x[None] ** 2)
+    down, across = np.gradient(hill)
+    slopes = np.stack([across, down], axis=-1)
+    return (0.6 * slopes / np.abs(slopes).max()).astype(np.float32)
+
+
+def test_slopes_of_a_surface_fit_and_those_of_a_whirl_do_not():
+    whirl = np.stack([-bump()[..., 1], bump()[..., 0]], axis=-1)
+    assert health(UNTOUCHED, UNTOUCHED, bump(), GEOMETRY).unfit < 0.05
+    assert health(UNTOUCHED, UNTOUCHED, whirl, GEOMETRY).unfit == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("slopes", [None, 0.1 * bump()], ids=["none", "flat"])
+def test_what_is_not_steep_says_nothing(slopes):
+    assert np.isnan(health(UNTOUCHED, UNTOUCHED, slopes, GEOMETRY).unfit)
+
+
+def test_the_light_is_what_half_of_the_image_differs_by():
+    image = UNTOUCHED.copy()
+    image[:20] += 90  # a press, of less than half of the image
+    assert health(image, UNTOUCHED, None, GEOMETRY).light < 1.0
+    image = UNTOUCHED.copy()
+    image[..., 2] += 12
+    assert health(image, UNTOUCHED, None, GEOMETRY).light == pytest.approx(12.0)
+
+
+def test_the_figure_is_the_worse_of_both():
+    assert Health(8.0, 0.2).figure(USUAL) == pytest.approx(2.0)
+    assert Health(4.0, 0.6).figure(USUAL) == pytest.approx(3.0)
+    assert Health(4.0, np.nan).figure(USUAL) == pytest.approx(1.0)
+    assert Health(8.0, 0.9).figure(Health(4.0, np.nan)) == pytest.approx(9.0)  # nothing steep was learned from
+
+
+def test_the_worst_of_presses_and_what_is_kept():
+    found = worst([Health(1.0, np.nan), Health(3.0, 0.2), Health(2.0, 0.1)])
+    assert found == Health(3.0, 0.2)
+    assert Health.of_record(found.record()) == found
+    unknown = worst([Health(1.0, np.nan)])
+    assert unknown.record() == {"light": 1.0, "unfit": None}
+    assert np.isnan(Health.of_record(unknown.record()).unfit)
+
+
+def test_first_a_warning_then_a_refusal(caplog):
+    with caplog.at_level(logging.WARNING):
+        require_healthy(Health(4.0, 0.25), USUAL)
+        assert not caplog.records
+        require_healthy(Health(8.0, 0.2), USUAL)
+    (record,) = caplog.records
+    assert "2.0 times" in record.message
+    assert "the light has changed" in record.message
+    with pytest.raises(TouchError, match=r"3\.0 times.*no surface looks so.*--zero"):
+        require_healthy(Health(4.0, 0.6), USUAL)
+
+
+def test_slopes_in_metres_a_metre_are_those_of_the_sensor():
+    indentation = ball_indentation(GEOMETRY, press_m=4e-4)
+    sx, sy = GEOMETRY.scale_at_surface
+    down, across = np.gradient(indentation)
+    slopes = np.stack([across * sx, down * sy], axis=-1)
+    assert health(UNTOUCHED, UNTOUCHED, slopes, GEOMETRY).unfit < 0.15
+    assert health(UNTOUCHED, UNTOUCHED, slopes[..., ::-1], GEOMETRY).unfit > 0.5
