@@ -106,6 +106,7 @@ def furnished(tmp_path_factory, store) -> Path:
         (press := folder / "SET" / str(number)).mkdir()
         write_image(press / "gelsight.png", image)
         np.savez(press / "label.npz", center=circle[:2], radius=circle[2])
+    write_image(folder / "untouched-today.png", balls.background)
     write_image(folder / "photo.png", balls.images[0])
     (folder / "folder").mkdir()
     write_image(folder / "folder" / "photo.png", balls.images[1])
