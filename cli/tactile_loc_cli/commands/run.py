@@ -34,10 +34,6 @@ Touch = Annotated[
         "itself; a list (.toml) for several of one object, fused; by default simulated.",
     ),
 ]
-TouchUnit = Annotated[
-    options.TouchUnit | None,
-    typer.Option("--touch-unit", help="Unit of the touch's depths, if its file does not say."),
-]
 PriorFile = Annotated[
     Path | None, typer.Option("--prior", metavar="FILE", help="What is known of the pose before: a TOML file.")
 ]
@@ -68,7 +64,7 @@ def run(
     units: options.MeshUnits = None,
     symmetry: options.Symmetry = None,
     touch: Touch = None,
-    touch_unit: TouchUnit = None,
+    touch_unit: options.TouchUnitOption = None,
     press_depth: options.PressDepth = None,
     noise: options.TouchNoise = None,
     sensor: options.Sensor = None,
