@@ -47,6 +47,7 @@ class _TouchTable(PoseKeys):
     press_depth_mm: Positive | None = Field(None, description="a positive number (mm)")
     T_base_sensor: Matrix | None = Field(None, description=MATRIX)
     T_base_flange: Matrix | None = Field(None, description=MATRIX)
+    mount: str | None = Field(None, min_length=1, description="a mount's .toml file, relative to the list, in quotes")
     T_base_sensor_std_mm: Positive | None = Field(None, description="a positive number (mm)")
     T_base_sensor_std_deg: Positive | None = Field(None, description="a positive number (degrees)")
 
@@ -55,10 +56,10 @@ def read_touch_list(path: str | Path, of_flange: bool = False) -> tuple[ListedTo
     """Read the `[[touch]]` tables of a TOML file, in their order; paths in it are relative to it.
 
     The sensor's pose is `T_base_sensor`, (4, 4) in metres, or `xyz_mm` with `rpy_deg` or `quaternion_wxyz`; or it is
-    `T_base_flange` together with the list's `mount`, a file. Several touches all need one, here or in their own .npz
-    files. A list of poses `of_flange` needs T_base_flange of each, and no mount. Raises ConfigError when the list is
-    missing or no TOML, and TouchError, which names the list and the touch's number, when a table is wrong or a file or
-    pose is missing.
+    `T_base_flange` together with the touch's `mount`, a file, or the list's. Several touches all need one, here or in
+    their own .npz files. A list of poses `of_flange` needs T_base_flange of each, and no mount. Raises ConfigError when
+    the list is missing or no TOML, and TouchError, which names the list and the touch's number, when a table is wrong
+    or a file or pose is missing.
     """
     path, values = Path(path), read_toml(path)
     tables = _tables(path, values)
@@ -66,13 +67,13 @@ def read_touch_list(path: str | Path, of_flange: bool = False) -> tuple[ListedTo
     touches = []
     for number, table in enumerate(tables, start=1):
         try:
-            listed = _listed(table, path.parent, mount)
+            listed = _listed(table, path.parent, mount, of_flange)
             _require_pose(listed, len(tables) > 1, of_flange)
             touches.append(listed)
         except ValidationError as error:
             reason = explain(error, _TouchTable, table, "a touch")
             raise TouchError(f"{path}, touch {number}: {reason}") from error
-        except (ValueError, TouchError) as error:
+        except (ValueError, TouchError, ConfigError) as error:
             raise TouchError(f"{path}, touch {number}: {error}") from error
     return tuple(touches)
 
@@ -100,13 +101,13 @@ def _mount(path: Path, values: dict[str, Any]) -> Mount | None:
     return read_mount(path.parent / name)
 
 
-def _listed(table: dict[str, Any], folder: Path, mount: Mount | None) -> ListedTouch:
+def _listed(table: dict[str, Any], folder: Path, mount: Mount | None, of_flange: bool) -> ListedTouch:
     keys = _TouchTable(**table)
     file = folder / keys.path
     if not file.is_file():
         raise ValueError(f"there is no file {file}; path is relative to the list")
     T, F = pose_from_keys(keys, keys.T_base_sensor, "T_base_sensor"), _flange(keys)
-    used = None if T is not None or F is None else mount
+    used = None if of_flange else _used_mount(keys, folder, mount)
     if used is not None and F is not None:
         T = F @ used.T_flange_sensor
     if T is None and file.suffix.lower() == ".npz":
@@ -117,6 +118,18 @@ def _listed(table: dict[str, Any], folder: Path, mount: Mount | None) -> ListedT
     return ListedTouch(file, _sensor(keys.sensor, folder), keys.unit, press_depth_m, T, std_m, std_rad, F, used)
 
 
+def _used_mount(keys: _TouchTable, folder: Path, mount: Mount | None) -> Mount | None:
+    """The mount by which a touch's flange tells where its sensor was: its own, or the list's; None without a flange."""
+    if keys.T_base_flange is None:
+        if keys.mount is not None:
+            raise ValueError("mount is that of a sensor on a flange; give T_base_flange, too")
+        return None
+    used = mount if keys.mount is None else read_mount(folder / keys.mount)
+    if used is not None and (keys.T_base_sensor is not None or keys.xyz_mm is not None):
+        raise ValueError("T_base_flange and the mount tell T_base_sensor; leave the one or the other out")
+    return used
+
+
 def _flange(keys: _TouchTable) -> Pose | None:
     return None if keys.T_base_flange is None else pose_from_keys(PoseKeys(), keys.T_base_flange, "T_base_flange")
 
@@ -125,11 +138,12 @@ def _require_pose(touch: ListedTouch, several: bool, of_flange: bool) -> None:
     """Raise ValueError where the pose is missing that is needed."""
     if of_flange and touch.T_base_flange is None:
         raise ValueError("the flange's pose is missing; each touch needs T_base_flange")
+    if not of_flange and touch.T_base_flange is not None and touch.mount is None:
+        raise ValueError('T_base_flange tells nothing without the sensor\'s mount; name it: mount = "mount.toml"')
     if touch.T_base_sensor is None and several and not of_flange:
-        flange = "" if touch.T_base_flange is None else "; or name the mount of the flange's sensor: mount = FILE"
         raise ValueError(
             "the sensor's pose is missing; several touches all need T_base_sensor, or xyz_mm with either rpy_deg or "
-            f"quaternion_wxyz{flange}"
+            "quaternion_wxyz"
         )
 
 
