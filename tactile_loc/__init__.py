@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from tactile_loc.io.touches import write_touch as write_touch
     from tactile_loc.locate.localizer import Localizer as Localizer
     from tactile_loc.locate.localizer import localize_together as localize_together
+    from tactile_loc.locate.mount import FlangeTouches as FlangeTouches
+    from tactile_loc.locate.mount import FoundMount as FoundMount
+    from tactile_loc.locate.mount import find_mount as find_mount
     from tactile_loc.locate.probabilities import TemperatureScaling as TemperatureScaling
     from tactile_loc.locate.result import Hypothesis as Hypothesis
     from tactile_loc.locate.result import Localization as Localization

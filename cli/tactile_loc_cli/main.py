@@ -14,6 +14,7 @@ from tactile_loc_cli.commands.build import build
 from tactile_loc_cli.commands.calibrate import calibrate
 from tactile_loc_cli.commands.doctor import doctor
 from tactile_loc_cli.commands.evaluate import evaluate
+from tactile_loc_cli.commands.mount import mount
 from tactile_loc_cli.commands.new_plugin import new_plugin
 from tactile_loc_cli.commands.objects import objects
 from tactile_loc_cli.commands.plugins import plugins
@@ -84,7 +85,7 @@ def tactile_loc(
         typer.echo(context.get_help())
 
 
-for command in (run, build, simulate, evaluate, sweep, report, calibrate, objects, plugins, new_plugin):
+for command in (run, build, simulate, evaluate, sweep, report, calibrate, mount, objects, plugins, new_plugin):
     app.command()(as_command(command))
 for name, command in store_commands.COMMANDS.items():
     store.command(name)(as_command(command))

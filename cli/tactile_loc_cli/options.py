@@ -98,6 +98,10 @@ Config = Annotated[
     Path | None,
     declare("--config", "FILE.toml", "Settings from a TOML file; options on the command line override it."),
 ]
+TouchUnitOption = Annotated[
+    TouchUnit | None,
+    typer.Option("--touch-unit", help="Unit of the touch's depths, if its file does not say."),
+]
 PressDepth = Annotated[
     float | None,
     declare("--press-depth", "MM", "How deep the press was, in mm; by default as the file says, or the deepest."),

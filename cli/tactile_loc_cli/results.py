@@ -14,6 +14,7 @@ from tactile_loc.core.geometry import axis_angle
 from tactile_loc_cli.console import say, say_table
 
 if TYPE_CHECKING:
+    from tactile_loc.io.mount_files import MountRecord, MountTouchRecord
     from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord
     from tactile_loc.locate.touch_files import LocatedFile
 
@@ -87,6 +88,25 @@ def _pose(T: NDArray[np.float64]) -> list[str]:
     """A pose (4, 4), metres, as the cells of POSE."""
     angle_deg, axis = axis_angle(T[:3, :3])
     return [*(f"{1e3 * v:.2f}" for v in T[:3, 3]), f"{angle_deg:.1f}", "({:.3f}, {:.3f}, {:.3f})".format(*axis)]
+
+
+def say_mount(record: MountRecord) -> None:
+    """Write where a sensor is mounted, how exactly that is known, and how far each touch is off."""
+    T, C = np.array(record.T_flange_sensor), np.array(record.covariance)
+    std = np.sqrt(np.diag(C))
+    say(f"{record.sensor} in the frame of the flange, from {len(record.touch)} touches of {record.object}")
+    say_table([list(POSE), _pose(T)], left=0, gap=2)
+    along, about = (", ".join(f"{v:.2f}" for v in part) for part in (1e3 * std[:3], np.degrees(std[3:])))
+    say(f"standard deviation: {along} mm along, {about} degrees about the flange's x, y, z")
+    say_table([["touch", "residual mm", "deg", IMPRINT], *map(_mount_cells, record.touch)], left=1, gap=2)
+    for one in record.touch:
+        if one.left_out:
+            say(f"{one.name} was left out: {one.left_out}")
+
+
+def _mount_cells(touch: MountTouchRecord) -> list[str]:
+    off = (1e3 * (touch.residual_m or 0.0), np.degrees(touch.residual_rad or 0.0))
+    return [touch.name, *(f"{v:.2f}" for v in off), f"{100 * (touch.imprint_iou or 0.0):.0f}"]
 
 
 def say_located(files: Sequence[LocatedFile]) -> None:

@@ -30,6 +30,10 @@ class CalibrationError(TactileLocError):
     """A sensor cannot be calibrated from these presses, or a calibration cannot be used."""
 
 
+class MountError(TactileLocError):
+    """Where a sensor is mounted cannot be told from these touches: too few, too much alike, or contradictory."""
+
+
 class GridError(TactileLocError):
     """No usable pose grid comes out of the object, the sensor and the options."""
 

@@ -70,11 +70,11 @@ class PoseKeys(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
-    xyz_mm: Three | None = Field(None, description="[x, y, z] (mm)")
+    xyz_mm: Three | None = Field(default=None, description="[x, y, z] (mm)")
     rpy_deg: Three | None = Field(
-        None, description="[roll, pitch, yaw] (degrees), about the fixed axes x, y, z in this order"
+        default=None, description="[roll, pitch, yaw] (degrees), about the fixed axes x, y, z in this order"
     )
-    quaternion_wxyz: Four | None = Field(None, description="[w, x, y, z], a unit quaternion, scalar first")
+    quaternion_wxyz: Four | None = Field(default=None, description="[w, x, y, z], a unit quaternion, scalar first")
 
 
 def pose_from_keys(keys: PoseKeys, matrix: Sequence[Sequence[float]] | None, name: str) -> NDArray[np.float64] | None:
@@ -111,15 +111,27 @@ def _rotation(keys: PoseKeys) -> NDArray[np.float64]:
 
 
 def toml_text(configuration: Mapping[str, Any]) -> str:
-    """Return a resolved configuration as TOML; what is not set is left out. A slot's options stand beside its name."""
-    plain = {key: value for key, value in configuration.items() if not isinstance(value, Mapping)}
+    """Return a resolved configuration as TOML; what is not set is left out. A slot's options stand beside its name.
+
+    A list of tables becomes an array of tables.
+    """
+    plain = {
+        key: value for key, value in configuration.items() if not isinstance(value, Mapping) and not _tables(value)
+    }
     parts = [_lines(plain)] if plain else []
     for name, section in configuration.items():
+        parts += [f"[[{name}]]\n" + _lines(table) for table in _tables(section)]
         if isinstance(section, Mapping):
             options = section.get("options")
             flat = {k: v for k, v in section.items() if k != "options"}
             parts.append(f"[{name}]\n" + _lines({**flat, **(options if isinstance(options, Mapping) else {})}))
     return "\n".join(parts)
+
+
+def _tables(value: Any) -> Sequence[Mapping[str, Any]]:
+    """The tables of a list that holds nothing else."""
+    is_array = isinstance(value, (list, tuple)) and all(isinstance(item, Mapping) for item in value)
+    return value if is_array else ()
 
 
 def _lines(values: Mapping[str, Any]) -> str:

@@ -9,13 +9,17 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from tactile_loc.core.errors import TactileLocError, TouchError
 from tactile_loc.core.geometry import axis_angle
 from tactile_loc.core.sensing import Touch
 from tactile_loc.io.config import SlotConfig, kind_of_sensor
 from tactile_loc.io.images import IMAGE_SUFFIXES
+from tactile_loc.io.mount_files import Mount
 from tactile_loc.io.touch_lists import ListedTouch, read_touch_list
 from tactile_loc.locate.localizer import Localizer, Observation
+from tactile_loc.locate.mount import FlangeTouches
 from tactile_loc.locate.result import Hypothesis, Localization
 from tactile_loc.store.files import write_atomically
 
@@ -147,4 +151,24 @@ def _observed(localizer: Localizer, listed: ListedTouch) -> Observation:
         touch = dataclasses.replace(touch, T_base_sensor_std_m=listed.T_base_sensor_std_m)
     if listed.T_base_sensor_std_rad is not None:
         touch = dataclasses.replace(touch, T_base_sensor_std_rad=listed.T_base_sensor_std_rad)
-    return localizer, touch
+    return localizer, touch if listed.mount is None else _with_mounts_error(touch, listed.mount)
+
+
+def _with_mounts_error(touch: Touch, mount: Mount) -> Touch:
+    """The touch, its sensor's pose known no better than the flange's and the mount together tell."""
+    std_m, std_rad = mount.std_at(np.array([0.0, 0.0, touch.geometry.standoff_m]))
+    return dataclasses.replace(
+        touch, T_base_sensor_std_m=float(np.hypot(touch.T_base_sensor_std_m, std_m)),
+        T_base_sensor_std_rad=float(np.hypot(touch.T_base_sensor_std_rad, std_rad)),
+    )  # fmt: skip
+
+
+def read_flange_touches(localizer: Localizer, path: Path) -> FlangeTouches:
+    """Read a list of touches by the localizer's sensor at known flange poses. Raises TactileLocError for bad input."""
+    listed = read_touch_list(path, of_flange=True)
+    own = localizer.config.sensor
+    others = sorted({str(one.sensor) for one in listed} - {"None", own.name, str(own.options.get("path"))})
+    if others:
+        raise TouchError(f"{path} has touches of another sensor, {others[0]}; a mount is of one: choose it by --sensor")
+    touches = tuple(_observed(localizer, one)[1] for one in listed)
+    return FlangeTouches(touches, np.array([one.T_base_flange for one in listed]))

@@ -65,6 +65,21 @@ def test_a_touchs_own_file_may_have_the_pose_but_the_list_has_the_last_word(fold
     np.testing.assert_array_equal(listed.T_base_sensor, np.eye(4))
 
 
+def test_the_flanges_pose_and_the_mount_say_where_the_sensor_was(folder):
+    (folder / "mount.toml").write_text(f"T_flange_sensor = {T.tolist()}\n")
+    (folder / "other.toml").write_text("xyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\n")
+    flange = f"T_base_flange = {T.tolist()}\n"
+    path = written(folder, 'path = "a.npz"\n' + flange, 'path = "b.npz"\nmount = "other.toml"\n' + flange)
+    path.write_text('mount = "mount.toml"\n' + path.read_text())
+    first, second = read_touch_list(path)
+    np.testing.assert_allclose(first.T_base_sensor, T @ T, atol=1e-15)
+    np.testing.assert_allclose(second.T_base_sensor[:3, 3], T[:3, 3] + [-2e-3, 1e-3, 3e-3], atol=1e-15)
+    assert first.mount is not None
+    (folder / "mount.toml").unlink()
+    of_flange = read_touch_list(path, of_flange=True)
+    np.testing.assert_array_equal([touch.T_base_flange for touch in of_flange], [T, T])
+
+
 def test_a_folder_of_touches_may_be_called_after_their_sensor(folder):
     (folder / "digit").mkdir()
     (folder / "mine").mkdir()
@@ -88,6 +103,10 @@ def test_a_folder_of_touches_may_be_called_after_their_sensor(folder):
         (['path = "a.npz"\nxyz_mm = [0, nan, 0]\n'], "xyz_mm = .* is wrong; it must be"),
         (['path = "a.npz"\nT_base_sensor = [[1, 0], [0, 1]]\n'], "it must be four rows of four numbers"),
         ([f'path = "a.npz"\nT_base_sensor = {(2 * np.eye(4)).tolist()}\n'], "T_base_sensor is no rigid transform"),
+        ([f'path = "a.npz"\nT_base_flange = {(2 * np.eye(4)).tolist()}\n'], "T_base_flange is no rigid transform"),
+        ([f'path = "a.npz"\nT_base_flange = {T.tolist()}\n'], "without the sensor's mount; name it"),
+        (['path = "a.npz"\nmount = "mount.toml"\n'], "give T_base_flange, too"),
+        ([f'path = "a.npz"\nmount = "no.toml"\nT_base_flange = {T.tolist()}\n'], r"there is no file .*no\.toml"),
     ],
 )
 def test_a_wrong_table_is_named_by_list_and_number(folder, tables, sentence):
@@ -112,6 +131,7 @@ def test_a_damaged_file_is_named_by_its_number(folder):
         ('[touch]\npath = "a.npz"', "begin each touch with"),
         ('[[touches]]\npath = "a.npz"', "unknown entry 'touches'. Did you mean 'touch'"),
         ("[[touch", "is not valid TOML"),
+        ('mount = 3\n[[touch]]\npath = "a.npz"', "it must be the path of a mount's file"),
     ],
 )
 def test_a_file_that_is_no_list_is_refused(folder, text, sentence):

@@ -18,6 +18,7 @@ from tactile_loc.locate.touch_files import (
     is_folder,
     is_list,
     localize_files,
+    read_observations,
     write_table,
 )
 
@@ -64,6 +65,20 @@ def test_each_file_is_located_or_says_why_not(localizer: Localizer, tmp_path):
     place_mm = [float(rows[1][key]) for key in ("x_mm", "y_mm", "z_mm")]
     np.testing.assert_allclose(place_mm, 1e3 * good[1].best.T_sensor_object[:3, 3], atol=1e-3)
     assert set(rows[0]) == set(COLUMNS)
+
+
+def test_a_touch_is_known_no_better_than_its_sensors_mount(localizer: Localizer, tmp_path):
+    (touch,) = localizer.simulate(1, seed=0)
+    write_touch(tmp_path / "touch.npz", touch)
+    covariance = np.diag([1e-6] * 3 + [0.0] * 3).tolist()
+    (tmp_path / "mount.toml").write_text(f"T_flange_sensor = {np.eye(4).tolist()}\ncovariance = {covariance}\n")
+    (tmp_path / "touches.toml").write_text(
+        f'mount = "mount.toml"\n[[touch]]\npath = "touch.npz"\nT_base_flange = {np.eye(4).tolist()}\n'
+    )
+    ((_, read),) = read_observations(localizer, tmp_path / "touches.toml")
+    assert read.T_base_sensor_std_m == pytest.approx(np.hypot(2e-4, 1e-3))
+    assert read.T_base_sensor_std_rad == pytest.approx(touch.T_base_sensor_std_rad)
+    np.testing.assert_array_equal(read.T_base_sensor, np.eye(4))
 
 
 def test_a_file_that_cannot_be_located_has_a_name_and_a_reason():

@@ -35,10 +35,6 @@ Touch = Annotated[
         "itself; a list (.toml) for several of one object, fused; by default simulated.",
     ),
 ]
-TouchUnit = Annotated[
-    options.TouchUnit | None,
-    typer.Option("--touch-unit", help="Unit of the touch's depths, if its file does not say."),
-]
 Zero = Annotated[
     Path | None,
     typer.Option("--zero", metavar="IMAGE", help="A newer image of the calibrated sensor's untouched gel."),
@@ -73,7 +69,7 @@ def run(
     units: options.MeshUnits = None,
     symmetry: options.Symmetry = None,
     touch: Touch = None,
-    touch_unit: TouchUnit = None,
+    touch_unit: options.TouchUnitOption = None,
     press_depth: options.PressDepth = None,
     noise: options.TouchNoise = None,
     sensor: options.Sensor = None,

@@ -69,7 +69,7 @@ class JointRefiner(Refiner):
         if not candidates:
             return []
         given = np.stack([candidate.T_sensor_object for candidate in candidates])
-        found = self._registered(views, given, self._scales_mm, FINELY)
+        found = self._registered(views, given, self.scales_mm(self.options.iterations), FINELY)
         after = _explained(views, found.T)
         before = np.ones_like(after)
         doubted = after[1] < 1 - ROUGHLY  # what explains nearly everything explains no less than before
@@ -89,20 +89,31 @@ class JointRefiner(Refiner):
 
         None where they say nothing of it.
         """
-        information = self._registered(views, T_first_object, self._scales_mm[-1:], 1).information
-        return [_covariance(A, _lever_m(views[0], T)) for A, T in zip(information, T_first_object, strict=True)]
+        return self.stepped(views, T_first_object, self.options.scale_end_mm)[1]
 
     def settled(self, views: Sequence[View], T_first_object: Floats) -> Floats:
         """Return where poses (K, 4, 4), metres, end that are registered roughly, whether they explain more or not.
 
         For many poses: a fraction of the points is looked at, and nothing is drawn.
         """
-        return self._registered(views, T_first_object, self._scales_mm, 0).T
+        return self._registered(views, T_first_object, self.scales_mm(self.options.iterations), 0).T
 
-    @property
-    def _scales_mm(self) -> Floats:
-        """The scale of the robust weights (I,), iteration by iteration: narrower up to the middle."""
-        start, end, count = self.options.scale_mm, self.options.scale_end_mm, self.options.iterations
+    def stepped(
+        self, views: Sequence[View], T_first_object: Floats, scale_mm: float
+    ) -> tuple[Floats, list[Floats | None]]:
+        """Return poses (K, 4, 4), metres, after one step of registration from T_first_object, and their covariances.
+
+        For those who solve a larger problem, of which registration is a part: these are the equations of touches at a
+        pose, solved. Residuals beyond `scale_mm` are mistrusted; covariances (6, 6) are as RefinedPose's, None where
+        touches say nothing of it.
+        """
+        found = self._registered(views, T_first_object, np.array([scale_mm]), 1)
+        pairs = zip(found.information, T_first_object, strict=True)
+        return found.T, [_covariance(A, _lever_m(views[0], T)) for A, T in pairs]
+
+    def scales_mm(self, count: int) -> Floats:
+        """Return the scale of the robust weights (count,), step by step: narrower up to the middle."""
+        start, end = self.options.scale_mm, self.options.scale_end_mm
         return np.asarray(start * (end / start) ** np.clip(np.arange(count) / (0.5 * count), 0, 1))
 
     def _registered(self, views: Sequence[View], T: Floats, scales_mm: Floats, finely: int) -> Registered:

@@ -1,0 +1,81 @@
+"""`tactile-loc mount`: where is the sensor on the robot's flange?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tactile_loc_cli import options
+from tactile_loc_cli.console import say
+
+if TYPE_CHECKING:
+    from tactile_loc.io.mount_files import Mount
+
+DEFAULT_OUT = Path("tactile-loc-mount")
+
+Touches = Annotated[
+    str,
+    options.declare(
+        "--touch", "LIST",
+        "The touches: a list (.toml) of ten or more of one part that is fixed, each with its T_base_flange.",
+    ),
+]  # fmt: skip
+Nominal = Annotated[
+    Path | None,
+    options.declare(
+        "--nominal", "FILE.toml",
+        "Where the sensor should be, roughly: T_flange_sensor, or xyz_mm and rpy_deg; to within 30 mm, 30 degrees.",
+    ),
+]  # fmt: skip
+Out = Annotated[Path, options.declare("--out", "FOLDER", "Where mount.toml and mount.png go.")]
+
+
+def mount(
+    touch: Touches,
+    object: options.Object = None,
+    units: options.MeshUnits = None,
+    symmetry: options.Symmetry = None,
+    touch_unit: options.TouchUnitOption = None,
+    sensor: options.Sensor = None,
+    option: options.SetOption = None,
+    config: options.Config = None,
+    nominal: Nominal = None,
+    out: Out = DEFAULT_OUT,
+    store: options.Store = None,
+) -> dict[str, Any]:
+    """Find where a sensor is mounted on the robot's flange.
+
+    From touches of a known part that stands still somewhere, with the flange at known poses, turned about two axes and
+    more. Touches that contradict the others are left out, and named. A list of touches uses the result: mount =
+    "mount.toml", and T_base_flange for each touch.
+    """
+    from tactile_loc.drawing.mount import draw_mount
+    from tactile_loc.drawing.pictures import save_figure
+    from tactile_loc.io.mount_files import write_mount
+    from tactile_loc.locate.mount import find_mount, mount_record
+    from tactile_loc.locate.touch_files import read_flange_touches
+    from tactile_loc.store.files import require_writable
+    from tactile_loc_cli.results import say_mount
+
+    settings = options.run_config(
+        options.RunOptions(
+            object=object, units=units, symmetry=symmetry, touch=touch, touch_unit=touch_unit, sensor=sensor,
+            option=option, config=config,
+        )
+    )  # fmt: skip
+    require_writable(out)
+    expected = _nominal(nominal)
+    localizer = options.open_localizer(settings, store)
+    found = find_mount(localizer, read_flange_touches(localizer, Path(touch)), expected)
+    record = mount_record(localizer, found)
+    say_mount(record)
+    title = f"{record.sensor} on the flange, from touches of {record.object}"
+    written = [write_mount(out / "mount.toml", record), save_figure(out / "mount.png", draw_mount(found, title))]
+    say(f"written: {', '.join(map(str, written))}")
+    return {**record.model_dump(mode="json", exclude_none=True), "written": [str(path) for path in written]}
+
+
+def _nominal(path: Path | None) -> Mount | None:
+    from tactile_loc.io.mount_files import read_mount
+
+    return None if path is None else read_mount(path)

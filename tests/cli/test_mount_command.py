@@ -1,0 +1,77 @@
+"""`tactile-loc mount`: from a list of touches to a mount that a list of touches uses; bad lists are one sentence."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_helpers import assert_refused
+
+from tactile_loc.core.geometry import invert, make_transform, rotation_about
+from tactile_loc.core.hand_eye import pose_errors
+from tactile_loc.io.mount_files import read_mount
+
+X = make_transform(rotation_about([1, 2, 0], 1.0), [0.02, -0.03, 0.1])
+Y = make_transform(rotation_about([0, 1, 3], 2.0), [0.4, 0.1, 0.2])
+PIN = ["--object", "pin", "--sensor", "gelsight-mini"]
+
+
+def table(name: str, F: np.ndarray) -> str:
+    return f'[[touch]]\npath = "touches/{name}.npz"\nT_base_flange = {F.tolist()}\n'
+
+
+@pytest.fixture
+def tables(cli) -> list[str]:
+    """A list's tables of eight touches of the pin, which stands still at Y."""
+    simulated = cli("simulate", *PIN, "--count", 8, "--noise", "mild", "--out", "touches")
+    assert simulated.exit_code == 0, simulated.stderr
+    poses = json.loads(Path("touches/poses.json").read_text())["T_sensor_object"]
+    return [table(name, Y @ invert(np.array(S)) @ invert(X)) for name, S in poses.items()]
+
+
+def written(name: str, *tables: str) -> str:
+    Path(name).write_text("\n".join(tables))
+    return name
+
+
+def test_a_mount_is_found_and_used(cli, tables):
+    Path("run.toml").write_text("temperature = 1e-3\n")  # which need not be fitted then
+    touches = written("touches.toml", *tables)
+    done = cli("mount", *PIN, "--config", "run.toml", "--touch", touches, "--out", "out", "--json")
+    assert done.exit_code == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert said["written"] == ["out/mount.toml", "out/mount.png"]
+    assert len(said["touch"]) == 8
+    e = pose_errors(X, read_mount("out/mount.toml").T_flange_sensor)
+    assert np.linalg.norm(e[:3]) < 5e-4
+    assert np.linalg.norm(e[3:]) < np.radians(1.5)
+    used = written("used.toml", 'mount = "out/mount.toml"', *tables[:3])
+    done = cli("run", *PIN, "--config", "run.toml", "--touch", used, "--out", "run")
+    assert done.exit_code == 0, done.stderr
+    result = json.loads(Path("run/result.json").read_text())
+    assert result["errors"]["best_m"] < 1e-3
+
+
+def test_what_cannot_be_used_is_one_sentence(cli, tables):
+    no_flange = '[[touch]]\npath = "touches/touch-0000.npz"\n'
+    turned = [
+        table(f"touch-{k:04d}", make_transform(rotation_about([0, 0, 1], 0.3 * k), [0.1, 0, 0])) for k in range(5)
+    ]
+    for lines, mentioned in (
+        (tables[:3], ("at least 4 touches", "there are 3")),
+        ([*tables, no_flange], ("touch 9", "T_base_flange")),
+        (turned, ("about one axis only", "z of the flange")),
+        ([f'sensor = "digit"\n{tables[0]}'], ("unknown entry 'sensor'",)),
+        ([tables[0] + 'sensor = "digit"\n', *tables[1:]], ("another sensor, digit",)),
+    ):
+        assert_refused(cli("mount", *PIN, "--touch", written("bad.toml", *lines), "--out", "out"), *mentioned)
+    Path("nominal.toml").write_text("xyz_mm = [0, 0, 0]\n")
+    touches = ["--touch", written("touches.toml", *tables)]
+    assert_refused(cli("mount", *PIN, *touches, "--nominal", "nominal.toml", "--out", "out"), "nominal.toml")
+    assert_refused(cli("mount", *PIN, *touches, "--nominal", "none.toml", "--out", "out"), "none.toml")
+    assert_refused(cli("run", *PIN, *touches, "--out", "out"), "touch 1", "mount =")
+    lost = written("lost.toml", 'mount = "lost/mount.toml"', *tables)
+    assert_refused(cli("run", *PIN, "--touch", lost, "--out", "out"), "lost/mount.toml")
+    assert not Path("out").exists()

@@ -1,0 +1,65 @@
+"""Where a sensor is mounted, as a file: what was written is read, a drawing's pose is enough, wrong keys are named."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.io.mount_files import Mount, MountRecord, MountTouchRecord, read_mount, write_mount
+
+X = make_transform(rotation_about([0, 0, 1], np.pi / 2), [0.01, -0.02, 0.1])
+COVARIANCE = np.diag([1e-8] * 3 + [4e-6] * 3)
+
+
+def test_what_is_written_is_read(tmp_path):
+    touches = [MountTouchRecord(name='a "b".npz', residual_m=1e-7, left_out="it slipped"), MountTouchRecord(name="c")]
+    record = MountRecord(
+        T_flange_sensor=X.tolist(), covariance=COVARIANCE.tolist(), T_base_object=X.tolist(), object="pin",
+        sensor="digit", variance_factor=1.5, touch=touches,
+    )  # fmt: skip
+    path = write_mount(tmp_path / "mount.toml", record)
+    found = read_mount(path)
+    np.testing.assert_array_equal(found.T_flange_sensor, X)
+    np.testing.assert_array_equal(found.covariance, COVARIANCE)
+    assert path.read_text().count("[[touch]]") == 2
+
+
+def test_a_nominal_mount_is_a_pose(tmp_path):
+    path = tmp_path / "nominal.toml"
+    path.write_text("xyz_mm = [10, -20, 100]\nrpy_deg = [0, 0, 90]\n")
+    found = read_mount(path)
+    np.testing.assert_allclose(found.T_flange_sensor, X, atol=1e-15)
+    assert found.std_at(np.zeros(3)) == (0.0, 0.0)
+
+
+def test_the_error_of_a_turn_grows_with_the_distance():
+    near, far = (Mount(X, COVARIANCE).std_at(np.array([0, 0, z])) for z in (0.0, 0.1))
+    assert near == pytest.approx((1e-4, 2e-3))
+    assert far == pytest.approx((np.sqrt(1e-8 + 2 / 3 * 0.01 * 4e-6), 2e-3))
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "the mount is missing"),
+        ("xyz_mm = [0, 0, 0]\n", "not xyz_mm"),
+        (f"T_flange_sensor = {(2 * np.eye(4)).tolist()}\n", "T_flange_sensor is no rigid transform"),
+        ("T_sensor_flange = 3\n", "a mount has no key 'T_sensor_flange'. Did you mean .*'T_flange_sensor'"),
+        (f"T_flange_sensor = {X.tolist()}\ncovariance = [[1]]\n", "covariance = .* is wrong; it must be six rows"),
+        (f"T_flange_sensor = {X.tolist()}\ncovariance = {json.dumps((-np.eye(6)).tolist())}\n", "no negative variance"),
+    ],
+)
+def test_a_wrong_file_is_one_sentence(tmp_path: Path, text, sentence):
+    path = tmp_path / "mount.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=sentence) as caught:
+        read_mount(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+    with pytest.raises(ConfigError, match="there is no file"):
+        read_mount(tmp_path / "none.toml")
