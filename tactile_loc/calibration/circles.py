@@ -21,8 +21,8 @@ from tactile_loc.calibration.labels import Float32, Image, Mask
 
 Array = NDArray[np.float64]
 
-COARSE_PX = 80  # longer side of the image in which a ball is looked for
-SMALLEST_PX, SIZES = 2.5, 14  # radii of the filters, pixels of the coarse image, and how many
+COARSE_PX, COARSER_PX = 80, 40  # longer side of the image in which a ball is looked for, or only judged
+SMALLEST_PX, SIZES = 2.5, 12  # radii of the filters, pixels of the coarse image, and how many
 LARGEST = 0.5  # of the image's shorter side
 FALL = 6  # the ramp is u / (1 + u^FALL) of the distance u, in radii
 REACH = 2.0  # radii that the ramp is fitted over
@@ -96,22 +96,22 @@ def contrast(change: Float32, circle: Circle) -> float:
 
 def concentration(change: Float32) -> float:
     """Return the share (0 ... 1) of all of a colour change (H, W, 3) that one imprint explains; 0 where none is."""
-    coarse, _ = _coarse(change)
+    coarse, _ = _coarse(change, COARSER_PX)
     energy = float((coarse**2).sum())
     best = _matched(coarse)
     return 0.0 if best is None or not energy else min(1.0, best[0] / energy)
 
 
-def _coarse(change: Float32) -> tuple[Float32, int]:
+def _coarse(change: Float32, side: int) -> tuple[Float32, int]:
     """The change as blocks' means, and the block's side in pixels."""
-    step = max(1, round(max(change.shape) / COARSE_PX))
+    step = max(1, round(max(change.shape) / side))
     rows, columns = (n // step for n in change.shape[:2])
     blocks = change[: rows * step, : columns * step].reshape(rows, step, columns, step, 3)
     return np.asarray(blocks.mean(axis=(1, 3)), np.float32), step
 
 
 def _strongest(change: Float32) -> Circle | None:
-    coarse, step = _coarse(change)
+    coarse, step = _coarse(change, COARSE_PX)
     best = _matched(coarse)
     return None if best is None else Circle((best[1] + 0.5) * step, (best[2] + 0.5) * step, best[3] * step)
 

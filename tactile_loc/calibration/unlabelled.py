@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_loc.calibration.circles import Circle, Imprint, colour_change, concentration, find_imprint, find_rim
 from tactile_loc.calibration.frames import Frame
@@ -24,18 +25,24 @@ from tactile_loc.store.files import write_atomically
 
 UNTOUCHED = "untouched-gel.png"  # pieced together, where no image shows it
 LIKENESS, CONTRAST = 0.65, 4.0  # least of a ball: share of the change explained, counts
+BLURRED = 0.45  # least likeness of a ball beside another
 QUIET, STILL = 0.2, 0.5  # of the usual ball's contrast: an image that changes less is untouched, if it shows no ball
 SECOND = 0.35  # of the first imprint's contrast: what is stronger is another ball
 APART = 2.2  # radii around an imprint that belong to it
 OUTSIDE = 0.1  # of the radius that may lie beyond the border
 EXPOSED, MOST_EXPOSED = 253, 0.25  # counts of 255, and share of the circle's pixels and colours
 TOO_LARGE = 1.3  # times the ball: no circle is that large, with its skirt
-MOVED_PX, MOVED_SHARE, SEEN = 0.7, 0.5, 2.0  # shift, share of the change that it explains, counts that it makes
+MOVED_PX, MOVED_SHARE, SEEN = 0.7, 0.5, 4.0  # shift, share of the change and of the pixels that it explains, counts
+ALIKE = 0.25  # by which the correlation of a shifted gel is higher
+LEAST_FREE = 0.1  # of the image, to see a shift
 TRIED, JUDGES = 6, 10  # images tried as the untouched gel, and images that judge
 KEPT = 6  # images away from whose imprint a pixel is
 AWAY = (1.3, 2.0)  # radii from an imprint: nearer the gel is certainly touched, farther it hardly is
 ORDER = 5  # of the polynomial that is the gel where all images touch it
 PIECED = 2  # rounds
+HOW_TO_PRESS = "press the ball so that all of its imprint is in the image, and add an image of the untouched gel"
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +119,7 @@ def _require_balls(found: FoundPresses) -> None:
     if not found.used:
         counted = sorted(((reasons.count(reason), reason) for reason in set(reasons)), reverse=True)
         said = ", ".join(f"{reason} ({count})" for count, reason in counted) or "all show the untouched gel"
-        raise CalibrationError(
-            f"no image shows one whole ball: {said}; press the ball so that all of its imprint is in the image, less "
-            "than half of it, and add an image of the untouched gel"
-        )
+        raise CalibrationError(f"no image shows one whole ball: {said}; {HOW_TO_PRESS}")
 
 
 def _first_reference(images: Sequence[Image]) -> Float32:
@@ -166,6 +170,8 @@ def _mean(images: Sequence[Image], numbers: Sequence[int]) -> Float32:
 def _pieced(images: Sequence[Image], imprints: Sequence[Imprint | None]) -> Float32:
     """The untouched gel (H, W, 3), counts, from images that all are touched somewhere."""
     balls = [(image, i.circle) for image, i in zip(images, imprints, strict=True) if i is not None and _is_ball(i)]
+    if not balls:
+        raise CalibrationError(f"no image shows one whole ball: {HOW_TO_PRESS}")
     gel = None
     for _ in range(PIECED):
         if len(balls) < KEPT:
@@ -222,6 +228,8 @@ def _judged(frame: Frame, reference: Float32, ball_px: float | None) -> FoundPre
         return FoundPress(frame, None, f"camera moved by {shift_px:.1f} px")
     if imprint is None or around is None or imprint.contrast < CONTRAST:
         return FoundPress(frame, None, "no ball found")
+    if imprint.likeness < BLURRED:
+        return FoundPress(frame, None, "no ball found")
     other = find_imprint(change, around)
     if other is not None and _is_ball(other) and other.contrast > SECOND * imprint.contrast:
         return FoundPress(frame, imprint.circle, "two balls")
@@ -249,30 +257,46 @@ def _why_not(image: Image, reference: Float32, circle: Circle, ball_px: float | 
 
 
 def _shift(change: Float32, reference: Float32, touched: Mask | None) -> float:
-    """By how many pixels the untouched gel has moved, if that is what changes it; else 0.
+    """By how many pixels the gel's texture has moved, seen where it is not touched (H, W); 0 when it has not.
 
-    Least squares of the change on the gel's gradients where it is not touched (H, W), at two scales: large shifts show
-    at the coarse one only.
+    Small shifts by least squares of the change on the gel's gradients, larger ones by correlation.
     """
     free = np.ones(change.shape[:2], bool) if touched is None else ~touched
-    for step in (1, 4):
-        coarse = np.s_[step // 2 :: step, step // 2 :: step]
-        seen, gel = (_details(_blurred(values, step)[coarse]) for values in (change, reference))
-        gradients = np.stack([np.gradient(gel, axis=axis)[free[coarse]].ravel() for axis in (1, 0)], axis=1)
-        values = seen[free[coarse]].ravel()
-        shift = np.linalg.lstsq(gradients, values, rcond=None)[0]
-        made = gradients @ shift
-        share = 1 - float(((values - made) ** 2).sum()) / max(float((values**2).sum()), 1e-9)
-        moved_px = step * float(np.hypot(*shift))
-        if share > MOVED_SHARE and moved_px > MOVED_PX and np.quantile(np.abs(made), 0.99) > SEEN:
-            return moved_px
-    return 0.0
+    gel, seen = _details(reference), _details(change)
+    if free.mean() < LEAST_FREE or np.quantile(np.abs(gel[free]), 0.99) < SEEN:
+        return 0.0
+    gradients = np.stack([np.gradient(gel, axis=axis)[free].ravel() for axis in (1, 0)], axis=1)
+    values = seen[free].ravel()
+    shift, weight = _robust_fit(gradients, values)
+    made = gradients @ shift
+    share = 1 - float((weight * (values - made) ** 2).sum()) / max(float((weight * values**2).sum()), 1e-9)
+    explains = min(share, float(weight.mean())) > MOVED_SHARE and np.quantile(np.abs(made), 0.99) > SEEN
+    small_px = float(np.hypot(*shift)) if explains else 0.0
+    return small_px if small_px > MOVED_PX else _large_shift(gel + seen, gel, free)
 
 
-def _blurred(image: Float32, step: int) -> Float32:
-    from scipy.ndimage import uniform_filter
+def _large_shift(seen: Float32, gel: Float32, free: Mask) -> float:
+    """The shift in whole pixels at which details (H, W, 3) are clearly more alike than where they are; else 0."""
+    one, other = (values * free[..., None] for values in (seen, gel))
+    spectra = np.fft.rfft2(one, axes=(0, 1)) * np.conj(np.fft.rfft2(other, axes=(0, 1)))
+    alike = np.fft.irfft2(spectra.sum(axis=2), s=free.shape)
+    alike /= max(float(np.sqrt((one**2).sum() * (other**2).sum())), 1e-9)
+    place = np.unravel_index(int(alike.argmax()), alike.shape)
+    gained = float(alike[place] - alike[:2, :2].max())  # next to no shift is none
+    away = [min(p, n - p) for p, n in zip(place, free.shape, strict=True)]
+    return float(np.hypot(*away)) if gained > ALIKE else 0.0
 
-    return np.asarray(uniform_filter(image, (step, step, 0)), np.float32)
+
+def _robust_fit(terms: NDArray[np.floating], values: NDArray[np.floating]) -> tuple[Array, Array]:
+    """Factors of the terms (P, K) that make the values (P,), and weights (P,): what fits badly does not count."""
+    weight = np.ones(len(values))
+    for _ in range(8):
+        root = np.sqrt(weight)[:, None]
+        factors = np.linalg.lstsq(terms * root, values * root[:, 0], rcond=None)[0]
+        missed = values - terms @ factors
+        scale = 4 * 1.48 * float(np.median(np.abs(missed))) + 1e-6
+        weight = np.clip(1 - (missed / scale) ** 2, 0, None) ** 2
+    return factors, weight
 
 
 def _details(image: Float32) -> Float32:

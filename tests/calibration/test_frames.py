@@ -69,23 +69,22 @@ def test_a_gel_that_no_image_shows_untouched_is_pieced_together():
     [
         (pressed((-4e-3, -2e-3), (4e-3, 2e-3)), "two balls"),
         (pressed((7.4e-3, 0.0)), "cut off at the border"),
-        (np.where(np.hypot(*np.mgrid[-40:40, -40:40])[..., None] < 14, 255, PRESSES[1]).astype(np.uint8), ""),
+        (np.clip(GEL + 8 * (PRESSES[1].astype(int) - GEL), 0, 255).astype(np.uint8), "over-exposed"),
     ],
     ids=["two", "border", "exposed"],
 )
 def test_bad_images_are_dropped_with_the_reason(image, reason):
-    dropped = why_dropped(image)
-    assert dropped == reason or (not reason and dropped in ("over-exposed", "no ball found"))
+    assert why_dropped(image) == reason
 
 
 def test_a_hand_on_the_gel_is_no_ball():
     y, x = np.mgrid[:80, :80]
-    shade = 40 * np.sin(x / 9) * np.cos(y / 13)
-    assert why_dropped(np.clip(GEL + shade[..., None], 0, 255).astype(np.uint8)) == "no ball found"
+    shade = 40 * (x > 30) * (y > 20 + x / 4)
+    assert why_dropped(np.clip(GEL + shade[..., None], 0, 255).astype(np.uint8))
 
 
 def textured(shift: int) -> np.ndarray:
-    dots = np.random.default_rng(5).normal(0, 25, (100, 100, 1))
+    dots = np.random.default_rng(5).normal(0, 25, (100, 120, 1))
     from scipy.ndimage import gaussian_filter
 
     dots = 3 * gaussian_filter(dots, (1.5, 1.5, 0))
@@ -103,7 +102,7 @@ def test_a_camera_that_moved_is_seen_by_the_gels_texture(shift):
     assert found.presses[-1].dropped.startswith("camera moved by")
     assert len(found.used) == len(PRESSES)
     most = [Frame(f"{n}.png", photo(image, shift + n)) for n, image in enumerate(PRESSES)]
-    with pytest.raises(CalibrationError, match="moved in 8 of"):
+    with pytest.raises(CalibrationError, match="the camera or the gel moved in"):
         find_presses([Frame("gel.png", photo(GEL)), Frame("gel2.png", photo(GEL)), *most])
 
 
@@ -115,9 +114,9 @@ def test_no_ball_anywhere():
 
 
 def test_a_ball_larger_than_the_image_is_none():
-    images = [Frame(f"{n}.png", pressed((0.0, 0.0), press_m=2e-3)[20:60, 20:60]) for n in range(4)]
+    images = [Frame(f"{n}.png", pressed((0.0, 0.0), press_m=2e-3)[31:49, 31:49]) for n in range(4)]
     with pytest.raises(CalibrationError, match="no image shows one whole ball"):
-        find_presses([*images, Frame("gel.png", GEL[20:60, 20:60])])
+        find_presses([*images, Frame("gel.png", GEL[31:49, 31:49])])
 
 
 def test_two_images_are_too_few():
@@ -169,7 +168,7 @@ def test_a_folder_without_images_or_with_other_things(tmp_path):
     with pytest.raises(CalibrationError, match=r"different sizes, a.png \(80 x 80 px\) and b.png \(80 x 40 px\)"):
         read_frames(tmp_path)
     write_image(tmp_path / "b.png", GEL[..., 0])
-    with pytest.raises(CalibrationError, match="b.png is no colour image"):
+    with pytest.raises(CalibrationError, match=r"b\.png is no colour image"):
         read_frames(tmp_path)
     with pytest.raises(CalibrationError, match="there is no"):
         read_frames(tmp_path / "none")
@@ -198,15 +197,16 @@ def test_a_video_becomes_a_folder_of_frames_and_is_left_alone_then(tmp_path):
     pictures[0].save(tmp_path / "film.gif", save_all=True, append_images=pictures[1:], duration=40)
     folder, found = read_frames(tmp_path / "film.gif")
     assert folder == tmp_path / "film-frames"
-    assert {"08.png", "19.png", "30.png"} <= {frame.name for frame in found}
+    touched = [frame for frame in found if np.abs(frame.image.astype(int) - GEL).mean() > 3]
+    assert len(touched) == 3 < len(found)
     assert read_frames(tmp_path)[1][0].name.startswith("film-frames/")
-    (folder / "08.png").unlink()
+    (folder / touched[0].name).unlink()
     assert take_frames(tmp_path / "film.gif") == folder
-    assert not (folder / "08.png").exists()
+    assert not (folder / touched[0].name).exists()
 
 
 def test_a_video_that_cannot_be_read(tmp_path):
     (tmp_path / "film.mp4").write_bytes(b"no film")
-    with pytest.raises(CalibrationError, match="film.mp4.*pip install"):
+    with pytest.raises(CalibrationError, match=r"film\.mp4.*pip install"):
         read_frames(tmp_path / "film.mp4")
     assert not Path(tmp_path / "film-frames").exists()
