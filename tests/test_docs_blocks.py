@@ -100,6 +100,8 @@ def furnished(tmp_path_factory, store) -> Path:
     )
     balls = ball_set(8)
     balls.write(folder / "FOLDER")
+    for name in ("presses.csv", "sensor.toml"):  # which the first command of the guide writes
+        (folder / "FOLDER" / name).unlink()
     (folder / "SET").mkdir()
     write_image(folder / "SET" / "background.png", balls.background)
     for number, (image, circle) in enumerate(zip(balls.images, balls.circles, strict=True)):
@@ -139,6 +141,8 @@ def run(words: list[str]) -> None:
     cheaper = CHEAPER.get(words[1], [])
     if "moco" in words:
         cheaper = [*cheaper, *TINY_TRAINING]
+    if "--ball-radius" in words:  # the ball of the furnished folders
+        cheaper = [*cheaper, "--ball-radius", "3", "--mm-per-px", "0.25"]
     if "--simulated" in words:
         cheaper = ["-o", "epochs=1", "-o", "channels=4", "--presses", "5"]
     if words[1] == "evaluate" and "--object" not in words:

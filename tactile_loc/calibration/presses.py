@@ -26,7 +26,7 @@ from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.io.images import read_colour_image, write_image
 from tactile_loc.io.meshes import load_object
 
-TABLE = "presses.csv"
+TABLE, SENSOR = "presses.csv", "sensor.toml"
 KINDS = {
     "background": (),
     "ball": ("center_x_px", "center_y_px", "radius_px", "ball_radius_mm"),
@@ -271,14 +271,19 @@ def write_sensor(folder: Path, mm_per_px: float) -> Path:
     image = read_colour_image(first)
     if image is None:
         raise CalibrationError(f"{first.name} of the set is no colour image; give PNG or JPEG with three channels")
-    height, width = image.shape[:2]
+    return write_scale(folder, image.shape[:2], mm_per_px)
+
+
+def write_scale(folder: Path, shape: tuple[int, int], mm_per_px: float) -> Path:
+    """Describe a sensor by the size (rows, columns) and the scale of its images, `sensor.toml`; return its path."""
+    height, width = shape
     lines = [
         'camera = "orthographic"',
         f"image_size_px = [{width}, {height}]",
         f"mm_per_px = {float(mm_per_px)}",
         f"max_depth_mm = {DEEPEST_MM}",
     ]
-    path = folder / "sensor.toml"
+    path = folder / SENSOR
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
 

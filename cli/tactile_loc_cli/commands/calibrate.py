@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tactile_loc_cli.console import progress, say
+from tactile_loc_cli.labelling import labelled
 from tactile_loc_cli.options import Store, declare, set_option
 
 if TYPE_CHECKING:
@@ -46,7 +47,11 @@ class Background(StrEnum):
 
 
 Folder = Annotated[
-    Path | None, typer.Argument(metavar="FOLDER", help="Images of presses, and presses.csv with what was pressed.")
+    Path | None,
+    typer.Argument(
+        metavar="FOLDER",
+        help="Images of presses, or a video; presses.csv with what was pressed, or --ball-radius to have it written.",
+    ),
 ]
 Geometry = Annotated[
     str | None,
@@ -64,8 +69,13 @@ Untouched = Annotated[
 PublicFormat = Annotated[
     Format | None, typer.Option("--format", help="FOLDER is a public set of this format, not a table.")
 ]
-BallRadius = Annotated[float | None, declare("--ball-radius", "MM", "With --format: the ball's radius, in mm.")]
-PixelSize = Annotated[float | None, declare("--mm-per-px", "MM", "With --format: the size of a pixel, in mm.")]
+BallRadius = Annotated[
+    float | None,
+    declare("--ball-radius", "MM", "The ball's radius, in mm: where there is no presses.csv, or with --format."),
+]
+PixelSize = Annotated[
+    float | None, declare("--mm-per-px", "MM", "The size of a pixel on the gel, in mm, where there is no sensor.toml.")
+]
 ImageSize = Annotated[
     tuple[int, int] | None,
     declare(
@@ -108,7 +118,8 @@ def calibrate(
     """Calibrate a sensor for images.
 
     Presses of a ball, or of any mesh at a known pose, teach it what the gel looks like; or simulated ones, for
-    simulated images. A fifth of them is held out, and the errors on these are reported. Use the result with:
+    simulated images. Without a table the ball is looked for in the images: look at labels.png. A fifth of the presses
+    is held out, and the errors on these are reported. Use the result with:
     run --sensor FOLDER --touch photo.png
     """
     from tactile_loc.calibration.folder import require_replaceable
@@ -120,11 +131,15 @@ def calibrate(
     _require_one_source(folder, format, background, image_size, simulated, optics, presses)
     if folder is None:
         return _calibrate_simulated(sensor, optics, presses, estimator, options, seed, out, store)
+    labels: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as temporary:
         if format is not None:
             folder = _convert(folder, Path(temporary), format, ball_radius, mm_per_px)
-        file = folder / "sensor.toml" if sensor is None else Path(sensor)
-        return _calibrate(folder, file, estimator, background, image_size, options, seed, out, store)
+            file = folder / "sensor.toml" if sensor is None else Path(sensor)
+        else:
+            folder, file, labels = labelled(folder, sensor, ball_radius, mm_per_px)
+        done = _calibrate(folder, file, estimator, background, image_size, options, seed, out, store)
+        return {**done, **labels}
 
 
 def _require_one_source(

@@ -1,0 +1,136 @@
+#!/usr/bin/env python3
+"""Labels that are found in real images of a ball, beside those that people made by hand: circles, and what they teach.
+
+The public sets are those of `real_images.py`. Differences are found less hand, medians and 90 % quantiles over presses;
+radii are cut to the ball, as a table of presses has them. `offset` is the median difference of the centres: what all of
+a set's labels have in common. Surface angle errors are means over held-out presses, of several splits, of calibrations
+on the same other presses: `hand on hand` is learned from labels by hand and held against such, and so on; `moved` are
+the labels found, less the offset.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from real_images import SETS, head, read
+
+from tactile_loc.calibration.calibrate import press_errors, split
+from tactile_loc.calibration.estimator import CalibrationProblem
+from tactile_loc.calibration.frames import Frame
+from tactile_loc.calibration.labels import STEEPEST, Chosen
+from tactile_loc.calibration.photometric import PhotometricEstimator
+from tactile_loc.calibration.presses import PressFolder
+from tactile_loc.calibration.unlabelled import FoundPresses, find_presses
+from tactile_loc.core.interfaces import Checkpoints
+from tactile_loc.core.progress import Progress
+
+Array = NDArray[np.float64]
+COLUMNS = ("center_x_px", "center_y_px", "radius_px")
+LEARNED = ("hand", "found", "moved")
+
+
+def find(presses: PressFolder, name: str) -> FoundPresses:
+    """Find the balls in a set's images, with that of the untouched gel, if it has one, among them."""
+    frames = [Frame(row.image.name, image) for row, image in zip(presses.rows, presses.images, strict=True)]
+    gel = [] if name == "FOTS" else [Frame("untouched", presses.background)]
+    return find_presses([*frames, *gel], SETS[name][2] / SETS[name][3])
+
+
+def circles(presses: PressFolder) -> Array:
+    """Return the circles (N, 3) of the labels by hand: centre and radius, pixels."""
+    return np.array([[row.number(column) for column in COLUMNS] for row in presses.rows])
+
+
+def relabelled(presses: PressFolder, found: Array) -> PressFolder:
+    """Return the same presses with other circles (N, 3), pixels; a press without one (NaN) keeps its own."""
+    rows = [
+        row if np.isnan(circle).any() else dataclasses.replace(row, values=row.values | _written(circle))
+        for row, circle in zip(presses.rows, found, strict=True)
+    ]
+    return dataclasses.replace(presses, rows=tuple(rows))
+
+
+def _written(circle: Array) -> dict[str, str]:
+    return {column: f"{value:.2f}" for column, value in zip(COLUMNS, circle, strict=True)}
+
+
+def errors_deg(sets: dict[str, PressFolder], known: NDArray[np.bool_], seed: int) -> dict[str, float]:
+    """Learn from each labelling of the same presses; return errors of the surface's angle, by learned and tested."""
+    hand = sets["hand"]
+    learned, held_out = ([n for n in part if known[n]] for part in split(len(hand), seed))
+    errors = {}
+    for name, labels in sets.items():
+        made = PhotometricEstimator(hand.geometry, hand.background)
+        chosen = Chosen(labels, learned)
+        made.fit(CalibrationProblem(hand.geometry, hand.background, chosen, Progress(), Checkpoints()))
+        for tested in ("hand", "found"):
+            each = [press_errors(made, *sets[tested].press(n)).slope_deg for n in held_out]
+            errors[f"{name} on {tested}"] = float(np.mean(each))
+    return errors
+
+
+def compared(name: str, data: Path, folder: Path, splits: int) -> tuple[str, str, str]:
+    """Return a set's row of the table of circles, its row of the table of errors, and why presses were dropped."""
+    presses = read(name, data, folder)
+    start = time.perf_counter()
+    found = find(presses, name)
+    seconds = (time.perf_counter() - start) / len(presses)
+    used = {press.name: press.circle for press in found.used}
+    largest = STEEPEST * SETS[name][2] / SETS[name][3] - 0.01
+    by_hand = circles(presses)
+    ours = np.full_like(by_hand, np.nan)
+    for number, row in enumerate(presses.rows):
+        if (circle := used.get(row.image.name)) is not None:
+            ours[number] = circle.x_px, circle.y_px, min(circle.radius_px, largest)
+    known = ~np.isnan(ours).any(axis=1)
+    off = (ours - by_hand)[known]
+    offset = np.median(off[:, :2], axis=0)
+    centre, left = (np.hypot(*(off[:, :2] - shift).T) for shift in (np.zeros(2), offset))
+    radius = 100 * np.abs(off[:, 2]) / by_hand[known, 2]
+    first = (
+        f"| {name} | {int(known.sum())} of {len(presses)} | {np.median(centre):.2f} | {np.quantile(centre, 0.9):.2f} | "
+        f"{offset[0]:+.1f}, {offset[1]:+.1f} | {np.median(left):.2f} | {np.median(radius):.1f} % | "
+        f"{np.quantile(radius, 0.9):.1f} % | {seconds:.2f} s |"
+    )
+    same_gel = dataclasses.replace(presses, background=found.untouched)
+    moved = ours - [*offset, 0]
+    sets = {label: relabelled(same_gel, c) for label, c in zip(LEARNED, (by_hand, ours, moved), strict=True)}
+    each = [errors_deg(sets, known, seed) for seed in range(splits)]
+    mean = {key: float(np.mean([e[key] for e in each])) for key in each[0]}
+    shown = ("hand on hand", "found on hand", "moved on hand", "found on found", "hand on found")
+    dropped = Counter(press.dropped for press in found.presses if press.dropped)
+    reasons = ", ".join(f"{count} {reason}" for reason, count in dropped.items()) or "none"
+    return first, f"| {name} | {' | '.join(f'{mean[key]:.2f}°' for key in shown)} |", f"{name} dropped: {reasons}"
+
+
+def main() -> None:
+    """Run the benchmark and print its tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "tactile")
+    parser.add_argument("--splits", type=int, default=3)
+    arguments = parser.parse_args()
+    if not arguments.data.is_dir():
+        parser.error(f"there is no {arguments.data}; give --data")
+    rows = []
+    with tempfile.TemporaryDirectory() as temporary:
+        for number, name in enumerate(SETS):
+            rows.append(compared(name, arguments.data, Path(temporary) / str(number), arguments.splits))
+    first, second, dropped = zip(*rows, strict=True)
+    print(head("set", "used", "centre, px", "90 %", "offset, px", "without it", "radius", "90 %", "time a press"))
+    print("\n".join(first))
+    print()
+    print(head("set", "hand on hand", "found on hand", "moved on hand", "found on found", "hand on found"))
+    print("\n".join(second))
+    print()
+    print("\n".join(dropped))
+
+
+if __name__ == "__main__":
+    main()

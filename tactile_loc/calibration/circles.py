@@ -1,0 +1,249 @@
+"""The visible circle of a ball in an image of the gel, found without knowing the light.
+
+Three steps, from robust to exact. A matched filter of coloured ramps finds where and about how large: in a ball's
+imprint the colour changes with the offset from its middle, whatever the lights, and falls off around it. A fit of that
+model over sub-pixel places and sizes follows. Last comes what a person would draw: on each of many rays the place where
+the colour falls most steeply, and the circle that most of them agree on. That circle needs no model of the light.
+
+Pixels count from the image's upper left corner, so the first pixel's centre is (0.5, 0.5). A `change` is an image's
+difference from the untouched gel, (H, W, 3) float32 counts, of zero median.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.calibration.labels import Float32, Image, Mask
+
+Array = NDArray[np.float64]
+
+COARSE_PX, COARSER_PX = 80, 40  # longer side of the image in which a ball is looked for, or only judged
+SMALLEST_PX, SIZES = 2.5, 12  # radii of the filters, pixels of the coarse image, and how many
+LARGEST = 0.5  # of the image's shorter side
+FALL = 6  # the ramp is u / (1 + u^FALL) of the distance u, in radii
+REACH = 2.0  # radii that the ramp is fitted over
+FITTED = 1500  # pixels, at most
+RAYS = 90
+BAND, STEP = (0.75, 1.25), 0.01  # radii between which the rim is looked for at a time
+FINE, SKIRT = 0.04, 0.3  # radii: features of the rim are larger than the first and smaller than the second
+TUKEY = 4.0  # deviations from the circle beyond which a ray does not count
+ROUNDS = 15
+
+
+@dataclass(frozen=True)
+class Circle:
+    """A circle in an image: its centre and radius, pixels."""
+
+    x_px: float
+    y_px: float
+    radius_px: float
+
+    def distance_px(self, shape: tuple[int, int]) -> Array:
+        """Return how far each pixel's centre is from the circle's (H, W), pixels."""
+        height, width = shape
+        y, x = np.ogrid[:height, :width]
+        return np.asarray(np.hypot(x + 0.5 - self.x_px, y + 0.5 - self.y_px))
+
+    def beyond_px(self, shape: tuple[int, int]) -> float:
+        """Return by how much the circle reaches over the border of an image (H, W), pixels; negative within it."""
+        height, width = shape
+        nearest = min(self.x_px, self.y_px, width - self.x_px, height - self.y_px)
+        return self.radius_px - nearest
+
+
+@dataclass(frozen=True)
+class Imprint:
+    """What may be a ball's imprint: its circle, and how much speaks for it.
+
+    `likeness` is the share of the colour's variance within REACH radii that a ball's imprint explains, `contrast` the
+    root mean square of the colour's change in the circle, counts.
+    """
+
+    circle: Circle
+    likeness: float
+    contrast: float
+
+
+def colour_change(image: Image | Float32, untouched: Image | Float32) -> Float32:
+    """Return how the colours (H, W, 3) differ from the untouched gel's, counts, less what differs everywhere alike."""
+    change = np.asarray(image, np.float32) - np.asarray(untouched, np.float32)
+    return np.asarray(change - np.median(change[::2, ::2], axis=(0, 1)), np.float32)
+
+
+def find_imprint(change: Float32, hidden: Mask | None = None) -> Imprint | None:
+    """Return roughly where the strongest imprint of a colour change (H, W, 3) is, or None where nothing changes.
+
+    Pixels that are `hidden` (H, W) are taken for untouched. Whether it is a ball's is for the caller to decide; its
+    visible circle is what `find_rim` finds near it.
+    """
+    seen = change if hidden is None else np.where(hidden[..., None], np.float32(0), change)
+    start = _strongest(seen)
+    if start is None:
+        return None
+    circle, likeness = _fitted(seen, start)
+    return Imprint(circle, likeness, contrast(seen, circle))
+
+
+def contrast(change: Float32, circle: Circle) -> float:
+    """Return the root mean square of a colour change (H, W, 3) in a circle, counts."""
+    inside = change[circle.distance_px(change.shape[:2]) < circle.radius_px]
+    return float(np.sqrt((inside**2).mean())) if inside.size else 0.0
+
+
+def concentration(change: Float32) -> float:
+    """Return the share (0 ... 1) of all of a colour change (H, W, 3) that one imprint explains; 0 where none is."""
+    coarse, _ = _coarse(change, COARSER_PX)
+    energy = float((coarse**2).sum())
+    best = _matched(coarse)
+    return 0.0 if best is None or not energy else min(1.0, best[0] / energy)
+
+
+def _coarse(change: Float32, side: int) -> tuple[Float32, int]:
+    """The change as blocks' means, and the block's side in pixels."""
+    step = max(1, round(max(change.shape) / side))
+    rows, columns = (n // step for n in change.shape[:2])
+    blocks = change[: rows * step, : columns * step].reshape(rows, step, columns, step, 3)
+    return np.asarray(blocks.mean(axis=(1, 3)), np.float32), step
+
+
+def _strongest(change: Float32) -> Circle | None:
+    coarse, step = _coarse(change, COARSE_PX)
+    best = _matched(coarse)
+    return None if best is None else Circle((best[1] + 0.5) * step, (best[2] + 0.5) * step, best[3] * step)
+
+
+def _matched(coarse: Float32) -> tuple[float, int, int, float] | None:
+    """The energy that the best of all filters explains, and its place (x, y) and radius in blocks."""
+    height, width = coarse.shape[:2]
+    margin = min(height, width) // 2
+    padded = np.pad(coarse, [(margin, margin), (margin, margin), (0, 0)])
+    spectrum = np.fft.rfft2(padded, axes=(0, 1))
+    best: tuple[float, int, int, float] | None = None
+    for radius in np.geomspace(SMALLEST_PX, max(LARGEST * min(height, width), 2 * SMALLEST_PX), SIZES).tolist():
+        explained = np.zeros(coarse.shape[:2])
+        for kernel in _kernels(padded.shape[:2], radius):
+            answer = np.fft.irfft2(spectrum * kernel[..., None], s=padded.shape[:2], axes=(0, 1))
+            explained += (answer[margin : margin + height, margin : margin + width] ** 2).sum(axis=2)
+        y, x = divmod(int(explained.argmax()), width)
+        if explained[y, x] > (best[0] if best else 0.0):
+            best = float(explained[y, x]), x, y, radius
+    return best
+
+
+@lru_cache(maxsize=64)
+def _kernels(shape: tuple[int, int], radius: float) -> tuple[NDArray[np.complex128], ...]:
+    """The spectra of the two ramps, along x and along y, of unit energy."""
+    y, x = (np.fft.fftfreq(n, 1 / n) for n in shape)
+    u = np.hypot(*np.meshgrid(x, y)) / radius
+    falls = np.where(u < REACH, 1 / (1 + u**FALL), 0)
+    ramps = (x[None, :] * falls, y[:, None] * falls)
+    return tuple(np.conj(np.fft.rfft2(ramp / np.sqrt((ramp**2).sum()))) for ramp in ramps)
+
+
+def _fitted(change: Float32, start: Circle) -> tuple[Circle, float]:
+    """The circle whose ramps, their products and a slant explain most of the change around it, and what share.
+
+    The amplitudes of each colour follow from the circle by linear least squares (variable projection).
+    """
+    from scipy.optimize import least_squares
+
+    circle, share = start, 0.0
+    for _ in range(2):  # the window moves with the circle
+        x, y, colours = _around(change, circle)
+        spread = float(((colours - colours.mean(axis=0)) ** 2).sum())
+
+        def missed(values: Array, x: Array = x, y: Array = y, colours: Array = colours) -> Array:
+            q, _ = np.linalg.qr(_ramps(x, y, values))
+            return np.asarray((colours - q @ (q.T @ colours)).ravel())
+
+        first = np.array([circle.x_px, circle.y_px, circle.radius_px])
+        lowest, highest = first - first[2] * np.array([1, 1, 0.6]), first + first[2]
+        found = least_squares(missed, first, bounds=(lowest, highest), diff_step=1e-4, max_nfev=15)
+        circle, share = Circle(*map(float, found.x)), 1 - 2 * float(found.cost) / max(spread, 1e-9)
+    return circle, share
+
+
+def _around(change: Float32, circle: Circle) -> tuple[Array, Array, Array]:
+    """Some pixels within REACH radii: x (P,), y (P,), and their colours' change (P, 3)."""
+    rows, columns = np.nonzero(circle.distance_px(change.shape[:2]) < REACH * circle.radius_px)
+    chosen = np.s_[:: max(1, len(rows) // FITTED)]
+    rows, columns = rows[chosen], columns[chosen]
+    x, y = (np.asarray(places, np.float64) + 0.5 for places in (columns, rows))
+    return x, y, change[rows, columns].astype(np.float64)
+
+
+def _ramps(x: Array, y: Array, values: Array) -> Array:
+    """What the change around a circle (x, y, radius) is made of (P, 8)."""
+    dx, dy = (x - values[0]) / values[2], (y - values[1]) / values[2]
+    falls = 1 / (1 + np.hypot(dx, dy) ** FALL)
+    a, b = dx * falls, dy * falls
+    return np.stack([a, b, a * a, a * b, b * b, np.ones_like(a), dx, dy], axis=1)
+
+
+def find_rim(change: Float32, near: Circle) -> tuple[Circle, float]:
+    """Return the circle near another on which the colour falls off most steeply outwards, and its scatter, pixels.
+
+    The fall is that of features narrower than SKIRT radii: the gel around a contact fades slowly and says nothing of
+    its edge.
+    """
+    relief = _relief(change, near)
+    angle = np.arange(RAYS) * 2 * np.pi / RAYS
+    directions = np.stack([np.cos(angle), np.sin(angle), np.ones(RAYS)], axis=1)
+    circle, scatter_px = near, 0.0
+    for _ in range(ROUNDS):
+        off, weight = _steepest(relief, circle, directions)
+        move, scatter_px = _agreed(directions, off, weight)
+        most = 0.15 * circle.radius_px
+        dx, dy, dr = np.clip(move, -most, most).tolist()
+        circle = Circle(circle.x_px + dx, circle.y_px + dy, circle.radius_px + dr)
+        if np.abs(move).max() < 0.02:
+            break
+    return circle, scatter_px
+
+
+def _relief(change: Float32, circle: Circle) -> Float32:
+    """How strong the change is (H, W), along its own colour, without what is much larger or smaller than a rim."""
+    from scipy.ndimage import gaussian_filter
+
+    fine, wide = max(1.0, FINE * circle.radius_px), SKIRT * circle.radius_px
+    hue = gaussian_filter(change, (2 * fine, 2 * fine, 0))
+    hue /= np.maximum(np.linalg.norm(hue, axis=2, keepdims=True), 1)
+    strength = (gaussian_filter(change, (fine, fine, 0)) * hue).sum(axis=2)
+    return np.asarray(strength - gaussian_filter(strength, wide), np.float32)
+
+
+def _steepest(relief: Float32, circle: Circle, directions: Array) -> tuple[Array, Array]:
+    """Where on each ray the relief falls most steeply: pixels from the circle (RAYS,), and weights (RAYS,)."""
+    from scipy.ndimage import gaussian_filter, map_coordinates
+
+    u = np.arange(BAND[0], BAND[1] + STEP / 2, STEP)
+    along = circle.radius_px * u[:, None]
+    x, y = circle.x_px + along * directions[:, 0], circle.y_px + along * directions[:, 1]
+    heights = map_coordinates(relief, [y - 0.5, x - 0.5], order=1, cval=np.nan)
+    fall = gaussian_filter(-np.gradient(heights, STEP, axis=0), (1, 1.5), mode=("nearest", "wrap"))
+    fall = np.where(np.isfinite(fall), fall, -np.inf)  # beyond the image
+    place = fall.argmax(axis=0)
+    steepest = np.maximum(fall[place, np.arange(len(directions))], 0)
+    ends = (place < 2) | (place > len(u) - 3)
+    weight = np.minimum(steepest / (np.median(steepest) + 1e-9), 1.5) * ~ends
+    return circle.radius_px * (u[place] - 1), weight
+
+
+def _agreed(directions: Array, off: Array, weight: Array) -> tuple[Array, float]:
+    """How a circle moves and grows (3,) to pass through places `off` (RAYS,) from it, and what they scatter by.
+
+    Least squares with Tukey's weights, so that rays on which something else is steeper do not count.
+    """
+    robust, scale = weight, 1.0
+    move: Array = np.zeros(3)
+    for _ in range(10):
+        weighted = directions * robust[:, None]
+        move = np.asarray(np.linalg.solve(weighted.T @ directions + 1e-9 * np.eye(3), weighted.T @ off), np.float64)
+        missed = off - directions @ move
+        scale = max(0.3, 1.48 * float(np.median(np.abs(missed[weight > 0])))) if (weight > 0).any() else np.inf
+        robust = weight * np.clip(1 - (missed / (TUKEY * scale)) ** 2, 0, None) ** 2
+    return move, scale

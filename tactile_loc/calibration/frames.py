@@ -1,0 +1,138 @@
+"""Images of presses that nobody has listed: those of a folder, and those that are worth taking out of a video.
+
+Of a video the untouched gel is taken, and of each touch the frame in which it is deepest; they become pictures in a
+folder beside it, so that a table can name them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.calibration.labels import Image
+from tactile_loc.calibration.reading import reduced
+from tactile_loc.core.errors import CalibrationError, TactileLocError
+from tactile_loc.io.images import IMAGE_SUFFIXES, read_colour_image, write_image
+from tactile_loc.io.videos import VIDEO_SUFFIXES, video_frames
+from tactile_loc.store.files import replacing_folder
+
+SHEET = "labels.png"
+THUMBNAIL_PX = 64  # longer side
+QUIET = 0.1  # of a video's frames: those that are nearest to what it mostly shows
+TOUCHED = 0.3  # of the way from the quietest to the strongest change: what is beyond is a touch
+MOST_UNTOUCHED = 5  # frames of a video
+
+Frames = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """An image (H, W, 3) of the gel, and its path relative to the folder in which its label will be written."""
+
+    name: str
+    image: Image
+
+
+def read_frames(source: Path) -> tuple[Path, list[Frame]]:
+    """Return the folder of a source's pictures, and these as frames in the order of their names.
+
+    The source is a folder of pictures and videos, or a video; a video's chosen frames are written to the folder
+    NAME-frames beside it. Raises CalibrationError when there are none, one cannot be read, or they differ in size.
+    """
+    if not source.exists():
+        raise CalibrationError(f"there is no {source}; give a folder with images of presses, or a video")
+    if source.is_file():
+        folder = take_frames(source)
+        return folder, _of_one_size(_pictures(folder, folder), folder)
+    frames = list(_pictures(source, source))
+    for video in _files(source, VIDEO_SUFFIXES):
+        frames += _pictures(take_frames(video), source)
+    return source, _of_one_size(frames, source)
+
+
+def _files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
+    found = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file()]
+    return sorted(path for path in found if path.name != SHEET and not path.name.startswith("."))
+
+
+def _pictures(folder: Path, root: Path) -> Iterator[Frame]:
+    for path in _files(folder, IMAGE_SUFFIXES):
+        try:
+            image = read_colour_image(path)
+        except TactileLocError as error:
+            raise CalibrationError(str(error)) from error
+        if image is None:
+            raise CalibrationError(f"{path} is no colour image; give PNG or JPEG with three channels, or take it away")
+        yield Frame(path.relative_to(root).as_posix(), image)
+
+
+def _of_one_size(frames: Iterable[Frame], folder: Path) -> list[Frame]:
+    found = list(frames)
+    if not found:
+        raise CalibrationError(f"there is no image in {folder}; give photos of presses, PNG or JPEG, or a video")
+    first = found[0]
+    for frame in found:
+        if frame.image.shape != first.image.shape:
+            one, other = (f"{f.name} ({f.image.shape[1]} x {f.image.shape[0]} px)" for f in (first, frame))
+            raise CalibrationError(f"{folder} holds images of different sizes, {one} and {other}; give one camera's")
+    return found
+
+
+def take_frames(video: Path) -> Path:
+    """Write what is worth labelling of a video to the folder NAME-frames beside it, and return that.
+
+    A folder of that name that is there already is left as it is. Raises CalibrationError when the video cannot be read,
+    or never changes.
+    """
+    folder = frames_folder(video)
+    if folder.is_dir():
+        return folder
+    thumbnails = np.stack([_thumbnail(image) for image in video_frames(video)])
+    chosen = set(choose_frames(thumbnails))
+    if not chosen:
+        raise CalibrationError(f"{video} shows no touch: its frames hardly differ; film the ball while it is pressed")
+    digits = len(str(len(thumbnails)))
+    with replacing_folder(folder, fresh=True) as temporary:
+        for number, image in enumerate(video_frames(video)):
+            if number in chosen:
+                write_image(temporary / f"{number:0{digits}d}.png", image)
+    return folder
+
+
+def frames_folder(video: Path) -> Path:
+    """Return the folder that the chosen frames of a video are kept in."""
+    return video.with_name(f"{video.stem}-frames")
+
+
+def _thumbnail(image: Image) -> Frames:
+    step = max(1.0, max(image.shape[:2]) / THUMBNAIL_PX)
+    shape = (max(1, round(image.shape[0] / step)), max(1, round(image.shape[1] / step)))
+    return reduced(image, shape).astype(np.float32)
+
+
+def choose_frames(thumbnails: Frames) -> list[int]:
+    """Return which frames (N, h, w, 3) of a video show the untouched gel, and which a touch at its deepest.
+
+    A touch is a run of frames in which the gel has changed by more than TOUCHED of the most it ever does; its deepest
+    frame is that of the most change. Nothing is chosen when no frame stands out from the rest.
+    """
+    typical = np.median(thumbnails[:: max(1, len(thumbnails) // 200)], axis=0)
+    nearest = np.argsort(_changes(thumbnails, typical))[: max(1, round(QUIET * len(thumbnails)))]
+    change = _changes(thumbnails, np.median(thumbnails[nearest], axis=0))
+    low, high = float(np.quantile(change, 0.05)), float(change.max())
+    if high < 2 * low + 1:
+        return []
+    touched = change > low + TOUCHED * (high - low)
+    starts = np.flatnonzero(np.diff(touched, prepend=False) & touched)
+    ends = np.flatnonzero(np.diff(touched, append=False) & touched) + 1
+    deepest = [a + int(change[a:b].argmax()) for a, b in zip(starts.tolist(), ends.tolist(), strict=True)]
+    return sorted({*deepest, *np.argsort(change)[:MOST_UNTOUCHED].tolist()})
+
+
+def _changes(thumbnails: Frames, reference: Frames) -> NDArray[np.float64]:
+    """How much each frame (N, h, w, 3) differs from an image (h, w, 3): root mean square, counts."""
+    return np.sqrt(((thumbnails - reference) ** 2).mean(axis=(1, 2, 3), dtype=np.float64))

@@ -1,0 +1,333 @@
+"""Presses without labels: which images show the untouched gel, and where a ball lies in the others.
+
+Nobody says which is which. The untouched gel is the image against which most others show one imprint and nothing else;
+where there is none, it is pieced together from what each image shows away from its imprint, and smooth in between.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.calibration.circles import Circle, Imprint, colour_change, concentration, find_imprint, find_rim
+from tactile_loc.calibration.frames import Frame
+from tactile_loc.calibration.labels import STEEPEST, Float32, Image, Mask
+from tactile_loc.calibration.presses import CONVERTED, TABLE
+from tactile_loc.core.errors import CalibrationError
+from tactile_loc.core.progress import Progress
+from tactile_loc.io.images import write_image
+from tactile_loc.store.files import write_atomically
+
+UNTOUCHED = "untouched-gel.png"  # pieced together, where no image shows it
+LIKENESS, CONTRAST = 0.65, 4.0  # least of a ball: share of the change explained, counts
+BLURRED = 0.45  # least likeness of a ball beside another
+QUIET, STILL = 0.2, 0.5  # of the usual ball's contrast: an image that changes less is untouched, if it shows no ball
+SECOND = 0.35  # of the first imprint's contrast: what is stronger is another ball
+APART = 2.2  # radii around an imprint that belong to it
+OUTSIDE = 0.1  # of the radius that may lie beyond the border
+EXPOSED, MOST_EXPOSED = 253, 0.25  # counts of 255, and share of the circle's pixels and colours
+TOO_LARGE = 1.3  # times the ball: no circle is that large, with its skirt
+MOVED_PX, MOVED_SHARE, SEEN = 0.7, 0.5, 4.0  # shift, share of the change and of the pixels that it explains, counts
+ALIKE = 0.25  # by which the correlation of a shifted gel is higher
+LEAST_FREE = 0.1  # of the image, to see a shift
+TRIED, JUDGES = 6, 10  # images tried as the untouched gel, and images that judge
+KEPT = 6  # images away from whose imprint a pixel is
+AWAY = (1.3, 2.0)  # radii from an imprint: nearer the gel is certainly touched, farther it hardly is
+ORDER = 5  # of the polynomial that is the gel where all images touch it
+PIECED = 2  # rounds
+HOW_TO_PRESS = "press the ball so that all of its imprint is in the image, and add an image of the untouched gel"
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FoundPress:
+    """An image of a press, its circle, and why it is not used; without a circle or a reason it cannot be.
+
+    `dropped` is a reason of a few words, empty for a press that is used.
+    """
+
+    frame: Frame
+    circle: Circle | None
+    dropped: str = ""
+
+    @property
+    def name(self) -> str:
+        """The image's path in the table."""
+        return self.frame.name
+
+
+@dataclass(frozen=True, eq=False)
+class FoundPresses:
+    """What the images of a folder show: the gel (H, W, 3) uint8, the images of it by name, if any, and the presses."""
+
+    untouched: Image
+    untouched_names: tuple[str, ...]
+    presses: tuple[FoundPress, ...]
+
+    @property
+    def used(self) -> tuple[FoundPress, ...]:
+        """The presses that were not dropped."""
+        return tuple(press for press in self.presses if not press.dropped)
+
+
+def find_presses(
+    frames: Sequence[Frame], ball_px: float | None = None, progress: Progress | None = None
+) -> FoundPresses:
+    """Find the untouched gel and each ball's circle in images (H, W, 3) of one camera, in any order.
+
+    `ball_px` is the ball's radius in pixels, if known: a circle much larger is no ball's. Raises CalibrationError when
+    no image shows a ball, the camera moves between most images, or the images are too few to tell.
+    """
+    if len(frames) < 3:
+        raise CalibrationError(
+            f"there are {len(frames)} images; a calibration needs one of the untouched gel and five presses, better 30"
+        )
+    watcher = progress or Progress()
+    images = [frame.image for frame in frames]
+    with watcher.task("looking for the untouched gel", len(images)) as advance:
+        reference = _first_reference(images)
+        imprints = _looked_for(images, reference)
+        quiet = _quiet(images, reference, imprints)
+        reference = _mean(images, quiet) if quiet else _pieced(images, imprints)
+        advance(len(images))
+    presses = []
+    with watcher.task("looking for the ball", len(images)) as advance:
+        for number, frame in enumerate(frames):
+            if number not in quiet:
+                presses.append(_judged(frame, reference, ball_px))
+            advance(1)
+    untouched = np.clip(np.rint(reference), 0, 255).astype(np.uint8)
+    found = FoundPresses(untouched, tuple(frames[n].name for n in quiet), tuple(presses))
+    _require_balls(found)
+    return found
+
+
+def _require_balls(found: FoundPresses) -> None:
+    reasons = [press.dropped for press in found.presses]
+    moved = sum(reason.startswith("camera moved") for reason in reasons)
+    if moved > len(reasons) / 2:
+        raise CalibrationError(
+            f"the camera or the gel moved in {moved} of {len(reasons)} images; fix the sensor, so that only the ball "
+            "moves, and take the images again"
+        )
+    if not found.used:
+        counted = sorted(((reasons.count(reason), reason) for reason in set(reasons)), reverse=True)
+        said = ", ".join(f"{reason} ({count})" for count, reason in counted) or "all show the untouched gel"
+        raise CalibrationError(f"no image shows one whole ball: {said}; {HOW_TO_PRESS}")
+
+
+def _first_reference(images: Sequence[Image]) -> Float32:
+    """The image, median, or smoothed median against which single imprints explain most of how the others differ."""
+    stack = np.stack(images[:: max(1, len(images) // 40)])
+    median = np.median(stack, axis=0).astype(np.float32)
+    off = [float(np.abs(colour_change(image, median)).mean()) for image in images]
+    candidates = [median, _smooth(median, np.ones(median.shape[:2], np.float32), 3)]
+    candidates += [images[n].astype(np.float32) for n in np.argsort(off)[:TRIED]]
+    judges = [images[n] for n in np.argsort(off)[::-1][:: max(1, len(images) // JUDGES)]]
+    scores = [np.median([concentration(colour_change(judge, one)) for judge in judges]) for one in candidates]
+    return candidates[int(np.argmax(scores))]
+
+
+def _looked_for(images: Sequence[Image], reference: Float32) -> list[Imprint | None]:
+    return [find_imprint(colour_change(image, reference)) for image in images]
+
+
+def _is_ball(imprint: Imprint | None) -> bool:
+    return imprint is not None and imprint.likeness >= LIKENESS and imprint.contrast >= CONTRAST
+
+
+def _quiet(images: Sequence[Image], reference: Float32, imprints: Sequence[Imprint | None]) -> list[int]:
+    """The numbers of the images that show no ball and nowhere change as much as where a ball usually lies."""
+    contrasts = [imprint.contrast for imprint in imprints if imprint is not None and _is_ball(imprint)]
+    if not contrasts:
+        return []
+    usual, found = float(np.median(contrasts)), []
+    for number, (image, imprint) in enumerate(zip(images, imprints, strict=True)):
+        least = max(CONTRAST / 2, (QUIET if _is_ball(imprint) else STILL) * usual)
+        if _strongest_change(colour_change(image, reference)) < least:
+            found.append(number)
+    return found
+
+
+def _strongest_change(change: Float32) -> float:
+    """The largest change (H, W, 3) of any block of some pixels a side, counts."""
+    from scipy.ndimage import uniform_filter
+
+    side = max(3, max(change.shape) // 40)
+    return float(np.sqrt((uniform_filter(change, (side, side, 0)) ** 2).mean(axis=2).max()))
+
+
+def _mean(images: Sequence[Image], numbers: Sequence[int]) -> Float32:
+    return np.asarray(np.mean([images[n] for n in numbers], axis=0), np.float32)
+
+
+def _pieced(images: Sequence[Image], imprints: Sequence[Imprint | None]) -> Float32:
+    """The untouched gel (H, W, 3), counts, from images that all are touched somewhere."""
+    balls = [(image, i.circle) for image, i in zip(images, imprints, strict=True) if i is not None and _is_ball(i)]
+    if not balls:
+        raise CalibrationError(f"no image shows one whole ball: {HOW_TO_PRESS}")
+    gel = None
+    for _ in range(PIECED):
+        if len(balls) < KEPT:
+            raise CalibrationError(
+                f"no image shows the untouched gel, and {len(balls)} with a ball are too few to piece it together; add "
+                "an image in which nothing touches"
+            )
+        gel = _away_from(balls)
+        found = [(image, find_imprint(colour_change(image, gel))) for image, _ in balls]
+        balls = [(image, i.circle) for image, i in found if i is not None and _is_ball(i)]
+    assert gel is not None
+    return gel
+
+
+def _away_from(balls: Sequence[tuple[Image, Circle]]) -> Float32:
+    """The median of the KEPT images whose ball is farthest from a pixel, and smooth where these are not far enough."""
+    shape = balls[0][0].shape[:2]
+    away = np.stack([circle.distance_px(shape) / circle.radius_px for _, circle in balls]).astype(np.float32)
+    order = np.argsort(-away, axis=0)[:KEPT]
+    images = np.stack([image for image, _ in balls])
+    seen = np.median(np.take_along_axis(images, order[..., None], axis=0), axis=0).astype(np.float32)
+    least = np.take_along_axis(away, order[-1:], axis=0)[0]
+    trust = np.clip((least - AWAY[0]) / (AWAY[1] - AWAY[0]), 0, 1)
+    smooth = _smooth(seen, trust + np.float32(1e-3), ORDER)
+    share = np.clip((least - AWAY[0]) / (AWAY[1] - AWAY[0]) * 2 - 0.5, 0, 1)[..., None]
+    return np.asarray(share * seen + (1 - share) * smooth, np.float32)
+
+
+def _smooth(image: Float32, weight: Float32, order: int) -> Float32:
+    """The polynomial of x and y through an image (H, W, 3), robustly, by the weight (H, W) of its pixels."""
+    height, width = image.shape[:2]
+    y, x = (np.linspace(-1, 1, n) for n in (height, width))
+    powers = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
+    terms = np.stack([np.outer(y**j, x**i) for i, j in powers], axis=-1)
+    some = np.s_[:: max(1, height // 80), :: max(1, width // 80)]
+    base, wanted = terms[some].reshape(-1, len(powers)), image[some].reshape(-1, 3)
+    first = weight[some].ravel()
+    robust = first
+    for _ in range(12):
+        root = np.sqrt(robust)[:, None]
+        factors = np.linalg.lstsq(base * root, wanted * root, rcond=None)[0]
+        missed = np.linalg.norm(wanted - base @ factors, axis=1)
+        scale = 3 * (2 * float(np.median(missed)) + 1)
+        robust = first * np.clip(1 - (missed / scale) ** 2, 0, None) ** 2
+    return np.asarray(terms @ factors, np.float32)
+
+
+def _judged(frame: Frame, reference: Float32, ball_px: float | None) -> FoundPress:
+    """Find the ball in an image, and say why it cannot be used, if so."""
+    change = colour_change(frame.image, reference)
+    imprint = find_imprint(change)
+    around = None if imprint is None else _near(imprint.circle, change.shape[:2])
+    if (shift_px := _shift(change, reference, around)) > MOVED_PX:
+        return FoundPress(frame, None, f"camera moved by {shift_px:.1f} px")
+    if imprint is None or around is None or imprint.contrast < CONTRAST:
+        return FoundPress(frame, None, "no ball found")
+    if imprint.likeness < BLURRED:
+        return FoundPress(frame, None, "no ball found")
+    other = find_imprint(change, around)
+    if other is not None and _is_ball(other) and other.contrast > SECOND * imprint.contrast:
+        return FoundPress(frame, imprint.circle, "two balls")
+    if imprint.likeness < LIKENESS:
+        return FoundPress(frame, None, "no ball found")
+    circle, _ = find_rim(change, imprint.circle)
+    return FoundPress(frame, circle, _why_not(frame.image, reference, circle, ball_px))
+
+
+def _near(circle: Circle, shape: tuple[int, int]) -> Mask:
+    return np.asarray(circle.distance_px(shape) < APART * circle.radius_px)
+
+
+def _why_not(image: Image, reference: Float32, circle: Circle, ball_px: float | None) -> str:
+    """Why a press of a found circle cannot be used; empty when it can."""
+    if circle.beyond_px(image.shape[:2]) > OUTSIDE * circle.radius_px:
+        return "cut off at the border"
+    inside = circle.distance_px(image.shape[:2]) < circle.radius_px
+    white = (image >= EXPOSED) & (reference < EXPOSED)
+    if white[inside].mean() > MOST_EXPOSED:
+        return "over-exposed"
+    if ball_px is not None and circle.radius_px > TOO_LARGE * ball_px:
+        return "larger than the ball"
+    return ""
+
+
+def _shift(change: Float32, reference: Float32, touched: Mask | None) -> float:
+    """By how many pixels the gel's texture has moved, seen where it is not touched (H, W); 0 when it has not.
+
+    Small shifts by least squares of the change on the gel's gradients, larger ones by correlation.
+    """
+    free = np.ones(change.shape[:2], bool) if touched is None else ~touched
+    gel, seen = _details(reference), _details(change)
+    if free.mean() < LEAST_FREE or np.quantile(np.abs(gel[free]), 0.99) < SEEN:
+        return 0.0
+    gradients = np.stack([np.gradient(gel, axis=axis)[free].ravel() for axis in (1, 0)], axis=1)
+    values = seen[free].ravel()
+    shift, weight = _robust_fit(gradients, values)
+    made = gradients @ shift
+    share = 1 - float((weight * (values - made) ** 2).sum()) / max(float((weight * values**2).sum()), 1e-9)
+    explains = min(share, float(weight.mean())) > MOVED_SHARE and np.quantile(np.abs(made), 0.99) > SEEN
+    small_px = float(np.hypot(*shift)) if explains else 0.0
+    return small_px if small_px > MOVED_PX else _large_shift(gel + seen, gel, free)
+
+
+def _large_shift(seen: Float32, gel: Float32, free: Mask) -> float:
+    """The shift in whole pixels at which details (H, W, 3) are clearly more alike than where they are; else 0."""
+    one, other = (values * free[..., None] for values in (seen, gel))
+    spectra = np.fft.rfft2(one, axes=(0, 1)) * np.conj(np.fft.rfft2(other, axes=(0, 1)))
+    alike = np.fft.irfft2(spectra.sum(axis=2), s=free.shape)
+    alike /= max(float(np.sqrt((one**2).sum() * (other**2).sum())), 1e-9)
+    place = np.unravel_index(int(alike.argmax()), alike.shape)
+    gained = float(alike[place] - alike[:2, :2].max())  # next to no shift is none
+    away = [min(p, n - p) for p, n in zip(place, free.shape, strict=True)]
+    return float(np.hypot(*away)) if gained > ALIKE else 0.0
+
+
+def _robust_fit(terms: NDArray[np.floating], values: NDArray[np.floating]) -> tuple[Array, Array]:
+    """Factors of the terms (P, K) that make the values (P,), and weights (P,): what fits badly does not count."""
+    weight = np.ones(len(values))
+    for _ in range(8):
+        root = np.sqrt(weight)[:, None]
+        factors = np.linalg.lstsq(terms * root, values * root[:, 0], rcond=None)[0]
+        missed = values - terms @ factors
+        scale = 4 * 1.48 * float(np.median(np.abs(missed))) + 1e-6
+        weight = np.clip(1 - (missed / scale) ** 2, 0, None) ** 2
+    return factors, weight
+
+
+def _details(image: Float32) -> Float32:
+    """An image (H, W, 3) without its noise, and without what changes slowly, as light does."""
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(image, (1, 1, 0)) - gaussian_filter(image, (6, 6, 0)), np.float32)
+
+
+def write_labels(folder: Path, found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> Path:
+    """Write `presses.csv` of the presses that are used, and the untouched gel where no image shows it.
+
+    Circles larger than the ball are cut to the largest that it can make. Raises CalibrationError when there is a table
+    already, which is never overwritten; OutputError when the disk refuses.
+    """
+    table = folder / TABLE
+    if table.exists():
+        raise CalibrationError(f"{table} is there already and is not overwritten; move it away to have them found anew")
+    names = list(found.untouched_names)
+    if not names:
+        write_atomically(folder / UNTOUCHED, lambda path: write_image(path, found.untouched))
+        names = [UNTOUCHED]
+    largest = np.floor(1e3 * STEEPEST * ball_radius_mm / mm_per_px) / 1e3
+    rows: list[tuple[object, ...]] = [(name, "background") for name in names]
+    for press in found.used:
+        assert press.circle is not None
+        x, y, radius = (round(v, 2) for v in (press.circle.x_px, press.circle.y_px, press.circle.radius_px))
+        rows.append((press.name, "ball", x, y, min(radius, largest), ball_radius_mm))
+
+    def write(path: Path) -> None:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file).writerows([CONVERTED, *rows])
+
+    return write_atomically(table, write)

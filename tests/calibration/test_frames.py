@@ -1,0 +1,212 @@
+"""Images that nobody has listed: which are untouched, which are dropped and why, and which frames of a video count."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from press_sets import BALL_M, ball_indentation, gel_under, sensor, write_image
+
+from tactile_loc.calibration.frames import Frame, choose_frames, read_frames, take_frames
+from tactile_loc.calibration.presses import read_presses
+from tactile_loc.calibration.unlabelled import find_presses, write_labels
+from tactile_loc.core.errors import CalibrationError
+from tactile_loc.drawing.labels import draw_labels
+from tactile_loc.imaging.optics import OPTICS
+from tactile_loc.imaging.shading import background, render_images
+
+GEOMETRY = sensor(80)
+MM_PER_PX = 0.2
+PLACES = np.array([(-3, 2), (0, 0), (3, -3), (4, 3), (-4, -3), (1, 4), (-1, -4), (4, -1)]) * 1e-3
+GEL = background(GEOMETRY, OPTICS["gelslim"])
+
+
+def pressed(*balls: tuple[float, float], press_m: float = 7e-4, seed: int = 0) -> np.ndarray:
+    """A photo of balls (x, y), metres, at a press."""
+    indentation = np.max([ball_indentation(GEOMETRY, x, y, press_m) for x, y in balls], axis=0)[None]
+    return render_images(gel_under(indentation, GEOMETRY), GEOMETRY, OPTICS["gelslim"], np.random.default_rng(seed))[0]
+
+
+PRESSES = [pressed(tuple(place), seed=n) for n, place in enumerate(PLACES)]
+
+
+def frames(*more: np.ndarray, untouched: int = 1) -> list[Frame]:
+    """The presses, so many images of the untouched gel, and more."""
+    images = [*PRESSES, *[GEL] * untouched, *more]
+    return [Frame(f"{n:02d}.png", image) for n, image in enumerate(images)]
+
+
+def why_dropped(image: np.ndarray) -> str:
+    found = find_presses(frames(image), 1e3 * BALL_M / MM_PER_PX)
+    assert len(found.used) == len(PRESSES)
+    return found.presses[-1].dropped
+
+
+def test_the_untouched_gel_and_every_ball_are_found():
+    found = find_presses(frames(untouched=2))
+    assert found.untouched_names == ("08.png", "09.png")
+    np.testing.assert_array_equal(found.untouched, GEL)
+    assert len(found.used) == len(PRESSES)
+    centres = [(press.circle.x_px, press.circle.y_px) for press in found.used]
+    np.testing.assert_allclose(centres, 40 + 1e3 * PLACES / MM_PER_PX, atol=0.6)
+
+
+def test_a_gel_that_no_image_shows_untouched_is_pieced_together():
+    found = find_presses(frames(untouched=0))
+    assert found.untouched_names == ()
+    assert len(found.used) == len(PRESSES)
+    assert np.abs(found.untouched.astype(int) - GEL).mean() < 2
+    centres = [(press.circle.x_px, press.circle.y_px) for press in found.used]
+    np.testing.assert_allclose(centres, 40 + 1e3 * PLACES / MM_PER_PX, atol=1.0)
+
+
+@pytest.mark.parametrize(
+    ("image", "reason"),
+    [
+        (pressed((-4e-3, -2e-3), (4e-3, 2e-3)), "two balls"),
+        (pressed((7.4e-3, 0.0)), "cut off at the border"),
+        (np.clip(GEL + 8 * (PRESSES[1].astype(int) - GEL), 0, 255).astype(np.uint8), "over-exposed"),
+    ],
+    ids=["two", "border", "exposed"],
+)
+def test_bad_images_are_dropped_with_the_reason(image, reason):
+    assert why_dropped(image) == reason
+
+
+def test_a_hand_on_the_gel_is_no_ball():
+    y, x = np.mgrid[:80, :80]
+    shade = 40 * (x > 30) * (y > 20 + x / 4)
+    assert why_dropped(np.clip(GEL + shade[..., None], 0, 255).astype(np.uint8))
+
+
+def textured(shift: int) -> np.ndarray:
+    dots = np.random.default_rng(5).normal(0, 25, (100, 120, 1))
+    from scipy.ndimage import gaussian_filter
+
+    dots = 3 * gaussian_filter(dots, (1.5, 1.5, 0))
+    return dots[10:90, 10 + shift : 90 + shift]
+
+
+@pytest.mark.parametrize("shift", [2, 6])
+def test_a_camera_that_moved_is_seen_by_the_gels_texture(shift):
+    def photo(image, by=0):
+        return np.clip(image + textured(by), 0, 255).astype(np.uint8)
+
+    still = [Frame(f"{n}.png", photo(image)) for n, image in enumerate([*PRESSES, GEL])]
+    moved = Frame("moved.png", photo(PRESSES[0], shift))
+    found = find_presses([*still, moved])
+    assert found.presses[-1].dropped.startswith("camera moved by")
+    assert len(found.used) == len(PRESSES)
+    most = [Frame(f"{n}.png", photo(image, shift + n)) for n, image in enumerate(PRESSES)]
+    with pytest.raises(CalibrationError, match="the camera or the gel moved in"):
+        find_presses([Frame("gel.png", photo(GEL)), Frame("gel2.png", photo(GEL)), *most])
+
+
+def test_no_ball_anywhere():
+    noise = np.random.default_rng(0).integers(-2, 3, (6, *GEL.shape))
+    images = [Frame(f"{n}.png", np.clip(GEL + noise[n], 0, 255).astype(np.uint8)) for n in range(6)]
+    with pytest.raises(CalibrationError, match="no image shows one whole ball"):
+        find_presses(images)
+
+
+def test_a_ball_larger_than_the_image_is_none():
+    images = [Frame(f"{n}.png", pressed((0.0, 0.0), press_m=2e-3)[31:49, 31:49]) for n in range(4)]
+    with pytest.raises(CalibrationError, match="no image shows one whole ball"):
+        find_presses([*images, Frame("gel.png", GEL[31:49, 31:49])])
+
+
+def test_two_images_are_too_few():
+    with pytest.raises(CalibrationError, match="there are 2 images"):
+        find_presses(frames()[:2])
+
+
+def test_the_table_is_read_as_one_written_by_hand_and_is_never_overwritten(tmp_path):
+    given = frames(pressed((-4e-3, -2e-3), (4e-3, 2e-3)))
+    for frame in given:
+        write_image(tmp_path / frame.name, frame.image)
+    found = find_presses(given)
+    write_labels(tmp_path, found, 1e3 * BALL_M, MM_PER_PX)
+    presses = read_presses(tmp_path, GEOMETRY)
+    assert len(presses) == len(PRESSES)
+    np.testing.assert_array_equal(presses.background, GEL)
+    with pytest.raises(CalibrationError, match="not overwritten"):
+        write_labels(tmp_path, found, 1e3 * BALL_M, MM_PER_PX)
+
+
+def test_circles_larger_than_the_ball_are_cut_to_it_and_a_missing_gel_is_written(tmp_path):
+    given = frames(untouched=0)
+    for frame in given:
+        write_image(tmp_path / frame.name, frame.image)
+    write_labels(tmp_path, find_presses(given), 1.5, MM_PER_PX)
+    with (tmp_path / "presses.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert rows[0]["image"] == "untouched-gel.png"
+    assert max(float(row["radius_px"]) for row in rows[1:]) == pytest.approx(0.98 * 1.5 / MM_PER_PX)
+    assert len(read_presses(tmp_path, GEOMETRY)) == len(PRESSES)
+
+
+def test_the_sheet_shows_every_press():
+    found = find_presses(frames(pressed((-4e-3, -2e-3), (4e-3, 2e-3))))
+    figure = draw_labels(found, "all")
+    titles = [axes.get_title() for axes in figure.axes]
+    assert titles[0] == "untouched gel\n08.png"
+    assert sum("radius" in title for title in titles) == len(PRESSES)
+    assert "09.png\ndropped: two balls" in titles
+
+
+def test_a_folder_without_images_or_with_other_things(tmp_path):
+    with pytest.raises(CalibrationError, match="there is no image in"):
+        read_frames(tmp_path)
+    write_image(tmp_path / "a.png", GEL)
+    write_image(tmp_path / "labels.png", GEL)  # the sheet of an earlier run
+    assert [frame.name for frame in read_frames(tmp_path)[1]] == ["a.png"]
+    write_image(tmp_path / "b.png", GEL[:40])
+    with pytest.raises(CalibrationError, match=r"different sizes, a.png \(80 x 80 px\) and b.png \(80 x 40 px\)"):
+        read_frames(tmp_path)
+    write_image(tmp_path / "b.png", GEL[..., 0])
+    with pytest.raises(CalibrationError, match=r"b\.png is no colour image"):
+        read_frames(tmp_path)
+    with pytest.raises(CalibrationError, match="there is no"):
+        read_frames(tmp_path / "none")
+
+
+def film() -> list[np.ndarray]:
+    """Untouched, and three touches that grow and fade."""
+    touches = []
+    for number in range(3):
+        depths = (2e-4, 5e-4, 8e-4, 5e-4, 2e-4)
+        touches += [GEL] * 6 + [pressed(tuple(PLACES[number]), press_m=d, seed=number) for d in depths]
+    return [*touches, *[GEL] * 6]
+
+
+def test_of_a_video_the_deepest_frames_and_the_untouched_gel_are_chosen():
+    chosen = choose_frames(np.stack(film()).astype(np.float32))
+    deepest = {8, 19, 30}
+    assert deepest <= set(chosen)
+    assert all(np.array_equal(film()[n], GEL) for n in set(chosen) - deepest)
+    assert choose_frames(np.stack([GEL] * 20).astype(np.float32)) == []
+
+
+@pytest.mark.skipif(importlib.util.find_spec("imageio") is None, reason="imageio reads the video")
+def test_a_video_becomes_a_folder_of_frames_and_is_left_alone_then(tmp_path):
+    pictures = [Image.fromarray(image).quantize(256, dither=Image.Dither.NONE) for image in film()]
+    pictures[0].save(tmp_path / "film.gif", save_all=True, append_images=pictures[1:], duration=40)
+    folder, found = read_frames(tmp_path / "film.gif")
+    assert folder == tmp_path / "film-frames"
+    touched = [frame for frame in found if np.abs(frame.image.astype(int) - GEL).mean() > 3]
+    assert len(touched) == 3 < len(found)
+    assert read_frames(tmp_path)[1][0].name.startswith("film-frames/")
+    (folder / touched[0].name).unlink()
+    assert take_frames(tmp_path / "film.gif") == folder
+    assert not (folder / touched[0].name).exists()
+
+
+def test_a_video_that_cannot_be_read(tmp_path):
+    (tmp_path / "film.mp4").write_bytes(b"no film")
+    with pytest.raises(CalibrationError, match=r"film\.mp4.*pip install"):
+        read_frames(tmp_path / "film.mp4")
+    assert not Path(tmp_path / "film-frames").exists()

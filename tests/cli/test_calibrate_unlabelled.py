@@ -1,0 +1,83 @@
+"""`tactile-loc calibrate FOLDER --ball-radius MM`: from images that nobody has labelled to a sensor."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_helpers import Cli, assert_refused
+from PIL import Image
+
+torch = pytest.importorskip("torch")
+
+from press_sets import BALL_M, MM, ball_set, write_image  # noqa: E402
+
+from tactile_loc.calibration.folder import read_calibration  # noqa: E402
+
+BALLS = ball_set(7, px=80)
+FEW = ["-o", "steps=2", "-o", "hidden=4"]
+BALL = ["--ball-radius", BALL_M / MM]
+SCALE = ["--mm-per-px", 0.2]
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture
+def photos(cli: Cli) -> Path:
+    """A folder of photos alone, in the command's folder."""
+    folder = BALLS.write(Path("photos"))
+    for name in ("presses.csv", "sensor.toml"):
+        (folder / name).unlink()
+    return folder
+
+
+def table(folder: Path) -> list[dict[str, str]]:
+    with (folder / "presses.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_photos_alone_become_a_sensor_and_a_table_that_can_be_corrected(cli, photos):
+    write_image(photos / "two.png", np.maximum(BALLS.images[0], BALLS.images[0][::-1, ::-1]))
+    done = cli("calibrate", photos, *BALL, *SCALE, *FEW, "--out", "mine", "--json")
+    assert done.exit_code == 0, done.stderr
+    labels = json.loads(done.stdout)["labels"]
+    assert labels["used"] == 7
+    assert list(labels["dropped"]) == ["two.png"]
+    assert read_calibration(Path("mine")).geometry.is_same_sensor(BALLS.geometry)
+    with Image.open(photos / "labels.png") as sheet:
+        assert min(sheet.size) > 300
+    rows = table(photos)
+    assert [row["kind"] for row in rows] == ["background"] + 7 * ["ball"]
+    found = {row["image"]: (float(row["center_x_px"]), float(row["center_y_px"])) for row in rows[1:]}
+    np.testing.assert_allclose([found[f"{n:04d}.png"] for n in range(7)], BALLS.circles[:, :2], atol=0.7)
+
+    corrected = (photos / "presses.csv").read_text().replace(rows[3]["center_x_px"], "41.5")
+    (photos / "presses.csv").write_text(corrected)
+    again = cli("calibrate", photos, *BALL, *SCALE, *FEW, "--out", "mine")
+    assert again.exit_code == 0, again.stderr
+    assert "presses.csv are used as they are" in again.stdout
+    assert (photos / "presses.csv").read_text() == corrected
+
+
+def test_what_is_missing_is_said_in_one_sentence(cli, photos):
+    assert_refused(cli("calibrate", photos, *FEW), "presses.csv", "--ball-radius", "docs/sensors.md")
+    assert_refused(cli("calibrate", photos, *BALL, *FEW), "press something of known length", "--mm-per-px")
+    assert_refused(cli("calibrate", photos, "--ball-radius", 0, *SCALE, *FEW), "--ball-radius is 0", "positive")
+    assert_refused(cli("calibrate", photos, *BALL, *FEW, "--sensor", "none.toml"), "there is no none.toml")
+    assert not (photos / "presses.csv").exists()
+    for image in photos.glob("*.png"):
+        image.unlink()
+    assert_refused(cli("calibrate", photos, *BALL, *SCALE, *FEW), "there is no image in photos")
+
+
+def test_a_scale_that_contradicts_the_sensors_file(cli, photos):
+    BALLS.write(photos)
+    assert_refused(cli("calibrate", photos, "--mm-per-px", 0.3, *FEW), "--mm-per-px is 0.3", "sensor.toml says 0.2")
+
+
+def test_a_video_that_nothing_reads(cli):
+    Path("film.mp4").write_bytes(b"no film")
+    assert_refused(cli("calibrate", "film.mp4", *BALL, *SCALE, *FEW), "film.mp4", "pip install")
