@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from tactile_loc.calibration.calibrate import Calibrated, calibrate
 from tactile_loc.calibration.folder import write_calibration
-from tactile_loc.calibration.presses import PressFolder, convert, read_presses
+from tactile_loc.calibration.health import Health, health
+from tactile_loc.calibration.presses import PressFolder, convert, read_presses, reading_size_px
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.io.images import load_image
 from tactile_loc.locate.localizer import Localizer
@@ -48,6 +49,45 @@ def read(name: str, data: Path, folder: Path) -> PressFolder:
         "orthographic", width, height, scale, scale, width / 2, height / 2, standoff_m=0.01, max_depth_m=1.5e-3
     )
     return read_presses(folder, geometry, median_background=name == "FOTS")
+
+
+def reduced(presses: PressFolder, name: str, folder: Path) -> PressFolder:
+    """Return a set's presses as small as `tactile-loc calibrate` reads them."""
+    size_px = reading_size_px(presses.camera)
+    return read_presses(folder, presses.camera, median_background=name == "FOTS", size_px=size_px)
+
+
+def health_rows(calibrations: dict[str, Calibrated], sets: dict[str, PressFolder]) -> list[str]:
+    """Return rows of how far off each calibration finds each set's images, resized: figures from least to most.
+
+    Of its own set the presses that were held out; of the others all, as they are and with their own untouched gel.
+    """
+    rows = []
+    for name, calibrated in calibrations.items():
+        cells = []
+        for other, presses in sets.items():
+            held_out = calibrated.held_out if other == name else range(len(presses))
+            plain = [_figure(calibrated, presses, k, calibrated.estimator.background) for k in held_out]
+            zeroed = [_figure(calibrated, presses, k, presses.background) for k in held_out]
+            cells += [f"{min(plain):.1f} to {max(plain):.1f}, {min(zeroed):.1f} to {max(zeroed):.1f}"]
+        rows.append(f"| {name} | {' | '.join(cells)} |")
+    return rows
+
+
+def _figure(calibrated: Calibrated, presses: PressFolder, number: int, untouched: NDArray[np.uint8]) -> float:
+    """The health of an image, resized to the calibration's, as a multiple of the worst that it learned from."""
+    estimator = calibrated.estimator
+    image, zero = (_resized(i, estimator.geometry.shape) for i in (presses.images[number], untouched))
+    estimator.untouched, kept = zero, estimator.untouched
+    found: Health = health(image, zero, estimator.read(image)[1], estimator.geometry)
+    estimator.untouched = kept
+    return found.figure(calibrated.usual)
+
+
+def _resized(image: NDArray[np.uint8], shape: tuple[int, int]) -> NDArray[np.uint8]:
+    from PIL import Image
+
+    return np.asarray(Image.fromarray(image).resize(shape[::-1], Image.Resampling.BOX))
 
 
 def slopes(presses: PressFolder, splits: int) -> tuple[Calibrated, dict[str, float]]:
@@ -161,11 +201,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "tactile")
     parser.add_argument("--splits", type=int, default=3)
+    parser.add_argument("--calibrations", action="store_true", help="stop before other shapes are read and located")
     arguments = parser.parse_args()
     if not arguments.data.is_dir():
         parser.error(f"there is no {arguments.data}; give --data")
     with tempfile.TemporaryDirectory() as temporary:
         work = Path(temporary)
+        small, calibrations = {}, {}
         print(head("set", "presses", "surface angle", "shape in the contact", "untouched gel", "image to depth"))
         for number, name in enumerate(SETS):
             presses = read(name, arguments.data, work / str(number))
@@ -175,11 +217,24 @@ def main() -> None:
                 f"{1e6 * mean['untouched_m']:.0f} um | {mean['ms']:.0f} ms |",
                 flush=True,
             )
+            small[name] = reduced(presses, name, work / str(number))
+            calibrations[name], less = slopes(small[name], arguments.splits)
+            size = "{} x {}".format(*reading_size_px(presses.camera))
+            print(
+                f"| {name}, reduced to {size} | | {less['slope_deg']:.2f}° | {1e6 * less['shape_m']:.0f} um | "
+                f"{1e6 * less['untouched_m']:.0f} um | {less['ms']:.0f} ms |",
+                flush=True,
+            )
             if name == "gelslim":
                 sensor = first
                 write_calibration(
                     work / "sensor", presses.geometry, presses.background, first.estimator, first.record()
                 )
+        print()
+        print(head("health by the calibration of", *small))
+        print("\n".join(health_rows(calibrations, small)))
+        if arguments.calibrations:
+            return
         shapes = arguments.data / "gelslim_shapes"
         print()
         print(head("press, mm", "prism's tip, mm", "", "sphere, RMS over the image, mm", "and in the contact"))

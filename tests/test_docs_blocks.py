@@ -21,6 +21,8 @@ from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
 from tactile_loc import Localizer, load_object, write_touch
+from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.io.mount_files import MountRecord, write_mount
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.io.touch_lists import read_touch_list
@@ -39,7 +41,8 @@ PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)
 READERS = {  # by how the file begins
     "camera": read_sensor_file,
     "kind": lambda path: read_prior(path, load_object("pin")),
-    "[[touch]]": read_touch_list,
+    "[[touch]]": lambda path: read_touch_list(path, of_flange="T_base_flange" in path.read_text()),
+    "mount": read_touch_list,
 }
 COARSE = ["--grid", "face", "-o", "grid.spacing_mm=10"]
 TINY_TRAINING = [word for o in ("epochs=1", "queries=32", "batch=16", "backbone=small", "channels=4")
@@ -50,6 +53,7 @@ CHEAPER = {
     "simulate": [*COARSE, "--count", "2"],
     "evaluate": [*COARSE, "--count", "2"],
     "calibrate": ["-o", "steps=20", "-o", "hidden=4"],
+    "mount": ["-o", "temperature=0.001"],
 }
 Block = tuple[str, str]
 
@@ -83,6 +87,18 @@ def test_the_table_of_presses_is_read():
     assert [row["kind"] for row in rows] == ["background", "ball", "ball"]
 
 
+def mounted(folder: Path) -> None:
+    """Write a mount, and a list of touches by a sensor so mounted, of a part that stands at the base's origin."""
+    X = make_transform(rotation_about([1, 2, 0], 1.0), [0.02, -0.03, 0.1])
+    write_mount(folder / "mount" / "mount.toml", MountRecord(T_flange_sensor=X.tolist()))
+    lines = []
+    for touch in Localizer.create(folder / "part.stl", units="mm", sensor="gelsight-mini").simulate(8, seed=5):
+        write_touch(folder / f"{touch.name}.npz", touch)
+        T_base_flange = np.linalg.inv(X @ touch.T_sensor_object)
+        lines.append(f'[[touch]]\npath = "{touch.name}.npz"\nT_base_flange = {T_base_flange.tolist()}\n')
+    (folder / "presses.toml").write_text("\n".join(lines))
+
+
 @pytest.fixture(scope="module")
 def furnished(tmp_path_factory, store) -> Path:
     """A folder with what the pages' commands name."""
@@ -95,6 +111,7 @@ def furnished(tmp_path_factory, store) -> Path:
         write_touch(folder / f"{name}.npz", touch)
     write_touch(folder / "touch.npz", localizer.simulate(1, seed=3)[0])
     (folder / "touches.toml").write_text('[[touch]]\npath = "first.npz"\n\n[[touch]]\npath = "second.npz"\n')
+    mounted(folder)
     (folder / "prior.toml").write_text(
         'kind = "half-space"\nframe = "sensor"\nnormal = [0, 0, -1]\nplane_point_mm = [0, 0, 100]\n'
     )

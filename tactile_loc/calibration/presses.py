@@ -6,6 +6,7 @@ The public sets that can be converted differ in how they write down the same cir
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ KINDS = {
     "ball": ("center_x_px", "center_y_px", "radius_px", "ball_radius_mm"),
     "mesh": ("mesh", "units", "x_mm", "y_mm", "roll_deg", "pitch_deg", "yaw_deg", "press_mm"),
 }
+MOST_READ_PX = 200  # of the longer side: twice as many take four times as long, and locate no better
 SAME_SHAPE = 0.01  # by which the sides of a smaller image may be off
 FOR_MEDIAN = 9  # presses at different places, at least, for their median to show the untouched gel
 CONVERTED = ("image", "kind", "center_x_px", "center_y_px", "radius_px", "ball_radius_mm")  # of a public set's table
@@ -171,6 +173,15 @@ def read_presses(
     for number in range(len(presses)):
         presses.label(number)  # all that is wrong is said before anything is trained
     return presses
+
+
+def reading_size_px(camera: SensorGeometry) -> tuple[int, int]:
+    """Return the size (width, height) to which a camera's images are reduced for reading: whole pixels are merged.
+
+    Of a gel some 20 mm wide a tenth of a millimetre is seen then, finer than the camera sees through it.
+    """
+    merged = math.ceil(max(camera.shape) / MOST_READ_PX)
+    return round(camera.width_px / merged), round(camera.height_px / merged)
 
 
 def _smaller(camera: SensorGeometry, size_px: tuple[int, int]) -> SensorGeometry:

@@ -15,7 +15,7 @@ from PIL import Image
 from press_sets import BALL_M, COLUMNS, MM, ball_set, magnified, places, write_image, write_table
 
 from tactile_loc.calibration.calibrate import calibrate, mean_errors
-from tactile_loc.calibration.presses import FOR_MEDIAN, FORMATS, convert, read_presses
+from tactile_loc.calibration.presses import FOR_MEDIAN, FORMATS, convert, read_presses, reading_size_px
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.io.images import read_colour_image
@@ -468,3 +468,20 @@ def test_a_real_sensor_is_learned_in_a_few_steps(public):
     mean = mean_errors(found.errors)
     assert mean["slope_deg"] < 5
     assert mean["shape_m"] < 8e-5
+
+
+@pytest.mark.parametrize(
+    ("camera", "reading"),
+    [
+        ((320, 240), (160, 120)),
+        ((240, 320), (120, 160)),
+        ((64, 64), (64, 64)),
+        ((470, 470), (157, 157)),
+        ((200, 200), (200, 200)),
+        ((640, 480), (160, 120)),
+    ],
+)
+def test_images_are_reduced_to_what_locating_takes(camera, reading):
+    width, height = camera
+    geometry = SensorGeometry("orthographic", width, height, 1e4, 1e4, width / 2, height / 2, 0.01, 1e-3)
+    assert reading_size_px(geometry) == reading

@@ -80,7 +80,8 @@ ImageSize = Annotated[
     tuple[int, int] | None,
     declare(
         "--image-size", "WIDTH HEIGHT",
-        "Reduce the camera's images to this size, in pixels; the labels stay those of the camera's.", min=16,
+        "Reduce the camera's images to this size, in pixels; by default to at most 200 along the longer side. The labels "
+        "stay those of the camera's.", min=16,
     ),
 ]  # fmt: skip
 Simulated = Annotated[bool, typer.Option("--simulated", help="No FOLDER: press two calibration boards in simulation.")]
@@ -186,13 +187,15 @@ def _calibrate(
     options: dict[str, Any], seed: int, out: Path, store: Path | None,
 ) -> dict[str, Any]:  # fmt: skip
     from tactile_loc.calibration.calibrate import calibrate_stage
-    from tactile_loc.calibration.presses import read_presses
+    from tactile_loc.calibration.presses import read_presses, reading_size_px
     from tactile_loc.core.errors import CalibrationError
     from tactile_loc.store.store import StageStore
 
     if not folder.is_dir():
         raise CalibrationError(f"there is no folder {folder}; give one with images of presses and presses.csv")
-    presses = read_presses(folder, _geometry(sensor), background is Background.MEDIAN, image_size)
+    camera = _geometry(sensor)
+    size_px = image_size or reading_size_px(camera)
+    presses = read_presses(folder, camera, background is Background.MEDIAN, size_px)
     made, record = calibrate_stage(presses, folder, estimator, options, seed, StageStore(store), progress())
     return _finish(presses, made, {**record, "camera_px": list(presses.camera.shape)}, out)
 
