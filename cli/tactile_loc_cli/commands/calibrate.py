@@ -80,8 +80,8 @@ ImageSize = Annotated[
     tuple[int, int] | None,
     declare(
         "--image-size", "WIDTH HEIGHT",
-        "Reduce the camera's images to this size, in pixels; by default to at most 200 along the longer side. The labels "
-        "stay those of the camera's.", min=16,
+        "Reduce the camera's images to this size, in pixels; by default to at most 200 along the longer side. The "
+        "labels stay those of the camera's.", min=16,
     ),
 ]  # fmt: skip
 Simulated = Annotated[bool, typer.Option("--simulated", help="No FOLDER: press two calibration boards in simulation.")]
