@@ -178,7 +178,7 @@ def read_presses(
 def reading_size_px(camera: SensorGeometry) -> tuple[int, int]:
     """Return the size (width, height) to which a camera's images are reduced for reading: whole pixels are merged.
 
-    Of a gel some 20 mm wide a tenth of a millimetre is seen then, finer than the camera sees through it.
+    Of a gel some 20 mm wide a tenth of a millimetre is seen then.
     """
     merged = math.ceil(max(camera.shape) / MOST_READ_PX)
     return round(camera.width_px / merged), round(camera.height_px / merged)
