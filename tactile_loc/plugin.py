@@ -66,6 +66,9 @@ if TYPE_CHECKING:
     from tactile_loc.core.errors import did_you_mean as did_you_mean
 
     # rotations and transforms
+    from tactile_loc.core.geometry import axis_times_sine as axis_times_sine
+    from tactile_loc.core.geometry import covariance_at as covariance_at
+    from tactile_loc.core.geometry import cross_matrix as cross_matrix
     from tactile_loc.core.geometry import align_to_z as align_to_z
     from tactile_loc.core.geometry import invert as invert
     from tactile_loc.core.geometry import is_rigid as is_rigid

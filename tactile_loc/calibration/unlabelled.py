@@ -7,7 +7,7 @@ where there is none, it is pieced together from what each image shows away from 
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -208,14 +208,7 @@ def _smooth(image: Float32, weight: Float32, order: int) -> Float32:
     terms = np.stack([np.outer(y**j, x**i) for i, j in powers], axis=-1)
     some = np.s_[:: max(1, height // 80), :: max(1, width // 80)]
     base, wanted = terms[some].reshape(-1, len(powers)), image[some].reshape(-1, 3)
-    first = weight[some].ravel()
-    robust = first
-    for _ in range(12):
-        root = np.sqrt(robust)[:, None]
-        factors = np.linalg.lstsq(base * root, wanted * root, rcond=None)[0]
-        missed = np.linalg.norm(wanted - base @ factors, axis=1)
-        scale = 3 * (2 * float(np.median(missed)) + 1)
-        robust = first * np.clip(1 - (missed / scale) ** 2, 0, None) ** 2
+    factors, _ = _robust_fit(base, wanted, weight[some].ravel(), lambda typical: 3 * (2 * typical + 1), 12)
     return np.asarray(terms @ factors, np.float32)
 
 
@@ -267,7 +260,9 @@ def _shift(change: Float32, reference: Float32, touched: Mask | None) -> float:
         return 0.0
     gradients = np.stack([np.gradient(gel, axis=axis)[free].ravel() for axis in (1, 0)], axis=1)
     values = seen[free].ravel()
-    shift, weight = _robust_fit(gradients, values)
+    evenly = np.ones(len(values))
+    factors, weight = _robust_fit(gradients, values[:, None], evenly, lambda typical: 4 * 1.48 * typical + 1e-6, 8)
+    shift = factors[:, 0]
     made = gradients @ shift
     share = 1 - float((weight * (values - made) ** 2).sum()) / max(float((weight * values**2).sum()), 1e-9)
     explains = min(share, float(weight.mean())) > MOVED_SHARE and np.quantile(np.abs(made), 0.99) > SEEN
@@ -287,16 +282,22 @@ def _large_shift(seen: Float32, gel: Float32, free: Mask) -> float:
     return float(np.hypot(*away)) if gained > ALIKE else 0.0
 
 
-def _robust_fit(terms: NDArray[np.floating], values: NDArray[np.floating]) -> tuple[Array, Array]:
-    """Factors of the terms (P, K) that make the values (P,), and weights (P,): what fits badly does not count."""
-    weight = np.ones(len(values))
-    for _ in range(8):
+def _robust_fit(
+    terms: NDArray[np.floating], values: NDArray[np.floating], first: NDArray[np.floating],
+    scale: Callable[[float], float], rounds: int,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Factors (K, C) of the terms (P, K) that make the values (P, C), and weights (P,): what fits badly does not count.
+
+    The weights are at most the `first` (P,), by Tukey's function of what is missed; `scale` says, of what is typically
+    missed, from where on nothing counts.
+    """
+    weight = first
+    for _ in range(rounds):
         root = np.sqrt(weight)[:, None]
-        factors = np.linalg.lstsq(terms * root, values * root[:, 0], rcond=None)[0]
-        missed = values - terms @ factors
-        scale = 4 * 1.48 * float(np.median(np.abs(missed))) + 1e-6
-        weight = np.clip(1 - (missed / scale) ** 2, 0, None) ** 2
-    return factors, weight
+        factors = np.linalg.lstsq(terms * root, values * root, rcond=None)[0]
+        missed = np.linalg.norm(values - terms @ factors, axis=1)
+        weight = first * np.clip(1 - (missed / scale(float(np.median(missed)))) ** 2, 0, None) ** 2
+    return factors, np.asarray(weight, np.float64)
 
 
 def _details(image: Float32) -> Float32:

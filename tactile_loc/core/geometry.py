@@ -48,10 +48,32 @@ def rotation_about(axis: ArrayLike, angle_rad: ArrayLike) -> Array:
     return np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
 
 
+def axis_times_sine(R: Array) -> Array:
+    """Return the unit axis (..., 3) of rotations (..., 3, 3) times the sine of their angle, unitless."""
+    skew = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
+    return np.asarray(0.5 * skew)
+
+
 def rotation_angle(R: Array) -> Array:
     """Return the angle in radians, 0 to pi, of rotations (..., 3, 3). Accurate at both ends."""
-    skew = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
-    return np.arctan2(np.linalg.norm(skew, axis=-1), np.trace(R, axis1=-2, axis2=-1) - 1.0)
+    sine = np.linalg.norm(axis_times_sine(R), axis=-1)
+    return np.arctan2(2.0 * sine, np.trace(R, axis1=-2, axis2=-1) - 1.0)
+
+
+def cross_matrix(v: Array) -> Array:
+    """Return the matrices (..., 3, 3) that take w to v x w, of vectors v (..., 3) of any unit."""
+    K = np.zeros((*v.shape, 3))
+    K[..., 2, 1] = v[..., 0]
+    K[..., 0, 2] = v[..., 1]
+    K[..., 1, 0] = v[..., 2]
+    return np.asarray(K - K.swapaxes(-1, -2))
+
+
+def covariance_at(covariance: Array, shift_m: Array) -> Array:
+    """Return a pose's covariances (..., 6, 6), m before rad, at a point `shift_m` (..., 3), metres, from their own."""
+    moved = np.broadcast_to(np.eye(6), (*shift_m.shape[:-1], 6, 6)).copy()
+    moved[..., :3, 3:] = -cross_matrix(shift_m)  # w x shift
+    return np.asarray(moved @ covariance @ np.swapaxes(moved, -1, -2))
 
 
 def align_to_z(direction: ArrayLike) -> Array:

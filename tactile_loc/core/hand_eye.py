@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import invert, make_transform, rotation_angle
+from tactile_loc.core.geometry import axis_times_sine, cross_matrix, invert, make_transform, rotation_angle
 from tactile_loc.core.poses import Poses
 
 Floats = NDArray[np.float64]
@@ -80,13 +80,6 @@ def rotation_vectors(R: Floats) -> Floats:
 
     vectors: Any = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec()
     return np.asarray(vectors, float).reshape(*R.shape[:-2], 3)
-
-
-def at_point(covariance: Floats, shift_m: Floats) -> Floats:
-    """Return covariances (..., 6, 6) at a point `shift_m` (..., 3), metres, from the one they are of."""
-    moved = np.broadcast_to(np.eye(6), (*shift_m.shape[:-1], 6, 6)).copy()
-    moved[..., :3, 3:] = -_cross(shift_m)  # w x shift
-    return np.asarray(moved @ covariance @ np.swapaxes(moved, -1, -2))
 
 
 def closed_form(T_base_flange: Poses, T_sensor_object: Poses) -> tuple[Poses, Poses]:
@@ -158,7 +151,7 @@ def _equations(F: Poses, S: Poses, weighing: Floats, X: Floats, Y: Floats) -> tu
     P = predicted(F, X, Y)
     e, J = pose_errors(P, S), np.zeros((len(F), 6, 12))
     J[:, :3, :3] = J[:, 3:, 3:6] = -np.eye(3)
-    J[:, :3, 3:6] = _cross(P[:, :3, 3])
+    J[:, :3, 3:6] = cross_matrix(P[:, :3, 3])
     J[:, :3, 6:9] = J[:, 3:, 9:] = P[:, :3, :3]
     J = J * np.tile(UNIT, 2)
     left = np.swapaxes(J, 1, 2) @ weighing
@@ -192,13 +185,6 @@ def _variance(chi2: Floats, covariances: Floats, information: Floats) -> tuple[i
     return freedom, float(chi2.sum() / freedom)
 
 
-def _cross(v: Floats) -> Floats:
-    """The matrices (..., 3, 3) that take w to v x w."""
-    K = np.zeros((*v.shape, 3))
-    K[..., 2, 1], K[..., 0, 2], K[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
-    return K - np.swapaxes(K, -1, -2)
-
-
 def flange_turns(T_base_flange: Poses) -> tuple[Floats, Floats]:
     """Return how far flanges (N, 4, 4) are turned against one another, rad, about three axes, the most first.
 
@@ -229,6 +215,5 @@ def screws_agree(
 
 def _slide(T: Poses) -> tuple[Floats, Floats]:
     """How far motions (..., 4, 4) slide along their axes, metres, times the sine of their angle; and the sine."""
-    R = T[..., :3, :3]
-    axis = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
+    axis = axis_times_sine(T[..., :3, :3])
     return (axis * T[..., :3, 3]).sum(axis=-1), np.linalg.norm(axis, axis=-1)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.hand_eye import at_point
+from tactile_loc.core.geometry import covariance_at
 from tactile_loc.io.toml import (
     MATRIX,
     Finite,
@@ -44,7 +44,7 @@ class Mount:
         """Return the standard deviation (m, rad) along and about an axis at a point (3,) of the sensor, or 0."""
         if self.covariance is None:
             return 0.0, 0.0
-        there = at_point(self.covariance, self.T_flange_sensor[:3, :3] @ point_m)
+        there = covariance_at(self.covariance, self.T_flange_sensor[:3, :3] @ point_m)
         std_m, std_rad = (float(np.sqrt(np.trace(there[part, part]) / 3)) for part in (slice(3), slice(3, 6)))
         return std_m, std_rad
 

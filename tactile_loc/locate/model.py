@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,8 +19,6 @@ from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
-
-logger = logging.getLogger(__name__)
 
 SHARD = 1024  # poses rendered, saved and resumed at once
 NO_CONTACT = 65535

@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import GridError, MountError
-from tactile_loc.core.geometry import rotation_angle
+from tactile_loc.core.geometry import covariance_at, rotation_angle
 from tactile_loc.core.hand_eye import (
     TRUSTED,
     HandEyeFit,
-    at_point,
     fit_hand_eye,
     flange_turns,
     pose_errors,
@@ -275,7 +274,7 @@ class _Registration:
 def _flange_errors(given: FlangeTouches, T_sensor_object: Poses) -> Floats:
     """What errors of the flange's pose add (N, 6, 6) to the covariance of where a sensor sees the object."""
     std = np.array([[t.T_base_sensor_std_m] * 3 + [t.T_base_sensor_std_rad] * 3 for t in given.touches])
-    return at_point(std[:, None] ** 2 * np.eye(6), T_sensor_object[:, :3, 3] - given.gel_m)
+    return covariance_at(std[:, None] ** 2 * np.eye(6), T_sensor_object[:, :3, 3] - given.gel_m)
 
 
 def require_motions(given: FlangeTouches) -> None:

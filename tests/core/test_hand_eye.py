@@ -5,9 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry import invert, make_transform, random_rotations, rotation_about, translation
+from tactile_loc.core.geometry import (
+    covariance_at,
+    invert,
+    make_transform,
+    random_rotations,
+    rotation_about,
+    translation,
+)
 from tactile_loc.core.hand_eye import (
-    at_point,
     closed_form,
     fit_hand_eye,
     flange_turns,
@@ -104,7 +110,7 @@ def test_a_covariance_is_moved_to_another_point(rng):
     shift = np.array([0.01, 0.02, -0.03])
     errors = STD * rng.normal(size=(20000, 6))
     there = np.concatenate([errors[:, :3] + np.cross(errors[:, 3:], shift), errors[:, 3:]], axis=1)
-    np.testing.assert_allclose(at_point(COVARIANCE, shift), np.cov(there.T), atol=2e-7)
+    np.testing.assert_allclose(covariance_at(COVARIANCE, shift), np.cov(there.T), atol=2e-7)
 
 
 def test_turns_of_flanges_about_one_axis_show():

@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.plugin import cross_matrix
+
 Floats = NDArray[np.float64]
 
 RIDGE = 1e-3  # of the equations' mean diagonal: damps steps in directions that a contact hardly fixes
@@ -44,9 +46,7 @@ def exponential(twists: Floats) -> Floats:
         sine = np.where(small, 1 - squared_angle / 6, np.sin(angle) / angle)
         versine = np.where(small, 0.5 - squared_angle / 24, (1 - np.cos(angle)) / squared_angle)
         rest = np.where(small, 1 / 6 - squared_angle / 120, (angle - np.sin(angle)) / angle**3)
-    W = np.zeros((len(twists), 3, 3))
-    W[:, 0, 1], W[:, 0, 2], W[:, 1, 2] = -z, y, -x
-    W -= np.swapaxes(W, 1, 2)
+    W = cross_matrix(twists[:, :3])
     squared, one = W @ W, np.eye(3)
     sine, versine, rest = (factor[:, None, None] for factor in (sine, versine, rest))
     motions = np.tile(np.eye(4), (len(twists), 1, 1))

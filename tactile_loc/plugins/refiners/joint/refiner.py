@@ -27,6 +27,7 @@ from tactile_loc.plugin import (
     TriangleMesh,
     View,
     blocks_of,
+    covariance_at,
     surface_field,
 )
 from tactile_loc.plugins.refiners.joint.observed import MILLI, Seen, observe
@@ -166,11 +167,7 @@ def _covariance(information: Floats, lever_m: Floats) -> Floats | None:
     # what no touch says anything of is known to some 30 mm, or 3 rad
     covariance = (vectors / np.maximum(values, 1e-3)) @ vectors.T
     unit = np.array([1 / MILLI] * 3 + [1.0] * 3)
-    x, y, z = lever_m
-    to_origin = np.eye(6)
-    to_origin[:3, 3:] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]  # w x (origin - centroid)
-    result: Floats = to_origin @ (covariance * unit * unit[:, None]) @ to_origin.T
-    return result
+    return covariance_at(covariance * unit * unit[:, None], -lever_m)
 
 
 @lru_cache(maxsize=16)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.plugin import make_transform
+from tactile_loc.plugin import axis_times_sine, cross_matrix, make_transform
 
 TINY = 1e-30  # of a squared angle: no turn at all has none by which to divide
 Floats = NDArray[np.float64]
@@ -24,7 +24,7 @@ def exponential(x: Floats, centre: Floats) -> Floats:
 def logarithm(T: Floats, centre: Floats) -> Floats:
     """Return the twists (..., 6) whose motions about centres (..., 3) are T (..., 4, 4); of less than a right angle."""
     R = T[..., :3, :3]
-    skew = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
+    skew = axis_times_sine(R)
     sine = np.minimum(1.0, np.sqrt((skew * skew).sum(axis=-1, keepdims=True)))
     turn = skew * np.where(sine > 1e-9, np.arcsin(sine) / np.maximum(sine, 1e-9), 1.0)
     return np.concatenate([turn, T[..., :3, 3] - centre + (R @ centre[..., None])[..., 0]], axis=-1)
@@ -39,12 +39,3 @@ def adjoint(R: Floats, lever: Floats) -> Floats:
     moved[..., :3, :3] = moved[..., 3:, 3:] = R
     moved[..., 3:, :3] = -cross_matrix(lever) @ R  # turning shifts the other centre: w x lever
     return moved
-
-
-def cross_matrix(v: Floats) -> Floats:
-    """Return the matrices (..., 3, 3) that take w to v x w, of vectors v (..., 3)."""
-    K = np.zeros((*v.shape, 3))
-    K[..., 2, 1] = v[..., 0]
-    K[..., 0, 2] = v[..., 1]
-    K[..., 1, 0] = v[..., 2]
-    return K - K.swapaxes(-1, -2)
