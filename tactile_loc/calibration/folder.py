@@ -28,7 +28,7 @@ from tactile_loc.store.keys import hash_arrays, hash_file
 SCHEMA_VERSION = 1
 SENSOR, BACKGROUND, WEIGHTS = "sensor.toml", "background.png", "estimator.safetensors"
 PICTURE = "held-out.png"
-OURS = {SENSOR, "sensor_mask.png", BACKGROUND, CALIBRATION, WEIGHTS, PICTURE}
+OURS = {SENSOR, "sensor_mask.png", "sensor_surface.npy", BACKGROUND, CALIBRATION, WEIGHTS, PICTURE}
 
 
 @dataclass(frozen=True, eq=False)

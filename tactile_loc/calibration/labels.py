@@ -48,8 +48,9 @@ def ball_label(
     """Return the label of a ball whose visible circle has its centre (x, y) and radius in pixels of the image.
 
     With rho the distance from the centre on the surface, r the circle's radius and R the ball's, the indentation is
-    sqrt(R^2 - rho^2) - sqrt(R^2 - r^2) inside and 0 outside. Raises CalibrationError when the circle is larger than the
-    ball or its centre is outside the image.
+    sqrt(R^2 - rho^2) - sqrt(R^2 - r^2) inside and 0 outside. Where the gel is curved, the ball's own middle is beside
+    the circle's: in that the ball is as steep as the gel was; the rim's indentation is 0 on the mean. Raises
+    CalibrationError when the circle is larger than the ball or its centre is outside the image.
     """
     height, width = geometry.shape
     if not (0 <= centre_px[0] <= width and 0 <= centre_px[1] <= height):
@@ -71,10 +72,27 @@ def ball_label(
     y = ((np.arange(height) + 0.5 - centre_px[1]) / sy)[:, None]
     rho2 = x**2 + y**2
     contact = rho2 < r**2
-    below = np.sqrt(np.maximum(R**2 - rho2, (R * (1 - STEEPEST)) ** 2))
-    indentation = np.where(contact, below - np.sqrt(R**2 - r**2), 0.0).astype(np.float32)
-    slope = np.stack([-x / below, -y / below], axis=-1) * contact[..., None]
-    return PressLabel(indentation, slope.astype(np.float32), contact, contact | (rho2 > (SKIRT * r) ** 2), False)
+    known = contact | (rho2 > (SKIRT * r) ** 2)
+    if geometry.relief_m is None:
+        below = _below_middle(rho2, R)
+        indentation = np.where(contact, below - np.sqrt(R**2 - r**2), 0.0).astype(np.float32)
+        slope = np.stack([-x / below, -y / below], axis=-1) * contact[..., None]
+        return PressLabel(indentation, slope.astype(np.float32), contact, known, False)
+    gel = np.stack([s * a for s, a in zip((sx, sy), np.gradient(geometry.relief_m)[::-1], strict=True)], axis=-1)
+    tilt_x, tilt_y = gel[contact].mean(axis=0) if contact.any() else np.zeros(2)
+    length = np.sqrt(1 + tilt_x**2 + tilt_y**2)
+    x, y = x + R * tilt_x / length, y + R * tilt_y / length
+    below = _below_middle(x**2 + y**2, R)
+    pushed = geometry.relief_m + below
+    rim = np.abs(np.sqrt(rho2) - r) < geometry.pixel_pitch_m
+    pushed = np.where(contact, pushed - (pushed[rim].mean() if rim.any() else 0.0), 0.0)
+    slope = (gel + np.stack([-x / below, -y / below], axis=-1)) * contact[..., None]
+    return PressLabel(pushed.astype(np.float32), slope.astype(np.float32), contact, known, False)
+
+
+def _below_middle(rho2: NDArray[np.float64], R: float) -> NDArray[np.float64]:
+    """How far a ball's surface is below its middle where that is rho away; nowhere upright. Metres."""
+    return np.asarray(np.sqrt(np.maximum(R**2 - rho2, (R * (1 - STEEPEST)) ** 2)))
 
 
 def mesh_label(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> PressLabel:

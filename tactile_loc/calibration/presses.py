@@ -106,12 +106,21 @@ class PressFolder(LabelledPresses):
                 raise
             raise CalibrationError(f"{row.where}: {error}") from error
 
-    def _ball(self, row: Row) -> PressLabel:
+    def circle(self, number: int) -> tuple[tuple[float, float], float, float]:
+        """Return the centre (x, y) of a ball's visible circle, its radius and the ball's, metres, on the surface."""
+        (x, y), radius_px, ball_m = self._circle_px(self.rows[number])
+        sx, sy = self.geometry.scale_at_surface
+        centre_m = (x - self.geometry.cx) / sx, (y - self.geometry.cy) / sy
+        return centre_m, radius_px * self.geometry.pixel_pitch_m, ball_m
+
+    def _circle_px(self, row: Row) -> tuple[tuple[float, float], float, float]:
         x, y, radius, ball_mm = (row.number(column) for column in KINDS["ball"])
         (rows, columns), (height, width) = self.geometry.shape, self.camera.shape
-        centre_px = (x * columns / width, y * rows / height)
         radius_px = radius * self.camera.pixel_pitch_m / self.geometry.pixel_pitch_m
-        return ball_label(self.geometry, centre_px, radius_px, 1e-3 * ball_mm)
+        return (x * columns / width, y * rows / height), radius_px, 1e-3 * ball_mm
+
+    def _ball(self, row: Row) -> PressLabel:
+        return ball_label(self.geometry, *self._circle_px(row))
 
     def _mesh(self, row: Row) -> PressLabel:
         from scipy.spatial.transform import Rotation

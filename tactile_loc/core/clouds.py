@@ -24,7 +24,8 @@ def contact_cloud(shape: ContactShape, geometry: SensorGeometry, walls: bool = T
     observed = geometry.observed_mask[rows, columns]
     contact = shape.contact[rows, columns] & observed
     depth = shape.depth_m[rows, columns].astype(float)
-    xyz = _backproject(depth + geometry.standoff_m, geometry, rows, columns)
+    deepest_m = np.broadcast_to(geometry.full_penetration_m, geometry.shape)[rows, columns]
+    xyz = _backproject(depth + deepest_m, geometry, rows, columns)
     points, normals = xyz[contact], _surface_normals(xyz, contact)
     if not walls:
         return points, normals

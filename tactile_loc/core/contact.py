@@ -24,13 +24,22 @@ def bring_to_contact(
 ) -> tuple[Poses, NDArray[np.bool_]]:
     """Return poses (N, 4, 4), moved along z so that the object touches the surface, and which (N,) have contact.
 
-    Metres. A pose without any surface over the sensing rectangle keeps its z and is marked False.
+    Metres. A pose without any surface over the sensing rectangle keeps its z and is marked False. Where the gel is
+    curved, what is brought to the standoff is the least height over its relief.
     """
     T = np.array(T_sensor_object, float, copy=True)
-    lowest = lowest_points(mesh, T, geometry.rectangle)
+    lowest = _lowest_over_gel(mesh, T, geometry)
     touching = np.isfinite(lowest)
     T[touching, 2, 3] += geometry.standoff_m - lowest[touching]
     return T, touching
+
+
+def _lowest_over_gel(mesh: TriangleMesh, T: Poses, geometry: SensorGeometry) -> NDArray[np.float64]:
+    if geometry.relief_m is None:
+        return lowest_points(mesh, T, geometry.rectangle)
+    from tactile_loc.core.curved_contact import lowest_over_gel
+
+    return lowest_over_gel(mesh, T, geometry)
 
 
 def lowest_points(

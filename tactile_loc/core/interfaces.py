@@ -185,13 +185,13 @@ class Scene:
     def contact_depths(self, T_sensor_object: Poses, press_depth_m: float | None = None) -> NDArray[np.float32]:
         """Render contact depths (N, H, W) in metres of poses (N, 4, 4) that are in contact already."""
         T, camera = as_drawn(T_sensor_object, self.geometry, self.drawing)
-        depth = self.renderer.render_apart(self.object.mesh, T, camera)
+        depth = self.renderer.render_apart(self.object.mesh, T, camera.band)
         return contact_depth(depth, camera, camera.max_depth_m if press_depth_m is None else press_depth_m)
 
     def grid_depths(self, T_sensor_object: Poses) -> NDArray[np.float32]:
         """Render contact depths (N, H, W) in metres, at full press, of a grid's poses: many share a rotation."""
         T, camera = as_drawn(T_sensor_object, self.geometry, self.drawing)
-        return contact_depth(self.renderer.render(self.object.mesh, T, camera), camera, camera.max_depth_m)
+        return contact_depth(self.renderer.render(self.object.mesh, T, camera.band), camera, camera.max_depth_m)
 
     def depths_explaining(self, T_sensor_object: Poses, touch: Touch, freedom_m: float = 0.0) -> NDArray[np.float32]:
         """Render contact depths (N, H, W) in metres of poses (N, 4, 4) as they are compared with a touch.

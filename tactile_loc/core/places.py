@@ -52,10 +52,10 @@ class Places:
         depths: Float32 = np.clip(rise_m, 0.0, np.float32(press_depth_m))[self.patches[some]]
         return depths
 
-    def poses(self, numbers: NDArray[np.int64], place_m: NDArray[np.float64], yaw_rad: NDArray[np.float64]) -> Poses:
-        """Return the poses (K, 4, 4) in which places `numbers` (K,), turned by yaws (K,), are at place_m (K, 3)."""
+    def poses(self, numbers: NDArray[np.int64], yaw_rad: NDArray[np.float64]) -> Poses:
+        """Return the poses (K, 4, 4) in which places `numbers` (K,), turned by yaws (K,), are at the origin."""
         turn = rotation_about([0.0, 0.0, 1.0], yaw_rad)
-        poses: Poses = make_transform(turn, place_m) @ self.T_place_object[numbers]
+        poses: Poses = make_transform(turn, np.zeros(3)) @ self.T_place_object[numbers]
         return poses
 
 

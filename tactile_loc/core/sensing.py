@@ -21,6 +21,7 @@ from tactile_loc.core.errors import SensorError, TouchError
 Depth = NDArray[np.float32]
 
 LARGEST_PX = 8192
+SAME_RELIEF_M = 5e-5  # two gels whose surfaces differ by less are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,9 @@ class SensorGeometry:
     and it is seen up to `max_depth_m` metres beyond; `surface_m` is where the undeformed surface is.
     `rectangle_m` (x_min, x_max, y_min, y_max) bounds the gel on the sensing surface; by default all that the image
     sees of it. `observed` (H, W) bool is False at pixels that carry no information; by default all pixels whose view
-    of the sensing surface lies on the rectangle count. Raises SensorError when the numbers contradict one another.
+    of the sensing surface lies on the rectangle count. `relief_m` (H, W) float32 is how much farther along z than
+    `surface_m` a pixel sees the undeformed gel, in metres, where that is not flat. Raises SensorError when the numbers
+    contradict one another.
     """
 
     camera: Literal["pinhole", "orthographic"]
@@ -48,6 +51,7 @@ class SensorGeometry:
     rectangle_m: tuple[float, float, float, float] | None = None
     observed: NDArray[np.bool_] | None = field(default=None, repr=False)
     indentation_m: float = 0.0
+    relief_m: Depth | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if self.camera not in ("pinhole", "orthographic"):
@@ -66,11 +70,41 @@ class SensorGeometry:
                 f"the mask of observed pixels is {self.observed.shape} {self.observed.dtype}; "
                 f"it must be bool and as large as the image, {self.shape} (rows, columns)"
             )
+        self._check_relief()
         x0, x1, y0, y1 = self.rectangle
         if not (x0 < x1 and y0 < y1):
             raise SensorError(f"the sensing rectangle {self.rectangle} is empty; give x_min < x_max and y_min < y_max")
         if not self.observed_mask.any():
             raise SensorError("no pixel of the sensor is observed; check the sensing rectangle and the mask")
+
+    def _check_relief(self) -> None:
+        if self.relief_m is None:
+            return
+        if self.relief_m.shape != self.shape or not np.isfinite(self.relief_m).all():
+            raise SensorError(
+                f"the undeformed surface is an array of shape {self.relief_m.shape}; it must hold a number, metres, "
+                f"for each pixel of the image, {self.shape} (rows, columns)"
+            )
+        if self.relief_m.min() <= -self.standoff_m:
+            raise SensorError(
+                f"the undeformed surface comes {-1e3 * self.relief_m.min():.3g} mm towards the camera, which is only "
+                f"{1e3 * self.standoff_m:.3g} mm behind it; check its unit (metres) or the standoff"
+            )
+
+    @property
+    def full_penetration_m(self) -> float | Depth:
+        """Where contact depths begin: z at the deepest point of contact; at each pixel (H, W) if the gel is curved."""
+        return self.standoff_m if self.relief_m is None else np.float32(self.standoff_m) + self.relief_m
+
+    @property
+    def band(self) -> SensorGeometry:
+        """The sensor with a flat gel whose contact band holds all of this one's: what renderers are given."""
+        if self.relief_m is None:
+            return self
+        least, most = float(self.relief_m.min()), float(self.relief_m.max())
+        return dataclasses.replace(
+            self, standoff_m=self.standoff_m + least, max_depth_m=self.max_depth_m + most - least, relief_m=None
+        )
 
     @property
     def surface_m(self) -> float:
@@ -141,18 +175,31 @@ class SensorGeometry:
             rows = ((np.arange(height_px) + 0.5) / ky).astype(int)
             columns = ((np.arange(width_px) + 0.5) / kx).astype(int)
             observed = self.observed[np.ix_(rows, columns)]
+        relief_m = self._relief_at(width_px, height_px)
         return dataclasses.replace(
-            self, width_px=width_px, height_px=height_px, observed=observed,
+            self, width_px=width_px, height_px=height_px, observed=observed, relief_m=relief_m,
             fx=self.fx * kx, fy=self.fy * ky, cx=self.cx * kx, cy=self.cy * ky,
         )  # fmt: skip
+
+    def _relief_at(self, width_px: int, height_px: int) -> Depth | None:
+        """The relief (height, width) at another image size, metres: linear between the pixels' centres."""
+        if self.relief_m is None or (height_px, width_px) == self.shape:
+            return self.relief_m
+        from scipy.ndimage import map_coordinates
+
+        sizes = zip((height_px, width_px), self.shape, strict=True)
+        at = np.meshgrid(*((np.arange(new) + 0.5) * old / new - 0.5 for new, old in sizes), indexing="ij")
+        return np.asarray(map_coordinates(self.relief_m, at, np.float32, order=1, mode="nearest"))
 
     def every(self, step: int) -> SensorGeometry:
         """Return the sensor that sees only every `step`-th pixel, from the first: what [::step, ::step] keeps."""
         rows, columns = len(range(0, self.height_px, step)), len(range(0, self.width_px, step))
         observed = None if self.observed is None else self.observed[::step, ::step]
+        relief_m = None if self.relief_m is None else self.relief_m[::step, ::step]
         return dataclasses.replace(
-            self, width_px=columns, height_px=rows, observed=observed, fx=self.fx / step, fy=self.fy / step,
+            self, width_px=columns, height_px=rows, fx=self.fx / step, fy=self.fy / step,
             cx=(self.cx - 0.5) / step + 0.5, cy=(self.cy - 0.5) / step + 0.5, rectangle_m=self.rectangle,
+            observed=observed, relief_m=relief_m,
         )  # fmt: skip
 
     def pressed(self, indentation_m: float, press_depth_m: float | None = None) -> SensorGeometry:
@@ -186,15 +233,31 @@ class SensorGeometry:
         same = self.camera == other.camera and np.allclose(ours, theirs, rtol=1e-6, atol=1e-9)
         if self.indentation_m == other.indentation_m:
             same = same and math.isclose(self.max_depth_m, other.max_depth_m, rel_tol=1e-6)
+        same = same and self._is_as_curved(other)
         apart_m = np.abs(np.subtract(self.view, other.view)).max()
         return bool(same and apart_m < max(self.pixel_pitch_m, other.pixel_pitch_m))
 
+    def _is_as_curved(self, other: SensorGeometry) -> bool:
+        if self.relief_m is None or other.relief_m is None:
+            return self.relief_m is other.relief_m
+        theirs_m = np.asarray(other._relief_at(self.width_px, self.height_px))
+        return bool(np.abs(self.relief_m - theirs_m).max() < SAME_RELIEF_M)
+
     def describe(self) -> dict[str, Any]:
-        """Return the numbers as JSON values (metres, pixels), with a digest of the mask: what identifies the sensor."""
-        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "observed"}
-        mask = None if self.observed is None else hashlib.sha256(np.packbits(self.observed).tobytes()).hexdigest()
+        """Return the numbers as JSON values (metres, pixels), with digests of mask and relief: what identifies it."""
+        arrays = {"observed": self.observed, "relief_m": self.relief_m}
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in arrays}
+        digests = {
+            name: None if array is None else hashlib.sha256(_bytes(array)).hexdigest() for name, array in arrays.items()
+        }
+        if self.relief_m is None:  # flat sensors are described as ever
+            del digests["relief_m"]
         rectangle = None if self.rectangle_m is None else list(self.rectangle_m)
-        return {**fields, "rectangle_m": rectangle, "observed": mask}
+        return {**fields, "rectangle_m": rectangle, **digests}
+
+
+def _bytes(array: NDArray[Any]) -> bytes:
+    return (np.packbits(array) if array.dtype == np.bool_ else array).tobytes()
 
 
 Drawing = Literal["pressed", "paper"]
@@ -256,9 +319,10 @@ class ContactShape:
 def contact_depth(depth_m: NDArray[np.floating[Any]], geometry: SensorGeometry, press_depth_m: float) -> Depth:
     """Turn rendered camera depths (..., H, W) into contact depths (..., H, W): clip(z - standoff, 0, press depth).
 
-    All in metres; a surface that no ray meets has depth inf and becomes `press_depth_m`, no contact.
+    All in metres; a surface that no ray meets has depth inf and becomes `press_depth_m`, no contact. Where the gel is
+    curved, its relief is taken off too.
     """
-    shape = np.subtract(depth_m, np.float32(geometry.standoff_m), dtype=np.float32)
+    shape = np.subtract(depth_m, geometry.full_penetration_m, dtype=np.float32)
     return np.clip(shape, 0.0, np.float32(press_depth_m), out=shape)
 
 

@@ -82,9 +82,12 @@ class _Field:
 
     def brightness(self, indentation_m: Float32, optics: Optics) -> Float32:
         """What reaches the camera (3, N, H, W) in counts, neither cut at white nor noisy."""
-        slope_x, slope_y = surface_slopes(indentation_m, self.geometry)
-        slope_x += np.float32(optics.dome) * self.x
-        slope_y += np.float32(optics.dome) * self.y
+        relief_m = self.geometry.relief_m
+        below_m = indentation_m if relief_m is None else indentation_m - relief_m
+        slope_x, slope_y = surface_slopes(below_m, self.geometry)
+        if relief_m is None:  # of the gel's curve nothing else is known
+            slope_x += np.float32(optics.dome) * self.x
+            slope_y += np.float32(optics.dome) * self.y
         upright = 1 / np.sqrt(1 + slope_x**2 + slope_y**2)  # the normal's share towards the camera
         counts = np.empty((3, *indentation_m.shape), np.float32)
         counts[:] = np.reshape(optics.ambient, (3, 1, 1, 1))

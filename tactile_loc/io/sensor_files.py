@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from tactile_loc.core.errors import ConfigError, SensorError
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.io.images import UNREADABLE, load_image, write_image
+from tactile_loc.core.sensing import Depth, SensorGeometry
+from tactile_loc.io.images import UNREADABLE, load_image, load_npy, write_image
 from tactile_loc.io.toml import Finite, Positive, explain, read_toml
 from tactile_loc.store.files import recover_folder
 
@@ -40,6 +40,7 @@ class _SensorFile(BaseModel):
         None, min_length=4, max_length=4, description="[x_min, x_max, y_min, y_max], four numbers (mm)"
     )
     mask: str | None = Field(None, description="the path of a PNG, relative to the sensor file, in quotes")
+    surface: str | None = Field(None, description="the path of a .npy file, relative to the sensor file, in quotes")
 
 
 class _Pinhole(_SensorFile):
@@ -82,13 +83,16 @@ def read_sensor_file(path: Path) -> SensorGeometry:
         reason = explain(error, model, values, f"{kind} sensor", decisive="camera")
         raise SensorError(f"{path}: {reason}") from error
     mask = None if description.mask is None else _read_mask(path.parent / description.mask, path)
+    relief_m = None if description.surface is None else _read_surface(path.parent / description.surface, path)
     try:
-        return _geometry(description, mask)
+        return _geometry(description, mask, relief_m)
     except SensorError as error:
         raise SensorError(f"{path}: {error}") from error
 
 
-def _geometry(description: _Pinhole | _Orthographic, mask: NDArray[np.bool_] | None) -> SensorGeometry:
+def _geometry(
+    description: _Pinhole | _Orthographic, mask: NDArray[np.bool_] | None, relief_m: Depth | None
+) -> SensorGeometry:
     width, height = description.image_size_px
     fx, fy = description.focal
     rectangle = description.sensing_rectangle_mm
@@ -101,6 +105,7 @@ def _geometry(description: _Pinhole | _Orthographic, mask: NDArray[np.bool_] | N
         max_depth_m=description.max_depth_mm * 1e-3,
         rectangle_m=None if rectangle is None else (x0, x1, y0, y1),
         observed=mask,
+        relief_m=relief_m,
     )  # fmt: skip
 
 
@@ -115,6 +120,23 @@ def _read_mask(path: Path, sensor_file: Path) -> NDArray[np.bool_]:
         ) from error
 
 
+def _read_surface(path: Path, sensor_file: Path) -> Depth:
+    """Read the undeformed gel's relief (H, W), metres, from a .npy file."""
+    try:
+        surface = load_npy(path)
+    except UNREADABLE as error:
+        raise SensorError(
+            f"{sensor_file}: the surface {path} cannot be read as .npy ({error}); surface must be the path of an array "
+            "(rows, columns) in metres, relative to the sensor file"
+        ) from error
+    if surface.ndim != 2 or surface.dtype.kind != "f":
+        raise SensorError(
+            f"{sensor_file}: the surface {path} is an array of shape {surface.shape} and type {surface.dtype}; it must "
+            "be one number a pixel, metres, (rows, columns)"
+        )
+    return surface.astype(np.float32)
+
+
 def is_calibrated_sensor(folder: Path) -> bool:
     """Tell whether `folder` is that of a calibrated sensor."""
     recover_folder(folder)
@@ -122,7 +144,7 @@ def is_calibrated_sensor(folder: Path) -> bool:
 
 
 def write_sensor_file(path: Path, geometry: SensorGeometry) -> Path:
-    """Write a geometry as a sensor file, and its mask as a PNG beside it, and return the path. Raises OSError."""
+    """Write a geometry as a sensor file, its mask and its surface beside it, and return the path. Raises OSError."""
     mm = 1e3
     values: dict[str, Any] = {"camera": geometry.camera, "image_size_px": [geometry.width_px, geometry.height_px]}
     if geometry.is_pinhole:
@@ -136,6 +158,9 @@ def write_sensor_file(path: Path, geometry: SensorGeometry) -> Path:
     if geometry.observed is not None:
         values |= {"mask": f"{path.stem}_mask.png"}
         write_image(path.with_name(values["mask"]), geometry.observed.astype(np.uint8) * 255)
+    if geometry.relief_m is not None:
+        values |= {"surface": f"{path.stem}_surface.npy"}
+        np.save(path.with_name(values["surface"]), geometry.relief_m)
     lines = [f"{key} = {json.dumps(value)}" for key, value in values.items()]  # these values look alike in TOML
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path

@@ -198,8 +198,8 @@ def from_arrays(arrays: dict[str, NDArray[Any]]) -> ResultArrays:
 
 def _touch_arrays(touch: TouchArrays) -> dict[str, NDArray[Any]]:
     camera = {f.name: getattr(touch.geometry, f.name) for f in dataclasses.fields(touch.geometry)}
-    observed = camera.pop("observed")
-    optional = {"observed": observed, "image": touch.image}
+    observed, relief_m = camera.pop("observed"), camera.pop("relief_m")
+    optional = {"observed": observed, "relief_m": relief_m, "image": touch.image}
     return {
         "depth_m": touch.shape.depth_m, "press_depth_m": np.array(touch.shape.press_depth_m),
         "geometry": np.array(json.dumps(camera)), "T_sensor_first": touch.T_sensor_first, "made_m": touch.made_m,
@@ -211,7 +211,7 @@ def _touch(arrays: dict[str, NDArray[Any]]) -> TouchArrays:
     camera = json.loads(str(arrays["geometry"]))
     if camera["rectangle_m"] is not None:
         camera["rectangle_m"] = tuple(camera["rectangle_m"])
-    geometry = SensorGeometry(**camera, observed=arrays.get("observed"))
+    geometry = SensorGeometry(**camera, observed=arrays.get("observed"), relief_m=arrays.get("relief_m"))
     shape = ContactShape(arrays["depth_m"], float(arrays["press_depth_m"]))
     made_m = arrays["made_m"]
     if shape.depth_m.shape != geometry.shape or made_m.shape[1:] != geometry.shape:

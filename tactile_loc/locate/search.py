@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.clouds import contact_cloud
 from tactile_loc.core.common_poses import prior_weights
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.geometry import invert
+from tactile_loc.core.geometry import invert, make_transform
 from tactile_loc.core.interfaces import Encoder, GridSampler, Matcher, Prior, Scene, View
 from tactile_loc.core.places import CAMERA, HIGHEST_M, Places
 from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
@@ -119,19 +119,19 @@ class PlaceSearch:
 
     def alike(self, touch: Touch, count: int = ALIKE) -> tuple[Poses, NDArray[np.float64]]:
         """Return the poses (K, 4, 4), metres, of the `count` most alike turned places, and how alike they are (K,)."""
-        from tactile_loc.core.turned_patches import turned_patches
+        from tactile_loc.core.turned_patches import anchor, turned_patches
 
         matcher = self._banks.matcher(touch.press_depth_m)
         press_m = min(self._banks.bank_press_m(touch.press_depth_m), touch.press_depth_m)
-        anchor_m = anchor(touch)
-        depths_m, seen = turned_patches(touch, anchor_m[:2], self.yaws_rad)
+        anchor_m, R_sensor_gel = anchor(touch)
+        depths_m, seen = turned_patches(touch, anchor_m, R_sensor_gel, self.yaws_rad)
         cut_m = np.minimum(depths_m, np.float32(press_m))
         queries, weights = self.encoder.encode_seen(cut_m, seen, press_m, CAMERA)
         scores = matcher.weighted_scores(queries, weights)
         best = np.argpartition(-scores, min(count, scores.size) - 1, axis=None)[:count]
         yaw, number = np.unravel_index(best, scores.shape)
-        at_m = np.broadcast_to(anchor_m, (len(best), 3))
-        return self.places.poses(number, at_m, self.yaws_rad[yaw]), scores.ravel()[best].astype(float)
+        poses = make_transform(R_sensor_gel, anchor_m) @ self.places.poses(number, self.yaws_rad[yaw])
+        return poses, scores.ravel()[best].astype(float)
 
     def _bank(self, press_depth_m: float) -> Scores:
         starts = range(0, len(self.places), ENCODED)
@@ -214,13 +214,3 @@ def _gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
         points_m = points_m[:: max(1, len(points_m) // LOOKED_AT)]
         gaps += field.mean_gaps(points_m, seen_from @ invert(view.T_sensor_first), field.reach_m)
     return gaps
-
-
-def anchor(touch: Touch) -> NDArray[np.float64]:
-    """Return where the place that touches first is, where the touch is deepest: (3,), metres, in the sensor's frame."""
-    geometry, shape = touch.geometry, touch.contact_shape
-    depth = np.where(shape.contact & geometry.observed_mask, shape.depth_m, np.inf)
-    row, column = np.unravel_index(depth.argmin(), depth.shape)
-    x, y = (slopes[i] for slopes, i in zip(geometry.pixel_slopes, (column, row), strict=True))
-    k = geometry.standoff_m if geometry.is_pinhole else 1.0
-    return np.array([x * k, y * k, geometry.standoff_m])

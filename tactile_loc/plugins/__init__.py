@@ -9,7 +9,8 @@ LEARNED, KISS = "tactile-loc[learned]", "tactile-loc[kiss]"
 BUILT_IN = [
     ("sensor", "gelslim", "sensors.presets:GelSlim", "GelSlim with the paper's camera"),
     ("sensor", "gelsight-mini", "sensors.presets:GelSightMini", "GelSight Mini, nominal"),
-    ("sensor", "digit", "sensors.presets:Digit", "DIGIT, nominal"),
+    ("sensor", "digit", "sensors.presets:Digit", "DIGIT, nominal, its gel taken for flat"),
+    ("sensor", "digit-curved", "sensors.presets:CurvedDigit", "DIGIT, nominal, with its curved gel"),
     ("sensor", "file", "sensors.file:FileSensor", "any sensor described by a TOML file"),
     ("sensor", "calibrated", "sensors.calibrated:CalibratedSensor", "a sensor that was calibrated for images", LEARNED),
     ("renderer", "heightmap", "renderers.heightmap:HeightmapRenderer",

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tactile_loc.core.geometry import translation
 from tactile_loc.core.places import BELOW, CAMERA, FAR, HIGHEST_M, PATCH_PX, STEP_M, Places, as_patches
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch, contact_depth
@@ -45,12 +46,12 @@ def test_the_patch_of_a_touch_turned_back_is_that_of_its_place(places, camera):
     numbers = np.linspace(0, len(places) - 1, 8).astype(int)
     yaw_rad = np.linspace(-3, 3, 8)
     at_m = np.column_stack([np.linspace(-1e-3, 1e-3, 8), np.linspace(1e-3, 0, 8), np.full(8, geometry.standoff_m)])
-    poses = places.poses(numbers, at_m, yaw_rad)
+    poses = translation(at_m) @ places.poses(numbers, yaw_rad)
     drawn = contact_depth(ReferenceRenderer().render(block().mesh, poses, geometry), geometry, PRESS_M)
     wanted = places.depths(PRESS_M)[numbers]
     for k, depth_m in enumerate(drawn):
         touch = Touch(ContactShape(depth_m, PRESS_M), geometry)
-        found, seen = turned_patches(touch, at_m[k, :2], yaw_rad[k : k + 1])
+        found, seen = turned_patches(touch, at_m[k], np.eye(3), yaw_rad[k : k + 1])
         alike = np.abs(found[0] - wanted[k])[seen[0]] < 1e-4
         assert seen.mean() > 0.5
         assert alike.mean() > 0.93, k
@@ -63,7 +64,7 @@ def test_what_the_sensor_does_not_see_is_not_seen(places):
     depth_m = np.full((160, 200), 1e-4, np.float32)
     depth_m[80:] = PRESS_M
     touch = Touch(ContactShape(depth_m, PRESS_M), geometry)
-    depths, seen = turned_patches(touch, np.zeros(2), np.array([0.0, np.pi / 2]))
+    depths, seen = turned_patches(touch, np.zeros(3), np.eye(3), np.array([0.0, np.pi / 2]))
     middle = PATCH_PX // 2
     assert not seen[0, :, :middle].any()
     assert seen[0, middle, middle + 1 : middle + 15].all()
@@ -73,7 +74,7 @@ def test_what_the_sensor_does_not_see_is_not_seen(places):
 
 def test_a_pose_puts_its_place_where_it_is_said_to_be(places):
     at_m = np.array([[1e-3, -2e-3, 0.0195]])
-    (T,) = places.poses(np.array([5]), at_m, np.array([0.7]))
+    (T,) = translation(at_m) @ places.poses(np.array([5]), np.array([0.7]))
     place = np.linalg.inv(places.T_place_object[5]) @ [0, 0, 0, 1]
     assert (T @ place)[:3] == pytest.approx(at_m[0], abs=1e-12)
     assert T[2, :3] == pytest.approx(places.T_place_object[5][2, :3])

@@ -134,7 +134,7 @@ def test_the_mask_is_resized_with_the_image() -> None:
 CHANGES = {
     "camera": "orthographic", "width_px": 9, "height_px": 7, "fx": 41.0, "fy": 51.0, "cx": 3.8, "cy": 3.2,
     "standoff_m": 21 * MM, "max_depth_m": 1 * MM, "rectangle_m": (-1 * MM, 1 * MM, -1 * MM, 1 * MM),
-    "observed": np.eye(6, 8, dtype=bool), "indentation_m": 1 * MM,
+    "observed": np.eye(6, 8, dtype=bool), "indentation_m": 1 * MM, "relief_m": np.full((6, 8), 1e-4, np.float32),
 }  # fmt: skip
 
 

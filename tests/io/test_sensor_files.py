@@ -12,7 +12,7 @@ import pytest
 from tactile_loc.core.errors import SensorError
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.io.sensor_files import read_sensor_file, write_sensor_file
-from tactile_loc.plugins.sensors.presets import Digit, GelSightMini, GelSlim
+from tactile_loc.plugins.sensors.presets import CurvedDigit, Digit, GelSightMini, GelSlim
 
 MASK = np.random.default_rng(0).random((48, 64)) > 0.3
 GEOMETRIES = {
@@ -20,6 +20,7 @@ GEOMETRIES = {
     "native gelslim": GelSlim.native,
     "gelsight-mini": GelSightMini().geometry,
     "digit": Digit().geometry,
+    "digit-curved": CurvedDigit().geometry,
     "oblong pixels": SensorGeometry("orthographic", 64, 48, 1e3 / 0.3, 7001.3, 30.2, 25.7, 0.0123, 7.7e-4),
     "rectangle": dataclasses.replace(GelSlim().geometry, rectangle_m=(-0.0101, 0.009, -1e-5, 0.0123)),
     "mask": SensorGeometry("pinhole", 64, 48, 42.0, 40.0, 31.0, 25.0, 0.025, 0.002, observed=MASK),
@@ -42,7 +43,8 @@ def test_a_sensor_survives_its_file(tmp_path: Path, name: str) -> None:
     found = read_sensor_file(path)
     assert numbers(found) == pytest.approx(numbers(geometry), rel=1e-14, abs=0)
     assert len(numbers(found)) == 13
-    assert (found.camera, found.describe()["observed"]) == (geometry.camera, geometry.describe()["observed"])
+    for key in ("camera", "observed", "relief_m"):
+        assert found.describe().get(key) == geometry.describe().get(key)
     assert (found.rectangle_m is None) == (geometry.rectangle_m is None)
     np.testing.assert_array_equal(found.observed_mask, geometry.observed_mask)
     assert found.is_same_sensor(geometry)
@@ -69,6 +71,26 @@ def test_a_mask_goes_with_its_file(tmp_path: Path) -> None:
     tmp_path.joinpath("sensor_mask.png").unlink()
     with pytest.raises(SensorError, match=r"sensor\.toml: the mask .*sensor_mask\.png cannot be read"):
         read_sensor_file(tmp_path / "sensor.toml")
+
+
+@pytest.mark.parametrize(
+    ("surface", "said"),
+    [
+        (None, "cannot be read as .npy"),
+        (np.zeros((48, 64, 3)), "one number a pixel"),
+        (np.zeros((48, 64), int), "one number a pixel"),
+        (np.zeros((64, 48)), r"for each pixel of the image, \(48, 64\)"),
+        (np.full((48, 64), np.nan), "a number, metres"),
+        (np.full((48, 64), -1.0), "check its unit"),
+    ],
+)
+def test_a_surface_that_is_none(tmp_path: Path, surface: np.ndarray | None, said: str) -> None:
+    path = write_sensor_file(tmp_path / "sensor.toml", GEOMETRIES["both"])
+    path.write_text(path.read_text() + 'surface = "gel.npy"\n')
+    if surface is not None:
+        np.save(tmp_path / "gel.npy", surface)
+    with pytest.raises(SensorError, match=rf"sensor\.toml: .*{said}"):
+        read_sensor_file(path)
 
 
 def test_a_place_that_cannot_be_written_to(tmp_path: Path) -> None:

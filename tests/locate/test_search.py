@@ -17,9 +17,10 @@ from tactile_loc.core.priors import GaussianPrior, SeenFrom
 from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import Touch
+from tactile_loc.core.turned_patches import anchor
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.search import JOINTLY, PlaceSearch, anchor, found_together
+from tactile_loc.locate.search import JOINTLY, PlaceSearch, found_together
 from tactile_loc.store.store import StageStore
 
 WHOLE = {"grid": {"name": "whole"}, "sensor": "gelsight-mini"}
@@ -154,7 +155,8 @@ def test_touches_that_no_pose_explains_together_are_elsewhere(localizer, example
 
 def test_the_deepest_point_is_the_anchor(examples):
     touch = examples[0][0]
-    x, y, z = anchor(touch)
+    (x, y, z), R_sensor_gel = anchor(touch)
+    assert (R_sensor_gel == np.eye(3)).all()
     assert z == touch.geometry.standoff_m
     points = touch.geometry.backproject(touch.contact_shape.depth_m + touch.geometry.standoff_m)
     deepest = points[np.unravel_index(touch.contact_shape.depth_m.argmin(), touch.contact_shape.depth_m.shape)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import tempfile
 from enum import StrEnum
@@ -17,6 +18,7 @@ from tactile_loc_cli.options import Store, declare, set_option
 if TYPE_CHECKING:
     from tactile_loc.calibration.estimator import GelEstimator
     from tactile_loc.calibration.labels import LabelledPresses
+    from tactile_loc.calibration.presses import PressFolder
     from tactile_loc.core.sensing import SensorGeometry
 
 DEFAULT_OUT = Path("my_sensor")
@@ -94,6 +96,7 @@ Presses = Annotated[
         "--presses", "N", "With --simulated: how many presses; by default 200, or 2000 for cnn.", min=5, max=100_000
     ),
 ]
+Curved = Annotated[bool, typer.Option("--curved", help="The gel is not flat: learn its surface from the balls too.")]
 EstimatorOption = Annotated[list[str] | None, set_option("The estimator's option, as steps=4000.", "OPTION=VALUE")]
 HeldOutSeed = Annotated[int, declare("--seed", "N", "Seed of what is held out.", min=0)]
 Out = Annotated[Path, declare("--out", "FOLDER", "Where the calibrated sensor goes.")]
@@ -108,6 +111,7 @@ def calibrate(
     ball_radius: BallRadius = None,
     mm_per_px: PixelSize = None,
     image_size: ImageSize = None,
+    curved: Curved = False,
     simulated: Simulated = False,
     optics: Lamps = None,
     presses: Presses = None,
@@ -129,7 +133,7 @@ def calibrate(
     require_writable(out)
     require_replaceable(out.absolute())
     options = _options(option or [])
-    _require_one_source(folder, format, background, image_size, simulated, optics, presses)
+    _require_one_source(folder, format, background, image_size, curved, simulated, optics, presses)
     if folder is None:
         return _calibrate_simulated(sensor, optics, presses, estimator, options, seed, out, store)
     labels: dict[str, Any] = {}
@@ -139,20 +143,20 @@ def calibrate(
             file = folder / "sensor.toml" if sensor is None else Path(sensor)
         else:
             folder, file, labels = labelled(folder, sensor, ball_radius, mm_per_px)
-        done = _calibrate(folder, file, estimator, background, image_size, options, seed, out, store)
+        done = _calibrate(folder, file, estimator, background, image_size, curved, options, seed, out, store)
         return {**done, **labels}
 
 
 def _require_one_source(
     folder: Path | None, format: Format | None, background: Background, image_size: tuple[int, int] | None,
-    simulated: bool, optics: str | None, presses: int | None,
+    curved: bool, simulated: bool, optics: str | None, presses: int | None,
 ) -> None:  # fmt: skip
     from tactile_loc.core.errors import ConfigError
 
     of_folder = folder, format, image_size
-    if simulated and (any(given is not None for given in of_folder) or background is not Background.TABLE):
+    if simulated and (any(given is not None for given in of_folder) or background is not Background.TABLE or curved):
         raise ConfigError(
-            "--simulated makes its presses itself: leave out FOLDER, --format, --background and --image-size"
+            "--simulated makes its presses itself: leave out FOLDER, --format, --background, --image-size and --curved"
         )
     if not simulated and folder is None:
         raise ConfigError("there is nothing to learn from; give FOLDER, with images of presses, or --simulated")
@@ -184,7 +188,7 @@ def _options(words: list[str]) -> dict[str, Any]:
 
 def _calibrate(
     folder: Path, sensor: Path, estimator: Estimator, background: Background, image_size: tuple[int, int] | None,
-    options: dict[str, Any], seed: int, out: Path, store: Path | None,
+    curved: bool, options: dict[str, Any], seed: int, out: Path, store: Path | None,
 ) -> dict[str, Any]:  # fmt: skip
     from tactile_loc.calibration.calibrate import calibrate_stage
     from tactile_loc.calibration.presses import read_presses, reading_size_px
@@ -196,8 +200,18 @@ def _calibrate(
     camera = _geometry(sensor)
     size_px = image_size or reading_size_px(camera)
     presses = read_presses(folder, camera, background is Background.MEDIAN, size_px)
+    if curved:
+        presses = _on_curved_gel(presses, seed)
     made, record = calibrate_stage(presses, folder, estimator, options, seed, StageStore(store), progress())
     return _finish(presses, made, {**record, "camera_px": list(presses.camera.shape)}, out)
+
+
+def _on_curved_gel(presses: PressFolder, seed: int) -> PressFolder:
+    from tactile_loc.calibration.relief import learn_relief
+
+    relief_m = learn_relief(presses, seed, progress())
+    say(f"the gel is curved: its rim is up to {-1e3 * relief_m.min():.2f} mm lower than its top")
+    return dataclasses.replace(presses, geometry=dataclasses.replace(presses.geometry, relief_m=relief_m))
 
 
 def _calibrate_simulated(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import ClassVar
 
+import numpy as np
 from pydantic import Field
 
 from tactile_loc.plugin import ComponentOptions, DepthSensor, SensorGeometry
@@ -70,7 +71,29 @@ class Digit(Preset):
 
     Public numbers disagree: a DIGIT fork of the Taxim simulator uses 0.0266 mm at 640 x 480 (12.8 x 17.0 mm), the
     digit-depth configuration measured a gel of 18.35 x 24.6 mm. Expect the scale to be off by up to a fifth, and the
-    real gel, which is curved, to differ: measure yours and use a sensor file.
+    real gel, which is curved, to differ: see digit-curved, or measure yours and use a sensor file.
     """
 
     native = orthographic(240, 320, 0.063e-3, 1e-3)
+
+
+class CurvedDigit(Digit):
+    """DIGIT with the gel that it has: a cap of a sphere, its top in the middle of the image; otherwise as `Digit`.
+
+    A radius of 35 mm is nominal: the TACTO simulator lets the corners of a gel of 20 x 30 mm lie 5 mm lower.
+    """
+
+    class Options(Preset.Options):
+        """`radius_mm` of the sphere; the standoff is that of its top."""
+
+        radius_mm: float = Field(default=35.0, ge=15.0, description="radius of the gel's surface, mm")
+
+    def _make_geometry(self) -> SensorGeometry:
+        return domed(super()._make_geometry(), 1e-3 * self.options.radius_mm)
+
+
+def domed(geometry: SensorGeometry, radius_m: float) -> SensorGeometry:
+    """Return an orthographic sensor whose gel is a cap of a sphere about the optical axis, its top at the standoff."""
+    x, y = geometry.pixel_slopes
+    relief_m = np.sqrt(radius_m**2 - x[None] ** 2 - y[:, None] ** 2) - radius_m
+    return dataclasses.replace(geometry, relief_m=relief_m.astype(np.float32))

@@ -55,6 +55,10 @@ def test_the_example_and_the_reference_name_every_key() -> None:
 def test_the_commented_lines_of_the_example_work_too(tmp_path: Path) -> None:
     Image.fromarray(np.full((240, 320), 255, np.uint8)).save(tmp_path / "my_sensor_mask.png")
     text = EXAMPLE.read_text()
+    curved = tmp_path / "curved.toml"
+    curved.write_text(text.replace("# surface =", "surface ="))
+    np.save(tmp_path / "my_sensor_surface.npy", np.full((240, 320), -1e-4))
+    assert read_sensor_file(curved).relief_m is not None
     masked = tmp_path / "masked.toml"
     masked.write_text(text.replace("# mask =", "mask ="))
     assert read_sensor_file(masked).observed is not None

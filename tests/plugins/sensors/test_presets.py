@@ -5,10 +5,10 @@ import pytest
 
 from tactile_loc.core.errors import ConfigError, SensorError, TouchError
 from tactile_loc.core.registry import registry
-from tactile_loc.plugins.sensors.presets import Digit, GelSightMini, GelSlim, Preset
+from tactile_loc.plugins.sensors.presets import CurvedDigit, Digit, GelSightMini, GelSlim, Preset
 
 MM = 1e-3
-NAMES = {"gelslim": GelSlim, "gelsight-mini": GelSightMini, "digit": Digit}
+NAMES = {"gelslim": GelSlim, "gelsight-mini": GelSightMini, "digit": Digit, "digit-curved": CurvedDigit}
 ALL = pytest.mark.parametrize("sensor", [kind() for kind in NAMES.values()], ids=list(NAMES))
 
 
@@ -39,6 +39,16 @@ def test_nominal_fields() -> None:
     assert Digit().geometry.shape == (320, 240)
     assert field_mm(Digit()) == pytest.approx((15.1, 20.2), abs=0.05)
     assert GelSightMini().geometry.max_depth_m == Digit().geometry.max_depth_m == 1 * MM
+
+
+def test_the_curved_digit_is_a_cap_of_a_sphere() -> None:
+    geometry = CurvedDigit(CurvedDigit.Options(radius_mm=30.0)).geometry
+    points = geometry.backproject(geometry.standoff_m + geometry.relief_m)
+    centre = np.array([0.0, 0.0, geometry.standoff_m - 30 * MM])
+    assert np.linalg.norm(points - centre, axis=-1) == pytest.approx(30 * MM, abs=1e-9)
+    assert geometry.relief_m.max() == pytest.approx(0.0, abs=1e-7)
+    nominal = CurvedDigit().geometry.relief_m
+    assert nominal.min() == pytest.approx(-2.35 * MM, abs=0.05 * MM)
 
 
 @ALL

@@ -25,11 +25,11 @@ class Observed(NamedTuple):
 
     `points` (P, 3) on the surface in contact with unit `normals` (P, 3), which point into the sensor, and `weights`
     (P,), 1/mm^2, which may be `slack` (P,) off for nothing; those of touch i from starts[i] to starts[i + 1], and
-    `centres` (N, 3) their middles. `cameras` (N, 11): pinhole?, fx, fy, cx, cy, the gel's height, its rectangle (4),
-    the weight (1/mm^2) of a surface sample that reaches into it. `images` (Q, 4) hold, for every four neighbouring
-    pixels, the least height of the surface that is seen (beyond the gel's: nothing; NaN: not observed), below which
-    nothing between their centres can be, and the place x, y, z of the nearest contact; those of touch i are rows of
-    sizes[i] (height, width) from offsets[i].
+    `centres` (N, 3) their middles. `cameras` (N, 11): pinhole?, fx, fy, cx, cy, the gel's greatest height, its
+    rectangle (4), the weight (1/mm^2) of a surface sample that reaches into it. `images` (Q, 4) hold, for every four
+    neighbouring pixels, the least height of the surface that is seen (NaN: not observed; negative: it is the gel's,
+    nothing touches), below which nothing between their centres can be, and the place x, y, z of the nearest contact;
+    those of touch i are rows of sizes[i] (height, width) from offsets[i].
     """
 
     points: NDArray[np.float64]
@@ -128,14 +128,16 @@ def kept_out(i, T, observed, samples, scale, every, A, b):
             if u < 0 or v < 0 or u >= width or v >= height:
                 continue
             pixel = observed.images[offset + v * width + u]
-            if not pixel[0] > z:  # not observed, or nothing is wrong
+            nothing = pixel[0] < 0.0
+            surface = -pixel[0] if nothing else pixel[0]
+            if not surface > z:  # not observed, or nothing is wrong
                 continue
-            r = min(pixel[0], gel) - z
+            r = min(surface, gel) - z
             d[0] = d[1] = 0.0
             d[2] = 1.0
             aside, across = pixel[1] - x, pixel[2] - y
             far = math.sqrt(aside * aside + across * across)
-            if pixel[0] >= gel and far < r:  # nearer to the contact beside it than to the gel's surface
+            if nothing and far < r:  # nearer to the contact beside it than to the gel's surface
                 r = far
                 if r < 1e-6:
                     continue

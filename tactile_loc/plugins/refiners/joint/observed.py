@@ -12,7 +12,6 @@ from tactile_loc.plugin import ContactShape, SensorGeometry, contact_cloud
 from tactile_loc.plugins.refiners.joint.kernels import Observed
 
 MILLI = 1e3
-NOTHING_MM = 1e6  # the height of what is seen where nothing touches
 FEWEST_PATCHES = 3.0
 UNSEEN = 0.1  # what weight it has that nothing is seen: contacts are missed in patches, and edges wander
 Floats = NDArray[np.float64]
@@ -70,26 +69,40 @@ def _middle_mm(touch: Seen, points_mm: Floats) -> Floats:
 
 
 def _image_mm(touch: Seen) -> NDArray[np.float32]:
-    """What four neighbouring pixels (H - 1, W - 1, 4) show: the least height, and the nearest contact's place; mm."""
+    """What four neighbouring pixels (H - 1, W - 1, 4) show: the least height, and the nearest contact's place; mm.
+
+    Where none of them shows contact the height is the gel's, and negative.
+    """
     from scipy.ndimage import distance_transform_edt
 
     geometry = touch.geometry
     contact = touch.shape.contact & geometry.observed_mask
-    z_m = touch.shape.depth_m + np.float32(geometry.standoff_m)
+    z_m = touch.shape.depth_m + geometry.full_penetration_m
     rows, columns = distance_transform_edt(~contact, return_distances=False, return_indices=True)[:, :-1, :-1]
-    height = np.where(geometry.observed_mask, np.where(contact, z_m * MILLI, NOTHING_MM), np.nan)
-    above, below = height[:-1], height[1:]
+    gel_mm = np.where(geometry.observed_mask, _gel_mm(touch), np.nan)
+    touched = _least_of_four(np.where(geometry.observed_mask, np.where(contact, z_m * MILLI, np.inf), np.nan))
     image = np.empty((*rows.shape, 4), np.float32)
-    image[..., 0] = np.minimum(np.minimum(above[:, :-1], above[:, 1:]), np.minimum(below[:, :-1], below[:, 1:]))
+    image[..., 0] = np.where(np.isinf(touched), -_least_of_four(gel_mm), touched)
     image[..., 1:] = (geometry.backproject(z_m) * MILLI)[rows, columns]
     return image
+
+
+def _least_of_four(heights: Floats) -> Floats:
+    """The least of every four neighbouring pixels: (H - 1, W - 1) of (H, W)."""
+    above, below = heights[:-1], heights[1:]
+    return np.minimum(np.minimum(above[:, :-1], above[:, 1:]), np.minimum(below[:, :-1], below[:, 1:]))
+
+
+def _gel_mm(touch: Seen) -> Floats:
+    """How far the surface is at least where nothing touches: z, mm; at each pixel if the gel is curved."""
+    return np.asarray((touch.geometry.full_penetration_m + touch.shape.press_depth_m) * MILLI)
 
 
 def _camera_mm(touch: Seen, weight: float) -> Floats:
     """The row (11,) of `Observed.cameras`."""
     geometry = touch.geometry
     scale = 1.0 if geometry.is_pinhole else 1 / MILLI
-    gel_mm = (geometry.standoff_m + touch.shape.press_depth_m) * MILLI
+    gel_mm = np.max(_gel_mm(touch))
     return np.array([
         geometry.is_pinhole, geometry.fx * scale, geometry.fy * scale, geometry.cx, geometry.cy, gel_mm,
         *np.multiply(geometry.rectangle, MILLI), weight,

@@ -90,8 +90,8 @@ class Pictures:
         """Return the pictures (N, P) of poses (N, 4, 4), metres, and the poses that were drawn."""
         T = bring_to_contact(self.mesh, T_sensor_object, self.geometry)[0] if self.in_contact else T_sensor_object
         drawn, camera = as_drawn(T, self.geometry, self.drawing)
-        depth = nearest_depths(self.mesh, drawn, camera)
-        depth -= np.float32(camera.standoff_m)
+        depth = nearest_depths(self.mesh, drawn, camera.band)
+        depth -= camera.full_penetration_m
         return self._of_depths(depth), T
 
     def moved(self, T_sensor_object: Poses, moves: Floats) -> Poses:
@@ -115,7 +115,7 @@ class Pictures:
 def within_reach(mesh: TriangleMesh, geometry: SensorGeometry, T_sensor_object: Poses) -> TriangleMesh:
     """Return only those faces of a mesh that poses near these (N, 4, 4), in contact, can press in. Metres."""
     height = mesh.vertices_m @ T_sensor_object[:, 2, :3].T + T_sensor_object[:, 2, 3]
-    near = height.min(axis=1)[mesh.faces].min(axis=1) < geometry.standoff_m + REACH * geometry.max_depth_m
+    near = height.min(axis=1)[mesh.faces].min(axis=1) < geometry.band.standoff_m + REACH * geometry.band.max_depth_m
     kept, faces = np.unique(mesh.faces[near], return_inverse=True)
     return TriangleMesh(mesh.vertices_m[kept], faces.reshape(-1, 3))
 
@@ -123,7 +123,7 @@ def within_reach(mesh: TriangleMesh, geometry: SensorGeometry, T_sensor_object: 
 def _contact_circle(geometry: SensorGeometry, wanted: ContactShape) -> tuple[Floats, float]:
     """The centre (3,) and the root mean square radius of a contact, metres."""
     contact = wanted.contact & geometry.observed_mask
-    points = geometry.backproject(wanted.depth_m + np.float32(geometry.standoff_m))[contact]
+    points = geometry.backproject(wanted.depth_m + geometry.full_penetration_m)[contact]
     centre = points.mean(axis=0)
     return centre, float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
 

@@ -1,0 +1,80 @@
+#!/usr/bin/env python3
+"""What it costs to take a curved gel for a flat one.
+
+Touches from any direction on the DIGIT whose gel is a cap of a sphere, drawn by ray casting and pressed by 30 to 90 %
+of the sensor's deepest press, are located with the gel as it is and with the gel taken for flat; and, beside them,
+touches on a flat gel. The median error (root mean square over the surface, symmetry regarded), the share within 1 mm,
+and how often any hypothesis was within 1 mm, of one touch and of three.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from contacts import Located, located
+
+from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.registry import registry
+from tactile_loc.core.sensing import Touch
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.store.store import StageStore
+
+CASES = {  # touched, located with
+    "curved gel, located as curved": ("digit-curved", "digit-curved"),
+    "curved gel, taken for flat": ("digit-curved", "digit"),
+    "flat gel": ("digit", "digit"),
+}
+
+
+def seen_by(touch: Touch, localizer: Localizer) -> Touch:
+    """The touch as the localizer's sensor takes it."""
+    return dataclasses.replace(touch, geometry=localizer.scene.geometry)
+
+
+def find(localizer: Localizer, touches: list[Touch]) -> Located:
+    """Locate the object from touches of it; nothing is found where that is refused."""
+    try:
+        return located(localizer, touches, localize_together([(localizer, touch) for touch in touches]))
+    except TactileLocError:
+        return Located()
+
+
+def main() -> None:
+    """Measure and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("objects", nargs="*", default=["pin", "damping_pin", "cotter"])
+    parser.add_argument("--examples", type=int, default=30)
+    parser.add_argument("--seed", type=int, default=7)
+    arguments = parser.parse_args()
+    raycast = registry().create("renderer", "raycast", {})
+    print("| object | touches | | median, mm | within 1 mm | any within 1 mm |\n|---|---|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        store = StageStore(Path(folder))
+        for name in arguments.objects:
+            localizers = {
+                sensor: Localizer.create(name, store=store, sensor=sensor, grid="whole")
+                for sensor in ("digit-curved", "digit")
+            }
+            for count in (1, 3):
+                for case, (touched, taken_for) in CASES.items():
+                    source = RobotTouches(localizers[touched].object, localizers[touched].scene.geometry, raycast)
+                    localizer = localizers[taken_for]
+                    found = []
+                    for number in range(arguments.examples):
+                        touches, _ = source.example(count, np.random.default_rng([arguments.seed, number]))
+                        found.append(find(localizer, [seen_by(touch, localizer) for touch in touches]))
+                    chosen, best = np.array([(one.chosen_mm, one.nearest_mm) for one in found]).T
+                    print(
+                        f"| {name} | {count} | {case} | {np.median(chosen):.2f} | {(chosen < 1).mean():.0%} | "
+                        f"{(best < 1).mean():.0%} |",
+                        flush=True,
+                    )
+
+
+if __name__ == "__main__":
+    main()

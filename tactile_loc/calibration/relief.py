@@ -1,0 +1,148 @@
+"""The surface of a gel that is curved, from presses of a ball all over it.
+
+In the middle of a ball's imprint the gel is as steep as it was untouched, around that it is the ball's; so the imprints
+say how colours differ between slopes that differ by so much. Equal colours are equal slopes, wherever they are, if the
+lamps are far away: how steep the untouched gel is at one place against another follows from its colours there. What
+maps colours to slopes, and the gel's surface, a polynomial in x and y, are learned together. A tilt of all of it no
+colour tells: the gel is taken to be level in the middle of the image.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from tactile_loc.calibration.labels import Float32, Image
+from tactile_loc.calibration.presses import PressFolder
+from tactile_loc.core.errors import CalibrationError
+from tactile_loc.core.progress import Progress
+from tactile_loc.core.sensing import SensorGeometry
+
+DEGREES = range(2, 5)  # of the polynomial: less is a plane
+HIDDEN, STEPS, PIXELS = 32, 400, 2048  # of the network, and of its training
+RATE, RELIEF_RATE, DECAY = 3e-3, 2e-2, 0.992
+SMOOTHING_PX = 1.0  # of the colours, against noise
+INNER = 0.95  # of a visible circle: its rim is no longer the ball's
+STEEPEST = 0.15  # of the ball's radius: how near to upright its surface is followed
+OUTLIER = 0.1  # an error of the slope from which on it counts by its size, not its square
+FEWEST = 8  # balls
+UNIT_M = 1e-3  # of the polynomial's coefficients
+
+
+class _Pixels(NamedTuple):
+    """Pixels of known kind: `colours` (P, 3); `offset_m` (P, 2) from the middle of the imprint; the ball's `radius_m`
+    (P, 1), NaN where the gel is untouched; the polynomial's `slopes` (P, 2, K) there, or in the imprint's middle."""
+
+    colours: torch.Tensor
+    offset_m: torch.Tensor
+    radius_m: torch.Tensor
+    slopes: torch.Tensor
+
+
+def learn_relief(presses: PressFolder, seed: int = 0, progress: Progress | None = None) -> Float32:
+    """Return the relief (H, W), metres, of the gel on which balls were pressed, 0 at its highest point.
+
+    Raises CalibrationError when there are fewer than FEWEST balls.
+    """
+    balls = [number for number, row in enumerate(presses.rows) if row.kind == "ball"]
+    if len(balls) < FEWEST:
+        raise CalibrationError(
+            f"there are {len(balls)} presses of a ball; the surface of a curved gel needs {FEWEST} at least, at places "
+            "all over it"
+        )
+    pixels = _pixels(presses, balls, np.random.default_rng(seed))
+    coefficients = _fitted(pixels, seed, progress or Progress())
+    relief_m = _powers(presses.geometry) @ coefficients * UNIT_M
+    return (relief_m - relief_m.max()).astype(np.float32)
+
+
+def _fitted(pixels: _Pixels, seed: int, progress: Progress) -> NDArray[np.float64]:
+    """The polynomial's coefficients (K,), in UNIT_M."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        layers = [nn.Linear(3, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, 2)]
+        network, linear = nn.Sequential(*layers), nn.Linear(3, 2)
+    generator = torch.Generator().manual_seed(seed)
+    relief = torch.zeros(pixels.slopes.shape[-1], requires_grad=True)
+    learned = [*network.parameters(), *linear.parameters()]
+    optimizer = torch.optim.Adam([{"params": learned, "lr": RATE}, {"params": [relief], "lr": RELIEF_RATE}])
+    schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, DECAY)
+    with progress.task("learning the gel's surface", STEPS) as advance:
+        for _ in range(STEPS):
+            some = torch.randint(len(pixels.colours), (PIXELS,), generator=generator)
+            colours, wanted = pixels.colours[some], _slopes(_Pixels(*(part[some] for part in pixels)), relief)
+            loss = nn.functional.huber_loss(network(colours) + linear(colours), wanted, delta=OUTLIER)
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()  # type: ignore[no-untyped-call]
+            optimizer.step()
+            schedule.step()
+            advance(1)
+    return relief.detach().numpy().astype(float)
+
+
+def _slopes(pixels: _Pixels, relief: torch.Tensor) -> torch.Tensor:
+    """The slopes (P, 2) of what is seen below the plane z = surface, given the relief's coefficients (K,)."""
+    rest = -(pixels.slopes @ relief)
+    untouched = torch.isnan(pixels.radius_m)
+    radius_m = torch.where(untouched, 1.0, pixels.radius_m)
+    off_m = pixels.offset_m - rest * radius_m / torch.sqrt(1 + rest.square().sum(-1, keepdim=True))
+    below_m = torch.sqrt((radius_m**2 - off_m.square().sum(-1, keepdim=True)).clamp(min=1e-12))
+    ball = -off_m / torch.maximum(below_m, STEEPEST * radius_m)
+    return torch.where(untouched, rest, ball)
+
+
+def _pixels(presses: PressFolder, balls: list[int], rng: np.random.Generator) -> _Pixels:
+    """All pixels in the balls' imprints, and half as many of the untouched gel."""
+    x, y = np.meshgrid(*presses.geometry.pixel_slopes)
+    slopes = _slopes_of_powers(presses.geometry)
+    parts = []
+    for number in balls:
+        (cx, cy), circle_m, ball_m = presses.circle(number)
+        inside = np.hypot(x - cx, y - cy) < INNER * circle_m
+        row, column = np.unravel_index(np.hypot(x - cx, y - cy).argmin(), x.shape)
+        at = np.broadcast_to(slopes[row, column], (int(inside.sum()), *slopes.shape[2:]))
+        off_m = np.stack([x[inside] - cx, y[inside] - cy], axis=-1)
+        parts.append((_colours(presses.images[number])[inside], off_m, np.full((len(off_m), 1), ball_m), at))
+    some = rng.permutation(x.size)[: sum(len(part[0]) for part in parts) // 2]
+    untouched = _colours(presses.background).reshape(-1, 3)[some]
+    rest = slopes.reshape(-1, *slopes.shape[2:])[some]
+    parts.append((untouched, np.zeros((len(some), 2)), np.full((len(some), 1), np.nan), rest))
+    colours, *others = (np.concatenate(part) for part in zip(*parts, strict=True))
+    colours = (colours - colours.mean(axis=0)) / colours.std(axis=0).clip(1e-6)
+    return _Pixels(*(torch.from_numpy(part.astype(np.float32)) for part in (colours, *others)))
+
+
+def _colours(image: Image) -> NDArray[np.float64]:
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(image.astype(float), (SMOOTHING_PX, SMOOTHING_PX, 0), mode="nearest"))
+
+
+def _exponents() -> list[tuple[int, int]]:
+    return [(degree - j, j) for degree in DEGREES for j in range(degree + 1)]
+
+
+def _places(geometry: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """x and y (H, W) on the plane, in half diagonals of the image, and that in metres."""
+    k = geometry.surface_m if geometry.is_pinhole else 1.0
+    x, y = (k * side for side in np.meshgrid(*geometry.pixel_slopes))
+    half_m = float(np.hypot(x, y).max())
+    return x / half_m, y / half_m, half_m
+
+
+def _powers(geometry: SensorGeometry) -> NDArray[np.float64]:
+    """The polynomial's terms (H, W, K), unitless."""
+    x, y, _ = _places(geometry)
+    return np.stack([x**i * y**j for i, j in _exponents()], axis=-1)
+
+
+def _slopes_of_powers(geometry: SensorGeometry) -> NDArray[np.float64]:
+    """How steep the gel is along x and y (H, W, 2, K), unitless, by each of the polynomial's coefficients."""
+    x, y, half_m = _places(geometry)
+    along_x = np.stack([i * x ** max(i - 1, 0) * y**j for i, j in _exponents()], axis=-1)
+    along_y = np.stack([j * x**i * y ** max(j - 1, 0) for i, j in _exponents()], axis=-1)
+    return np.stack([along_x, along_y], axis=-2) * UNIT_M / half_m
