@@ -18,6 +18,7 @@ from tactile_loc_cli.commands.mount import mount
 from tactile_loc_cli.commands.new_plugin import new_plugin
 from tactile_loc_cli.commands.objects import objects
 from tactile_loc_cli.commands.plugins import plugins
+from tactile_loc_cli.commands.replay import replay
 from tactile_loc_cli.commands.report import report
 from tactile_loc_cli.commands.run import run
 from tactile_loc_cli.commands.simulate import simulate
@@ -85,7 +86,9 @@ def tactile_loc(
         typer.echo(context.get_help())
 
 
-for command in (run, build, simulate, evaluate, sweep, report, calibrate, mount, objects, plugins, new_plugin):
+for command in (
+    run, build, simulate, evaluate, sweep, report, replay, calibrate, mount, objects, plugins, new_plugin,
+):  # fmt: skip
     app.command()(as_command(command))
 for name, command in store_commands.COMMANDS.items():
     store.command(name)(as_command(command))

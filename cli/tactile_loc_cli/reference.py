@@ -9,8 +9,8 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 COMMANDS = (
-    "run", "build", "simulate", "evaluate", "sweep", "report", "calibrate", "mount", "objects", "plugins", "new-plugin",
-    "store", "store list", "store size", "store prune", "doctor",
+    "run", "build", "simulate", "evaluate", "sweep", "report", "replay", "calibrate", "mount", "objects", "plugins",
+    "new-plugin", "store", "store list", "store size", "store prune", "doctor",
 )  # fmt: skip
 WIDTH = "100"
 

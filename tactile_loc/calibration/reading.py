@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.calibration.labels import Image
-from tactile_loc.core.errors import TouchError
+from tactile_loc.core.errors import NoContactError, TouchError
 from tactile_loc.core.sensing import ContactShape, SensorGeometry
 from tactile_loc.io.images import read_colour_image
 
@@ -93,7 +93,7 @@ def contact_shape(
     press = press_depth_m(indentation_m, geometry)
     least = max(LEAST_M, ABOVE_NOISE * noise_m)
     if press < least:
-        raise TouchError(
+        raise NoContactError(
             f"no contact: nowhere is the gel pressed in by {1e3 * least:.2g} mm, the least that stands out here "
             f"(deepest: {max(0.0, 1e3 * press):.2g} mm)"
         )

@@ -26,6 +26,18 @@ class TouchError(TactileLocError):
     """A touch cannot be used: wrong size, type or unit, no contact, or nothing but contact."""
 
 
+class NoContactError(TouchError):
+    """Nothing touches the sensor: an image or a contact shape of the gel at rest."""
+
+
+class RecordingError(TactileLocError):
+    """A recording cannot be used: missing, no recording, without the topic, or of messages that nobody can read."""
+
+
+class FrameError(TactileLocError):
+    """Where one frame is seen from another at some time is not known."""
+
+
 class CalibrationError(TactileLocError):
     """A sensor cannot be calibrated from these presses, or a calibration cannot be used."""
 

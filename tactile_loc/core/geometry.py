@@ -76,6 +76,12 @@ def covariance_at(covariance: Array, shift_m: Array) -> Array:
     return np.asarray(moved @ covariance @ np.swapaxes(moved, -1, -2))
 
 
+def covariance_along(covariance: Array, R: Array) -> Array:
+    """Return a pose's covariance (6, 6), m before rad, along other axes: R (3, 3) turns vectors' numbers to theirs."""
+    turned = np.kron(np.eye(2), R)
+    return np.asarray(turned @ covariance @ turned.T)
+
+
 def align_to_z(direction: ArrayLike) -> Array:
     """Return the smallest rotation (3, 3) that turns the unitless direction (3,) onto +z."""
     d = np.asarray(direction, float) / np.linalg.norm(direction)

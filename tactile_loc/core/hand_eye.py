@@ -14,7 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import axis_times_sine, cross_matrix, invert, make_transform, rotation_angle
+from tactile_loc.core.geometry import (
+    axis_times_sine,
+    covariance_along,
+    cross_matrix,
+    invert,
+    make_transform,
+    rotation_angle,
+)
 from tactile_loc.core.poses import Poses
 
 Floats = NDArray[np.float64]
@@ -49,9 +56,8 @@ class HandEyeFit:
         """The covariance (6, 6) of X as the residuals tell: along the flange's axes, at the sensor frame's origin."""
         values, vectors = np.linalg.eigh(self.information * UNIT * UNIT[:, None])
         scaled = (vectors / np.maximum(values, LEAST_INFORMATION)) @ vectors.T
-        turned = np.kron(np.eye(2), self.T_flange_sensor[:3, :3])
         along_sensor = self.variance * scaled * UNIT * UNIT[:, None]
-        return np.asarray(turned @ along_sensor @ turned.T)
+        return covariance_along(along_sensor, self.T_flange_sensor[:3, :3])
 
 
 def predicted(T_base_flange: Poses, T_flange_sensor: Poses, T_base_object: Poses) -> Poses:

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_loc.core.errors import SensorError, TouchError
+from tactile_loc.core.errors import NoContactError, SensorError, TouchError
 
 Depth = NDArray[np.float32]
 
@@ -357,7 +357,7 @@ class Touch:
             )
         contact = self.contact_shape.contact[self.geometry.observed_mask]
         if not contact.any():
-            raise TouchError(
+            raise NoContactError(
                 f"{self.name} shows no contact: no observed pixel is nearer than its press depth of "
                 f"{self.contact_shape.press_depth_m * 1e3:.3g} mm; press the object on the sensor, or check the unit"
             )

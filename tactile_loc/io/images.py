@@ -39,8 +39,8 @@ def read_colour_image(path: Path) -> NDArray[np.uint8] | None:
     return values if colour else None
 
 
-def load_image(path: Path, mode: str | None = None) -> tuple[str, NDArray[Any]]:
-    """Return an image's mode and its values, in Pillow's `mode` if one is named, else in its own.
+def load_image(path: Path | IO[bytes], mode: str | None = None) -> tuple[str, NDArray[Any]]:
+    """Return the mode and the values of an image's file, in Pillow's `mode` if one is named, else in its own.
 
     Raises one of UNREADABLE when it is damaged or enormous.
     """

@@ -155,11 +155,26 @@ def read_touch(
     geometry = sensor.geometry
     image = read_colour_image(path)
     if image is not None:
-        shape = _cut(_ask_sensor(sensor, image, path), path, press_depth_m)
+        shape = _cut(_ask_sensor(sensor, image, path), str(path), press_depth_m)
         return Touch(shape, geometry, path.name, image=image)
     contents = read_contents(path)
     shape = _shape(contents, path, geometry.max_depth_m, unit, press_depth_m)
     return Touch(shape, geometry, path.name, contents.T_base_sensor, contents.T_sensor_object)
+
+
+def touch_from_image(
+    image: NDArray[Any], sensor: SensorModel, press_depth_m: float | None = None, name: str = "the image"
+) -> Touch:
+    """Return what a sensor reads in an image (H, W, 3) uint8, or in depths (H, W) in metres, as a touch.
+
+    `press_depth_m` is as for `read_touch`: how deep the press was, or a lighter one at which an image's contact is cut.
+    Raises NoContactError when nothing touches, and TouchError for what the sensor cannot read.
+    """
+    if image.ndim == 2 and image.dtype.kind == "f" and press_depth_m is not None:
+        shape = contact_shape_from_array(image, sensor.geometry.max_depth_m, press_depth_m, name)
+        return Touch(shape, sensor.geometry, name)
+    shape = _cut(sensor.contact_shape(image), name, press_depth_m)
+    return Touch(shape, sensor.geometry, name, image=image if image.ndim == 3 else None)
 
 
 def write_touch(path: str | Path, touch: Touch) -> Path:
@@ -198,7 +213,7 @@ def _shape(
     shape = contact_shape_from_array(depth, max_depth_m, contents.press_depth * scale, str(path))
     if contents.indentation is not None:
         shape = dataclasses.replace(shape, indentation_m=_indentation_m(contents.indentation * scale, shape, path))
-    return _cut(shape, path, press_depth_m)
+    return _cut(shape, str(path), press_depth_m)
 
 
 def _indentation_m(indentation_m: float, shape: ContactShape, path: Path) -> float:
@@ -211,13 +226,13 @@ def _indentation_m(indentation_m: float, shape: ContactShape, path: Path) -> flo
     return max(indentation_m, shape.press_depth_m)
 
 
-def _cut(shape: ContactShape, path: Path, press_depth_m: float | None) -> ContactShape:
+def _cut(shape: ContactShape, name: str, press_depth_m: float | None) -> ContactShape:
     """Cut at a lighter press; a deeper one cannot be seen in a shape that is cut already."""
     if press_depth_m is None:
         return shape
     if not 0 < press_depth_m <= shape.press_depth_m * (1 + 1e-6):
         raise TouchError(
-            f"{path} was pressed {shape.press_depth_m * 1e3:.3g} mm deep; it cannot be read with a press depth of "
+            f"{name} was pressed {shape.press_depth_m * 1e3:.3g} mm deep; it cannot be read with a press depth of "
             f"{press_depth_m * 1e3:.3g} mm, only a positive smaller one"
         )
     return shape.pressed_to(press_depth_m)

@@ -1,0 +1,149 @@
+"""`tactile-loc replay`: where the object was, image by image of a recording."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tactile_loc_cli import options
+from tactile_loc_cli.console import say
+
+if TYPE_CHECKING:
+    from tactile_loc.io.recordings import Contents
+    from tactile_loc.locate.replay_files import Replayed
+
+logger = logging.getLogger(__name__)
+
+SHOWN = 5  # reasons why frames were refused
+
+RecordingFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="RECORDING", show_default=False,
+        help="What was recorded: an MCAP file, a bag of ROS 1 (.bag), or the folder of a bag of ROS 2.",
+    ),
+]  # fmt: skip
+ImageTopic = Annotated[
+    str | None, options.declare("--image-topic", "TOPIC", "The images' topic; by default the only one there is.")
+]
+PoseTopic = Annotated[str, options.declare("--pose-topic", "TOPIC", "The topic that the poses are written to.")]
+Frame = Annotated[
+    str | None,
+    options.declare("--frame", "FRAME", "The sensor's frame (z out of the gel); by default as the images say."),
+]
+BaseFrame = Annotated[
+    str | None,
+    options.declare(
+        "--base-frame", "FRAME", "Write poses in this frame, by the recording's TF; by default the sensor's."
+    ),
+]
+PosesOnly = Annotated[bool, typer.Option("--poses-only", help="Write the poses alone, not what was recorded.")]
+Out = Annotated[
+    Path | None,
+    options.declare("--out", "FILE.mcap", "The new recording; by default RECORDING-poses.mcap where this is run."),
+]
+
+
+def replay(
+    recording: RecordingFile,
+    image_topic: ImageTopic = None,
+    object: options.Object = None,
+    units: options.MeshUnits = None,
+    symmetry: options.Symmetry = None,
+    press_depth: options.PressDepth = None,
+    sensor: options.Sensor = None,
+    grid: options.Grid = None,
+    renderer: options.Renderer = None,
+    encoder: options.Encoder = None,
+    matcher: options.Matcher = None,
+    refiner: options.Refiner = None,
+    option: options.SetOption = None,
+    config: options.Config = None,
+    frame: Frame = None,
+    base_frame: BaseFrame = None,
+    pose_topic: PoseTopic = "/object/pose",
+    poses_only: PosesOnly = False,
+    seed: options.Seed = None,
+    out: Out = None,
+    store: options.Store = None,
+) -> dict[str, Any]:
+    """Locate an object in each image of a ROS recording.
+
+    No ROS is needed. Writes a new recording with a PoseWithCovarianceStamped for each image that shows the object,
+    and the poses as a table (.csv) and as JSON. Interrupted, the same command goes on where it was.
+    """
+    from tactile_loc.io.recordings import Recording
+    from tactile_loc.io.recordings import image_topic as chosen
+    from tactile_loc.locate.replay import Replay
+    from tactile_loc.locate.replay_files import replay_to
+
+    settings = options.run_config(
+        options.RunOptions(
+            object=object, units=units, symmetry=symmetry, press_depth=press_depth, sensor=sensor, grid=grid,
+            renderer=renderer, encoder=encoder, matcher=matcher, refiner=refiner, option=option, config=config,
+            seed=seed,
+        )
+    )  # fmt: skip
+    out = _out(recording, out)
+    recorded = Recording(recording)
+    contents = recorded.contents()
+    topic = chosen(contents, recording, image_topic)
+    _require_free(contents, recording, pose_topic, poses_only)
+    tree = recorded.frame_tree() if base_frame is not None else None
+    if tree is not None:
+        tree.require(*(name for name in (base_frame, frame) if name is not None))
+    if contents.damage:
+        logger.warning("%s", contents.damage)
+    localizer = options.open_localizer(settings, store)
+    asked = Replay(recorded, topic, localizer, frame, base_frame, tree, options.press_depth_m(settings))
+    found = replay_to(out, asked, contents.counts[topic], pose_topic, poses_only)
+    _say(found, topic.name)
+    written = [str(path) for path in found.written]
+    return {**asdict(found.summary), "resumed": found.resumed, "damage": contents.damage, "written": written}
+
+
+def _out(recording: Path, out: Path | None) -> Path:
+    """Where the new recording goes. Raises OutputError where it cannot go."""
+    from tactile_loc.core.errors import OutputError
+    from tactile_loc.store.files import require_writable
+
+    chosen = Path(f"{recording.stem}-poses.mcap") if out is None else out
+    if chosen.suffix.lower() != ".mcap":
+        raise OutputError(f"a recording is written as .mcap, not as {chosen.name}; choose another --out")
+    if chosen.resolve() == recording.resolve():
+        raise OutputError(f"{chosen} is the recording that is to be read; choose another --out")
+    if chosen.is_dir():
+        raise OutputError(f"{chosen} is a folder; choose another --out")
+    require_writable(chosen.parent)
+    return chosen
+
+
+def _require_free(contents: Contents, recording: Path, pose_topic: str, poses_only: bool) -> None:
+    """Refuse to mix the poses with messages that were recorded."""
+    from tactile_loc.core.errors import RecordingError
+
+    if not poses_only and pose_topic in {topic.name for topic in contents.counts}:
+        raise RecordingError(
+            f"{recording} has messages on {pose_topic} already; choose another --pose-topic, or --poses-only"
+        )
+
+
+def _say(found: Replayed, topic: str) -> None:
+    """Write how many frames came to what, and where the poses are."""
+    summary = found.summary
+    say(
+        f"{topic}: {summary.frames} images, {summary.located} located, {summary.no_contact} without contact, "
+        f"{summary.refused} refused" + (f"; {found.resumed} of them were finished before" if found.resumed else "")
+    )
+    for reason, count in summary.reasons[:SHOWN]:
+        say(f"refused {count}: {reason}")
+    if len(summary.reasons) > SHOWN:
+        say(f"and for {len(summary.reasons) - SHOWN} more reasons: see {found.written[1]}")
+    if summary.jumps_back:
+        logger.warning("the clock of %s goes back %d times; its images are located in their order all the same",
+                       topic, summary.jumps_back)  # fmt: skip
+    say(f"written: {', '.join(map(str, found.written))}")

@@ -1,0 +1,128 @@
+"""A slide: a sensor that is pressed on an object, slides over it and lifts off, as a recording whose truth is known."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.geometry import invert, make_transform, rotation_about
+from tactile_loc.core.interfaces import Scene
+from tactile_loc.core.poses import Poses
+from tactile_loc.core.simulation import lowered
+from tactile_loc.io.recordings import RecordingWriter, write_recording
+from tactile_loc.io.ros_messages import IMAGE, NS, TF
+from tactile_loc.io.ros_types import POSE_STAMPED, image_message, plain_pose_message, transform_message
+
+IMAGE_TOPIC, TRUTH_TOPIC = "/gel/image", "/object/truth"
+BASE, FLANGE, GEL = "base", "flange", "gel"
+START_NS = 1_700_000_000 * NS
+RATE_HZ = 30.0
+REACH_M, TURN_RAD = 3e-3, 0.35  # how far it slides to each side, along x and y, and turns
+PRESS = (0.5, 0.9)  # of the sensor's deepest
+LIFTED = 0.04  # of all frames, at the beginning and at the end: nothing touches
+LIFT_M = 2e-3
+T_BASE_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.4, -0.1, 0.2])
+T_FLANGE_GEL = make_transform(rotation_about([0, 0, 1], 0.4) @ rotation_about([0, 1, 0], 0.1), [0.01, 0.0, 0.12])
+
+Show = Callable[[NDArray[np.float32], NDArray[np.float64]], tuple[NDArray[Any], str]]
+
+
+@dataclass(frozen=True, eq=False)
+class Slide:
+    """Where a sensor saw the object, at times that are evenly spaced; every second one has an image, from the first.
+
+    `stamps_ns` (2 N - 1,), `T_sensor_object` (2 N - 1, 4, 4), metres, and the presses `press_m` (2 N - 1,), metres,
+    which are not positive where nothing touches.
+    """
+
+    scene: Scene
+    stamps_ns: NDArray[np.int64]
+    T_sensor_object: Poses
+    press_m: NDArray[np.float64]
+
+    @property
+    def frames(self) -> range:
+        """The numbers of the times that have an image."""
+        return range(0, len(self.stamps_ns), 2)
+
+    @property
+    def T_base_flange(self) -> Poses:  # noqa: N802 - the field's name
+        """Where the robot's flange was (2 N - 1, 4, 4), metres: the object stands still."""
+        return T_BASE_OBJECT @ invert(self.T_sensor_object) @ invert(T_FLANGE_GEL)
+
+    def depths_m(self, number: int) -> NDArray[np.float32]:
+        """Return the contact shape (H, W) at a time, metres: where nothing touches it is the press depth."""
+        geometry, press = self.scene.geometry, float(self.press_m[number])
+        if press <= 0:
+            return np.full(geometry.shape, geometry.max_depth_m, np.float32)
+        return self.scene.pressed(press).contact_depths(self.T_sensor_object[number][None])[0]
+
+
+def slide(scene: Scene, T_start: NDArray[np.float64], frames: int, rate_hz: float = RATE_HZ) -> Slide:
+    """Return a slide of an object that starts at a pose (4, 4), metres: a figure of eight, pressed more and less.
+
+    `scene` draws it, so its renderer should not be the one that is to locate it. Raises TouchError when the object
+    slides off the sensor.
+    """
+    scene = dataclasses.replace(scene, drawing="pressed")
+    count = 2 * frames - 1
+    phase = np.linspace(0, 2 * np.pi, count)
+    moved = _about_gel(scene, T_start, TURN_RAD * np.sin(phase))
+    moved[:, :2, 3] += REACH_M * np.stack([np.sin(phase), np.sin(2 * phase)], axis=1)
+    poses, touching = scene.in_contact(moved)
+    if not touching.all():
+        raise TouchError(f"{scene.object.name} slides off the sensor; start where more of it is on it")
+    low, high = PRESS
+    press_m = scene.geometry.max_depth_m * (low + (high - low) * 0.5 * (1 - np.cos(5 * phase)))
+    lifted = np.abs(np.linspace(-1, 1, count)) > 1 - 2 * LIFTED
+    press_m[lifted] = -LIFT_M
+    stamps = START_NS + np.round(np.arange(count) * NS / (2 * rate_hz)).astype(np.int64)
+    return Slide(scene, stamps, lowered(poses, press_m), press_m)
+
+
+def _about_gel(scene: Scene, T: NDArray[np.float64], angles_rad: NDArray[np.float64]) -> Poses:
+    """A pose (4, 4), metres, turned by angles (N,) about the middle of the gel: (N, 4, 4)."""
+    x0, x1, y0, y1 = scene.geometry.rectangle
+    middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
+    R = rotation_about([0, 0, 1], angles_rad)
+    return make_transform(R, middle - R @ middle) @ T
+
+
+def as_depths(depth_m: NDArray[np.float32], press_m: NDArray[np.float64]) -> tuple[NDArray[np.float32], str]:
+    """Show a contact shape (H, W), metres, as it is."""
+    return depth_m, "32FC1"
+
+
+def write_slide(path: Path, slide: Slide, show: Show = as_depths) -> Path:
+    """Write a slide as a recording: images, by `show` of contact shape and press, TF, and the truth. Returns the path.
+
+    `/gel/image`, in the frame `gel`; `/tf` of the flange at twice the images' rate, `/tf_static` of the gel on it; the
+    object's true pose on `/object/truth`. Raises OutputError, and MissingLibraryError without mcap and rosbags.
+    """
+
+    def write(writer: RecordingWriter) -> None:
+        first = int(slide.stamps_ns[0])
+        mounted = transform_message({(FLANGE, GEL): T_FLANGE_GEL}, first)
+        writer.write("/tf_static", TF, mounted, first)
+        for number, T_base_flange in enumerate(slide.T_base_flange):
+            stamp = int(slide.stamps_ns[number])
+            writer.write("/tf", TF, transform_message({(BASE, FLANGE): T_base_flange}, stamp), stamp)
+            if number in slide.frames:
+                values, encoding = show(slide.depths_m(number), slide.press_m[number])
+                writer.write(IMAGE_TOPIC, IMAGE, image_message(values, encoding, stamp, GEL), stamp)
+                truth = plain_pose_message(slide.T_sensor_object[number], stamp, GEL)
+                writer.write(TRUTH_TOPIC, POSE_STAMPED, truth, stamp)
+
+    return write_recording(path, write)
+
+
+def truths(slide: Slide) -> Iterator[NDArray[np.float64]]:
+    """Yield T_sensor_object (4, 4), metres, of each image."""
+    yield from (slide.T_sensor_object[number] for number in slide.frames)

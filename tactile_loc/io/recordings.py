@@ -1,0 +1,260 @@
+"""Recordings of ROS topics, without ROS: read from MCAP and from bags of ROS 1 and 2, written as MCAP."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from tactile_loc.core.errors import MissingLibraryError, RecordingError, did_you_mean
+from tactile_loc.core.frame_tree import FrameTree
+from tactile_loc.io.ros_messages import IMAGE_TYPES, STATIC, TF, add_transforms
+from tactile_loc.io.ros_types import CDR, ROS1, TO_INSTALL, Topic, decoded, encoded, topic_of
+from tactile_loc.store.files import write_atomically
+
+FORMATS = "an MCAP file (.mcap), a bag of ROS 1 (.bag), or the folder of a bag of ROS 2"
+
+
+@dataclass(frozen=True, eq=False)
+class Message:
+    """A message of a recording as its bytes; when it was logged and published, ns."""
+
+    topic: Topic
+    log_time_ns: int
+    publish_time_ns: int
+    data: bytes
+
+    def decoded(self) -> Any:
+        """Return the message with its fields. Raises RecordingError when it is damaged or of an unknown encoding."""
+        return decoded(self.topic, self.data)
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a recording holds: how many messages of each topic, and what is wrong with it, if something is."""
+
+    counts: dict[Topic, int]
+    damage: str = ""
+
+    @property
+    def images(self) -> list[Topic]:
+        """The topics of images."""
+        return [topic for topic in self.counts if topic.type in IMAGE_TYPES]
+
+
+class Recording:
+    """A recording, read from its beginning to its end, or to where it is damaged: `damage` then says what is wrong.
+
+    An MCAP file, a bag of ROS 1 (.bag) or the folder of a bag of ROS 2. Messages come in the order of an MCAP file, or
+    of a bag's times. Raises RecordingError when there is no such file or it is no recording.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.damage = ""
+        if not self.path.exists():
+            raise RecordingError(f"there is no recording {self.path}; check the path")
+        self._in_mcap = self.path.is_file() and self.path.suffix.lower() == ".mcap"
+        if not (self._in_mcap or self.path.is_dir() or self.path.suffix.lower() == ".bag"):
+            raise RecordingError(f"{self.path} is no recording; give {FORMATS}")
+
+    def messages(self, *names: str) -> Iterator[Message]:
+        """Yield the messages of the topics of these names, or all. Raises RecordingError when there is none to read."""
+        self.damage = ""
+        found = 0
+        for message in self._from_mcap() if self._in_mcap else self._from_bag():
+            found += 1
+            if not names or message.topic.name in names:
+                yield message
+        if self.damage and not found:
+            raise RecordingError(f"{self.path} cannot be read as a recording ({self.damage}); give {FORMATS}")
+        if self.damage:
+            self.damage = f"{self.path} is damaged or ends early ({self.damage}); its first {found} messages are read"
+
+    def contents(self) -> Contents:
+        """Return what the recording holds. Raises RecordingError when there is nothing that can be read."""
+        counts: dict[Topic, int] = {}
+        for message in self.messages():
+            counts[message.topic] = counts.get(message.topic, 0) + 1
+        return Contents(counts, self.damage)
+
+    def frame_tree(self) -> FrameTree:
+        """Return the frames that topics of type TFMessage speak of. Raises FrameError when they are no tree."""
+        tree = FrameTree()
+        for message in self.messages():
+            if message.topic.type == TF:
+                add_transforms(tree, message.decoded(), fixed=message.topic.name.endswith(STATIC))
+        return tree
+
+    def extras(self) -> Iterator[Any]:
+        """Yield the attachments and metadata of an MCAP file, as the library mcap has them."""
+        from mcap.records import Attachment, Metadata
+
+        if self._in_mcap:
+            yield from (record for record in self._records() if isinstance(record, Attachment | Metadata))
+
+    def _from_mcap(self) -> Iterator[Message]:
+        try:
+            from mcap.records import Channel, Schema
+            from mcap.records import Message as Record
+        except ImportError as error:
+            raise MissingLibraryError(TO_INSTALL) from error
+        schemas: dict[int, Schema] = {}
+        topics: dict[int, Topic] = {}
+        for record in self._records():
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                topics[record.id] = _topic(record, schemas.get(record.schema_id))
+            elif isinstance(record, Record) and record.channel_id in topics:
+                yield Message(topics[record.channel_id], record.log_time, record.publish_time, record.data)
+
+    def _records(self) -> Iterator[Any]:
+        """The records of the data section, to its end or to where it is damaged."""
+        from mcap.exceptions import EndOfFile
+        from mcap.records import DataEnd
+        from mcap.stream_reader import StreamReader
+
+        with self.path.open("rb") as file:
+            try:
+                for record in StreamReader(file, validate_crcs=True).records:
+                    if isinstance(record, DataEnd):
+                        return
+                    yield record
+            except _damages() as error:
+                self.damage = "it breaks off" if isinstance(error, EndOfFile) else _one_line(error)
+
+    def _from_bag(self) -> Iterator[Message]:
+        try:
+            from rosbags.highlevel import AnyReader
+        except ImportError as error:
+            raise MissingLibraryError(TO_INSTALL) from error
+        try:
+            with AnyReader([self.path], default_typestore=None) as reader:
+                encoding = CDR if reader.is2 else ROS1
+                topics = {c.id: _topic_of_bag(c, encoding) for c in reader.connections}
+                for connection, time_ns, data in reader.messages():
+                    yield Message(topics[connection.id], time_ns, time_ns, bytes(data))
+        except _damages() as error:
+            self.damage = _one_line(error)
+
+
+def image_topic(contents: Contents, path: Path, name: str | None) -> Topic:
+    """Return the topic of images called `name`, or the only one.
+
+    Raises RecordingError, which names those there are, when there is none, another or several.
+    """
+    names = [topic.name for topic in contents.images]
+    listed = ", ".join(names)
+    if not names:
+        held = ", ".join(f"{topic.name} ({topic.type})" for topic in contents.counts) or "nothing"
+        raise RecordingError(f"{path} holds no images: no topic of type {' or '.join(IMAGE_TYPES)}; it holds {held}")
+    if name is None and len(names) > 1:
+        raise RecordingError(f"{path} holds images on several topics; choose one by --image-topic: {listed}")
+    if name is not None and name not in names:
+        raise RecordingError(
+            f"{path} has no images on {name}; there are images on {listed}.{did_you_mean(name, names)}"
+        )
+    return contents.images[0 if name is None else names.index(name)]
+
+
+class RecordingWriter:
+    """Writes messages to a file as MCAP."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        try:
+            from mcap.writer import Writer
+        except ImportError as error:
+            raise MissingLibraryError(TO_INSTALL) from error
+        self._writer = Writer(file)
+        self._writer.start(profile="ros2", library="tactile-loc")
+        self._channels: dict[Topic, int] = {}
+        self._schemas: dict[tuple[str, bytes], int] = {}
+
+    def copy(self, message: Message) -> None:
+        """Write a message of another recording as it is."""
+        self._add(message.topic, message.data, message.log_time_ns, message.publish_time_ns)
+
+    def write(self, name: str, type_name: str, message: Any, log_time_ns: int) -> None:
+        """Write a message of a type that ROS comes with to the topic of this name."""
+        self._add(topic_of(name, type_name), encoded(message, type_name), log_time_ns, log_time_ns)
+
+    def copy_extra(self, record: Any) -> None:
+        """Write an attachment or metadata of another recording as it is."""
+        if hasattr(record, "metadata"):
+            self._writer.add_metadata(record.name, record.metadata)
+        else:
+            self._writer.add_attachment(
+                record.create_time, record.log_time, record.name, record.media_type, record.data
+            )
+
+    def finish(self) -> None:
+        """Write what ends the file."""
+        self._writer.finish()
+
+    def _add(self, topic: Topic, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
+        if topic not in self._channels:
+            self._channels[topic] = self._channel(topic)
+        self._writer.add_message(self._channels[topic], log_time_ns, data, publish_time_ns)
+
+    def _channel(self, topic: Topic) -> int:
+        schema = (topic.type, topic.definition)
+        if schema not in self._schemas:
+            self._schemas[schema] = self._writer.register_schema(
+                topic.type, topic.definition_encoding, topic.definition
+            )
+        return self._writer.register_channel(
+            topic.name, topic.message_encoding, self._schemas[schema], dict(topic.metadata)
+        )
+
+
+def write_recording(path: Path, write: Callable[[RecordingWriter], object]) -> Path:
+    """Have `write` fill a recording, whole or not there, and return its path.
+
+    Raises OutputError, and MissingLibraryError without mcap.
+    """
+
+    def write_file(temporary: Path) -> None:
+        with temporary.open("wb") as file:
+            writer = RecordingWriter(file)
+            write(writer)
+            writer.finish()
+
+    return write_atomically(path, write_file)
+
+
+def _topic(channel: Any, schema: Any) -> Topic:
+    name, data, encoding = ("", b"", "") if schema is None else (schema.name, schema.data, schema.encoding)
+    return Topic(
+        channel.topic, _type_name(name), data, encoding, channel.message_encoding, tuple(channel.metadata.items())
+    )
+
+
+def _topic_of_bag(connection: Any, encoding: str) -> Topic:
+    definition = connection.msgdef.data.encode()
+    kind = "ros2idl" if connection.msgdef.format.name == "IDL" else "ros2msg" if encoding == CDR else "ros1msg"
+    return Topic(connection.topic, connection.msgtype, definition, kind, encoding)
+
+
+def _type_name(name: str) -> str:
+    """A type's name as ROS 2 has it: package/msg/Name."""
+    package, _, kind = name.partition("/")
+    return name if "/" in kind or not kind else f"{package}/msg/{kind}"
+
+
+def _damages() -> tuple[type[Exception], ...]:
+    """What reading damaged bytes raises."""
+    import sqlite3
+
+    from mcap.exceptions import McapError
+    from rosbags.highlevel import AnyReaderError
+    from zstandard import ZstdError
+
+    of_libraries = (McapError, AnyReaderError, ZstdError, struct.error, sqlite3.Error)
+    return (OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError, *of_libraries)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,92 @@
+"""The journal of a replay: a line for each finished frame, so that the same command goes on where another ended."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from pydantic import ValidationError
+
+from tactile_loc.core.errors import OutputError
+from tactile_loc.locate.replay import FrameRecord, Replay
+from tactile_loc.locate.result_json import resolved
+from tactile_loc.store.keys import StageKey
+
+VERSION = 1  # of what a frame comes to: raised when a replay would find another answer
+
+
+class Journal:
+    """The frames of a replay that are finished, in a file that is open: `records`, in order.
+
+    A last line that a killed process left half-written is dropped. `stale` says that the file was of another replay.
+    """
+
+    def __init__(self, file: IO[bytes], key: str) -> None:
+        self._file = file
+        lines = file.read().splitlines(keepends=True)
+        head = json.dumps({"replay": key}).encode() + b"\n"
+        self.stale = bool(lines) and lines[0] != head
+        self.records = [] if self.stale else list(_whole(lines[1:]))
+        kept = [head, *lines[1 : 1 + len(self.records)]]
+        file.seek(0)
+        file.truncate()
+        file.writelines(kept)
+        file.flush()
+
+    def append(self, record: FrameRecord) -> None:
+        """Add a finished frame; a process that is killed after this has not lost it."""
+        self._file.write(record.model_dump_json().encode() + b"\n")
+        self._file.flush()
+        self.records.append(record)
+
+
+@contextmanager
+def journal(path: Path, replay: Replay) -> Iterator[Journal]:
+    """Open the journal of a replay, and lock it.
+
+    Raises OutputError when it cannot be written, or another process is at work on it.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("a+b")
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written ({error.strerror}); choose another --out") from error
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise OutputError(f"another process is at work on {path}; wait for it, or choose another --out") from error
+        file.seek(0)
+        yield Journal(file, replay_key(replay))
+
+
+def replay_key(replay: Replay) -> str:
+    """Return a digest of all that decides what the frames come to: the recording and how it is located."""
+    localizer = replay.localizer
+    return StageKey("replay", VERSION, {
+        "recording": _identity(replay.recording.path), "topic": replay.topic.name, "frame": replay.frame,
+        "base_frame": replay.base_frame, "press_depth_m": replay.press_depth_m, "object": localizer.object.describe(),
+        "sensor": localizer.sensor.describe(), "configuration": resolved(localizer.config),
+    }).digest  # fmt: skip
+
+
+def _identity(path: Path) -> list[Any]:
+    """What tells a recording from another, or from a longer one, without reading it."""
+    files = sorted(path.rglob("*")) if path.is_dir() else [path]
+    return [[file.name, file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.is_file()]
+
+
+def _whole(lines: list[bytes]) -> Iterator[FrameRecord]:
+    """The records of lines, up to one that is not whole."""
+    for number, line in enumerate(lines):
+        try:
+            record = FrameRecord.model_validate_json(line)
+        except ValidationError:
+            return
+        if not line.endswith(b"\n") or record.number != number:
+            return
+        yield record
