@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,18 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry import invert, make_transform, rotation_about
-from tactile_loc.core.interfaces import Scene
+from tactile_loc.core.interfaces import Renderer, Scene
+from tactile_loc.core.noise import TouchNoise
 from tactile_loc.core.poses import Poses
+from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.core.simulation import lowered
+from tactile_loc.evaluation.simulated_touches import true_pose
+from tactile_loc.imaging.optics import Optics
+from tactile_loc.imaging.simulate import touch_images
 from tactile_loc.io.recordings import RecordingWriter, write_recording
 from tactile_loc.io.ros_messages import IMAGE, NS, TF
 from tactile_loc.io.ros_types import POSE_STAMPED, image_message, plain_pose_message, transform_message
+from tactile_loc.locate.localizer import Localizer
 
 IMAGE_TOPIC, TRUTH_TOPIC = "/gel/image", "/object/truth"
 BASE, FLANGE, GEL = "base", "flange", "gel"
@@ -28,10 +34,12 @@ REACH_M, TURN_RAD = 3e-3, 0.35  # how far it slides to each side, along x and y,
 PRESS = (0.5, 0.9)  # of the sensor's deepest
 LIFTED = 0.04  # of all frames, at the beginning and at the end: nothing touches
 LIFT_M = 2e-3
+STARTS = 12
+NO_NOISE = TouchNoise()
 T_BASE_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.4, -0.1, 0.2])
 T_FLANGE_GEL = make_transform(rotation_about([0, 0, 1], 0.4) @ rotation_about([0, 1, 0], 0.1), [0.01, 0.0, 0.12])
 
-Show = Callable[[NDArray[np.float32], NDArray[np.float64]], tuple[NDArray[Any], str]]
+Show = Callable[[NDArray[np.float32], float], tuple[NDArray[Any], str]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +47,15 @@ class Slide:
     """Where a sensor saw the object, at times that are evenly spaced; every second one has an image, from the first.
 
     `stamps_ns` (2 N - 1,), `T_sensor_object` (2 N - 1, 4, 4), metres, and the presses `press_m` (2 N - 1,), metres,
-    which are not positive where nothing touches.
+    which are not positive where nothing touches. `noise` is that of what the sensor sees, drawn with a `seed`.
     """
 
     scene: Scene
     stamps_ns: NDArray[np.int64]
     T_sensor_object: Poses
     press_m: NDArray[np.float64]
+    noise: TouchNoise = NO_NOISE
+    seed: int = 0
 
     @property
     def frames(self) -> range:
@@ -62,10 +72,16 @@ class Slide:
         geometry, press = self.scene.geometry, float(self.press_m[number])
         if press <= 0:
             return np.full(geometry.shape, geometry.max_depth_m, np.float32)
-        return self.scene.pressed(press).contact_depths(self.T_sensor_object[number][None])[0]
+        seen = self.scene.pressed(press, geometry.max_depth_m)
+        clean = seen.contact_depths(self.T_sensor_object[number][None])
+        rng, presses = np.random.default_rng([self.seed, number]), np.array([press])
+        measured = self.noise.measure_press(presses, geometry.max_depth_m, rng)
+        return self.noise.cut(self.noise.corrupt(clean, presses, seen.geometry, rng), presses, measured)[0]
 
 
-def slide(scene: Scene, T_start: NDArray[np.float64], frames: int, rate_hz: float = RATE_HZ) -> Slide:
+def slide(
+    scene: Scene, T_start: NDArray[np.float64], frames: int, noise: TouchNoise = NO_NOISE, seed: int = 0
+) -> Slide:
     """Return a slide of an object that starts at a pose (4, 4), metres: a figure of eight, pressed more and less.
 
     `scene` draws it, so its renderer should not be the one that is to locate it. Raises TouchError when the object
@@ -83,8 +99,8 @@ def slide(scene: Scene, T_start: NDArray[np.float64], frames: int, rate_hz: floa
     press_m = scene.geometry.max_depth_m * (low + (high - low) * 0.5 * (1 - np.cos(5 * phase)))
     lifted = np.abs(np.linspace(-1, 1, count)) > 1 - 2 * LIFTED
     press_m[lifted] = -LIFT_M
-    stamps = START_NS + np.round(np.arange(count) * NS / (2 * rate_hz)).astype(np.int64)
-    return Slide(scene, stamps, lowered(poses, press_m), press_m)
+    stamps = START_NS + np.round(np.arange(count) * NS / (2 * RATE_HZ)).astype(np.int64)
+    return Slide(scene, stamps, lowered(poses, press_m), press_m, noise, seed)
 
 
 def _about_gel(scene: Scene, T: NDArray[np.float64], angles_rad: NDArray[np.float64]) -> Poses:
@@ -95,7 +111,37 @@ def _about_gel(scene: Scene, T: NDArray[np.float64], angles_rad: NDArray[np.floa
     return make_transform(R, middle - R @ middle) @ T
 
 
-def as_depths(depth_m: NDArray[np.float32], press_m: NDArray[np.float64]) -> tuple[NDArray[np.float32], str]:
+def random_slide(
+    localizer: Localizer, frames: int, seed: int, noise: TouchNoise = NO_NOISE, renderer: Renderer | None = None
+) -> Slide:
+    """Return a slide that starts at a simulated touch.
+
+    A `renderer` draws it, by default the localizer's own.
+
+    Raises TouchError when the object slides off the sensor wherever it starts.
+    """
+    scene = dataclasses.replace(localizer.scene, renderer=renderer or localizer.scene.renderer)
+    for touch in localizer.simulate(STARTS, seed):
+        try:
+            return slide(scene, true_pose(touch), frames, noise, seed)
+        except TouchError as error:
+            refused = error
+    raise refused
+
+
+class Photos:
+    """Shows what the camera of a sensor sees, by `tactile_loc.imaging`; its noise is drawn with a `seed`."""
+
+    def __init__(self, geometry: SensorGeometry, optics: Optics, seed: int) -> None:
+        self._geometry, self._optics, self._rng = geometry, optics, np.random.default_rng(seed)
+
+    def __call__(self, depth_m: NDArray[np.float32], press_m: float) -> tuple[NDArray[Any], str]:
+        """Return the photo (H, W, 3) of a contact shape (H, W), metres."""
+        press = press_m if press_m > 0 else self._geometry.max_depth_m
+        return touch_images(depth_m[None], [press], self._geometry, self._optics, self._rng)[0], "rgb8"
+
+
+def as_depths(depth_m: NDArray[np.float32], press_m: float) -> tuple[NDArray[Any], str]:
     """Show a contact shape (H, W), metres, as it is."""
     return depth_m, "32FC1"
 
@@ -115,14 +161,9 @@ def write_slide(path: Path, slide: Slide, show: Show = as_depths) -> Path:
             stamp = int(slide.stamps_ns[number])
             writer.write("/tf", TF, transform_message({(BASE, FLANGE): T_base_flange}, stamp), stamp)
             if number in slide.frames:
-                values, encoding = show(slide.depths_m(number), slide.press_m[number])
+                values, encoding = show(slide.depths_m(number), float(slide.press_m[number]))
                 writer.write(IMAGE_TOPIC, IMAGE, image_message(values, encoding, stamp, GEL), stamp)
                 truth = plain_pose_message(slide.T_sensor_object[number], stamp, GEL)
                 writer.write(TRUTH_TOPIC, POSE_STAMPED, truth, stamp)
 
     return write_recording(path, write)
-
-
-def truths(slide: Slide) -> Iterator[NDArray[np.float64]]:
-    """Yield T_sensor_object (4, 4), metres, of each image."""
-    yield from (slide.T_sensor_object[number] for number in slide.frames)

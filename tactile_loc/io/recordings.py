@@ -246,13 +246,12 @@ def _type_name(name: str) -> str:
 
 def _damages() -> tuple[type[Exception], ...]:
     """What reading damaged bytes raises."""
-    import sqlite3
-
+    import apsw
     from mcap.exceptions import McapError
     from rosbags.highlevel import AnyReaderError
     from zstandard import ZstdError
 
-    of_libraries = (McapError, AnyReaderError, ZstdError, struct.error, sqlite3.Error)
+    of_libraries = (McapError, AnyReaderError, ZstdError, struct.error, apsw.Error)
     return (OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError, *of_libraries)
 
 

@@ -29,6 +29,14 @@ Lamps = Annotated[
         "one of these, else gelslim. Implies --images.",
     ),
 ]  # fmt: skip
+RecordingFile = Annotated[
+    Path | None,
+    options.declare(
+        "--recording", "FILE.mcap",
+        "Instead of single touches, write a ROS recording of a slide over the object: --count images, with TF and the "
+        "true poses. Depths in metres; with --images, photos.",
+    ),
+]  # fmt: skip
 
 
 def simulate(
@@ -47,6 +55,7 @@ def simulate(
         bool, typer.Option("--images", help="Also write what the camera sees: NAME.png for a touch, background.png.")
     ] = False,
     optics: Lamps = None,
+    recording: RecordingFile = None,
     seed: options.Seed = None,
     out: Annotated[
         Path, options.declare("--out", "FOLDER", "Where touches, poses.json and touches.png go.")
@@ -65,8 +74,10 @@ def simulate(
         )
     )  # fmt: skip
     seen_by = _optics(optics or settings.sensor.name, optics is not None) if images or optics is not None else None
-    require_writable(out)
+    require_writable(out if recording is None else recording.parent)
     localizer = options.open_localizer(settings, None)
+    if recording is not None:
+        return _write_recording(recording, localizer, count, seen_by)
     touches = localizer.simulate(count, settings.seed, options.press_depth_m(settings), settings.touch.noise)
     record = _write(localizer, touches, out)
     if seen_by is not None:
@@ -78,6 +89,22 @@ def simulate(
     names = [touch.name for touch in touches]
     pictures = [] if seen_by is None else [str(out / f"{name}.png") for name in names]
     return {"folder": str(out), "touches": [str(out / f"{name}.npz") for name in names], "images": pictures, **record}
+
+
+def _write_recording(path: Path, localizer: Localizer, images: int, optics: Optics | None) -> dict[str, Any]:
+    """Write a slide over the object as a recording."""
+    from tactile_loc.core.errors import OutputError
+    from tactile_loc.core.noise import noise_level
+    from tactile_loc.evaluation.slides import IMAGE_TOPIC, TRUTH_TOPIC, Photos, as_depths, random_slide, write_slide
+
+    if path.suffix.lower() != ".mcap":
+        raise OutputError(f"a recording is written as .mcap, not as {path.name}; choose another name")
+    config = localizer.config
+    slide = random_slide(localizer, images, config.seed, noise_level(config.touch.noise))
+    show = as_depths if optics is None else Photos(localizer.scene.geometry, optics, config.seed)
+    write_slide(path, slide, show)
+    say(f"written: {images} images on {IMAGE_TOPIC}, TF, and true poses on {TRUTH_TOPIC}, in {path}")
+    return {"recording": str(path), "images": images, "image_topic": IMAGE_TOPIC, "truth_topic": TRUTH_TOPIC}
 
 
 def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, Any]:
