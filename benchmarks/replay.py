@@ -24,10 +24,10 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
 
-from tactile_loc.core.hand_eye import pose_errors
 from tactile_loc.core.noise import NOISE
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.registry import registry
+from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
 from tactile_loc.evaluation.slides import BASE, IMAGE_TOPIC, T_BASE_OBJECT, Slide, random_slide, write_slide
 from tactile_loc.io.recordings import Recording
 from tactile_loc.io.ros_messages import pose_of, stamp_ns
@@ -59,13 +59,14 @@ def replayed(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, f
 
 def errors(localizer: Localizer, poses: list[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Surface distances to the truth (N,), metres, and of those near it squared errors over their covariances."""
+    metric = PoseMetric(localizer.object)
     T = np.stack([pose_of(message).T for message in poses])
     truth = np.broadcast_to(T_BASE_OBJECT, T.shape)
     covariances = np.stack([np.reshape(pose_of(message).covariance, (6, 6)) for message in poses])
-    error_m = PoseMetric(localizer.object).symmetric_distance(T, truth)
-    near = (error_m < NEAR_M) & (covariances[:, 0, 0] > 0)
-    e = pose_errors(truth, T)[near]
-    return error_m, np.einsum("ni,ni->n", e, np.linalg.solve(covariances[near], e[..., None])[..., 0])
+    error_m = metric.symmetric_distance(T, truth)
+    near = np.flatnonzero((error_m < NEAR_M) & (covariances[:, 0, 0] > 0))
+    squared = [normalised_error_squared(metric, T[k], covariances[k], T_BASE_OBJECT) for k in near]
+    return error_m, np.array(squared)
 
 
 def row(localizer: Localizer, slide: Slide, level: str, folder: Path) -> str:

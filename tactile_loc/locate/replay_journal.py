@@ -31,11 +31,10 @@ class Journal:
         head = json.dumps({"replay": key}).encode() + b"\n"
         self.stale = bool(lines) and lines[0] != head
         self.records = [] if self.stale else list(_whole(lines[1:]))
-        kept = [head, *lines[1 : 1 + len(self.records)]]
-        file.seek(0)
-        file.truncate()
-        file.writelines(kept)
-        file.flush()
+        file.truncate(0 if self.stale else sum(map(len, lines[: 1 + len(self.records)])))
+        if self.stale or not lines:
+            file.write(head)
+            file.flush()
 
     def append(self, record: FrameRecord) -> None:
         """Add a finished frame; a process that is killed after this has not lost it."""
@@ -46,7 +45,7 @@ class Journal:
 
 @contextmanager
 def journal(path: Path, replay: Replay) -> Iterator[Journal]:
-    """Open the journal of a replay, and lock it.
+    """Open the journal of a replay, and lock it; one without any frame is not kept.
 
     Raises OutputError when it cannot be written, or another process is at work on it.
     """
@@ -61,7 +60,12 @@ def journal(path: Path, replay: Replay) -> Iterator[Journal]:
         except OSError as error:
             raise OutputError(f"another process is at work on {path}; wait for it, or choose another --out") from error
         file.seek(0)
-        yield Journal(file, replay_key(replay))
+        kept = Journal(file, replay_key(replay))
+        try:
+            yield kept
+        finally:
+            if not kept.records:
+                path.unlink()
 
 
 def replay_key(replay: Replay) -> str:

@@ -1,0 +1,134 @@
+"""`tactile-loc replay`: a simulated recording in, poses out that another library reads; bad input is one sentence."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_helpers import TINY, assert_refused
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from tactile_loc.core.hand_eye import pose_errors
+from tactile_loc.evaluation.slides import T_BASE_OBJECT, T_FLANGE_GEL
+from tactile_loc.io.recordings import Recording, write_recording
+from tactile_loc.io.ros_messages import IMAGE, TF, pose_of, stamp_ns, transform
+from tactile_loc.io.ros_types import image_message, transform_message
+
+HEAD = ["--object", "head", "--sensor", "gelslim"]
+LOCATED = [*HEAD, *TINY, "-o", "temperature=0.001"]  # which need not be fitted then
+IMAGES = 14
+
+
+@pytest.fixture(scope="module")
+def slide(tmp_path_factory) -> Path:
+    """A slide over the head, drawn by another renderer."""
+    from tactile_loc_cli.main import app
+    from typer.testing import CliRunner
+
+    path = tmp_path_factory.mktemp("slide") / "slide.mcap"
+    words = ["simulate", *HEAD, *TINY, "--renderer", "zbuffer", "--seed", 3, "--count", IMAGES, "--recording", path]
+    done = CliRunner().invoke(app, [*map(str, words)], prog_name="tactile-loc")
+    assert done.exit_code == 0, done.stderr
+    return path
+
+
+def decoded(path: Path | str, topic: str) -> list:
+    with Path(path).open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        return [(m.message.log_time, m.decoded_message) for m in reader.iter_decoded_messages(topics=[topic])]
+
+
+def test_poses_are_near_the_truth_in_the_base_frame(cli, slide):
+    done = cli("replay", slide, "--image-topic", "/gel/image", *LOCATED, "--base-frame", "base", "--json")
+    assert done.exit_code == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert said["written"] == ["slide-poses.mcap", "slide-poses.csv", "slide-poses.json"]
+    assert (said["frames"], said["no_contact"], said["refused"], said["resumed"]) == (IMAGES, 2, 0, 0)
+    images, poses = decoded("slide-poses.mcap", "/gel/image"), decoded("slide-poses.mcap", "/object/pose")
+    assert len(images) == IMAGES
+    assert [time for time, _ in poses] == [time for time, _ in images[1:-1]]
+    errors = np.array([pose_errors(pose_of(pose).T, T_BASE_OBJECT) for _, pose in poses])
+    assert np.median(np.linalg.norm(errors[:, :3], axis=1)) < 1e-3
+    for (_, image), (_, pose) in zip(images[1:-1], poses, strict=True):
+        assert stamp_ns(pose.header) == stamp_ns(image.header)
+        assert pose.header.frame_id == "base"
+        assert np.linalg.eigvalsh(np.reshape(pose.pose.covariance, (6, 6))).min() > 0
+    rows = list(csv.DictReader(Path("slide-poses.csv").read_text().splitlines()))
+    frames = json.loads(Path("slide-poses.json").read_text())["poses"]
+    assert [row["outcome"] for row in rows] == [frame["outcome"] for frame in frames]
+    assert float(rows[5]["x_mm"]) == pytest.approx(1e3 * frames[5]["T_frame_object"][0][3], abs=1e-3)
+    assert float(rows[5]["x_mm"]) == pytest.approx(1e3 * poses[4][1].pose.pose.position.x, abs=1e-3)
+
+
+def test_the_simulated_recording_says_the_truth(slide):
+    """What it says of the object in the sensor's frame, its TF puts at one place of the base."""
+    tree = Recording(slide).frame_tree()
+    for _, message in decoded(slide, "/object/truth"):
+        p, q = message.pose.position, message.pose.orientation
+        T_gel_object = transform(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
+        T_base_gel = tree.lookup("base", "gel", stamp_ns(message.header))
+        np.testing.assert_allclose(T_base_gel @ T_gel_object, T_BASE_OBJECT, atol=1e-9)
+    np.testing.assert_allclose(tree.lookup("flange", "gel", 0), T_FLANGE_GEL, atol=1e-12)
+
+
+def test_an_interrupted_replay_is_resumed(cli, slide, monkeypatch):
+    from tactile_loc.locate.localizer import Localizer
+
+    whole, calls = Localizer.localize, []
+
+    def interrupted(self, touch, *rest, **options):
+        calls.append(touch)
+        if len(calls) == 6:
+            raise KeyboardInterrupt
+        return whole(self, touch, *rest, **options)
+
+    words = ["replay", slide, *LOCATED, "--out", "out.mcap", "--poses-only"]
+    with monkeypatch.context() as patch:
+        patch.setattr(Localizer, "localize", interrupted)
+        done = cli(*words)
+    assert (done.exit_code, Path("out.mcap").exists()) == (130, False)
+    assert "run the same command again to resume" in done.stderr
+    done = cli(*words)
+    assert done.exit_code == 0, done.stderr
+    assert "; 6 of them were finished before" in done.stdout
+    assert len(decoded("out.mcap", "/object/pose")) == IMAGES - 2
+    assert decoded("out.mcap", "/gel/image") == []
+    assert sorted(path.name for path in Path().iterdir()) == ["out.csv", "out.json", "out.mcap"]
+
+
+def test_of_a_recording_that_breaks_off_what_is_there_is_located(cli, slide):
+    Path("cut.mcap").write_bytes(slide.read_bytes()[: slide.stat().st_size // 2])
+    done = cli("replay", "cut.mcap", *LOCATED, "--frame", "sensor")
+    assert done.exit_code == 0, done.stderr
+    assert "warning: cut.mcap is damaged or ends early" in done.stderr
+    poses = decoded("cut-poses.mcap", "/object/pose")
+    assert 0 < len(poses) < IMAGES - 2
+    assert {pose.header.frame_id for _, pose in poses} == {"sensor"}
+
+
+def test_what_cannot_be_replayed_is_one_sentence(cli, slide):
+    def images(name: str, encoding: str) -> str:
+        message = image_message(np.zeros((200, 200), np.uint8), "mono8", 0, "gel")
+        message.encoding = encoding
+        return str(write_recording(Path(name), lambda w: w.write("/gel/image", IMAGE, message, 0)))
+
+    moving = write_recording(Path("tf.mcap"), lambda w: w.write("/tf", TF, transform_message({}, 0), 0))
+    for words, mentioned in (
+        (["none.mcap"], "there is no recording none.mcap"),
+        ([slide, "--image-topic", "/gel/imag"], "there are images on /gel/image. Did you mean"),
+        ([slide, "--base-frame", "bass"], "there is no frame 'bass'; there are: base, flange, gel"),
+        ([slide, "--base-frame", "base", "--frame", "gol"], "there is no frame 'gol'"),
+        ([slide, "--pose-topic", "/object/truth"], "has messages on /object/truth already"),
+        ([slide, "--out", slide], "is the recording that is to be read"),
+        ([slide, "--out", "poses.csv"], "written as .mcap"),
+        ([moving], "holds no images"),
+        ([images("yuv.mcap", "yuv422")], "encoding 'yuv422' cannot be read; convert them to one of rgb8"),
+        ([images("grey.mcap", "mono8")], "has no calibration for images"),
+    ):
+        assert_refused(cli("replay", *words, *LOCATED), mentioned)
+    assert_refused(cli("simulate", *HEAD, "--recording", "slide.bag"), "a recording is written as .mcap")
+    assert sorted(path.name for path in Path().iterdir()) == ["grey.mcap", "tf.mcap", "yuv.mcap"]

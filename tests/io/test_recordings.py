@@ -1,0 +1,232 @@
+"""Recordings: written by one library and read by others, bags of ROS 1 and 2, damaged files, topics that lack."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
+
+from tactile_loc.core.errors import OutputError, RecordingError
+from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.io.recordings import Recording, RecordingWriter, image_topic, write_recording
+from tactile_loc.io.ros_messages import IMAGE, POSE, TF, RosPose, image_array, pose_of, stamp_ns
+from tactile_loc.io.ros_types import image_message, pose_message, topic_of, transform_message
+
+S = 1_000_000_000
+T = make_transform(rotation_about([1, 2, 3], 0.7), [0.1, -0.2, 0.3])
+IMAGES = np.random.default_rng(0).integers(0, 256, (6, 30, 40, 3), np.uint8)
+
+
+def fill(writer: RecordingWriter) -> None:
+    """Six images, a transform before each, and a pose after."""
+    writer.write("/tf_static", TF, transform_message({("flange", "gel"): T}, 0), 0)
+    for k, image in enumerate(IMAGES):
+        writer.write("/tf", TF, transform_message({("base", "flange"): T}, k * S), k * S)
+        writer.write("/gel/image", IMAGE, image_message(image, "rgb8", k * S + 7, "gel"), k * S + 9)
+        pose = RosPose.of(T, np.diag(np.arange(1.0, 7.0)))
+        writer.write("/object/pose", POSE, pose_message(pose, k * S + 7, "gel"), k * S + 9)
+
+
+@pytest.fixture
+def recorded(tmp_path) -> Path:
+    return write_recording(tmp_path / "drive.mcap", fill)
+
+
+def in_chunks(path: Path, compression: CompressionType, chunk: int) -> Path:
+    """The same images, in chunks of some bytes."""
+    with path.open("wb") as file:
+        writer = Writer(file, compression=compression, chunk_size=chunk, use_chunking=chunk > 0)
+        writer.start()
+        topic = topic_of("/gel/image", IMAGE)
+        schema = writer.register_schema(IMAGE, "ros2msg", topic.definition)
+        channel = writer.register_channel(topic.name, "cdr", schema)
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        for k, image in enumerate(IMAGES):
+            data = store.serialize_cdr(image_message(image, "rgb8", k, "gel"), IMAGE)
+            writer.add_message(channel, k, bytes(data), k)
+        writer.finish()
+    return path
+
+
+def test_another_library_reads_what_is_written(recorded):
+    with recorded.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        found = [(m.channel.topic, m.message.log_time, m.decoded_message) for m in reader.iter_decoded_messages()]
+        assert reader.get_summary().statistics.message_count == 19
+    images = [(time, message) for topic, time, message in found if topic == "/gel/image"]
+    for k, (time, message) in enumerate(images):
+        assert (time, stamp_ns(message.header), message.header.frame_id) == (k * S + 9, k * S + 7, "gel")
+        np.testing.assert_array_equal(image_array(message), IMAGES[k])
+    pose = next(message for topic, _, message in found if topic == "/object/pose")
+    np.testing.assert_allclose(pose_of(pose).T, T, atol=1e-12)
+    assert list(pose.pose.covariance)[::7] == [1, 2, 3, 4, 5, 6]
+
+
+def test_what_is_written_is_read(recorded):
+    recording = Recording(recorded)
+    contents = recording.contents()
+    assert {topic.name: count for topic, count in contents.counts.items()} == {
+        "/tf_static": 1, "/tf": 6, "/gel/image": 6, "/object/pose": 6
+    }  # fmt: skip
+    assert image_topic(contents, recorded, None).name == "/gel/image"
+    for k, message in enumerate(recording.messages("/gel/image")):
+        assert message.log_time_ns == k * S + 9
+        np.testing.assert_array_equal(image_array(message.decoded()), IMAGES[k])
+    np.testing.assert_allclose(recording.frame_tree().lookup("base", "gel", S), T @ T, atol=1e-12)
+    assert recording.damage == ""
+
+
+def test_a_copy_is_the_same_with_its_attachments(recorded, tmp_path):
+    with recorded.open("rb") as file:
+        before = [(m.topic, c.data) for _, m, c in make_reader(file).iter_messages()]
+    noted = tmp_path / "noted.mcap"
+    with noted.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_attachment(1, 2, "mount.toml", "text/plain", b"xyz")
+        writer.add_metadata("robot", {"arm": "left"})
+        writer.finish()
+
+    def copy(writer: RecordingWriter) -> None:
+        for message in Recording(recorded).messages():
+            writer.copy(message)
+        for extra in Recording(noted).extras():
+            writer.copy_extra(extra)
+
+    copied = write_recording(tmp_path / "copy.mcap", copy)
+    with copied.open("rb") as file:
+        reader = make_reader(file)
+        assert [(m.topic, c.data) for _, m, c in reader.iter_messages()] == before
+        assert [a.data for a in reader.iter_attachments()] == [b"xyz"]
+        assert [m.metadata for m in reader.iter_metadata()] == [{"arm": "left"}]
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite", "mcap"])
+def test_bags_are_read(tmp_path, kind):
+    store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
+    path = tmp_path / ("drive.bag" if kind == "ros1" else "drive")
+    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+    with Writer1(path) if kind == "ros1" else Writer2(path, version=9, storage_plugin=plugin) as writer:
+        connection = writer.add_connection("/gel/image", IMAGE, typestore=store)
+        for k, image in enumerate(IMAGES):
+            message = image_message(image, "rgb8", k * S + 7, "gel")
+            if kind == "ros1":
+                stamp = store.types["builtin_interfaces/msg/Time"](k, 7)
+                message.header = store.types["std_msgs/msg/Header"](k, stamp, "gel")
+                writer.write(connection, k * S + 9, store.serialize_ros1(message, IMAGE))
+            else:
+                writer.write(connection, k * S + 9, store.serialize_cdr(message, IMAGE))
+    recording = Recording(path)
+    ((topic, count),) = recording.contents().counts.items()
+    assert (topic.name, topic.type, count) == ("/gel/image", IMAGE, 6)
+    for k, found in enumerate(recording.messages()):
+        message = found.decoded()
+        assert (found.log_time_ns, stamp_ns(message.header)) == (k * S + 9, k * S + 7)
+        np.testing.assert_array_equal(image_array(message), IMAGES[k])
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4, CompressionType.NONE])
+@pytest.mark.parametrize("chunk", [0, 1000])
+def test_of_a_recording_that_breaks_off_the_beginning_is_read(tmp_path, compression, chunk):
+    whole = in_chunks(tmp_path / "whole.mcap", compression, chunk).read_bytes()
+    counts = []
+    for share in (0.3, 0.6, 0.9):
+        (cut := tmp_path / "cut.mcap").write_bytes(whole[: int(share * len(whole))])
+        recording = Recording(cut)
+        contents = recording.contents()
+        assert "damaged or ends early" in contents.damage
+        counts.append(sum(contents.counts.values()))
+        assert f"its first {counts[-1]} messages" in contents.damage
+        for k, message in enumerate(recording.messages()):
+            np.testing.assert_array_equal(image_array(message.decoded()), IMAGES[k])
+    assert counts[0] >= 1
+    assert counts[0] < counts[1] < counts[2] <= 6
+
+
+def test_a_damaged_chunk_is_not_read(tmp_path):
+    path = in_chunks(tmp_path / "drive.mcap", CompressionType.NONE, 1000)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(data)
+    recording = Recording(path)
+    found = list(recording.messages())
+    assert 0 < len(found) < 6
+    assert "crc" in recording.damage.lower()
+
+
+def test_a_lost_index_is_no_damage(recorded):
+    recorded.write_bytes(recorded.read_bytes()[:-20])
+    assert Recording(recorded).contents().damage == ""
+
+
+def test_what_is_no_recording_is_one_sentence(tmp_path):
+    (tmp_path / "text.mcap").write_text("no recording at all")
+    (tmp_path / "empty.mcap").touch()
+    (tmp_path / "text.bag").write_text("no bag")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "touch.npz").touch()
+    for name, mentioned in (
+        ("none.mcap", "there is no recording"), ("text.mcap", "cannot be read as a recording"),
+        ("empty.mcap", "cannot be read as a recording"), ("text.bag", "cannot be read as a recording"),
+        ("folder", "cannot be read as a recording"), ("touch.npz", "is no recording; give an MCAP file"),
+    ):  # fmt: skip
+        with pytest.raises(RecordingError, match=mentioned) as caught:
+            Recording(tmp_path / name).contents()
+        assert name in str(caught.value)
+
+
+def test_topics_that_lack_are_answered_by_those_there_are(recorded, tmp_path):
+    contents = Recording(recorded).contents()
+    with pytest.raises(RecordingError, match=r"no images on /gel/imag; there are images on /gel/image\. Did you mean"):
+        image_topic(contents, recorded, "/gel/imag")
+
+    def two(writer: RecordingWriter) -> None:
+        for name in ("/left", "/right"):
+            writer.write(name, IMAGE, image_message(IMAGES[0], "rgb8", 0, "gel"), 0)
+
+    several = write_recording(tmp_path / "two.mcap", two)
+    with pytest.raises(RecordingError, match="choose one by --image-topic: /left, /right"):
+        image_topic(Recording(several).contents(), several, None)
+    moving = write_recording(tmp_path / "tf.mcap", lambda w: w.write("/tf", TF, transform_message({}, 0), 0))
+    with pytest.raises(RecordingError, match=r"holds no images.*it holds /tf \(tf2_msgs/msg/TFMessage\)"):
+        image_topic(Recording(moving).contents(), moving, None)
+
+
+def test_messages_of_other_kinds_are_refused_when_they_are_needed(tmp_path):
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("sensor_msgs/Image", "protobuf", b"")
+        writer.add_message(writer.register_channel("/gel/image", "protobuf", schema), 0, b"1234", 0)
+        schema = writer.register_schema("sensor_msgs/msg/Image", "ros2msg", topic_of("/x", IMAGE).definition)
+        writer.add_message(writer.register_channel("/bad", "cdr", schema), 0, b"\0\1\0\0stray bytes", 0)
+        writer.finish()
+    other, stray = Recording(path).messages()
+    with pytest.raises(RecordingError, match="written as protobuf; only those of ROS 2"):
+        other.decoded()
+    with pytest.raises(RecordingError, match="a message of /bad is no sensor_msgs/msg/Image"):
+        stray.decoded()
+
+
+def test_a_recording_is_written_whole_or_not_at_all(recorded):
+    before = recorded.read_bytes()
+
+    def fail(writer: RecordingWriter) -> None:
+        fill(writer)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_recording(recorded, fail)
+    assert recorded.read_bytes() == before
+    assert [path.name for path in recorded.parent.iterdir()] == ["drive.mcap"]
+    with pytest.raises(OutputError):
+        write_recording(recorded / "below.mcap", fill)
