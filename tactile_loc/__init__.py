@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from tactile_loc.core.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from tactile_loc.core.errors import NoContactError as NoContactError
     from tactile_loc.core.errors import TactileLocError as TactileLocError
     from tactile_loc.core.objects import ObjectModel as ObjectModel
     from tactile_loc.core.objects import TriangleMesh as TriangleMesh
@@ -26,7 +27,10 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing import Touch as Touch
     from tactile_loc.io.config import RunConfig as RunConfig
     from tactile_loc.io.meshes import load_object as load_object
+    from tactile_loc.io.ros_messages import RosPose as RosPose
+    from tactile_loc.io.ros_messages import image_array as image_array
     from tactile_loc.io.touches import read_touch as read_touch
+    from tactile_loc.io.touches import touch_from_image as touch_from_image
     from tactile_loc.io.touches import write_touch as write_touch
     from tactile_loc.locate.localizer import Localizer as Localizer
     from tactile_loc.locate.localizer import localize_together as localize_together

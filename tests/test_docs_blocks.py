@@ -22,6 +22,7 @@ from typer.testing import CliRunner
 
 from tactile_loc import Localizer, load_object, write_touch
 from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.evaluation.slides import random_slide, write_slide
 from tactile_loc.io.mount_files import MountRecord, write_mount
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.sensor_files import read_sensor_file
@@ -54,6 +55,7 @@ CHEAPER = {
     "evaluate": [*COARSE, "--count", "2"],
     "calibrate": ["-o", "steps=20", "-o", "hidden=4"],
     "mount": ["-o", "temperature=0.001"],
+    "replay": [*COARSE, "-o", "temperature=0.001"],
 }
 Block = tuple[str, str]
 
@@ -112,6 +114,7 @@ def furnished(tmp_path_factory, store) -> Path:
     write_touch(folder / "touch.npz", localizer.simulate(1, seed=3)[0])
     (folder / "touches.toml").write_text('[[touch]]\npath = "first.npz"\n\n[[touch]]\npath = "second.npz"\n')
     mounted(folder)
+    write_slide(folder / "drive.mcap", random_slide(localizer, 3, seed=0))
     (folder / "prior.toml").write_text(
         'kind = "half-space"\nframe = "sensor"\nnormal = [0, 0, -1]\nplane_point_mm = [0, 0, 100]\n'
     )

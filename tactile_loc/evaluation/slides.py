@@ -32,7 +32,7 @@ START_NS = 1_700_000_000 * NS
 RATE_HZ = 30.0
 REACH_M, TURN_RAD = 3e-3, 0.35  # how far it slides to each side, along x and y, and turns
 PRESS = (0.5, 0.9)  # of the sensor's deepest
-LIFTED = 0.04  # of all frames, at the beginning and at the end: nothing touches
+LIFTED = 0.04  # of all images, at the beginning and at the end: nothing touches
 LIFT_M = 2e-3
 STARTS = 12
 NO_NOISE = TouchNoise()
@@ -97,8 +97,8 @@ def slide(
         raise TouchError(f"{scene.object.name} slides off the sensor; start where more of it is on it")
     low, high = PRESS
     press_m = scene.geometry.max_depth_m * (low + (high - low) * 0.5 * (1 - np.cos(5 * phase)))
-    lifted = np.abs(np.linspace(-1, 1, count)) > 1 - 2 * LIFTED
-    press_m[lifted] = -LIFT_M
+    lifted = 2 * round(LIFTED * frames)
+    press_m[:lifted] = press_m[count - lifted :] = -LIFT_M
     stamps = START_NS + np.round(np.arange(count) * NS / (2 * RATE_HZ)).astype(np.int64)
     return Slide(scene, stamps, lowered(poses, press_m), press_m, noise, seed)
 

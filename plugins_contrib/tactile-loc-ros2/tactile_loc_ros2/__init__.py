@@ -1,0 +1,1 @@
+"""A ROS 2 node for tactile-loc: images of the gel in, poses with covariance out."""

@@ -1,0 +1,92 @@
+"""The node `tactile_loc`: subscribes to images of the gel, publishes where the object is."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from tactile_loc import Localizer, TactileLocError
+from tactile_loc.plugin import MissingLibraryError
+
+from tactile_loc_ros2.locator import ImageLocator
+
+NO_ROS = (
+    "the node needs rclpy, which comes with ROS 2 and not from PyPI; source a ROS 2 installation, as "
+    "`source /opt/ros/jazzy/setup.bash`, whose Python is the one that tactile-loc is installed for"
+)
+
+
+def ros(module: str) -> Any:
+    """Return a module of ROS 2. Raises MissingLibraryError, which says what to do, where there is none."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise MissingLibraryError(f"{NO_ROS} ({error})") from error
+
+
+def run(locator: ImageLocator, image_topic: str, compressed: bool, pose_topic: str, arguments: Sequence[str]) -> None:
+    """Answer images by poses until ROS shuts down; of images that come while one is located, only the last is kept."""
+    rclpy, qos = ros("rclpy"), ros("rclpy.qos")
+    kind = ros("sensor_msgs.msg").CompressedImage if compressed else ros("sensor_msgs.msg").Image
+    answered = ros("geometry_msgs.msg").PoseWithCovarianceStamped
+    rclpy.init(args=list(arguments))
+    node = rclpy.create_node("tactile_loc")
+    publisher = node.create_publisher(answered, pose_topic, 10)
+
+    def on_image(image: Any) -> None:
+        answer = locator.answer(image)
+        if answer.pose is not None:
+            publisher.publish(locator.fill(answered(), answer.pose, image))
+        elif answer.touches:
+            node.get_logger().warning(answer.says, throttle_duration_sec=1.0)
+
+    newest = qos.QoSProfile(depth=1, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
+    node.create_subscription(kind, image_topic, on_image, newest)
+    node.get_logger().info(f"locating the images on {image_topic}, poses on {pose_topic}")
+    try:
+        rclpy.spin(node)
+    except KeyboardInterrupt:
+        node.get_logger().info("interrupted")
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the node by the words of the command line; what it does not know goes to ROS. Returns the exit code."""
+    given, rest = _parser().parse_known_args(words)
+    try:
+        ros("rclpy")  # before minutes of building a model
+        localizer = Localizer.create(given.object, units=given.units, sensor=_sensor(given.sensor))
+        localizer.localize(localizer.simulate(1)[0])  # builds the model, compiles
+        press_m = None if given.press_depth is None else 1e-3 * given.press_depth
+        locator = ImageLocator(localizer, given.frame, press_m)
+        run(locator, given.image_topic, given.compressed, given.pose_topic, rest)
+    except TactileLocError as error:
+        sys.stderr.write(f"error: {type(error).__name__}: {error}\n")
+        return 2
+    return 0
+
+
+def _sensor(given: str) -> str | dict[str, str]:
+    """A sensor's name, or what reads its description or its calibration."""
+    if given.endswith(".toml"):
+        return {"name": "file", "path": given}
+    return {"name": "calibrated", "path": given} if Path(given).is_dir() else given
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="tactile-loc-ros2", description=__doc__)
+    parser.add_argument("--object", required=True, help="mesh file or demo object")
+    parser.add_argument("--units", default="auto", help="unit of the mesh file: m, mm, cm, inch")
+    parser.add_argument("--sensor", required=True, help="a sensor's name, its .toml file, or its calibration's folder")
+    parser.add_argument("--image-topic", required=True, help="images of the gel, or contact shapes (32FC1, metres)")
+    parser.add_argument("--compressed", action="store_true", help="the images are CompressedImage")
+    parser.add_argument("--pose-topic", default="/object/pose", help="where poses go")
+    parser.add_argument("--frame", default="", help="the sensor's frame; by default as the images say")
+    parser.add_argument("--press-depth", type=float, help="how deep the press was, mm; by default as the image shows")
+    return parser

@@ -1,0 +1,183 @@
+"""The node's logic without ROS; the node itself against a stand-in for rclpy that keeps what is published."""
+
+from __future__ import annotations
+
+import sys
+from io import BytesIO
+from types import ModuleType
+from types import SimpleNamespace as Fields
+
+import numpy as np
+import pytest
+from PIL import Image
+from tactile_loc import Localizer, TactileLocError
+from tactile_loc.plugin import MissingLibraryError, RefinedPose
+
+from tactile_loc_ros2 import node
+from tactile_loc_ros2.locator import ImageLocator
+
+T = np.array([[0, -1, 0, 0.001], [1, 0, 0, 0.002], [0, 0, 1, 0.003], [0, 0, 0, 1.0]])
+C = np.diag(np.arange(1.0, 7.0))
+DEPTH = np.full((200, 200), 0.002, np.float32)
+DEPTH[50:90, 60:150] = 0.0
+STAMP = Fields(sec=5, nanosec=7)
+
+
+def depth_image(depth: np.ndarray = DEPTH, **fields) -> Fields:
+    h, w = depth.shape
+    given = {"encoding": "32FC1", "is_bigendian": 0, "step": 4 * w, "data": depth.tobytes(), **fields}
+    return Fields(header=Fields(stamp=STAMP, frame_id="gel"), height=h, width=w, **given)
+
+
+def pose_message() -> Fields:
+    """As rclpy's class makes it: empty."""
+    at = Fields(position=Fields(x=0.0, y=0.0, z=0.0), orientation=Fields(x=0.0, y=0.0, z=0.0, w=1.0))
+    return Fields(header=Fields(stamp=None, frame_id=""), pose=Fields(pose=at, covariance=[0.0] * 36))
+
+
+@pytest.fixture(scope="module")
+def localizer() -> Localizer:
+    return Localizer.create("pin", sensor="gelslim", grid={"name": "face", "spacing_mm": 10}, temperature=1e-3)
+
+
+def estimated(touch) -> Fields:
+    return Fields(T_sensor_object=T, refined=RefinedPose(T, 1.0, True, 1, covariance=C))
+
+
+@pytest.fixture
+def locator(localizer) -> ImageLocator:
+    return ImageLocator(localizer, estimator=estimated)
+
+
+def test_an_image_is_answered_by_a_pose(locator):
+    image = depth_image()
+    answer = locator.answer(image)
+    message = locator.fill(pose_message(), answer.pose, image)
+    assert (message.header.stamp, message.header.frame_id) == (STAMP, "gel")
+    p, q = message.pose.pose.position, message.pose.pose.orientation
+    assert (p.x, p.y, p.z) == (0.001, 0.002, 0.003)
+    np.testing.assert_allclose((q.x, q.y, q.z, q.w), (0, 0, 0.5**0.5, 0.5**0.5))
+    assert message.pose.covariance[::7] == [1, 2, 3, 4, 5, 6]
+
+
+def test_the_frame_can_be_named(localizer):
+    locator = ImageLocator(localizer, "finger", estimator=estimated)
+    image = depth_image()
+    assert locator.fill(pose_message(), locator.answer(image).pose, image).header.frame_id == "finger"
+
+
+def test_the_localizer_itself_answers_a_real_touch(localizer):
+    touch = localizer.simulate(1, seed=2)[0]
+    answer = ImageLocator(localizer).answer(depth_image(touch.contact_shape.depth_m))
+    np.testing.assert_allclose(answer.pose.position_m, localizer.localize(touch).best.T_sensor_object[:3, 3], atol=1e-3)
+
+
+def test_the_press_depth_is_used(localizer):
+    seen = []
+
+    def keep(touch) -> Fields:
+        seen.append(touch.press_depth_m)
+        return estimated(touch)
+
+    ImageLocator(localizer, press_depth_m=1e-3, estimator=keep).answer(depth_image())
+    assert seen == [1e-3]
+
+
+def test_an_image_without_contact_is_no_fault(locator):
+    answer = locator.answer(depth_image(np.full((200, 200), 0.002, np.float32)))
+    assert answer.pose is None
+    assert not answer.touches
+
+
+@pytest.mark.parametrize(
+    ("image", "mentioned"),
+    [
+        (depth_image(encoding="yuv422"), "yuv422"),
+        (depth_image(np.zeros((20, 20), np.float32)), "20, 20"),
+        (depth_image(data=b"123"), "has 3 bytes"),
+        (depth_image(-DEPTH), "negative"),
+    ],
+)
+def test_what_cannot_be_read_is_told(locator, image, mentioned):
+    answer = locator.answer(image)
+    assert answer.pose is None
+    assert answer.touches
+    assert mentioned in answer.says
+
+
+def test_a_compressed_photo_needs_a_calibrated_sensor(locator):
+    file = BytesIO()
+    Image.fromarray(np.zeros((200, 200, 3), np.uint8)).save(file, "png")
+    answer = locator.answer(Fields(format="png", data=file.getvalue(), header=None))
+    assert "no calibration for images" in answer.says
+
+
+def test_without_ros_one_sentence_says_what_to_do(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    with pytest.raises(MissingLibraryError, match="source a ROS 2 installation"):
+        node.ros("rclpy")
+    assert issubclass(MissingLibraryError, TactileLocError)
+    assert node.main(["--object", "pin", "--sensor", "gelslim", "--image-topic", "/gel"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+class StandIn:
+    """Of rclpy and its messages what the node uses; spinning hands it the images, then interrupts it."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, images: list[Fields]) -> None:
+        self.images, self.published, self.warned, self.began, self.ended = images, [], [], [], 0
+        policy = Fields(BEST_EFFORT="best effort")
+        modules = {
+            "rclpy": {
+                "init": self._init, "create_node": lambda name: self, "spin": self._spin, "try_shutdown": self._end,
+            },
+            "rclpy.qos": {"QoSProfile": lambda **given: given, "ReliabilityPolicy": policy},
+            "sensor_msgs": {}, "sensor_msgs.msg": {"Image": "Image", "CompressedImage": "CompressedImage"},
+            "geometry_msgs": {}, "geometry_msgs.msg": {"PoseWithCovarianceStamped": pose_message},
+        }  # fmt: skip
+        for name, things in modules.items():
+            module = ModuleType(name)
+            module.__dict__.update(things)
+            monkeypatch.setitem(sys.modules, name, module)
+
+    def _init(self, args):
+        self.began.append(args)
+
+    def _spin(self, spun):
+        for image in self.images:
+            self.on_image(image)
+        raise KeyboardInterrupt
+
+    def _end(self):
+        self.ended += 1
+
+    def create_publisher(self, kind, topic, depth):
+        self.pose_topic = topic
+        return Fields(publish=self.published.append)
+
+    def create_subscription(self, kind, topic, on_image, quality):
+        self.kind, self.image_topic, self.on_image, self.quality = kind, topic, on_image, quality
+
+    def get_logger(self):
+        return Fields(info=lambda text: None, warning=lambda text, throttle_duration_sec: self.warned.append(text))
+
+    def destroy_node(self):
+        self.ended += 1
+
+
+def test_the_node_publishes_a_pose_for_each_image_with_contact(monkeypatch, locator):
+    untouched = depth_image(np.full((200, 200), 0.002, np.float32))
+    ros = StandIn(monkeypatch, [depth_image(), untouched, depth_image(data=b""), depth_image()])
+    node.run(locator, "/gel/image", False, "/pose", ["--ros-args"])
+    assert (ros.kind, ros.image_topic, ros.pose_topic) == ("Image", "/gel/image", "/pose")
+    assert [message.header.stamp for message in ros.published] == [STAMP, STAMP]
+    assert len(ros.warned) == 1
+    assert ros.quality["depth"] == 1
+    assert (ros.began, ros.ended) == ([["--ros-args"]], 2)
+
+
+def test_compressed_images_are_another_type(monkeypatch, locator):
+    ros = StandIn(monkeypatch, [])
+    node.run(locator, "/gel/image/compressed", True, "/pose", [])
+    assert ros.kind == "CompressedImage"
+    assert ros.published == []
