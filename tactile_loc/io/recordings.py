@@ -11,7 +11,7 @@ from typing import IO, Any
 from tactile_loc.core.errors import MissingLibraryError, RecordingError, did_you_mean
 from tactile_loc.core.frame_tree import FrameTree
 from tactile_loc.io.ros_messages import IMAGE_TYPES, STATIC, TF, add_transforms
-from tactile_loc.io.ros_types import CDR, ROS1, TO_INSTALL, Topic, decoded, encoded, topic_of
+from tactile_loc.io.ros_types import CDR, ROS1, TO_INSTALL, Topic, decoded, definition_of, encoded, topic_of, type_store
 from tactile_loc.store.files import write_atomically
 
 FORMATS = "an MCAP file (.mcap), a bag of ROS 1 (.bag), or the folder of a bag of ROS 2"
@@ -132,7 +132,7 @@ class Recording:
         except ImportError as error:
             raise MissingLibraryError(TO_INSTALL) from error
         try:
-            with AnyReader([self.path], default_typestore=None) as reader:
+            with AnyReader([self.path], default_typestore=type_store(CDR)) as reader:
                 encoding = CDR if reader.is2 else ROS1
                 topics = {c.id: _topic_of_bag(c, encoding) for c in reader.connections}
                 for connection, time_ns, data in reader.messages():
@@ -233,7 +233,7 @@ def _topic(channel: Any, schema: Any) -> Topic:
 
 
 def _topic_of_bag(connection: Any, encoding: str) -> Topic:
-    definition = connection.msgdef.data.encode()
+    definition = connection.msgdef.data.encode() or definition_of(connection.msgtype)  # older bags have none
     kind = "ros2idl" if connection.msgdef.format.name == "IDL" else "ros2msg" if encoding == CDR else "ros1msg"
     return Topic(connection.topic, connection.msgtype, definition, kind, encoding)
 

@@ -27,19 +27,38 @@ class Topic:
     definition: bytes = field(repr=False)
     definition_encoding: str = "ros2msg"
     message_encoding: str = CDR
-    metadata: tuple[tuple[str, str], ...] = ()
+    metadata: tuple[tuple[str, str], ...] = field(default=(), compare=False, repr=False)
 
 
 @cache
 def topic_of(name: str, type_name: str) -> Topic:
     """Return a topic of ROS 2 messages of a type that ROS comes with. Raises MissingLibraryError."""
-    definition, _ = _store(CDR).generate_msgdef(type_name, ros_version=2)
-    return Topic(name, type_name, definition.encode())
+    return Topic(name, type_name, definition_of(type_name))
+
+
+def definition_of(type_name: str) -> bytes:
+    """Return the definition of a type that ROS 2 comes with; of another, none."""
+    store = type_store(CDR)
+    return store.generate_msgdef(type_name, ros_version=2)[0].encode() if type_name in store.types else b""
+
+
+@cache
+def type_store(encoding: str) -> Any:
+    """Return the types that ROS 2 or ROS 1 comes with, as rosbags has them; None for another encoding.
+
+    Raises MissingLibraryError without rosbags.
+    """
+    try:
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise MissingLibraryError(TO_INSTALL) from error
+    stores = {CDR: Stores.ROS2_HUMBLE, ROS1: Stores.ROS1_NOETIC}
+    return get_typestore(stores[encoding]) if encoding in stores else None
 
 
 def decoded(topic: Topic, data: bytes) -> Any:
     """Return the message of a topic that bytes hold. Raises RecordingError for bytes that hold none."""
-    store = _store(topic.message_encoding)
+    store = type_store(topic.message_encoding)
     if store is None:
         raise RecordingError(
             f"the messages of {topic.name} are written as {topic.message_encoding or 'nothing that is named'}; only "
@@ -54,7 +73,7 @@ def decoded(topic: Topic, data: bytes) -> Any:
 
 def encoded(message: Any, type_name: str) -> bytes:
     """Return a message as ROS 2 writes it (CDR). Raises MissingLibraryError."""
-    return bytes(_store(CDR).serialize_cdr(message, type_name))
+    return bytes(type_store(CDR).serialize_cdr(message, type_name))
 
 
 def image_message(values: NDArray[Any], encoding: str, stamp_ns: int, frame: str) -> Any:
@@ -117,15 +136,4 @@ def _quaternion(xyzw: Any) -> Any:
 
 
 def _made(type_name: str, **fields: Any) -> Any:
-    return _store(CDR).types[type_name](**fields)
-
-
-@cache
-def _store(encoding: str) -> Any:
-    """The types of ROS 2 or ROS 1; None for another encoding."""
-    try:
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise MissingLibraryError(TO_INSTALL) from error
-    stores = {CDR: Stores.ROS2_HUMBLE, ROS1: Stores.ROS1_NOETIC}
-    return get_typestore(stores[encoding]) if encoding in stores else None
+    return type_store(CDR).types[type_name](**fields)

@@ -94,7 +94,7 @@ def write_poses(
         for message in replay.recording.messages():
             if not alone:
                 writer.copy(message)
-            if message.topic == replay.topic:
+            if message.topic.name == replay.topic.name:
                 if number in poses:
                     _write_pose(writer, pose_topic, poses[number])
                 number += 1

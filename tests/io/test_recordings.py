@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sqlite3
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +19,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from tactile_loc.core.errors import OutputError, RecordingError
 from tactile_loc.core.geometry import make_transform, rotation_about
-from tactile_loc.io.recordings import Recording, RecordingWriter, image_topic, write_recording
+from tactile_loc.io.recordings import Message, Recording, RecordingWriter, image_topic, write_recording
 from tactile_loc.io.ros_messages import IMAGE, POSE, TF, RosPose, image_array, pose_of, stamp_ns
-from tactile_loc.io.ros_types import image_message, pose_message, topic_of, transform_message
+from tactile_loc.io.ros_types import encoded, image_message, pose_message, topic_of, transform_message
 
 S = 1_000_000_000
 T = make_transform(rotation_about([1, 2, 3], 0.7), [0.1, -0.2, 0.3])
@@ -131,6 +134,34 @@ def test_bags_are_read(tmp_path, kind):
         message = found.decoded()
         assert (found.log_time_ns, stamp_ns(message.header)) == (k * S + 9, k * S + 7)
         np.testing.assert_array_equal(image_array(message), IMAGES[k])
+
+
+def test_bags_without_definitions_are_read(tmp_path):
+    """As ROS 2 wrote them up to Humble."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer2(tmp_path / "drive", version=8) as writer:
+        connection = writer.add_connection("/gel/image", IMAGE, typestore=store)
+        writer.write(connection, 9, store.serialize_cdr(image_message(IMAGES[0], "rgb8", 7, "gel"), IMAGE))
+    with closing(sqlite3.connect(tmp_path / "drive" / "drive.db3")) as database, database:
+        database.execute("DROP TABLE message_definitions")
+        database.execute("UPDATE schema SET schema_version = 3")
+    (message,) = Recording(tmp_path / "drive").messages()
+    assert message.topic == topic_of("/gel/image", IMAGE)
+    np.testing.assert_array_equal(image_array(message.decoded()), IMAGES[0])
+
+
+def test_channels_of_one_topic_are_one_topic(tmp_path):
+    """Two publishers of different quality of service."""
+    path, topic = tmp_path / "drive.mcap", topic_of("/gel/image", IMAGE)
+
+    def write(writer: RecordingWriter) -> None:
+        for k, quality in enumerate(("reliable", "best effort")):
+            data = encoded(image_message(IMAGES[k], "rgb8", k, "gel"), IMAGE)
+            writer.copy(Message(replace(topic, metadata=(("offered_qos_profiles", quality),)), k, k, data))
+
+    contents = Recording(write_recording(path, write)).contents()
+    assert contents.counts == {topic: 2}
+    assert image_topic(contents, path, None) == topic
 
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4, CompressionType.NONE])
