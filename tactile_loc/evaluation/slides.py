@@ -68,15 +68,20 @@ class Slide:
         return T_BASE_OBJECT @ invert(self.T_sensor_object) @ invert(T_FLANGE_GEL)
 
     def depths_m(self, number: int) -> NDArray[np.float32]:
-        """Return the contact shape (H, W) at a time, metres: where nothing touches it is the press depth."""
-        geometry, press = self.scene.geometry, float(self.press_m[number])
-        if press <= 0:
-            return np.full(geometry.shape, geometry.max_depth_m, np.float32)
-        seen = self.scene.pressed(press, geometry.max_depth_m)
+        """Return the contact shape (H, W) at a time, metres: where nothing touches it is the press depth.
+
+        If that is everywhere, it is the sensor's deepest.
+        """
+        geometry, press = self.scene.geometry, self.press_m[number : number + 1]
+        untouched = np.full(geometry.shape, geometry.max_depth_m, np.float32)
+        if press[0] <= 0:
+            return untouched
+        seen = self.scene.pressed(float(press[0]), geometry.max_depth_m)
         clean = seen.contact_depths(self.T_sensor_object[number][None])
-        rng, presses = np.random.default_rng([self.seed, number]), np.array([press])
-        measured = self.noise.measure_press(presses, geometry.max_depth_m, rng)
-        return self.noise.cut(self.noise.corrupt(clean, presses, seen.geometry, rng), presses, measured)[0]
+        rng = np.random.default_rng([self.seed, number])
+        measured = self.noise.measure_press(press, geometry.max_depth_m, rng)
+        depth = self.noise.cut(self.noise.corrupt(clean, press, seen.geometry, rng), press, measured)[0]
+        return depth if (depth < np.float32(measured[0])).any() else untouched
 
 
 def slide(
@@ -114,9 +119,7 @@ def _about_gel(scene: Scene, T: NDArray[np.float64], angles_rad: NDArray[np.floa
 def random_slide(
     localizer: Localizer, frames: int, seed: int, noise: TouchNoise = NO_NOISE, renderer: Renderer | None = None
 ) -> Slide:
-    """Return a slide that starts at a simulated touch.
-
-    A `renderer` draws it, by default the localizer's own.
+    """Return a slide that starts at a simulated touch; a `renderer` draws it, by default the localizer's own.
 
     Raises TouchError when the object slides off the sensor wherever it starts.
     """

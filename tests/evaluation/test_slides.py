@@ -1,0 +1,64 @@
+"""A slide's truth: where it says that the object is, the object presses on the gel as deep as it says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.contact import lowest_points
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.noise import NOISE
+from tactile_loc.core.sensing import contact_shape_from_array
+from tactile_loc.evaluation.slides import FLANGE, GEL, Photos, Slide, slide, write_slide
+from tactile_loc.imaging.optics import OPTICS
+from tactile_loc.io.recordings import Recording
+from tactile_loc.io.ros_messages import image_array
+
+START = make_transform(rotation_about([1, 2, 0], 0.6), [0.001, 0.0, 0.02])
+IMAGES = 25
+
+
+@pytest.fixture(scope="module")
+def over_a_box(make_scene, box, flat_camera) -> Slide:
+    return slide(make_scene(box, flat_camera), START, IMAGES)
+
+
+def test_the_object_is_pressed_as_deep_as_is_said(over_a_box, box, flat_camera):
+    lowest = lowest_points(box.mesh, over_a_box.T_sensor_object, flat_camera.rectangle)
+    np.testing.assert_allclose(lowest, flat_camera.standoff_m - over_a_box.press_m, atol=1e-12)
+    assert over_a_box.press_m.max() <= 0.9 * flat_camera.max_depth_m
+
+
+def test_its_images_show_contact_but_for_the_first_and_the_last(over_a_box, flat_camera):
+    for k, number in enumerate(over_a_box.frames):
+        depth, press_m = over_a_box.depths_m(number), over_a_box.press_m[number]
+        shape = contact_shape_from_array(depth, flat_camera.max_depth_m)
+        assert shape.contact.any() == (0 < k < IMAGES - 1)
+        if press_m > 0:
+            assert shape.press_depth_m == pytest.approx(press_m, abs=2e-6)
+
+
+def test_noise_is_that_of_a_seed_and_an_image(make_scene, box, flat_camera, over_a_box):
+    noisy, same, other = (slide(make_scene(box, flat_camera), START, IMAGES, NOISE["mild"], seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(noisy.depths_m(20), same.depths_m(20))
+    assert (noisy.depths_m(20) != other.depths_m(20)).any()
+    assert (noisy.depths_m(20) != over_a_box.depths_m(20)).any()
+    np.testing.assert_array_equal(noisy.T_sensor_object, over_a_box.T_sensor_object)
+
+
+def test_photos_are_colour_images_of_the_sensors_size(over_a_box, flat_camera, tmp_path):
+    path = write_slide(tmp_path / "slide.mcap", over_a_box, Photos(flat_camera, OPTICS["digit"], 0))
+    recording = Recording(path)
+    photos = [image_array(message.decoded()) for message in recording.messages("/gel/image")]
+    assert {photo.shape for photo in photos} == {(*flat_camera.shape, 3)}
+    moved = np.abs(photos[12].astype(int) - photos[0]).max()
+    assert moved > 20  # counts: a press, no noise
+    assert recording.frame_tree().lookup(FLANGE, GEL, 0).shape == (4, 4)
+
+
+def test_an_object_that_slides_off_is_refused(make_scene, box, flat_camera):
+    beside = START.copy()
+    beside[0, 3] = 0.03
+    with pytest.raises(TouchError, match="box slides off the sensor"):
+        slide(make_scene(box, flat_camera), beside, IMAGES)
