@@ -8,10 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from tactile_loc.core.errors import MissingLibraryError, RecordingError, did_you_mean
+from tactile_loc.core.errors import RecordingError, did_you_mean
 from tactile_loc.core.frame_tree import FrameTree
 from tactile_loc.io.ros_messages import IMAGE_TYPES, STATIC, TF, add_transforms
-from tactile_loc.io.ros_types import CDR, ROS1, TO_INSTALL, Topic, decoded, definition_of, encoded, topic_of, type_store
+from tactile_loc.io.ros_types import (
+    CDR,
+    ROS1,
+    Topic,
+    decoded,
+    definition_of,
+    encoded,
+    require_libraries,
+    topic_of,
+    type_store,
+)
 from tactile_loc.store.files import write_atomically
 
 FORMATS = "an MCAP file (.mcap), a bag of ROS 1 (.bag), or the folder of a bag of ROS 2"
@@ -48,10 +58,11 @@ class Recording:
     """A recording, read from its beginning to its end, or to where it is damaged: `damage` then says what is wrong.
 
     An MCAP file, a bag of ROS 1 (.bag) or the folder of a bag of ROS 2. Messages come in the order of an MCAP file, or
-    of a bag's times. Raises RecordingError when there is no such file or it is no recording.
+    of a bag's times. Raises RecordingError when there is no such file or it is no recording, and MissingLibraryError.
     """
 
     def __init__(self, path: str | Path) -> None:
+        require_libraries()
         self.path = Path(path)
         self.damage = ""
         if not self.path.exists():
@@ -96,11 +107,9 @@ class Recording:
             yield from (record for record in self._records() if isinstance(record, Attachment | Metadata))
 
     def _from_mcap(self) -> Iterator[Message]:
-        try:
-            from mcap.records import Channel, Schema
-            from mcap.records import Message as Record
-        except ImportError as error:
-            raise MissingLibraryError(TO_INSTALL) from error
+        from mcap.records import Channel, Schema
+        from mcap.records import Message as Record
+
         schemas: dict[int, Schema] = {}
         topics: dict[int, Topic] = {}
         for record in self._records():
@@ -127,10 +136,8 @@ class Recording:
                 self.damage = "it breaks off" if isinstance(error, EndOfFile) else _one_line(error)
 
     def _from_bag(self) -> Iterator[Message]:
-        try:
-            from rosbags.highlevel import AnyReader
-        except ImportError as error:
-            raise MissingLibraryError(TO_INSTALL) from error
+        from rosbags.highlevel import AnyReader
+
         try:
             with AnyReader([self.path], default_typestore=type_store(CDR)) as reader:
                 encoding = CDR if reader.is2 else ROS1
@@ -164,10 +171,9 @@ class RecordingWriter:
     """Writes messages to a file as MCAP."""
 
     def __init__(self, file: IO[bytes]) -> None:
-        try:
-            from mcap.writer import Writer
-        except ImportError as error:
-            raise MissingLibraryError(TO_INSTALL) from error
+        require_libraries()
+        from mcap.writer import Writer
+
         self._writer = Writer(file)
         self._writer.start(profile="ros2", library="tactile-loc")
         self._channels: dict[Topic, int] = {}

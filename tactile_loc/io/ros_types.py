@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cache
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,6 @@ from tactile_loc.core.errors import MissingLibraryError, RecordingError
 from tactile_loc.core.geometry import rotation_to_quaternion
 from tactile_loc.io.ros_messages import ENCODINGS, IMAGE, NS, POSE, TF, RosPose
 
-TO_INSTALL = "mcap and rosbags read and write recordings; they are not installed: pip install 'tactile-loc[recordings]'"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 CDR, ROS1 = "cdr", "ros1"  # how ROS 2 and ROS 1 write a message's bytes
 
@@ -28,6 +28,18 @@ class Topic:
     definition_encoding: str = "ros2msg"
     message_encoding: str = CDR
     metadata: tuple[tuple[str, str], ...] = field(default=(), compare=False, repr=False)
+
+
+def require_libraries() -> None:
+    """Raise MissingLibraryError, which says how to install them, unless mcap and rosbags are there."""
+    for name in ("mcap", "rosbags"):
+        try:
+            import_module(name)
+        except ImportError as error:
+            raise MissingLibraryError(
+                f"recordings are read and written with {name}, which is not installed: "
+                "pip install 'tactile-loc[recordings]'"
+            ) from error
 
 
 @cache
@@ -48,10 +60,9 @@ def type_store(encoding: str) -> Any:
 
     Raises MissingLibraryError without rosbags.
     """
-    try:
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise MissingLibraryError(TO_INSTALL) from error
+    require_libraries()
+    from rosbags.typesys import Stores, get_typestore
+
     stores = {CDR: Stores.ROS2_HUMBLE, ROS1: Stores.ROS1_NOETIC}
     return get_typestore(stores[encoding]) if encoding in stores else None
 

@@ -9,7 +9,6 @@ import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from tactile_loc.io.recordings import RecordingWriter, write_recording
 from tactile_loc.io.ros_messages import POSE, RosPose
 from tactile_loc.io.ros_types import pose_message
 from tactile_loc.locate.replay import Estimator, FrameRecord, Replay, ReplaySummary, require_located
-from tactile_loc.locate.replay_journal import journal
+from tactile_loc.locate.replay_journal import Journal, journal
 from tactile_loc.store.files import write_atomically
 
 log = logging.getLogger(__name__)
@@ -52,32 +51,31 @@ def replay_to(
     A journal beside `out` keeps what is finished until all is written: the same call goes on there. What an estimator
     remembers of earlier frames is not kept. Raises RecordingError when no frame can be located, OutputError.
     """
-    estimator = estimator or (lambda touch: replay.localizer.localize(touch).best)
     path = out.with_name(f"{out.name}.journal")
     with journal(path, replay) as kept:
-        resumed = len(kept.records)
         if kept.stale:
             log.warning("%s was of another replay, or of a recording that has changed: all is located anew", path)
-        with replay.localizer.progress.task(f"locating the images on {replay.topic.name}", frames) as advance:
-            advance(resumed)
-            for record in replay.frames(estimator, resumed):
-                kept.append(record)
-                advance(1)
+        resumed = len(kept.records)
+        _finish(kept, replay, frames, estimator or (lambda touch: replay.localizer.localize(touch).best))
         summary = ReplaySummary.of(kept.records)
-        if summary.located:
-            about = {
-                "recording": str(replay.recording.path),
-                "image_topic": replay.topic.name,
-                "pose_topic": pose_topic,
-            }
-            written = (
-                write_poses(out, replay, kept.records, pose_topic, poses_only),
-                write_table(out.with_suffix(".csv"), kept.records),
-                write_summary(out.with_suffix(".json"), summary, kept.records, about),
-            )
+        require_located(replay, summary)
+        written = (
+            write_poses(out, replay, kept.records, pose_topic, poses_only),
+            write_table(out.with_suffix(".csv"), kept.records),
+            write_summary(out.with_suffix(".json"), replay, summary, kept.records),
+        )
         path.unlink()
-    require_located(replay, summary)
     return Replayed(tuple(kept.records), summary, written, resumed)
+
+
+def _finish(kept: Journal, replay: Replay, frames: int, estimator: Estimator) -> None:
+    """Locate what is not in the journal yet."""
+    finished = len(kept.records)
+    with replay.localizer.progress.task(f"locating the images on {replay.topic.name}", frames) as advance:
+        advance(finished)
+        for record in replay.frames(estimator, finished):
+            kept.append(record)
+            advance(1)
 
 
 def write_poses(
@@ -139,8 +137,9 @@ def row(record: FrameRecord) -> dict[str, str]:
     return cells
 
 
-def write_summary(path: Path, summary: ReplaySummary, records: Sequence[FrameRecord], about: dict[str, Any]) -> Path:
+def write_summary(path: Path, replay: Replay, summary: ReplaySummary, records: Sequence[FrameRecord]) -> Path:
     """Write what was replayed, how many frames came to what, and each of them, as JSON in SI units; return the path."""
+    about = {"recording": str(replay.recording.path), "image_topic": replay.topic.name}
     frames = [record.model_dump(mode="json") for record in records]
     text = json.dumps({**about, **asdict(summary), "poses": frames}, indent=1) + "\n"
     return write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

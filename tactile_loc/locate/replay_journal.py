@@ -12,7 +12,7 @@ from typing import IO, Any
 from pydantic import ValidationError
 
 from tactile_loc.core.errors import OutputError
-from tactile_loc.locate.replay import FrameRecord, Replay
+from tactile_loc.locate.replay import FrameRecord, Outcome, Replay
 from tactile_loc.locate.result_json import resolved
 from tactile_loc.store.keys import StageKey
 
@@ -45,7 +45,7 @@ class Journal:
 
 @contextmanager
 def journal(path: Path, replay: Replay) -> Iterator[Journal]:
-    """Open the journal of a replay, and lock it; one without any frame is not kept.
+    """Open the journal of a replay, and lock it; one without any frame that was located is not kept.
 
     Raises OutputError when it cannot be written, or another process is at work on it.
     """
@@ -64,7 +64,7 @@ def journal(path: Path, replay: Replay) -> Iterator[Journal]:
         try:
             yield kept
         finally:
-            if not kept.records:
+            if not any(record.outcome is Outcome.LOCATED for record in kept.records):
                 path.unlink()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import sys
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from tactile_loc.core.errors import OutputError, RecordingError
+from tactile_loc.core.errors import MissingLibraryError, OutputError, RecordingError
 from tactile_loc.core.geometry import make_transform, rotation_about
 from tactile_loc.io.recordings import Message, Recording, RecordingWriter, image_topic, write_recording
 from tactile_loc.io.ros_messages import IMAGE, POSE, TF, RosPose, image_array, pose_of, stamp_ns
@@ -246,6 +247,16 @@ def test_messages_of_other_kinds_are_refused_when_they_are_needed(tmp_path):
         other.decoded()
     with pytest.raises(RecordingError, match="a message of /bad is no sensor_msgs/msg/Image"):
         stray.decoded()
+
+
+@pytest.mark.parametrize("library", ["mcap", "rosbags"])
+def test_a_library_that_lacks_is_named(recorded, tmp_path, monkeypatch, library):
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(MissingLibraryError, match=rf"{library}, .* pip install 'tactile-loc\[recordings\]'"):
+        Recording(recorded)
+    with pytest.raises(MissingLibraryError, match="pip install"):
+        write_recording(tmp_path / "other.mcap", fill)
+    assert not (tmp_path / "other.mcap").exists()
 
 
 def test_a_recording_is_written_whole_or_not_at_all(recorded):
