@@ -53,7 +53,7 @@ class RobotTouches:
         for _ in range(MOST_DRAWS):
             if len(touches) == count:
                 return touches, refused
-            T = self._random_pose(rng)
+            T = self.random_pose(rng)
             drawn = None if T is None else self._pressed(T, f"touch-{len(touches):02d}", rng)
             if isinstance(drawn, Touch):
                 touches.append(drawn)
@@ -68,7 +68,7 @@ class RobotTouches:
         """
         turned = make_transform(rotation_about([1, 0, 0], np.pi), np.zeros(3))
         for _ in range(MOST_DRAWS):
-            T = self._random_pose(rng)
+            T = self.random_pose(rng)
             if T is None:
                 continue
             scene = Scene(self.object, self.geometry, self.renderer)
@@ -76,14 +76,15 @@ class RobotTouches:
             if not touching.all():
                 continue
             poses[:, 2, 3] -= press_m
-            found = [self._shown(pose, press_m, f"finger-{k}", rng) for k, pose in enumerate(poses)]
+            found = [self.shown(pose, press_m, f"finger-{k}", rng) for k, pose in enumerate(poses)]
             touches = [touch for touch in found if isinstance(touch, Touch)]
             if len(touches) == len(poses):
                 return touches
         raise TouchError(f"no grip of {self.object.name} shows a touch of both fingers")
 
-    def _random_pose(self, rng: np.random.Generator) -> Poses | None:
-        """A random rotation, its lowest point over a random place of the sensor, just touching; None if it misses."""
+    def random_pose(self, rng: np.random.Generator) -> Poses | None:
+        """Draw a pose (4, 4), metres, that just touches: a random rotation, its lowest point over a random place of the
+        sensor; None if it misses."""
         R = random_rotations(1, rng)[0]
         turned = self.object.mesh.vertices_m @ R.T
         x0, x1, y0, y1 = self.geometry.rectangle
@@ -97,10 +98,10 @@ class RobotTouches:
         press_m = self.geometry.max_depth_m * rng.uniform(*self.press)
         T = T.copy()
         T[2, 3] -= press_m
-        return self._shown(T, press_m, name, rng)
+        return self.shown(T, press_m, name, rng)
 
-    def _shown(self, T: Poses, press_m: float, name: str, rng: np.random.Generator) -> Touch | TouchError | None:
-        """The touch of a pressed pose (4, 4), metres; why there is none; None where the contact is too small."""
+    def shown(self, T: Poses, press_m: float, name: str, rng: np.random.Generator) -> Touch | TouchError | None:
+        """Return the touch of a pressed pose (4, 4), metres; why there is none; None where the contact is too small."""
         geometry, press = self.geometry.pressed(press_m, self.geometry.max_depth_m), np.array([press_m])
         clean = Scene(self.object, geometry, self.renderer).contact_depths(T[None])
         contact = (clean[0] < np.float32(press_m)) & geometry.observed_mask
@@ -120,12 +121,17 @@ class RobotTouches:
 
     def _measured(self, T_base_sensor: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
         """A sensor's pose as the robot believes it."""
-        turn, shift = rng.normal(size=3), rng.normal(size=3)
+        turn, shift = rng.normal(size=(2, 3))
+        return self.misplaced(T_base_sensor, turn, shift)
+
+    def misplaced(
+        self, T_base_sensor: NDArray[np.float64], turn: NDArray[np.float64], shift: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return a sensor's pose (4, 4), metres, that is turned and shifted by so many standard deviations, (3,) each,
+        along its axes and about those through the middle of the gel, where the touch is."""
         if self.sensor_std_m == self.sensor_std_rad == 0:
             return T_base_sensor
-        angle = float(np.linalg.norm(turn)) * self.sensor_std_rad
-        # about the middle of the gel, where the touch is
         gel = np.array([0.0, 0.0, self.geometry.standoff_m])
-        R = rotation_about(turn, angle)
+        R = rotation_about(turn, float(np.linalg.norm(turn)) * self.sensor_std_rad)
         off: NDArray[np.float64] = T_base_sensor @ make_transform(R, gel - R @ gel + self.sensor_std_m * shift)
         return off

@@ -1,0 +1,183 @@
+"""Sequences of touches: a sensor that slides and turns over an object at rest, at its camera's rate.
+
+The first place and direction are random, as those of `robot_touches`. From there the sensor moves with smoothly
+changing speeds and a smoothly changing press, and turns back where it would lose contact or run into a wall.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.contact import bring_to_contact
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.geometry import invert, make_transform, rotation_about
+from tactile_loc.core.poses import Poses
+from tactile_loc.core.sensing import Touch
+from tactile_loc.core.simulation import lowered
+from tactile_loc.evaluation.robot_touches import RobotTouches
+
+WAVES = 3  # that a smoothly changing number is the sum of
+SLOWEST_HZ, FASTEST_HZ = 0.1, 0.5  # of them
+MOST_RISE_M = 2e-4  # from one frame to the next: an object that rises by more would be a wall
+INSIDE = 0.8  # of the sensing rectangle's sides, about its centre: where the middle of the contact stays
+MOST_STARTS = 100
+PARTS = np.array([[1, 1, 1, 1, 1], [0, 0, 1, 1, 1], [1, 1, 0, 0, 0], [0, 0, 0, 0, 1]])  # all, turning, sliding, yaw
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame, `time_s` after the first: its `touch`, None where the sensor shows none, and where the sensor was.
+
+    `T_base_sensor` (4, 4) is what is reported, as in the touch; `T_sensor_object` (4, 4) is true. Metres.
+    """
+
+    time_s: float
+    touch: Touch | None
+    T_base_sensor: Floats
+    T_sensor_object: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class SlidingTouches:
+    """Draws sequences of touches of an object over which a sensor slides and turns.
+
+    `source` says what is pressed on what, how deep, drawn by which renderer, with which noise, and how far off reported
+    sensor poses are. `speed_m_s` and `turn_rad_s` are root mean squares of the speeds along the gel's two axes, and of
+    turning about the sensor's three. What noise makes of the gel is the same for `noise_s` seconds, then another; the
+    error of the sensor's pose changes smoothly in as long.
+    """
+
+    source: RobotTouches
+    rate_hz: float = 100.0
+    speed_m_s: float = 8e-3
+    turn_rad_s: float = 0.25
+    noise_s: float = 0.25
+
+    def example(self, count: int, rng: np.random.Generator, jump_at: int | None = None) -> list[Frame]:
+        """Return `count` frames; from frame `jump_at` on the object lies elsewhere, and nobody says so.
+
+        The base frame is the object's, before it jumps. Raises TouchError where hardly any start shows a touch.
+        """
+        errors = correlated_normal(count, 1 / (self.rate_hz * self.noise_s), 6, rng)
+        frames: list[Frame] = []
+        T_base_object = T_base_sensor = np.eye(4)
+        for k, (T_sensor_object, touch) in enumerate(self._path(count, rng, jump_at)):
+            if k == jump_at:
+                T_base_object = T_base_sensor @ T_sensor_object  # the sensor is where it was
+            T_base_sensor = T_base_object @ invert(T_sensor_object)
+            reported = self.source.misplaced(T_base_sensor, *errors[k].reshape(2, 3))
+            named = None if touch is None else replace(touch, name=f"frame-{k:04d}", T_base_sensor=reported)
+            frames.append(Frame(k / self.rate_hz, named, reported, T_sensor_object))
+        return frames
+
+    def _path(self, count: int, rng: np.random.Generator, jump_at: int | None) -> Iterator[tuple[Poses, Touch | None]]:
+        """Where the sensor sees the object while it slides, (4, 4), metres, and its touches."""
+        dt_s = 1 / self.rate_hz
+        speeds = smooth_random(count, dt_s, 5, rng) * ([self.speed_m_s] * 2 + [self.turn_rad_s] * 3)
+        presses_m = self._presses(smooth_random(count, dt_s, 1, rng)[:, 0])
+        gels = rng.integers(2**32, size=1 + int(count * dt_s / self.noise_s))
+        T, direction = np.eye(4), 1.0
+        for k, (speed, press_m) in enumerate(zip(speeds, presses_m, strict=True)):
+            gel = int(gels[int(k * dt_s / self.noise_s)])
+            if k in (0, jump_at):
+                T, touch = self._started(press_m, gel, rng)
+            else:
+                T, touch, direction = self._moved(T, direction, dt_s * speed, press_m, gel)
+            yield _pressed(T, press_m), touch
+
+    def _presses(self, wandering: Floats) -> Floats:
+        """Presses (N,), metres, between the source's shares of the deepest, of smooth random numbers (N,)."""
+        low, high = self.source.press
+        share = low + (high - low) * (0.5 + 0.5 * np.tanh(wandering))
+        return np.asarray(self.source.geometry.max_depth_m * share)
+
+    def _started(self, press_m: float, gel: int, rng: np.random.Generator) -> tuple[Poses, Touch | None]:
+        """A random pose that just touches, and its touch."""
+        for _ in range(MOST_STARTS):
+            T = self.source.random_pose(rng)
+            touch = None if T is None else self._touch(T, press_m, gel)
+            if T is not None and isinstance(touch, Touch):
+                return T, touch
+        raise TouchError(f"hardly any press of {self.source.object.name} shows a touch; press deeper")
+
+    def _moved(
+        self, T: Poses, direction: float, step: Floats, press_m: float, gel: int
+    ) -> tuple[Poses, Touch | None, float]:
+        """The pose after a step (5,), its touch, and the direction taken: back where it cannot be the same.
+
+        If neither goes, part of the step is tried. A contact that is far out already, since the press became lighter,
+        may be so until it is not; an image that is no touch, as that of nothing but a face, is passed.
+        """
+        here = partial(self._touch, T, press_m, gel)
+        outside = INSIDE
+        for part, way in itertools.product(PARTS, (direction, -direction)):
+            moved, touching = bring_to_contact(
+                self.source.object.mesh, (self._step(way * part * step) @ T)[None], self.source.geometry
+            )
+            if not touching[0] or abs(moved[0, 2, 3] - T[2, 3]) > MOST_RISE_M + np.abs(step[:2]).sum():
+                continue
+            touch = self._touch(moved[0], press_m, gel)
+            far = self._outside(touch)
+            if far > outside:
+                outside = max(INSIDE, self._outside(here()))
+            if far <= outside:
+                return moved[0], touch if isinstance(touch, Touch) else None, way
+        stayed = here()
+        return T, stayed if isinstance(stayed, Touch) else None, -direction
+
+    def _step(self, step: Floats) -> Poses:
+        """The motion (4, 4) of an object that slides by step[:2], metres, and turns by step[2:], rad, about the gel's
+        middle."""
+        gel = np.array([0.0, 0.0, self.source.geometry.standoff_m])
+        angle = float(np.linalg.norm(step[2:]))
+        R = rotation_about(step[2:], angle) if angle > 0 else np.eye(3)
+        return make_transform(R, gel - R @ gel + [*step[:2], 0.0])
+
+    def _touch(self, T: Poses, press_m: float, gel: int) -> Touch | TouchError | None:
+        return self.source.shown(_pressed(T, press_m), press_m, "frame", np.random.default_rng(gel))
+
+    def _outside(self, touch: Touch | TouchError | None) -> float:
+        """How far out the middle of the contact is: 0 the middle of the sensing rectangle, 1 its border."""
+        if not isinstance(touch, Touch):
+            return np.inf if touch is None else 0.0
+        geometry = touch.geometry
+        rows, columns = np.nonzero(touch.contact_shape.contact & geometry.observed_mask)
+        k = geometry.surface_m if geometry.is_pinhole else 1.0
+        middle = [k * slopes[i].mean() for slopes, i in zip(geometry.pixel_slopes, (columns, rows), strict=True)]
+        x0, x1, y0, y1 = geometry.rectangle
+        return float((2 * np.abs(np.subtract(middle, [(x0 + x1) / 2, (y0 + y1) / 2])) / [x1 - x0, y1 - y0]).max())
+
+
+def _pressed(T: Poses, press_m: float) -> Poses:
+    return lowered(T[None], np.array([press_m]))[0]
+
+
+def smooth_random(count: int, dt_s: float, columns: int, rng: np.random.Generator) -> Floats:
+    """Return numbers (count, columns), every `dt_s` seconds, that change smoothly; root mean square 1.
+
+    Each column is a sum of WAVES of random frequency and phase.
+    """
+    t_s = dt_s * np.arange(count)[:, None, None]
+    frequency = rng.uniform(SLOWEST_HZ, FASTEST_HZ, (columns, WAVES))
+    phase = rng.uniform(0, 2 * np.pi, (columns, WAVES))
+    return np.asarray(np.sqrt(2 / WAVES) * np.sin(2 * np.pi * frequency * t_s + phase).sum(axis=-1))
+
+
+def correlated_normal(count: int, share: float, columns: int, rng: np.random.Generator) -> Floats:
+    """Return standard normal numbers (count, columns), each row's errors those of the row before but for a `share`.
+
+    A first-order autoregressive process: of rows k apart the correlation is (1 - share)^k.
+    """
+    kept = max(0.0, 1 - share)
+    found = rng.normal(size=(count, columns))
+    for k in range(1, count):
+        found[k] = kept * found[k - 1] + np.sqrt(1 - kept**2) * found[k]
+    return found

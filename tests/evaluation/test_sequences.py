@@ -1,0 +1,83 @@
+"""A sensor that slides and turns over an object: in contact, smoothly, and as far off as it is said to be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.contact import lowest_points
+from tactile_loc.core.geometry import invert, rotation_angle
+from tactile_loc.core.noise import NOISE
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.evaluation.sequences import MOST_RISE_M, SlidingTouches, correlated_normal, smooth_random
+from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
+
+GEOMETRY = SensorGeometry("orthographic", 80, 60, 4000.0, 4000.0, 40.0, 30.0, 0.01, 1e-3)
+COUNT, JUMP = 60, 40
+
+
+def source(obj, **changed) -> RobotTouches:
+    return RobotTouches(obj, GEOMETRY, ZBufferRenderer(), **changed)
+
+
+@pytest.fixture(scope="module")
+def box(make_box):
+    return make_box(0.03, 0.02, 0.012)
+
+
+@pytest.fixture(scope="module")
+def frames(box):
+    return SlidingTouches(source(box)).example(COUNT, np.random.default_rng(2), jump_at=JUMP)
+
+
+def test_the_sensor_stays_in_contact_as_deep_as_the_touch_says(frames, box):
+    T = np.array([frame.T_sensor_object for frame in frames])
+    pressed_m = GEOMETRY.surface_m - lowest_points(box.mesh, T, GEOMETRY.rectangle)
+    for frame, m in zip(frames, pressed_m, strict=True):
+        assert frame.touch is None or frame.touch.indentation_m == pytest.approx(m, abs=1e-6)
+    assert np.ptp(pressed_m) > 1e-5
+    assert sum(frame.touch is not None for frame in frames) > 0.9 * COUNT
+
+
+def test_it_moves_smoothly_and_says_where_it_was(frames):
+    T_base_object = np.array([frame.T_base_sensor @ frame.T_sensor_object for frame in frames])
+    assert np.allclose(T_base_object[:JUMP], np.eye(4), atol=1e-9)
+    assert np.allclose(T_base_object[JUMP:], T_base_object[JUMP], atol=1e-9)
+    assert np.linalg.norm(T_base_object[JUMP, :3] - np.eye(4)[:3]) > 0.1
+    T_base_sensor = np.array([frame.T_base_sensor for frame in frames])
+    step = invert(T_base_sensor[:-1]) @ T_base_sensor[1:]
+    turned = rotation_angle(step[:, :3, :3])
+    assert 0 < np.degrees(turned[: JUMP - 1].max()) < 1.0
+    gel = np.array([0, 0, GEOMETRY.standoff_m])
+    shift_m = np.linalg.norm(step[:, :3, :3] @ gel + step[:, :3, 3] - gel, axis=1)
+    assert 0 < shift_m[: JUMP - 1].max() < MOST_RISE_M + 5e-4
+    assert shift_m[JUMP - 1] == 0.0  # it is the object that jumps
+
+
+def test_the_same_seed_is_the_same_sequence_and_noise_stays_on_the_gel(box):
+    sliding = SlidingTouches(source(box, noise=NOISE["mild"]))
+    first, again = (sliding.example(3, np.random.default_rng(3)) for _ in range(2))
+    for a, b in zip(first, again, strict=True):
+        assert np.array_equal(a.touch.contact_shape.depth_m, b.touch.contact_shape.depth_m)
+    assert first[0].touch.T_base_sensor is first[0].T_base_sensor
+
+
+def test_sensor_poses_are_off_by_as_much_as_told(box):
+    std_m, std_rad = 3e-4, 5e-3
+    sliding = SlidingTouches(source(box, sensor_std_m=std_m, sensor_std_rad=std_rad), noise_s=0.01)
+    frames = sliding.example(150, np.random.default_rng(4))
+    off = np.array([frame.T_base_sensor @ frame.T_sensor_object for frame in frames])
+    turned = rotation_angle(off[:, :3, :3])
+    assert np.sqrt((turned**2).mean() / 3) == pytest.approx(std_rad, rel=0.15)
+    assert frames[0].touch.T_base_sensor_std_m == std_m
+
+
+def test_random_numbers_have_unit_size_and_the_correlation_asked_for():
+    rng = np.random.default_rng(5)
+    smooth = smooth_random(3000, 0.01, 40, rng)
+    assert np.sqrt((smooth**2).mean()) == pytest.approx(1.0, abs=0.03)
+    assert np.abs(np.diff(smooth, axis=0)).max() < 0.1
+    errors = correlated_normal(4000, 0.1, 20, rng)
+    assert errors.std() == pytest.approx(1.0, abs=0.05)
+    assert (errors[1:] * errors[:-1]).mean() == pytest.approx(0.9, abs=0.05)
