@@ -40,6 +40,9 @@ if TYPE_CHECKING:
     from tactile_loc.locate.probabilities import TemperatureScaling as TemperatureScaling
     from tactile_loc.locate.result import Hypothesis as Hypothesis
     from tactile_loc.locate.result import Localization as Localization
+    from tactile_loc.locate.tracker import Motion as Motion
+    from tactile_loc.locate.tracker import TrackedPose as TrackedPose
+    from tactile_loc.locate.tracker import Tracker as Tracker
     from tactile_loc.store.store import StageStore as StageStore
 
 __version__ = version("tactile-loc")

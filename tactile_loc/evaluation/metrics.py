@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import transform_points
+from tactile_loc.core.geometry import rotation_angle, transform_points
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseMetric, Poses
 from tactile_loc.evaluation.rolls import least_largest, least_mean
@@ -18,6 +18,7 @@ from tactile_loc.evaluation.rolls import least_largest, least_mean
 FEW_SYMMETRIES = 8  # up to which all are measured with all points
 ALIKE = 1.25  # of the least root mean square distance: symmetries within it may have the least mean distance
 TRIED, TRIED_POINTS, MEASURED = 24, 300, 2  # of many symmetries: tried with few points, measured with all
+ROLL_STEP_RAD = np.radians(0.2)
 AT_ONCE = 32  # transforms applied to all points at once
 
 Points = NDArray[np.float64]
@@ -52,6 +53,24 @@ def symmetric_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_tru
         best = np.argsort(_mean_distances(few, T_estimates[:, None] - same[chosen]), axis=1)[:, :MEASURED]
         chosen = np.take_along_axis(chosen, best, axis=1)
     return _mean_distances(points_m, T_estimates[:, None] - same[chosen]).min(axis=1)
+
+
+def pose_differences(
+    obj: ObjectModel, T_estimates: Poses, T_true: Poses
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How far off the centroid (K,), metres, and the rotation (K,), radians, of estimates (K, 4, 4) are.
+
+    They are compared with whichever pose looks like the true one (K, 4, 4) and is nearest, root mean square distance of
+    the surface; a continuous axis is taken in steps of ROLL_STEP_RAD.
+    """
+    metric = PoseMetric(obj)
+    same = T_true[:, None] @ obj.symmetry.elements(ROLL_STEP_RAD)
+    far = np.linalg.norm(metric.embed(same.reshape(-1, 4, 4)).reshape(*same.shape[:2], -1)
+                         - metric.embed(T_estimates)[:, None], axis=-1)  # fmt: skip
+    nearest = same[np.arange(len(same)), far.argmin(axis=1)]
+    centroids_m = (nearest - T_estimates)[:, :3] @ [*obj.mesh.centroid_m, 1.0]
+    turned = rotation_angle(nearest[:, :3, :3] @ np.swapaxes(T_estimates[:, :3, :3], 1, 2))
+    return np.linalg.norm(centroids_m, axis=-1), turned
 
 
 def mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:

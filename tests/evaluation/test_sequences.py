@@ -52,7 +52,7 @@ def test_it_moves_smoothly_and_says_where_it_was(frames):
     gel = np.array([0, 0, GEOMETRY.standoff_m])
     shift_m = np.linalg.norm(step[:, :3, :3] @ gel + step[:, :3, 3] - gel, axis=1)
     assert 0 < shift_m[: JUMP - 1].max() < MOST_RISE_M + 5e-4
-    assert shift_m[JUMP - 1] == 0.0  # it is the object that jumps
+    assert shift_m[JUMP - 1] < 1e-12  # it is the object that jumps
 
 
 def test_the_same_seed_is_the_same_sequence_and_noise_stays_on_the_gel(box):

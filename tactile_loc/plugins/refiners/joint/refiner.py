@@ -99,6 +99,14 @@ class JointRefiner(Refiner):
         """
         return self._registered(views, T_first_object, self.scales_mm(self.options.iterations), 0).T
 
+    def followed(self, views: Sequence[View], T_first_object: Floats) -> tuple[Floats, list[Floats | None]]:
+        """Return where poses (K, 4, 4), metres, end that are near already, and their covariances (6, 6), as `stepped`.
+
+        For control loops: nothing is drawn, so that a pose may explain less than before.
+        """
+        found = self._registered(views, T_first_object, self.scales_mm(self.options.iterations), FINELY)
+        return found.T, self._covariances(found, views[0])
+
     def stepped(
         self, views: Sequence[View], T_first_object: Floats, scale_mm: float
     ) -> tuple[Floats, list[Floats | None]]:
@@ -109,8 +117,11 @@ class JointRefiner(Refiner):
         touches say nothing of it.
         """
         found = self._registered(views, T_first_object, np.array([scale_mm]), 1)
-        pairs = zip(found.information, T_first_object, strict=True)
-        return found.T, [_covariance(A, _lever_m(views[0], T)) for A, T in pairs]
+        return found.T, self._covariances(found._replace(T=T_first_object), views[0])
+
+    def _covariances(self, found: Registered, view: View) -> list[Floats | None]:
+        """The covariances (6, 6) of poses, None where touches say nothing of them."""
+        return [_covariance(A, _lever_m(view, T)) for A, T in zip(found.information, found.T, strict=True)]
 
     def scales_mm(self, count: int) -> Floats:
         """Return the scale of the robust weights (count,), step by step: narrower up to the middle."""

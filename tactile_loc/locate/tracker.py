@@ -1,0 +1,326 @@
+"""Where an object is from frame to frame, while a sensor slides and turns over it.
+
+A few poses of the object, its modes, are predicted by the sensor's motion and registered to each touch; prediction and
+touch are fused, so that what the touch does not show, such as how a bolt is turned, is held by the prediction. The
+touches of places that are apart, key touches, decide between modes. Where none is sure, or none explains the touch, the
+whole object is searched again, by the key touches together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import GridError, TouchError
+from tactile_loc.core.geometry import invert, is_rigid, rotation_angle
+from tactile_loc.core.interfaces import View
+from tactile_loc.core.pose_filter import PoseFilter, SeenPose, motion_errors
+from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.registry import registry
+from tactile_loc.core.sensing import Touch
+from tactile_loc.locate.localizer import Localizer, localize_together
+
+Floats = NDArray[np.float64]
+State = Literal["searching", "tracking", "lost", "no contact"]
+
+NEARBY = {"scale_mm": 0.5, "iterations": 6}  # options of the joint refiner, for poses that are predicted
+MODES = 8  # that are followed at most
+IMPROBABLE = 1e-4  # of a mode that is not
+CERTAIN = 0.9  # probability of a mode that is the pose
+COMMON = 0.75  # of a touch's covariance: what the same contact would show again
+APART_M = 3e-3  # the sensor's motion after which 1 / e of that is still the same
+LEVER_M = 0.01  # a turn moves what is so far away
+KEY_M = 2e-3  # the sensor's motion from one key touch to the next
+KEY_TOUCHES = 5  # that are searched for together
+EXPLAINED_PX = 60  # pixels a side of what is drawn of a mode
+FALL = 0.15  # imprint IoU: a touch that is explained so much worse than those before contradicts the track
+HABIT = 0.1  # of what a touch is explained: how far what is usual follows it
+TRUSTED = 50.0  # squared standard deviations between touch and prediction, of six numbers
+STAYS = 6.0  # nats that speak for a tracked mode beside one that is found anew: objects seldom jump
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """How the sensor moved since the frame before: `T_previous_sensor` (4, 4), metres, and the covariance (6, 6) of its
+    error: x, y, z of the new sensor frame's origin and a rotation vector, along the previous sensor's axes."""
+
+    T_previous_sensor: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedPose:
+    """What is known of the object's pose at one frame.
+
+    `T_sensors_object` (K, 4, 4), metres, are the modes' poses, the most probable first, `covariances` (K, 6, 6) as
+    RefinedPose's, and `probabilities` (K,): what they lack of 1 is elsewhere. `imprint_iou`, 0 to 1, is how well the
+    first explains the touch; NaN without a touch.
+
+    `state`: "tracking" one mode is certain, "searching" none is yet, "lost" none explains the touch as well as those
+    before it were, "no contact" there is no touch, and poses are predicted. `searched`: the whole object was searched
+    at this frame.
+    """
+
+    time_s: float
+    state: State
+    T_sensors_object: Floats
+    covariances: Floats
+    probabilities: Floats
+    imprint_iou: float
+    searched: bool
+
+    @property
+    def T_sensor_object(self) -> Floats | None:  # noqa: N802 - the field's name
+        """The most probable pose (4, 4), metres; None before the first touch."""
+        return self.T_sensors_object[0] if len(self.T_sensors_object) else None
+
+    @property
+    def covariance(self) -> Floats | None:
+        """Its covariance (6, 6), as RefinedPose's; None before the first touch."""
+        return self.covariances[0] if len(self.covariances) else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Mode:
+    """One pose of the object, `known` in the base frame, and where the sensor sees it (4, 4), with a covariance (6, 6);
+    its evidence, nats, and how well it explains the touch; how far `off` the touch was, in squared deviations."""
+
+    known: PoseFilter
+    T_sensor_object: Floats
+    covariance: Floats
+    evidence: float = 0.0
+    imprint_iou: float = 0.0
+    off: float = 0.0
+
+
+class Tracker:
+    """Tracks one object by touches of one sensor, frame after frame.
+
+    The object stays where it is, but for a creep of `creep_m` metres along and `creep_rad` radians about each axis in
+    a second, standard deviations; it may jump. Sensor poses are as exact as touches say (`Touch.T_base_sensor_std_m`).
+    """
+
+    def __init__(self, localizer: Localizer, creep_m: float = 1e-4, creep_rad: float = 2e-3) -> None:
+        self.localizer = localizer
+        self._creep = np.diag(np.square([creep_m] * 3 + [creep_rad] * 3))
+        self._refiner: Any = registry().create("refiner", "joint", NEARBY)
+        self._metric = PoseMetric(localizer.object)
+        self._modes: list[_Mode] = []
+        self._keys: list[Touch] = []
+        self._time_s = -math.inf
+        self._T_base_sensor: Floats | None = None
+        self._relative = False
+        self._usual, self._elsewhere = 0.0, 0.0
+        self._alike = 0.0  # of the errors of the touch before, those that this one has too
+
+    def start(self, T_base_object: Floats, covariance: Floats) -> None:
+        """Begin anew with the object at T_base_object (4, 4), metres, known with a covariance (6, 6), as RefinedPose's.
+
+        Without it the first touch is searched for in the whole object. The base is that of the sensors' poses, or the
+        first frame's sensor where their motions are told.
+        """
+        known = PoseFilter.known(np.asarray(T_base_object, float), np.asarray(covariance, float))
+        self._modes, self._keys, self._elsewhere = [_Mode(known, known.T_base_object, covariance)], [], 0.0
+        self._time_s, self._T_base_sensor, self._usual, self._alike = -math.inf, None, 0.0, 0.0
+
+    def update(
+        self, time_s: float, touch: Touch | None = None, T_base_sensor: Floats | None = None,
+        motion: Motion | None = None,
+    ) -> TrackedPose:  # fmt: skip
+        """Return what is known of the pose at `time_s` seconds, given a touch, or None where nothing touches.
+
+        Where the sensor is, the touch says itself, or `T_base_sensor` (4, 4), metres, or its `motion` since the frame
+        before, always the same of them. Raises TouchError where nothing says it, when time runs backwards, or for
+        another sensor's touch.
+        """
+        self._require_later(time_s)
+        if touch is not None:
+            self.localizer.require_own(touch)
+        T, added = self._placed(time_s, touch, T_base_sensor, motion)
+        moved_m = 0.0 if self._T_base_sensor is None else _motion_m(self._T_base_sensor, T, self._gel_m)
+        passed_s = time_s - self._time_s if math.isfinite(self._time_s) else 0.0
+        self._time_s, self._T_base_sensor = time_s, T
+        self._alike *= math.exp(-moved_m / APART_M)
+        self._modes = [self._predicted(mode, T, passed_s, added) for mode in self._modes]
+        if touch is None:
+            return self._result("no contact", math.nan, searched=False)
+        return self._touched(replace(touch, T_base_sensor=T))
+
+    def _touched(self, touch: Touch) -> TrackedPose:
+        """Follow the modes to a touch; search where they do not explain it, or are not certain of a new key touch."""
+        is_key = not self._keys or _motion_m(np.asarray(self._keys[-1].T_base_sensor), touch.T_base_sensor,
+                                             self._gel_m) > KEY_M  # fmt: skip
+        self._modes = self._followed(touch, is_key)
+        contradicted = not self._modes or self._contradicted()
+        search = contradicted or (is_key and not self._is_certain and len(self._keys) < KEY_TOUCHES)
+        keys = [*self._keys, touch][-KEY_TOUCHES:] if is_key else self._keys
+        lost = search and self._search(touch, [touch] if contradicted else keys)
+        self._keys = [touch] if contradicted and lost else keys
+        if not self._modes:
+            return self._result("lost", 0.0, search)
+        iou = self._modes[0].imprint_iou
+        fallen = iou < self._usual - FALL
+        self._usual = iou if search else max(iou, (1 - HABIT) * self._usual + HABIT * iou)
+        state: State = "lost" if contradicted and lost and fallen else "tracking" if self._is_certain else "searching"
+        return self._result(state, iou, search)
+
+    @property
+    def _gel_m(self) -> Floats:
+        """The middle (3,) of the gel, metres, in the sensor's frame."""
+        geometry = self.localizer.scene.geometry
+        x0, x1, y0, y1 = geometry.rectangle
+        return np.array([(x0 + x1) / 2, (y0 + y1) / 2, geometry.surface_m])
+
+    @property
+    def _is_certain(self) -> bool:
+        return bool(self._probabilities()[0] >= CERTAIN)
+
+    def _probabilities(self) -> Floats:
+        evidence = np.array([mode.evidence for mode in self._modes])
+        weights = np.exp(evidence - evidence.max(initial=-np.inf))
+        return np.asarray((1 - self._elsewhere) * weights / weights.sum())
+
+    def _require_later(self, time_s: float) -> None:
+        if not math.isfinite(time_s) or time_s < self._time_s:
+            raise TouchError(
+                f"a frame at {time_s:g} s cannot follow one at {self._time_s:g} s; give frames in the order of time, or "
+                "make a new Tracker for another sequence"
+            )
+
+    def _placed(
+        self, time_s: float, touch: Touch | None, T_base_sensor: Floats | None, motion: Motion | None
+    ) -> tuple[Floats, Floats | None]:
+        """Where the sensor is, (4, 4), and the covariance that its motion added, along the base's axes."""
+        told = T_base_sensor if T_base_sensor is not None or touch is None else touch.T_base_sensor
+        before = self._T_base_sensor
+        if before is None:
+            self._relative = told is None
+        if told is None and self._relative and (before is None or motion is not None):
+            if before is None or motion is None:
+                return np.eye(4), None
+            _require_rigid(motion.T_previous_sensor, time_s)
+            turned = np.kron(np.eye(2), before[:3, :3])
+            return before @ motion.T_previous_sensor, turned @ motion.covariance @ turned.T
+        if told is None or self._relative:
+            raise TouchError(
+                f"the frame at {time_s:g} s does not say where its sensor was as the first one does; give the "
+                "T_base_sensor of all frames, or their motions"
+            )
+        _require_rigid(np.asarray(told), time_s)
+        return np.asarray(told, float), None
+
+    def _predicted(self, mode: _Mode, T: Floats, passed_s: float, added: Floats | None) -> _Mode:
+        """A mode as predicted for a sensor at T (4, 4), `passed_s` seconds later."""
+        creep = self._creep * passed_s
+        if added is not None:
+            creep = creep + motion_errors(added, T, mode.known.T_base_object)
+        return self._at(replace(mode, known=mode.known.later(creep)), T)
+
+    def _at(self, mode: _Mode, T_base_sensor: Floats) -> _Mode:
+        """A mode as a sensor at (4, 4) sees it."""
+        T, covariance = mode.known.seen_from(T_base_sensor, self._gel_m)
+        return replace(mode, T_sensor_object=T, covariance=covariance)
+
+    def _seen(self, touch: Touch, T_sensor_object: Floats, covariance: Floats) -> SeenPose:
+        """A pose (4, 4) that was registered to a touch, with its covariance (6, 6)."""
+        std_m, std_rad = (0.0, 0.0) if self._relative else (touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
+        sensor = np.diag(np.square([std_m] * 3 + [std_rad] * 3))
+        T = np.asarray(touch.T_base_sensor)
+        return SeenPose(T, T_sensor_object, COMMON * covariance, (1 - COMMON) * covariance, sensor, self._gel_m)
+
+    def _followed(self, touch: Touch, is_key: bool) -> list[_Mode]:
+        """The modes, registered to a touch and fused with it, merged; a key touch's evidence counts."""
+        if not self._modes:
+            return []
+        view = View(touch, self.localizer.scene.of_touch(touch))
+        poses, covariances = self._refiner.followed([view], np.stack([mode.T_sensor_object for mode in self._modes]))
+        modes = []
+        for mode, T, covariance in zip(self._modes, poses, covariances, strict=True):
+            if covariance is not None:
+                known, off = mode.known.touched(self._seen(touch, T, covariance), 1 - self._alike)
+                mode = self._at(replace(mode, known=known, off=off), np.asarray(touch.T_base_sensor))
+            modes.append(mode)
+        self._alike = 1.0
+        found = view.explained(np.stack([mode.T_sensor_object for mode in modes]), EXPLAINED_PX)
+        told = [
+            replace(mode, imprint_iou=float(iou), evidence=mode.evidence + is_key * float(nats))
+            for mode, iou, nats in zip(modes, found.imprint_ious, found.evidence, strict=True)
+        ]
+        return self._distinct(told)
+
+    def _contradicted(self) -> bool:
+        best = self._modes[0]
+        return best.imprint_iou < self._usual - FALL or best.off > TRUSTED
+
+    def _distinct(self, modes: Sequence[_Mode]) -> list[_Mode]:
+        """The likeliest modes, none of them near a likelier one or improbable beside it."""
+        kept: list[_Mode] = []
+        for mode in sorted(modes, key=lambda mode: -mode.evidence):
+            near = kept and self._metric.symmetric_distance(
+                np.stack([k.T_sensor_object for k in kept]), np.stack([mode.T_sensor_object] * len(kept))
+            ).min() < self.localizer.same_pose_m  # fmt: skip
+            if near or (kept and mode.evidence < kept[0].evidence + math.log(IMPROBABLE)):
+                continue
+            kept.append(mode)
+        return kept[:MODES]
+
+    def _search(self, touch: Touch, keys: Sequence[Touch]) -> bool:
+        """Search the whole object by key touches, and weigh what is found beside the modes that there are.
+
+        Return whether none of these is the likeliest any more.
+        """
+        try:
+            found = localize_together([(self.localizer, key) for key in keys])
+        except GridError:
+            return not self._modes
+        new = []
+        for hypothesis in found.hypotheses:
+            covariance = hypothesis.refined.covariance
+            if covariance is not None:
+                known = PoseFilter.of_touch(self._seen(keys[0], hypothesis.T_sensor_object, covariance))
+                new.append(self._at(_Mode(known, *known.seen_from(np.eye(4), self._gel_m)), touch.T_base_sensor))
+        self._alike = 1.0
+        best = max((mode.evidence for mode in self._modes), default=0.0)
+        tracked = [replace(mode, evidence=STAYS + mode.evidence - best) for mode in self._modes]
+        old = [mode.known for mode in self._modes]
+        self._modes = self._distinct(self._weighed([*tracked, *new], keys))
+        anew = not any(self._modes[0].known is one for one in old)
+        if anew or len(keys) > 1:
+            self._elsewhere = found.posterior.elsewhere
+        return anew
+
+    def _weighed(self, modes: Sequence[_Mode], keys: Sequence[Touch]) -> list[_Mode]:
+        """Modes with the evidence of all key touches added, and how well they explain the last one."""
+        poses = np.stack([mode.known.T_base_object for mode in modes])
+        nats = np.array([mode.evidence for mode in modes])
+        ious = np.zeros(len(modes))
+        for key in keys:
+            scene = self.localizer.scene.of_touch(key)
+            found = scene.explained(invert(np.asarray(key.T_base_sensor)) @ poses, key, EXPLAINED_PX)
+            nats, ious = nats + found.evidence, found.imprint_ious
+        return [replace(m, evidence=float(n), imprint_iou=float(i)) for m, n, i in zip(modes, nats, ious, strict=True)]
+
+    def _result(self, state: State, imprint_iou: float, searched: bool) -> TrackedPose:
+        T = np.array([mode.T_sensor_object for mode in self._modes]).reshape(-1, 4, 4)
+        covariances = np.array([mode.covariance for mode in self._modes]).reshape(-1, 6, 6)
+        p = self._probabilities() if self._modes else np.empty(0)
+        return TrackedPose(self._time_s, state, T, covariances, p, imprint_iou, searched)
+
+
+def _motion_m(T_base_first: Floats, T_base_second: Floats, gel_m: Floats) -> float:
+    """How far the gel moved from one sensor pose (4, 4) to another, metres; a turn moves what is LEVER_M away."""
+    T = invert(T_base_first) @ T_base_second
+    shift_m = np.linalg.norm(T[:3, :3] @ gel_m + T[:3, 3] - gel_m)
+    return float(shift_m + LEVER_M * rotation_angle(T[:3, :3]))
+
+
+def _require_rigid(T: Floats, time_s: float) -> None:
+    if np.shape(T) != (4, 4) or not is_rigid(T):
+        raise TouchError(
+            f"the sensor's pose of the frame at {time_s:g} s is no rigid transform; give (4, 4), in metres"
+        )
