@@ -61,7 +61,7 @@ class PoseFilter:
     def of_touch(cls, seen: SeenPose) -> PoseFilter:
         """Begin with what one touch says."""
         T = seen.T_base_sensor @ seen.T_sensor_object
-        return cls.known(T, np.diag(np.square(UNKNOWN))).touched(seen, 1.0)[0]
+        return cls.known(T, np.diag(np.square(UNKNOWN))).touched(seen, 1.0)
 
     def later(self, creep: Floats) -> PoseFilter:
         """Return the filter when the object may have moved, by a covariance (6, 6) along the base's axes."""
@@ -76,8 +76,8 @@ class PoseFilter:
         G[:, TOUCH] = 0.0
         return moved(T, UNIT * (G[:, 6:] @ self.errors)), _from_unit(G @ self.covariance @ G.T)
 
-    def touched(self, seen: SeenPose, share: float) -> tuple[PoseFilter, float]:
-        """Return the filter after a touch, and how far off that was, squared, in standard deviations.
+    def touched(self, seen: SeenPose, share: float) -> PoseFilter:
+        """Return the filter after a touch.
 
         A `share`, 0 to 1, of the errors that touches and sensor poses have in common is new since the touch before.
         """
@@ -94,8 +94,7 @@ class PoseFilter:
         K = np.linalg.solve(S, H @ P).T
         kept_back = np.eye(18) - K @ H
         P = kept_back @ P @ kept_back.T + K @ _in_unit(seen.own) @ K.T  # Joseph's form: stays positive
-        found = PoseFilter(moved(self.T_base_object, UNIT * (K[POSE] @ e)), errors + K[6:] @ e, (P + P.T) / 2)
-        return found, float(e @ np.linalg.solve(S, e))
+        return PoseFilter(moved(self.T_base_object, UNIT * (K[POSE] @ e)), errors + K[6:] @ e, (P + P.T) / 2)
 
 
 def _observed(T_base_sensor: Floats, T_sensor_object: Floats, at_m: Floats) -> Floats:

@@ -39,9 +39,9 @@ KEY_M = 2e-3  # the sensor's motion from one key touch to the next
 KEY_TOUCHES = 5  # that are searched for together
 EXPLAINED_PX = 60  # pixels a side of what is drawn of a mode
 FALL = 0.15  # imprint IoU: a touch that is explained so much worse than those before contradicts the track
+LEAST = 0.4  # imprint IoU: less explains nothing
 HABIT = 0.1  # of what a touch is explained: how far what is usual follows it
-TRUSTED = 50.0  # squared standard deviations between touch and prediction, of six numbers
-STAYS = 6.0  # nats that speak for a tracked mode beside one that is found anew: objects seldom jump
+STAYS = 8.0  # nats that speak for a tracked mode beside one that is found anew: objects seldom jump
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +61,8 @@ class TrackedPose:
     RefinedPose's, and `probabilities` (K,): what they lack of 1 is elsewhere. `imprint_iou`, 0 to 1, is how well the
     first explains the touch; NaN without a touch.
 
-    `state`: "tracking" one mode is certain, "searching" none is yet, "lost" none explains the touch as well as those
-    before it were, "no contact" there is no touch, and poses are predicted. `searched`: the whole object was searched
-    at this frame.
+    `state`: "tracking" one mode is certain, "searching" none is yet, "lost" the first does not explain the touch, "no
+    contact" there is no touch, and poses are predicted. `searched`: the whole object was searched at this frame.
     """
 
     time_s: float
@@ -88,14 +87,13 @@ class TrackedPose:
 @dataclass(frozen=True, eq=False)
 class _Mode:
     """One pose of the object, `known` in the base frame, and where the sensor sees it (4, 4), with a covariance (6, 6);
-    its evidence, nats, and how well it explains the touch; how far `off` the touch was, in squared deviations."""
+    its evidence, nats, and how well it explains the touch."""
 
     known: PoseFilter
     T_sensor_object: Floats
     covariance: Floats
     evidence: float = 0.0
     imprint_iou: float = 0.0
-    off: float = 0.0
 
 
 class Tracker:
@@ -109,6 +107,7 @@ class Tracker:
         self.localizer = localizer
         self._creep = np.diag(np.square([creep_m] * 3 + [creep_rad] * 3))
         self._refiner: Any = registry().create("refiner", "joint", NEARBY)
+        self._first_refiner: Any = registry().create("refiner", "joint", {})
         self._metric = PoseMetric(localizer.object)
         self._modes: list[_Mode] = []
         self._keys: list[Touch] = []
@@ -142,21 +141,21 @@ class Tracker:
         if touch is not None:
             self.localizer.require_own(touch)
         T, added = self._placed(time_s, touch, T_base_sensor, motion)
-        moved_m = 0.0 if self._T_base_sensor is None else _motion_m(self._T_base_sensor, T, self._gel_m)
+        moved_m = 0.0 if self._T_base_sensor is None else self._motion_m(self._T_base_sensor, T)
         passed_s = time_s - self._time_s if math.isfinite(self._time_s) else 0.0
         self._time_s, self._T_base_sensor = time_s, T
         self._alike *= math.exp(-moved_m / APART_M)
         self._modes = [self._predicted(mode, T, passed_s, added) for mode in self._modes]
         if touch is None:
+            self._alike = 0.0  # another contact
             return self._result("no contact", math.nan, searched=False)
         return self._touched(replace(touch, T_base_sensor=T))
 
     def _touched(self, touch: Touch) -> TrackedPose:
         """Follow the modes to a touch; search where they do not explain it, or are not certain of a new key touch."""
-        is_key = not self._keys or _motion_m(np.asarray(self._keys[-1].T_base_sensor), touch.T_base_sensor,
-                                             self._gel_m) > KEY_M  # fmt: skip
+        is_key = not self._keys or self._motion_m(self._keys[-1].T_base_sensor, touch.T_base_sensor) > KEY_M
         self._modes = self._followed(touch, is_key)
-        contradicted = not self._modes or self._contradicted()
+        contradicted = not self._modes or self._contradicted(is_key)
         search = contradicted or (is_key and not self._is_certain and len(self._keys) < KEY_TOUCHES)
         keys = [*self._keys, touch][-KEY_TOUCHES:] if is_key else self._keys
         lost = search and self._search(touch, [touch] if contradicted else keys)
@@ -164,9 +163,8 @@ class Tracker:
         if not self._modes:
             return self._result("lost", 0.0, search)
         iou = self._modes[0].imprint_iou
-        fallen = iou < self._usual - FALL
         self._usual = iou if search else max(iou, (1 - HABIT) * self._usual + HABIT * iou)
-        state: State = "lost" if contradicted and lost and fallen else "tracking" if self._is_certain else "searching"
+        state: State = "lost" if iou < LEAST else "tracking" if self._is_certain else "searching"
         return self._result(state, iou, search)
 
     @property
@@ -175,6 +173,12 @@ class Tracker:
         geometry = self.localizer.scene.geometry
         x0, x1, y0, y1 = geometry.rectangle
         return np.array([(x0 + x1) / 2, (y0 + y1) / 2, geometry.surface_m])
+
+    def _motion_m(self, T_base_first: Any, T_base_second: Any) -> float:
+        """How far the gel moved between sensor poses (4, 4), metres; a turn moves what is LEVER_M away."""
+        T = invert(T_base_first) @ T_base_second
+        shift_m = np.linalg.norm(T[:3, :3] @ self._gel_m + T[:3, 3] - self._gel_m)
+        return float(shift_m + LEVER_M * rotation_angle(T[:3, :3]))
 
     @property
     def _is_certain(self) -> bool:
@@ -188,8 +192,8 @@ class Tracker:
     def _require_later(self, time_s: float) -> None:
         if not math.isfinite(time_s) or time_s < self._time_s:
             raise TouchError(
-                f"a frame at {time_s:g} s cannot follow one at {self._time_s:g} s; give frames in the order of time, or "
-                "make a new Tracker for another sequence"
+                f"a frame at {time_s:g} s cannot follow one at {self._time_s:g} s; give frames in the order of time, "
+                "or make a new Tracker for another sequence"
             )
 
     def _placed(
@@ -198,21 +202,19 @@ class Tracker:
         """Where the sensor is, (4, 4), and the covariance that its motion added, along the base's axes."""
         told = T_base_sensor if T_base_sensor is not None or touch is None else touch.T_base_sensor
         before = self._T_base_sensor
-        if before is None:
-            self._relative = told is None
-        if told is None and self._relative and (before is None or motion is not None):
-            if before is None or motion is None:
-                return np.eye(4), None
-            _require_rigid(motion.T_previous_sensor, time_s)
-            turned = np.kron(np.eye(2), before[:3, :3])
-            return before @ motion.T_previous_sensor, turned @ motion.covariance @ turned.T
-        if told is None or self._relative:
+        relative = told is None if before is None else self._relative
+        if (told is None) != relative or (before is not None and told is None and motion is None):
             raise TouchError(
                 f"the frame at {time_s:g} s does not say where its sensor was as the first one does; give the "
                 "T_base_sensor of all frames, or their motions"
             )
-        _require_rigid(np.asarray(told), time_s)
-        return np.asarray(told, float), None
+        self._relative = relative
+        if told is not None:
+            return _rigid(told, time_s), None
+        if before is None or motion is None:
+            return np.eye(4), None
+        turned = np.kron(np.eye(2), before[:3, :3])
+        return before @ _rigid(motion.T_previous_sensor, time_s), turned @ motion.covariance @ turned.T
 
     def _predicted(self, mode: _Mode, T: Floats, passed_s: float, added: Floats | None) -> _Mode:
         """A mode as predicted for a sensor at T (4, 4), `passed_s` seconds later."""
@@ -238,12 +240,13 @@ class Tracker:
         if not self._modes:
             return []
         view = View(touch, self.localizer.scene.of_touch(touch))
-        poses, covariances = self._refiner.followed([view], np.stack([mode.T_sensor_object for mode in self._modes]))
+        refiner = self._refiner if self._alike > 0 else self._first_refiner
+        poses, covariances = refiner.followed([view], np.stack([mode.T_sensor_object for mode in self._modes]))
         modes = []
         for mode, T, covariance in zip(self._modes, poses, covariances, strict=True):
             if covariance is not None:
-                known, off = mode.known.touched(self._seen(touch, T, covariance), 1 - self._alike)
-                mode = self._at(replace(mode, known=known, off=off), np.asarray(touch.T_base_sensor))
+                known = mode.known.touched(self._seen(touch, T, covariance), 1 - self._alike)
+                mode = self._at(replace(mode, known=known), np.asarray(touch.T_base_sensor))
             modes.append(mode)
         self._alike = 1.0
         found = view.explained(np.stack([mode.T_sensor_object for mode in modes]), EXPLAINED_PX)
@@ -253,9 +256,10 @@ class Tracker:
         ]
         return self._distinct(told)
 
-    def _contradicted(self) -> bool:
-        best = self._modes[0]
-        return best.imprint_iou < self._usual - FALL or best.off > TRUSTED
+    def _contradicted(self, is_key: bool) -> bool:
+        """Whether the likeliest mode explains the touch far worse than it explained those before, or a key touch not."""
+        iou = self._modes[0].imprint_iou
+        return iou < self._usual - FALL or (is_key and iou < LEAST)
 
     def _distinct(self, modes: Sequence[_Mode]) -> list[_Mode]:
         """The likeliest modes, none of them near a likelier one or improbable beside it."""
@@ -283,19 +287,23 @@ class Tracker:
             covariance = hypothesis.refined.covariance
             if covariance is not None:
                 known = PoseFilter.of_touch(self._seen(keys[0], hypothesis.T_sensor_object, covariance))
-                new.append(self._at(_Mode(known, *known.seen_from(np.eye(4), self._gel_m)), touch.T_base_sensor))
+                new.append(_Mode(known, *known.seen_from(np.asarray(touch.T_base_sensor), self._gel_m)))
         self._alike = 1.0
         best = max((mode.evidence for mode in self._modes), default=0.0)
         tracked = [replace(mode, evidence=STAYS + mode.evidence - best) for mode in self._modes]
-        old = [mode.known for mode in self._modes]
-        self._modes = self._distinct(self._weighed([*tracked, *new], keys))
-        anew = not any(self._modes[0].known is one for one in old)
-        if anew or len(keys) > 1:
+        tracked, new = (self._weighed(modes, keys) for modes in (tracked, new))
+        self._modes = self._distinct([*tracked, *new])
+        lost = not any(self._modes[0] is mode for mode in tracked)
+        if not lost and len(keys) == 1:  # the touch is at fault, not the track
+            self._modes = self._distinct(tracked)
+        else:
             self._elsewhere = found.posterior.elsewhere
-        return anew
+        return lost
 
     def _weighed(self, modes: Sequence[_Mode], keys: Sequence[Touch]) -> list[_Mode]:
         """Modes with the evidence of all key touches added, and how well they explain the last one."""
+        if not modes:
+            return []
         poses = np.stack([mode.known.T_base_object for mode in modes])
         nats = np.array([mode.evidence for mode in modes])
         ious = np.zeros(len(modes))
@@ -312,15 +320,8 @@ class Tracker:
         return TrackedPose(self._time_s, state, T, covariances, p, imprint_iou, searched)
 
 
-def _motion_m(T_base_first: Floats, T_base_second: Floats, gel_m: Floats) -> float:
-    """How far the gel moved from one sensor pose (4, 4) to another, metres; a turn moves what is LEVER_M away."""
-    T = invert(T_base_first) @ T_base_second
-    shift_m = np.linalg.norm(T[:3, :3] @ gel_m + T[:3, 3] - gel_m)
-    return float(shift_m + LEVER_M * rotation_angle(T[:3, :3]))
-
-
-def _require_rigid(T: Floats, time_s: float) -> None:
-    if np.shape(T) != (4, 4) or not is_rigid(T):
-        raise TouchError(
-            f"the sensor's pose of the frame at {time_s:g} s is no rigid transform; give (4, 4), in metres"
-        )
+def _rigid(T: Floats, time_s: float) -> Floats:
+    found = np.array(T, float)
+    if found.shape != (4, 4) or not is_rigid(found):
+        raise TouchError(f"the sensor's pose at {time_s:g} s is no rigid transform; it must be (4, 4), in metres")
+    return found

@@ -1,0 +1,137 @@
+"""A pose through motions and touches: exact transport, and no more certainty than common errors allow."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.geometry import invert, make_transform, random_rotations
+from tactile_loc.core.hand_eye import moved, pose_errors
+from tactile_loc.core.pose_filter import PoseFilter, SeenPose, motion_errors
+
+GEL = np.array([0.002, -0.001, 0.01])
+STD = np.array([1e-4] * 3 + [3e-3] * 3)
+SENSOR = np.diag(np.array([2e-4] * 3 + [1e-3] * 3) ** 2)
+
+
+def poses(count: int, rng: np.random.Generator) -> np.ndarray:
+    return make_transform(random_rotations(count, rng), 0.03 * rng.normal(size=(count, 3)))
+
+
+def covariance(std: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A covariance whose numbers are correlated."""
+    L = np.diag(std) @ (np.eye(6) + 0.3 * rng.normal(size=(6, 6)))
+    return L @ L.T
+
+
+def about(point_m: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """A motion that turns about a point and then shifts."""
+    T = moved(np.eye(4), np.concatenate([np.zeros(3), error[3:]]))
+    T[:3, 3] = point_m - T[:3, :3] @ point_m + error[:3]
+    return T
+
+
+def test_an_error_is_seen_from_another_frame_as_the_pose_itself_is():
+    rng = np.random.default_rng(0)
+    T_base_object, T_base_sensor = poses(2, rng)
+    C = covariance(STD, rng)
+    T, seen = PoseFilter.known(T_base_object, C).seen_from(T_base_sensor, GEL)
+    assert np.allclose(T, invert(T_base_sensor) @ T_base_object)
+    drawn = moved(T_base_object, rng.multivariate_normal(np.zeros(6), C, size=20_000))
+    errors = pose_errors(invert(T_base_sensor) @ drawn, T)
+    assert np.allclose(np.cov(errors.T) / np.sqrt(np.outer(np.diag(seen), np.diag(seen))),
+                       seen / np.sqrt(np.outer(np.diag(seen), np.diag(seen))), atol=0.03)  # fmt: skip
+
+
+def test_a_motions_error_moves_the_object_by_its_lever():
+    rng = np.random.default_rng(1)
+    T_base_object, T_base_sensor = poses(2, rng)
+    C = covariance(1e-2 * np.ones(6), rng) * 1e-2
+    found = motion_errors(C, T_base_sensor, T_base_object)
+    T_sensor_object = invert(T_base_sensor) @ T_base_object
+    drawn = moved(T_base_sensor, rng.multivariate_normal(np.zeros(6), C, size=20_000)) @ T_sensor_object
+    errors = pose_errors(drawn, T_base_object)
+    scale = np.sqrt(np.outer(np.diag(found), np.diag(found)))
+    assert np.allclose(np.cov(errors.T) / scale, found / scale, atol=0.04)
+
+
+def seen_pose(T_base_sensor, T_sensor_object, C, common=0.75) -> SeenPose:
+    return SeenPose(T_base_sensor, T_sensor_object, common * C, (1 - common) * C, SENSOR, GEL)
+
+
+def test_what_a_first_touch_says_is_known_as_well_as_it_says():
+    rng = np.random.default_rng(2)
+    T_base_sensor, T_sensor_object = poses(2, rng)
+    C = covariance(STD, rng)
+    T, found = PoseFilter.of_touch(seen_pose(T_base_sensor, T_sensor_object, C)).seen_from(T_base_sensor, GEL)
+    assert np.allclose(T, T_sensor_object)
+    assert np.allclose(found / np.sqrt(np.outer(np.diag(C), np.diag(C))),
+                       C / np.sqrt(np.outer(np.diag(C), np.diag(C))), atol=1e-3)  # fmt: skip
+
+
+def test_a_touch_repeated_is_no_surer_than_what_all_of_them_err_in_common():
+    rng = np.random.default_rng(3)
+    T_base_sensor, T_sensor_object = poses(2, rng)
+    C = covariance(STD, rng)
+    seen = seen_pose(T_base_sensor, T_sensor_object, C)
+    filtered = PoseFilter.of_touch(seen)
+    traces = []
+    for _ in range(300):
+        filtered = filtered.touched(seen, 0.0)
+        _, known = filtered.seen_from(T_base_sensor, GEL)
+        traces.append(np.linalg.eigvals(np.linalg.solve(C, known)).real)
+    assert np.all(np.diff(np.sum(traces, axis=1)) < 1e-9)
+    assert traces[-1].min() > 0.75
+    assert traces[-1].max() == pytest.approx(0.75, abs=0.01)
+
+
+def test_errors_that_are_new_are_averaged():
+    rng = np.random.default_rng(4)
+    T_base_sensor, T_sensor_object = poses(2, rng)
+    C = np.diag(STD**2)
+    seen = SeenPose(T_base_sensor, T_sensor_object, 0.75 * C, 0.25 * C, np.zeros((6, 6)), GEL)
+    filtered = PoseFilter.of_touch(seen)
+    for _ in range(99):
+        filtered = filtered.touched(seen, 1.0)
+    _, known = filtered.seen_from(T_base_sensor, GEL)
+    assert np.allclose(np.diag(known), STD**2 / 100, rtol=1e-3)
+
+
+def test_what_a_touch_says_nothing_of_stays_as_predicted():
+    rng = np.random.default_rng(5)
+    T_base_sensor, T_sensor_object = poses(2, rng)
+    direction = np.array([0.0, 0, 0, 0, 0, 1])
+    C = np.diag(STD**2) + 9.0 * np.outer(direction, direction)  # no idea of a turn about z
+    known = PoseFilter.known(T_base_sensor @ T_sensor_object, np.diag(STD**2))
+    turned = moved(T_sensor_object, 0.02 * direction)
+    for _ in range(100):
+        known = known.touched(seen_pose(T_base_sensor, turned, C), 0.05)
+    T, found = known.seen_from(T_base_sensor, GEL)
+    assert abs(pose_errors(T, T_sensor_object)[5]) < 1e-3
+    assert found[5, 5] == pytest.approx(STD[5] ** 2, rel=0.3)
+
+
+def test_errors_are_as_large_as_the_covariance_says_though_they_are_correlated():
+    """Touches whose errors are first-order autoregressive, by sensors whose poses are: NEES is chi-squared."""
+    nees, share = [], 0.1
+    for number in range(150):
+        rng = np.random.default_rng([6, number])
+        T_base_object = poses(1, rng)[0]
+        C = np.diag(STD**2)
+        common, sensor = (rng.normal(size=6) for _ in range(2))
+        filtered = None
+        for _ in range(25):
+            true_T_base_sensor = moved(poses(1, np.random.default_rng(7))[0], 1e-3 * rng.normal(size=6))
+            T = invert(true_T_base_sensor) @ T_base_object
+            error = np.sqrt(0.75) * STD * common + np.sqrt(0.25) * STD * rng.normal(size=6)
+            reported = true_T_base_sensor @ about(GEL, np.sqrt(np.diag(SENSOR)) * sensor)
+            seen = seen_pose(reported, moved(T, error), C)
+            filtered = PoseFilter.of_touch(seen) if filtered is None else filtered.touched(seen, share)
+            common, sensor = (
+                (1 - share) * old + np.sqrt(1 - (1 - share) ** 2) * rng.normal(size=6) for old in (common, sensor)
+            )
+        found, P = filtered.seen_from(reported, GEL)
+        e = pose_errors(T, found)
+        nees.append(e @ np.linalg.solve(P, e))
+    assert np.mean(nees) == pytest.approx(6.0, abs=1.2)
+    assert 0.9 < np.mean(np.array(nees) < 12.59) < 0.99
