@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Draws the pictures of docs/method.md and docs/conventions.md from what the code computes, into docs/images."""
+"""Draws the pictures of docs/method.md, conventions.md and tracking.md from what the code computes, into docs/images."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.noise import NOISE
+from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import ContactShape, Touch
 from tactile_loc.drawing.pictures import (
     draw_contact_shape,
@@ -22,7 +24,11 @@ from tactile_loc.drawing.pictures import (
     save_figure,
 )
 from tactile_loc.drawing.pose_panel import draw_pose
+from tactile_loc.drawing.track import draw_track
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.evaluation.sequences import SlidingTouches
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.tracker import Tracker
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,6 +39,7 @@ SPACING_MM = 4.51  # about 10 000 poses
 NEIGHBOURS = 5
 SHOWN = 4  # most probable poses
 TOUCH_SEED = 3
+SLIDE_FRAMES, SLIDE_SEED, SLIDE_LIFT = 500, 5, (250, 300)  # frames, and those in which nothing touches
 
 
 def draw_rendering(localizer: Localizer) -> Figure:
@@ -121,6 +128,26 @@ def _draw_posterior(axes: Any, posterior: Any, T_true: NDArray[np.float64]) -> N
     axes.figure.colorbar(dots, ax=axes, fraction=0.046, label="yaw (°)")
 
 
+def draw_slide(localizer: Localizer) -> Figure:
+    """Draw how a slide over the object is tracked, with a lift in between."""
+    renderer = registry().create("renderer", "raycast", {})
+    source = RobotTouches(
+        localizer.object, localizer.sensor.geometry, renderer, noise=NOISE["mild"], sensor_std_m=1e-4,
+        sensor_std_rad=np.radians(0.1),
+    )  # fmt: skip
+    frames = SlidingTouches(source).example(SLIDE_FRAMES, np.random.default_rng(SLIDE_SEED))
+    tracker, found = Tracker(localizer), []
+    tracker.start(frames[0].T_base_sensor @ frames[0].T_sensor_object, np.diag([3e-7] * 3 + [1e-4] * 3))
+    for k, frame in enumerate(frames):
+        touch = None if SLIDE_LIFT[0] <= k < SLIDE_LIFT[1] else frame.touch
+        found.append(tracker.update(frame.time_s, touch, frame.T_base_sensor))
+    gel_m = np.array([0.0, 0.0, localizer.sensor.geometry.standoff_m])
+    truth = np.array([frame.T_sensor_object for frame in frames])
+    return draw_track(
+        found, truth, localizer.object, gel_m, f"{localizer.object.name}: a slide of five seconds, tracked"
+    )
+
+
 def _touch(localizer: Localizer) -> Touch:
     return localizer.simulate(1, TOUCH_SEED, noise="strong")[0]
 
@@ -138,6 +165,7 @@ def main() -> None:
         "neighbours": draw_neighbours(plain),
         "noise": draw_noise(plain),
         "matching": draw_matching(localizers),
+        "track": draw_slide(Localizer.create(OBJECT, sensor="gelsight-mini")),
     }
     for name, figure in figures.items():
         print(save_figure(out / f"{name}.png", figure))

@@ -71,6 +71,17 @@ class PoseMetric:
         S = self.object.symmetry.elements(max_step_rad=float(step_m / lever))
         return T_sensor_object[None] @ S[:, None]
 
+    def nearest_equivalents(self, T_sensor_object: Poses, T_near: Poses, step_m: float = 1e-4) -> Poses:
+        """Return of each pose (N, 4, 4) the one (N, 4, 4) that looks the same and is nearest to T_near (N, 4, 4).
+
+        A continuous symmetry is sampled at most `step_m` metres apart.
+        """
+        same = self.equivalents(T_sensor_object, step_m)
+        far = np.linalg.norm(
+            self.embed(same.reshape(-1, 4, 4)).reshape(*same.shape[:2], -1) - self.embed(T_near), axis=-1
+        )
+        return np.asarray(same[far.argmin(axis=0), np.arange(len(T_near))])
+
     def symmetric_distance(self, T1: Poses, T2: Poses) -> NDArray[np.float64]:
         """Return the distance (N,) in metres between poses (N, 4, 4), the least over the symmetry group: exactly."""
         return np.linalg.norm(self.embed_orbits(T1) - self.embed_orbits(T2)[0], axis=-1).min(axis=0)

@@ -18,7 +18,6 @@ from tactile_loc.evaluation.rolls import least_largest, least_mean
 FEW_SYMMETRIES = 8  # up to which all are measured with all points
 ALIKE = 1.25  # of the least root mean square distance: symmetries within it may have the least mean distance
 TRIED, TRIED_POINTS, MEASURED = 24, 300, 2  # of many symmetries: tried with few points, measured with all
-ROLL_STEP_RAD = np.radians(0.2)
 AT_ONCE = 32  # transforms applied to all points at once
 
 Points = NDArray[np.float64]
@@ -61,13 +60,9 @@ def pose_differences(
     """How far off the centroid (K,), metres, and the rotation (K,), radians, of estimates (K, 4, 4) are.
 
     They are compared with whichever pose looks like the true one (K, 4, 4) and is nearest, root mean square distance of
-    the surface; a continuous axis is taken in steps of ROLL_STEP_RAD.
+    the surface.
     """
-    metric = PoseMetric(obj)
-    same = T_true[:, None] @ obj.symmetry.elements(ROLL_STEP_RAD)
-    far = np.linalg.norm(metric.embed(same.reshape(-1, 4, 4)).reshape(*same.shape[:2], -1)
-                         - metric.embed(T_estimates)[:, None], axis=-1)  # fmt: skip
-    nearest = same[np.arange(len(same)), far.argmin(axis=1)]
+    nearest = PoseMetric(obj).nearest_equivalents(T_true, T_estimates)
     centroids_m = (nearest - T_estimates)[:, :3] @ [*obj.mesh.centroid_m, 1.0]
     turned = rotation_angle(nearest[:, :3, :3] @ np.swapaxes(T_estimates[:, :3, :3], 1, 2))
     return np.linalg.norm(centroids_m, axis=-1), turned

@@ -40,8 +40,7 @@ def normalised_error_squared(
     e (6,) is the error of x, y, z and the rotation vector, along the sensor's axes, from the pose that looks like the
     true one (4, 4) and is nearest. With true covariances and Gaussian errors its mean is 6 (chi-squared).
     """
-    same = metric.equivalents(T_true[None], STEP_M).reshape(-1, 4, 4)
-    T = same[np.linalg.norm(metric.embed(same) - metric.embed(T_estimate[None]), axis=1).argmin()]
+    T = metric.nearest_equivalents(T_true[None], T_estimate[None], STEP_M)[0]
     turned = Rotation.from_matrix(T[:3, :3] @ T_estimate[:3, :3].T).as_rotvec()
     e = np.concatenate([T[:3, 3] - T_estimate[:3, 3], turned])
     return float(e @ np.linalg.solve(covariance, e))

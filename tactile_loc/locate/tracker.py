@@ -257,7 +257,7 @@ class Tracker:
         return self._distinct(told)
 
     def _contradicted(self, is_key: bool) -> bool:
-        """Whether the likeliest mode explains the touch far worse than it explained those before, or a key touch not."""
+        """Whether the likeliest mode explains the touch far worse than those before, or does not explain a key touch."""
         iou = self._modes[0].imprint_iou
         return iou < self._usual - FALL or (is_key and iou < LEAST)
 
