@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Draws the pictures of docs/method.md, conventions.md and tracking.md from what the code computes, into docs/images."""
+"""Draws pictures of docs/method.md, conventions.md and tracking.md from what the code computes, into docs/images."""
 
 from __future__ import annotations
 
@@ -143,9 +143,8 @@ def draw_slide(localizer: Localizer) -> Figure:
         found.append(tracker.update(frame.time_s, touch, frame.T_base_sensor))
     gel_m = np.array([0.0, 0.0, localizer.sensor.geometry.standoff_m])
     truth = np.array([frame.T_sensor_object for frame in frames])
-    return draw_track(
-        found, truth, localizer.object, gel_m, f"{localizer.object.name}: a slide of five seconds, tracked"
-    )
+    title = f"{localizer.object.name}: a slide of {frames[-1].time_s:.0f} seconds, tracked"
+    return draw_track(found, truth, localizer.object, gel_m, title)
 
 
 def _touch(localizer: Localizer) -> Touch:

@@ -47,7 +47,8 @@ def draw_track(
     some, truth = [found[k] for k in known], T_true[known]
     figure = make_figure(11.5, 4.8, constrained=True)
     figure.suptitle(title, size=12, weight="bold")
-    left, right = figure.subfigures(1, 2, width_ratios=[5, 6.5])
+    panels: Any = figure.subfigures(1, 2, width_ratios=[5, 6.5])
+    left, right = panels
     same = PoseMetric(obj).nearest_equivalents(truth, np.array([one.T_sensor_object for one in some]))
     _draw_path(left.subplots(), some, same, obj, gel_m)
     above, below = right.subplots(2, 1, sharex=True)
@@ -107,4 +108,4 @@ def _shade(axes: Any, found: Sequence[TrackedPose]) -> None:
     """Shade the times at which the track was not certain."""
     for one, after in zip(found, [*found[1:], found[-1]], strict=True):
         if one.state in SHADES:
-            axes.axvspan(one.time_s, after.time_s, color=SHADES[one.state], lw=0, zorder=0)
+            axes.axvspan(one.time_s, after.time_s, color=SHADES[one.state], lw=0, alpha=0.7, zorder=1.5)

@@ -39,7 +39,7 @@ KEY_M = 2e-3  # the sensor's motion from one key touch to the next
 KEY_TOUCHES = 5  # that are searched for together
 EXPLAINED_PX = 60  # pixels a side of what is drawn of a mode
 FALL = 0.15  # imprint IoU: a touch that is explained so much worse than those before contradicts the track
-LEAST = 0.4  # imprint IoU: less explains nothing
+LEAST = 0.25  # imprint IoU: less explains nothing
 HABIT = 0.1  # of what a touch is explained: how far what is usual follows it
 STAYS = 8.0  # nats that speak for a tracked mode beside one that is found anew: objects seldom jump
 
@@ -257,7 +257,7 @@ class Tracker:
         return self._distinct(told)
 
     def _contradicted(self, is_key: bool) -> bool:
-        """Whether the likeliest mode explains the touch far worse than those before, or does not explain a key touch."""
+        """Whether the likeliest mode explains a touch far worse than those before, or does not explain a key touch."""
         iou = self._modes[0].imprint_iou
         return iou < self._usual - FALL or (is_key and iou < LEAST)
 
