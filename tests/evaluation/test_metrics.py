@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry import make_transform, rotation_about, translation
+from tactile_loc.core.geometry import make_transform, random_rotations, rotation_about, translation
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.symmetry import SymmetryGroup
-from tactile_loc.evaluation.metrics import add, add_s, mssd, symmetric_add, symmetric_adds
+from tactile_loc.evaluation.metrics import add, add_s, mssd, pose_differences, symmetric_add, symmetric_adds
 
 SHIFT_M = np.array([0.003, -0.004, 0.012])
 LENGTH_M = 0.013
@@ -126,3 +126,16 @@ def test_the_smaller_metrics_are_smaller(box, points_m, true_pose):
     mean = symmetric_adds(box, points_m, poses, true_pose)
     assert (add_s(points_m, poses, true_pose) <= mean + 1e-12).all()
     assert (mean <= mssd(box, box.mesh.hull_corners_m, poses, true_pose) + 1e-12).all()
+
+
+def test_pose_differences_are_the_centroids_shift_and_the_turn_up_to_symmetry(make_box, cylinder):
+    rng = np.random.default_rng(9)
+    T = make_transform(random_rotations(6, rng), 0.02 * rng.normal(size=(6, 3)))
+    for obj in (make_box(0.03, 0.02, 0.012, symmetry="x2*y2"), cylinder):
+        c = obj.mesh.centroid_m
+        S = obj.symmetry.elements()[-1]
+        shifted = translation(c) @ make_transform(rotation_about([1, 0, 0], 0.02), np.zeros(3)) @ translation(-c) @ S
+        off = translation([0.0, 3e-4, 4e-4]) @ T @ shifted
+        shift_m, turn_rad = pose_differences(obj, off, T)
+        assert np.allclose(shift_m, 5e-4, atol=1e-9)
+        assert np.allclose(turn_rad, 0.02, atol=1e-3)  # a continuous axis is taken in steps

@@ -1,0 +1,53 @@
+"""The picture of a track: errors as they are, up to symmetry, and what was not certain shaded."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.geometry import make_transform, random_rotations, rotation_about
+from tactile_loc.core.hand_eye import moved
+from tactile_loc.drawing.track import draw_track, track_errors
+from tactile_loc.locate.tracker import TrackedPose
+
+COUNT = 12
+GEL = np.array([0.0, 0.0, 0.01])
+
+
+def tracked(k: int, T: np.ndarray | None, state: str = "tracking") -> TrackedPose:
+    T = np.empty((0, 4, 4)) if T is None else T[None]
+    C = np.repeat(np.diag([1e-8] * 3 + [1e-6] * 3)[None], len(T), axis=0)
+    return TrackedPose(0.1 * k, state, T, C, np.ones(len(T)), 0.9, False)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    rng = np.random.default_rng(0)
+    return make_transform(random_rotations(COUNT, rng), 0.01 * rng.normal(size=(COUNT, 3)))
+
+
+def test_errors_are_the_centroids_shift_and_the_turn(box, truth):
+    found = [tracked(k, moved(T, np.array([3e-4, 0, 4e-4, 0, 0.01, 0]))) for k, T in enumerate(truth)]
+    errors = track_errors(found, truth, box)  # the box's centroid is its frame's origin
+    assert np.allclose(errors.shift_m, 5e-4)
+    assert np.allclose(errors.turn_rad, 0.01)
+    assert np.allclose(errors.shift_std_m, np.sqrt(3) * 1e-4)
+    assert np.allclose(errors.turn_std_rad, np.sqrt(3) * 1e-3)
+
+
+def test_the_picture_regards_symmetry_and_shades_what_is_not_certain(make_box, truth):
+    obj = make_box(0.03, 0.02, 0.012, symmetry="z2")
+    half_turn = make_transform(rotation_about([0, 0, 1], np.pi), np.zeros(3))
+    states = ["no contact", *["searching"] * 3, *["tracking"] * (COUNT - 4)]
+    found = [
+        tracked(k, None if k == 0 else T @ half_turn, state)
+        for k, (T, state) in enumerate(zip(truth, states, strict=True))
+    ]
+    figure = draw_track(found, truth, obj, GEL, "a box")
+    path, above, below = (axes for sub in figure.subfigs for axes in sub.axes)
+    for axes in (above, below):
+        (error,) = [line for line in axes.get_lines() if line.get_label() == "error"]
+        assert len(error.get_ydata()) == COUNT - 1
+        assert np.abs(error.get_ydata()).max() < 1e-4
+        assert len(axes.patches) == 4
+    assert len(path.get_lines()) == 2
