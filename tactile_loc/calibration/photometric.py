@@ -36,7 +36,7 @@ from tactile_loc.core.sensing import SensorGeometry
 ROUNDS = 3
 DRIFT_M = 2.5e-3  # drift is smooth over this distance: standard deviation of a Gaussian
 TOUCHED_M = 4e-5  # an indentation of this depth is not drift
-TOUCHED_SLOPE = 0.08  # nor is a surface of this slope
+TOUCHED_SLOPE = 0.05  # nor is a surface of this slope; the walls of a light press of a flat face have about 0.1
 RISING_SLOPE = 0.02  # a flat part up to which its border rises by this is a plateau, not untouched
 SMOOTHING_M = 1.2e-4  # of the slope, in deciding where the gel is touched
 NOISES = 4.0  # medians of the magnitude: what is beyond is no noise

@@ -298,6 +298,17 @@ def test_the_flat_middle_of_a_punch_keeps_its_depth(half_m):
     assert np.abs(found[true < 1e-9]).mean() < 10 * UM
 
 
+@pytest.mark.parametrize("drift", [0.0, 0.005])
+def test_a_light_press_of_a_flat_face_keeps_its_depth_though_its_walls_are_not_steep(drift):
+    x, y = (v / MM for v in places(FINE))
+    flat = np.where((np.abs(x) < 2.5) & (np.abs(y) < 3.5), 1.5e-4, 0.0)
+    true = gaussian_filter(flat, 8e-4 / FINE.pixel_pitch_m, mode="nearest")
+    slope = slopes_of(true, FINE)
+    assert 0.06 < np.hypot(*np.moveaxis(slope, -1, 0)).max() < 0.08
+    found = indentation_from_slopes(slope + bent(FINE, drift), FINE)
+    assert found[(np.abs(x) < 0.5) & (np.abs(y) < 1)].mean() == pytest.approx(1.5e-4, abs=25 * UM)
+
+
 def test_untouched_gel_stays_flat_in_spite_of_noise():
     rng = np.random.default_rng(0)
     noise = 0.05 * rng.normal(size=(96, 96, 2))
