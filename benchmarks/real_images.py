@@ -4,6 +4,10 @@
 `--data` is a folder with the public sets gelslim_balls, gelsight_mini_balls, gelsight_balls_160x120 and fots_balls, and
 gelslim_shapes: other shapes on the first sensor. Slope errors are means over presses that were held out, of several
 splits. The shapes are read with a calibration on four fifths of the balls (split 0). Times are medians on this machine.
+
+How deep the shapes were pressed is stated in their files' names, and is measured here too, on the small sphere, whose
+shape is known: `circle` is the height of the cap over its visible circle, and how deep the gel is there; `surface` the
+top of the sphere of that radius that fits the middle of the surface best.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ import argparse
 import json
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.calibration.calibrate import Calibrated, calibrate
+from tactile_loc.calibration.circles import Circle, colour_change, find_imprint, find_rim
 from tactile_loc.calibration.folder import write_calibration
 from tactile_loc.calibration.health import Health, health
 from tactile_loc.calibration.presses import PressFolder, convert, read_presses, reading_size_px
+from tactile_loc.calibration.reading import press_depth_m
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.io.images import load_image
 from tactile_loc.locate.localizer import Localizer
@@ -35,9 +42,12 @@ SETS = {
     "FOTS": ("fots_balls", "fots", 4.7 / 2, 1 / 19.58, (240, 320)),
 }
 PRESSES_MM = ("0.25", "0.5", "0.75", "1.0")
-SMALL_SPHERE_MM, SPHERE_AT_PX = 2.92, (208.5, 166.5)
+SMALL_SPHERE_MM = 2.92
 TIP_Z_M = 20e-3
 BORDER_MM = 0.3  # of the tip, where the gel does not follow
+AROUND_MM = (0.5, 1.0)  # from the tip: the gel hangs there, but not steeply
+DARK, WHITE = 12, 245  # counts between which a colour is not cut off
+GRID_MM = 1.6  # a bank of some 13 000 poses of 1600 cells; half of it, eight times as many, takes 16 GB
 
 
 def read(name: str, data: Path, folder: Path) -> PressFolder:
@@ -102,20 +112,80 @@ def slopes(presses: PressFolder, splits: int) -> tuple[Calibrated, dict[str, flo
     return done[0], {**mean, "ms": 1e3 * float(np.median(seconds))}
 
 
-def depths(calibrated: Calibrated, shapes: Path) -> list[str]:
-    """Return rows of the table of depths: the prism's tip, and the small sphere."""
+@dataclass(frozen=True)
+class SpherePress:
+    """A press of the small sphere as its image shows it: the visible circle, and depths in mm.
+
+    `cap_mm` is the height of the sphere above the circle, `rim_mm` how deep the gel is at it, `top_mm` how deep
+    the top of the sphere is that fits the middle of the surface best, `rms_mm` how far off it the surface is in the
+    circle.
+    """
+
+    circle: Circle
+    radius_mm: float
+    cap_mm: float
+    rim_mm: float
+    top_mm: float
+    rms_mm: float
+
+    @classmethod
+    def of(cls, calibrated: Calibrated, image: NDArray[np.uint8]) -> SpherePress:
+        """Measure a press in its image (H, W, 3)."""
+        estimator = calibrated.estimator
+        change = colour_change(image, estimator.background)
+        imprint = find_imprint(change)
+        assert imprint is not None
+        circle, _ = find_rim(change, imprint.circle)
+        pitch_mm = 1e3 * estimator.geometry.pixel_pitch_m
+        away_mm, radius_mm = pitch_mm * circle.distance_px(image.shape[:2]), pitch_mm * circle.radius_px
+        below_mm = SMALL_SPHERE_MM - np.sqrt(SMALL_SPHERE_MM**2 - np.minimum(away_mm, radius_mm) ** 2)
+        surface_mm = 1e3 * estimator.indentation(image)
+        tops_mm = surface_mm + below_mm  # of the sphere, as each pixel in contact says
+        top_mm = float(tops_mm[away_mm < radius_mm / 2].mean())
+        rim_mm = float(surface_mm[np.abs(away_mm - radius_mm) < pitch_mm].mean())
+        return cls(circle, radius_mm, below_mm.max(), rim_mm, top_mm, _rms((tops_mm - top_mm)[away_mm < radius_mm]))
+
+    def row(self, stated: str) -> str:
+        """Return a row of the table of presses."""
+        by_circle = f"{self.cap_mm:.3f} + {self.rim_mm:.3f} = {self.cap_mm + self.rim_mm:.3f}"
+        return f"| {stated} | {self.radius_mm:.2f} | {by_circle} | {self.top_mm:.3f} | {self.rms_mm:.3f} |"
+
+
+def growth(calibrated: Calibrated, shapes: Path) -> list[float]:
+    """Return how strong the colours around the prism's tip are at each press, in multiples of those at 0.5 mm.
+
+    A flat face touches the same of the gel at any press, whose surface then grows in proportion, and small slopes'
+    colours with it: nothing that was learned is asked. Looked at are pixels in AROUND_MM of the tip that no press
+    darkens or whitens fully.
+    """
+    from scipy.ndimage import distance_transform_edt, gaussian_filter
+
+    images = [_image(shapes / f"prism_{press}_real.png") for press in PRESSES_MM]
+    pose, geometry = _pose(json.loads((shapes / "poses.json").read_text()), "0.5"), calibrated.estimator.geometry
+    tip = _tip(pose, shapes / "prism.stl", geometry.shape, 0.0)
+    away_mm = distance_transform_edt(~tip) * 1e3 * geometry.pixel_pitch_m
+    looked_at = (away_mm > AROUND_MM[0]) & (away_mm < AROUND_MM[1])
+    for image in images:
+        looked_at &= ((image > DARK) & (image < WHITE)).all(axis=2)
+    untouched = calibrated.estimator.background.astype(float)
+    changes = [gaussian_filter(image - untouched, (2, 2, 0))[looked_at] for image in images]
+    usual = changes[PRESSES_MM.index("0.5")]
+    return [float((change * usual).sum() / (usual**2).sum()) for change in changes]
+
+
+def depths(calibrated: Calibrated, shapes: Path, spheres: dict[str, SpherePress]) -> list[str]:
+    """Return rows of the table of depths of the prism's tip, beside what is stated and what the sphere shows."""
     poses = json.loads((shapes / "poses.json").read_text())
     rows = []
-    for press in PRESSES_MM:
-        found_mm = 1e3 * calibrated.estimator.indentation(_image(shapes / f"prism_{press}_real.png"))
-        tip_mm = found_mm[_tip(_pose(poses, press), shapes / "prism.stl", found_mm.shape)].mean()
-        found_mm = 1e3 * calibrated.estimator.indentation(_image(shapes / f"sphere_{press}_real.png"))
-        true_mm = _cap_mm(float(press), calibrated.estimator.geometry)
-        off_mm = found_mm - true_mm
-        rows.append(
-            f"| {press} | {tip_mm:.3f} | {100 * (tip_mm / float(press) - 1):+.0f} % | {_rms(off_mm):.3f} | "
-            f"{_rms(off_mm[true_mm > 0]):.3f} |"
+    for press, times in zip(PRESSES_MM, growth(calibrated, shapes), strict=True):
+        indentation = calibrated.estimator.indentation(_image(shapes / f"prism_{press}_real.png"))
+        tip = _tip(_pose(poses, press), shapes / "prism.stl", indentation.shape)
+        tip_mm, press_mm = (
+            1e3 * indentation[tip].mean(),
+            1e3 * press_depth_m(indentation, calibrated.estimator.geometry),
         )
+        stated, seen = (100 * (tip_mm / true_mm - 1) for true_mm in (float(press), spheres[press].top_mm))
+        rows.append(f"| {press} | {tip_mm:.3f} | {stated:+.0f} % | {seen:+.0f} % | {press_mm:.3f} | {times:.2f} |")
     return rows
 
 
@@ -123,7 +193,7 @@ def located(sensor: Path, shapes: Path, store: Path) -> list[str]:
     """Locate the prism from its images with the default components; return rows of the table of poses."""
     localizer = Localizer.create(
         shapes / "prism.stl", units="mm", symmetry="none", sensor={"name": "calibrated", "path": str(sensor)},
-        grid={"name": "face", "face": "+z", "spacing_mm": 0.8}, encoder={"name": "pixel", "cells": 40},
+        grid={"name": "face", "face": "+z", "spacing_mm": GRID_MM}, encoder={"name": "pixel", "cells": 40},
         store=StageStore(store),
     )  # fmt: skip
     poses = json.loads((shapes / "poses.json").read_text())
@@ -136,7 +206,10 @@ def located(sensor: Path, shapes: Path, store: Path) -> list[str]:
         apart = min((abs(abs(t[2] - turns[0][2]) - 180) for t in turns[1:]), default=np.inf)
         both = "yes" if apart < 5 else "no"
         half_turn_deg = (yaw_deg + 90) % 180 - 90
-        rows.append(f"| {press} | {x_mm:+.2f} | {y_mm:+.2f} | {half_turn_deg:+.2f} | {both} | {len(turns)} |")
+        seen_mm = 1e3 * touch.contact_shape.indentation_m
+        rows.append(
+            f"| {press} | {x_mm:+.2f} | {y_mm:+.2f} | {half_turn_deg:+.2f} | {seen_mm:.3f} | {both} | {len(turns)} |"
+        )
     return rows
 
 
@@ -160,26 +233,18 @@ def _pose(poses: dict[str, Any], press: str) -> dict[str, Any]:
     return poses.get(f"prism_{press}") or poses["prism_0.5"]
 
 
-def _tip(pose: dict[str, Any], mesh: Path, shape: tuple[int, int]) -> NDArray[np.bool_]:
+def _tip(pose: dict[str, Any], mesh: Path, shape: tuple[int, int], border_mm: float = BORDER_MM) -> NDArray[np.bool_]:
     """The pixels (H, W) that the prism's tip covers, but for its border."""
     import trimesh
 
     tip = trimesh.load(mesh)
     corners = tip.vertices[tip.vertices[:, 2] > 1e3 * TIP_Z_M - 0.1][:, :2]  # type: ignore[attr-defined]
-    low, high = corners.min(axis=0) + BORDER_MM, corners.max(axis=0) - BORDER_MM
+    low, high = corners.min(axis=0) + border_mm, corners.max(axis=0) - border_mm
     v, u = np.mgrid[: shape[0], : shape[1]]
     x, y = ((a - origin) * pose["mm_per_px"] for a, origin in zip((u, v), pose["origin_px"], strict=True))
     c, s = np.cos(np.radians(pose["theta_deg"])), np.sin(np.radians(pose["theta_deg"]))
     along, across = c * x + s * y, s * x - c * y
     return (along > low[0]) & (along < high[0]) & (across > low[1]) & (across < high[1])
-
-
-def _cap_mm(press_mm: float, geometry: SensorGeometry) -> NDArray[np.float64]:
-    """The small sphere's indentation (H, W), mm, pressed so deep."""
-    R, pitch_mm = SMALL_SPHERE_MM, 1e3 * geometry.pixel_pitch_m
-    v, u = np.mgrid[: geometry.height_px, : geometry.width_px] + 0.5
-    rho2 = pitch_mm**2 * ((u - SPHERE_AT_PX[0]) ** 2 + (v - SPHERE_AT_PX[1]) ** 2)
-    return np.maximum(np.sqrt(np.maximum(R**2 - rho2, 0)) - (R - press_mm), 0)
 
 
 def _image(path: Path) -> NDArray[np.uint8]:
@@ -236,11 +301,16 @@ def main() -> None:
         if arguments.calibrations:
             return
         shapes = arguments.data / "gelslim_shapes"
+        images = {press: _image(shapes / f"sphere_{press}_real.png") for press in PRESSES_MM}
+        spheres = {press: SpherePress.of(sensor, image) for press, image in images.items()}
         print()
-        print(head("press, mm", "prism's tip, mm", "", "sphere, RMS over the image, mm", "and in the contact"))
-        print("\n".join(depths(sensor, shapes)))
+        print(head("stated, mm", "circle's radius, mm", "circle: cap + gel", "surface: top", "RMS in the circle, mm"))
+        print("\n".join(sphere.row(press) for press, sphere in spheres.items()))
         print()
-        print(head("press, mm", "x off, mm", "y off, mm", "yaw off, °", "both half turns", "hypotheses"))
+        print(head("stated, mm", "prism's tip, mm", "less stated", "less sphere's", "press, mm", "colours around it"))
+        print("\n".join(depths(sensor, shapes, spheres)))
+        print()
+        print(head("stated, mm", "x off, mm", "y off, mm", "yaw off, °", "press, mm", "both half turns", "hypotheses"))
         print("\n".join(located(work / "sensor", shapes, work / "store")))
 
 

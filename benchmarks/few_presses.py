@@ -1,0 +1,93 @@
+#!/usr/bin/env python3
+"""How many presses a calibration needs: the error of the surface's angle against the number of presses learned from.
+
+The public sets are those of `real_images.py`, reduced as `tactile-loc calibrate` reads them, labels by hand. Of each of
+several splits the same fifth of the presses is held out; of the others some are learned from, at random, or spread over
+the gel: the one nearest to its middle, and then again and again the one farthest from those that there are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from real_images import SETS, head, read, reduced
+
+from tactile_loc.calibration.calibrate import press_errors, split
+from tactile_loc.calibration.estimator import CalibrationProblem
+from tactile_loc.calibration.labels import Chosen
+from tactile_loc.calibration.photometric import PhotometricEstimator
+from tactile_loc.calibration.presses import PressFolder
+from tactile_loc.core.interfaces import Checkpoints
+from tactile_loc.core.progress import Progress
+
+COUNTS = (1, 2, 5, 10, 20)
+
+
+def at_random(presses: PressFolder, among: Sequence[int], count: int, seed: int) -> list[int]:
+    """Return the numbers of `count` presses, drawn at random; more are the fewer and others."""
+    order = np.random.default_rng(1000 + seed).permutation(among)
+    return sorted(order[:count].tolist())
+
+
+def spread(presses: PressFolder, among: Sequence[int], count: int, seed: int) -> list[int]:
+    """Return the numbers of `count` presses that lie far from one another."""
+    places = {number: _place(presses, number) for number in among}
+    chosen = [min(among, key=lambda number: float(np.hypot(*(places[number] - 0.5))))]
+    while len(chosen) < count:
+        left = [number for number in among if number not in chosen]
+        chosen.append(max(left, key=lambda number: min(np.hypot(*(places[number] - places[c])) for c in chosen)))
+    return sorted(chosen)
+
+
+def _place(presses: PressFolder, number: int) -> NDArray[np.float64]:
+    """Where a press is: shares (2,) of the image's width and height."""
+    rows, columns = np.nonzero(presses.label(number).contact)
+    return np.array([columns.mean(), rows.mean()]) / presses.geometry.shape[::-1]
+
+
+def error_deg(presses: PressFolder, count: int, choose: Callable[..., list[int]], seed: int) -> float:
+    """Return the mean error of the surface's angle on the presses held out, learned from `count` others."""
+    others, held_out = split(len(presses), seed)
+    learned = choose(presses, others, min(count, len(others)), seed)
+    made = PhotometricEstimator(presses.geometry, presses.background)
+    some = Chosen(presses, learned)
+    made.fit(CalibrationProblem(presses.geometry, presses.background, some, Progress(), Checkpoints()))
+    return float(np.mean([press_errors(made, *presses.press(number)).slope_deg for number in held_out]))
+
+
+def row(name: str, presses: PressFolder, choose: Callable[..., list[int]], counts: Sequence[int], splits: int) -> str:
+    """Return a set's row of the table: errors in degrees, the last of all presses that are not held out."""
+    available = len(split(len(presses), 0)[0])
+    cells = []
+    for count in (*counts, available):
+        each = [error_deg(presses, count, choose, seed) for seed in range(splits)] if count <= available else []
+        cells.append(f"{np.mean(each):.2f}" if each else "")
+    return f"| {name}, {choose.__name__.replace('_', ' ')} | {' | '.join(cells)} ({available}) |"
+
+
+def main() -> None:
+    """Run the benchmark and print its table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "tactile")
+    parser.add_argument("--splits", type=int, default=3)
+    parser.add_argument("--counts", type=int, nargs="+", default=COUNTS)
+    parser.add_argument("--sets", nargs="+", choices=SETS, default=list(SETS))
+    arguments = parser.parse_args()
+    if not arguments.data.is_dir():
+        parser.error(f"there is no {arguments.data}; give --data")
+    print(head("set", *map(str, arguments.counts), "all"))
+    with tempfile.TemporaryDirectory() as temporary:
+        for name in arguments.sets:
+            folder = Path(temporary) / name.replace(" ", "-")
+            presses = reduced(read(name, arguments.data, folder), name, folder)
+            for choose in (at_random, spread):
+                print(row(name, presses, choose, arguments.counts, arguments.splits), flush=True)
+
+
+if __name__ == "__main__":
+    main()
