@@ -1,18 +1,21 @@
 #!/usr/bin/env python3
-"""Draws pictures of docs/method.md, conventions.md and tracking.md from what the code computes, into docs/images."""
+"""Draws pictures of the guide (method, conventions, tracking, next touch) from what the code computes."""
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry import invert
 from tactile_loc.core.noise import NOISE
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import ContactShape, Touch
+from tactile_loc.drawing.next_touch import draw_next_touch
 from tactile_loc.drawing.pictures import (
     draw_contact_shape,
     draw_noise,
@@ -25,9 +28,11 @@ from tactile_loc.drawing.pictures import (
 )
 from tactile_loc.drawing.pose_panel import draw_pose
 from tactile_loc.drawing.track import draw_track
-from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.evaluation.robot_touches import RobotTouches, approaches_around
 from tactile_loc.evaluation.sequences import SlidingTouches
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.next_touch import next_touch
+from tactile_loc.locate.pose_modes import MOST_MODES
 from tactile_loc.locate.tracker import Tracker
 
 if TYPE_CHECKING:
@@ -40,6 +45,7 @@ NEIGHBOURS = 5
 SHOWN = 4  # most probable poses
 TOUCH_SEED = 3
 SLIDE_FRAMES, SLIDE_SEED, SLIDE_LIFT = 500, 5, (250, 300)  # frames, and those in which nothing touches
+NEXT_SEED = 5
 
 
 def draw_rendering(localizer: Localizer) -> Figure:
@@ -147,6 +153,15 @@ def draw_slide(localizer: Localizer) -> Figure:
     return draw_track(found, truth, localizer.object, gel_m, title)
 
 
+def draw_next(localizer: Localizer) -> Figure:
+    """Draw what the poses that one touch leaves possible would show at the best of 100 approaches."""
+    touch = localizer.simulate(1, NEXT_SEED)[0]
+    found = localizer.localize(replace(touch, T_base_sensor=invert(np.asarray(touch.T_sensor_object))), top=MOST_MODES)
+    rng = np.random.default_rng(NEXT_SEED)
+    chosen = next_touch(found, approaches_around(localizer.object, localizer.scene.geometry, 100, 0.8, rng))
+    return draw_next_touch(chosen, f"{localizer.object.name}: {len(chosen.modes.probabilities)} possible poses")
+
+
 def _touch(localizer: Localizer) -> Touch:
     return localizer.simulate(1, TOUCH_SEED, noise="strong")[0]
 
@@ -165,6 +180,7 @@ def main() -> None:
         "noise": draw_noise(plain),
         "matching": draw_matching(localizers),
         "track": draw_slide(Localizer.create(OBJECT, sensor="gelsight-mini")),
+        "next-touch": draw_next(Localizer.create("head", sensor="gelsight-mini", temperature=0.05)),
     }
     for name, figure in figures.items():
         print(save_figure(out / f"{name}.png", figure))

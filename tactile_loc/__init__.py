@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing import ContactShape as ContactShape
     from tactile_loc.core.sensing import SensorGeometry as SensorGeometry
     from tactile_loc.core.sensing import Touch as Touch
+    from tactile_loc.io.approach_files import Approach as Approach
+    from tactile_loc.io.approach_files import read_approaches as read_approaches
     from tactile_loc.io.config import RunConfig as RunConfig
     from tactile_loc.io.meshes import load_object as load_object
     from tactile_loc.io.ros_messages import RosPose as RosPose
@@ -32,11 +34,20 @@ if TYPE_CHECKING:
     from tactile_loc.io.touches import read_touch as read_touch
     from tactile_loc.io.touches import touch_from_image as touch_from_image
     from tactile_loc.io.touches import write_touch as write_touch
+    from tactile_loc.locate.identify import Identification as Identification
+    from tactile_loc.locate.identify import KnownObject as KnownObject
+    from tactile_loc.locate.identify import NullEvidence as NullEvidence
+    from tactile_loc.locate.identify import identify as identify
+    from tactile_loc.locate.library import Library as Library
     from tactile_loc.locate.localizer import Localizer as Localizer
     from tactile_loc.locate.localizer import localize_together as localize_together
     from tactile_loc.locate.mount import FlangeTouches as FlangeTouches
     from tactile_loc.locate.mount import FoundMount as FoundMount
     from tactile_loc.locate.mount import find_mount as find_mount
+    from tactile_loc.locate.next_touch import NextTouch as NextTouch
+    from tactile_loc.locate.next_touch import RatedApproach as RatedApproach
+    from tactile_loc.locate.next_touch import next_touch as next_touch
+    from tactile_loc.locate.pose_modes import PoseModes as PoseModes
     from tactile_loc.locate.probabilities import TemperatureScaling as TemperatureScaling
     from tactile_loc.locate.result import Hypothesis as Hypothesis
     from tactile_loc.locate.result import Localization as Localization

@@ -23,6 +23,7 @@ from typer.testing import CliRunner
 from tactile_loc import Localizer, load_object, write_touch
 from tactile_loc.core.geometry import make_transform, rotation_about
 from tactile_loc.evaluation.slides import random_slide, write_slide
+from tactile_loc.io.approach_files import read_approaches
 from tactile_loc.io.mount_files import MountRecord, write_mount
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.sensor_files import read_sensor_file
@@ -42,10 +43,12 @@ PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)
 READERS = {  # by how the file begins
     "camera": read_sensor_file,
     "kind": lambda path: read_prior(path, load_object("pin")),
+    "[[approach]]": lambda path: read_approaches(path, np.eye(4)),
     "[[touch]]": lambda path: read_touch_list(path, of_flange="T_base_flange" in path.read_text()),
     "mount": read_touch_list,
 }
 COARSE = ["--grid", "face", "-o", "grid.spacing_mm=10"]
+SEARCHED = {"grid": {"name": "whole", "directions": 300}, "temperature": 0.05}  # of pages on whole objects
 TINY_TRAINING = [word for o in ("epochs=1", "queries=32", "batch=16", "backbone=small", "channels=4")
                  for word in ("-o", f"encoder.{o}")]  # fmt: skip
 CHEAPER = {
@@ -56,6 +59,7 @@ CHEAPER = {
     "calibrate": ["-o", "steps=20", "-o", "hidden=4"],
     "mount": ["-o", "temperature=0.001"],
     "replay": [*COARSE, "-o", "temperature=0.001"],
+    "identify": ["-o", "temperature=0.05", "-o", "grid.directions=300"],
 }
 Block = tuple[str, str]
 
@@ -115,6 +119,14 @@ def furnished(tmp_path_factory, store) -> Path:
     (folder / "touches.toml").write_text('[[touch]]\npath = "first.npz"\n\n[[touch]]\npath = "second.npz"\n')
     mounted(folder)
     write_slide(folder / "drive.mcap", random_slide(localizer, 3, seed=0))
+    (folder / "poses.toml").write_text(
+        "".join(
+            f"[[approach]]\nT_sensor_next = {make_transform(np.eye(3), [x, 0, -0.05]).tolist()}\n"
+            for x in (0.0, 0.005, 0.01)
+        )  # back from the last touch, and aside
+    )
+    (folder / "parts").mkdir()
+    shutil.copy(folder / "part.stl", folder / "parts")
     (folder / "prior.toml").write_text(
         'kind = "half-space"\nframe = "sensor"\nnormal = [0, 0, -1]\nplane_point_mm = [0, 0, 100]\n'
     )
@@ -184,7 +196,8 @@ def test_commands_run(page, workplace):
 @pytest.mark.parametrize("page", [page for page in PAGES if any(language == "python" for language, _ in blocks(page))])
 def test_python_runs(page, workplace, monkeypatch, store):
     original = Localizer.create.__func__
-    coarse = {"store": store, "grid": {"name": "face", "spacing_mm": 8.0}}
+    grid = SEARCHED if page == "next-touch.md" else {"grid": {"name": "face", "spacing_mm": 8.0}}
+    coarse = {"store": store, **grid}
     monkeypatch.setattr(Localizer, "create", classmethod(lambda cls, *a, **k: original(cls, *a, **{**k, **coarse})))
     for number, (language, text) in enumerate(blocks(page)):
         if language == "python":

@@ -14,8 +14,10 @@ from tactile_loc_cli.commands.build import build
 from tactile_loc_cli.commands.calibrate import calibrate
 from tactile_loc_cli.commands.doctor import doctor
 from tactile_loc_cli.commands.evaluate import evaluate
+from tactile_loc_cli.commands.identify import identify
 from tactile_loc_cli.commands.mount import mount
 from tactile_loc_cli.commands.new_plugin import new_plugin
+from tactile_loc_cli.commands.next_touch import next_touch
 from tactile_loc_cli.commands.objects import objects
 from tactile_loc_cli.commands.plugins import plugins
 from tactile_loc_cli.commands.replay import replay
@@ -87,7 +89,8 @@ def tactile_loc(
 
 
 for command in (
-    run, build, simulate, evaluate, sweep, report, replay, calibrate, mount, objects, plugins, new_plugin,
+    run, build, simulate, evaluate, sweep, report, replay, calibrate, mount, next_touch, identify, objects, plugins,
+    new_plugin,
 ):  # fmt: skip
     app.command()(as_command(command))
 for name, command in store_commands.COMMANDS.items():

@@ -15,6 +15,8 @@ from tactile_loc_cli.console import say, say_table
 
 if TYPE_CHECKING:
     from tactile_loc.io.mount_files import MountRecord, MountTouchRecord
+    from tactile_loc.locate.identify_files import IdentificationRecord, KnownObjectRecord
+    from tactile_loc.locate.next_touch_files import NextTouchRecord, RatedRecord
     from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord
     from tactile_loc.locate.touch_files import LocatedFile
 
@@ -107,6 +109,46 @@ def say_mount(record: MountRecord) -> None:
 def _mount_cells(touch: MountTouchRecord) -> list[str]:
     off = (1e3 * (touch.residual_m or 0.0), np.degrees(touch.residual_rad or 0.0))
     return [touch.name, *(f"{v:.2f}" for v in off), f"{100 * (touch.imprint_iou or 0.0):.0f}"]
+
+
+def say_next_touch(record: NextTouchRecord, top: int) -> None:
+    """Write the best approaches, what cannot be reached, and which poses none of them tells apart."""
+    say(f"{record.object}: {len(record.modes)} possible poses, doubt {record.entropy_nats:.2f} nats")
+    header = ["rank", "approach", "information nats", "doubt left nats", "meets %", "travel mm", "cost"]
+    say_table([header, *map(_rated_cells, record.ranked[:top])], left=2, gap=2)
+    for one in record.out_of_reach:
+        say(f"out of reach: {one.name} {one.reason}")
+    if record.unlisted > 0.01:
+        say(f"{record.unlisted:.0%} of the probability is of poses that the result does not list; run --top lists more")
+    if record.symmetry != "none":
+        say(f"poses that differ by the object's symmetry, {record.symmetry}, are one: no touch tells them apart")
+    for group in record.alike:
+        say(f"no approach tells poses {', '.join(map(str, group))} apart")
+    if record.alike:
+        say(f"so a doubt of {record.doubt_left:.0%} remains whichever is made")
+
+
+def _rated_cells(one: RatedRecord) -> list[str]:
+    travel_m = [m for m in one.travel_m if m is not None]
+    travel = f"{1e3 * min(travel_m):.1f} to {1e3 * max(travel_m):.1f}" if travel_m else "-"
+    numbers = [f"{one.information_nats:.2f}", f"{one.entropy_nats:.2f}", f"{100 * one.meets:.0f}"]
+    return [str(one.rank), one.name, *numbers, travel, f"{one.cost:g}"]
+
+
+def say_identification(record: IdentificationRecord) -> None:
+    """Write the objects that were located, the most probable first, and what was touched."""
+    header = ["object", "prob. %", "shortfall nats", IMPRINT, *POSE]
+    located = [one for one in record.objects if one.poses]
+    say_table([header, *map(_known_cells, located), ["none of these", f"{100 * record.none:.1f}"]], left=1, gap=2)
+    if others := len(record.objects) - len(located):
+        say(f"not located, because less alike at a glance, or nowhere: {others} more")
+    say(f"touched: {record.identified or 'none of these'}, as {len(record.touches)} touches say")
+
+
+def _known_cells(one: KnownObjectRecord) -> list[str]:
+    best = one.poses[0]
+    numbers = [f"{100 * one.probability:.1f}", f"{one.shortfall_nats or 0.0:.1f}", f"{100 * best.imprint_iou:.0f}"]
+    return [one.name, *numbers, *_pose(np.array(best.T_sensor_object))]
 
 
 def say_located(files: Sequence[LocatedFile]) -> None:

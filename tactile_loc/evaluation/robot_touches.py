@@ -19,9 +19,11 @@ from tactile_loc.core.noise import TouchNoise
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.io.approach_files import Approach
 
 INSIDE = 0.8  # of the sensing rectangle's sides, about its centre: where the object's lowest point is
 MOST_DRAWS = 1000
+CLEAR_M = 0.02  # between the object's sphere and a sensor that starts
 NO_NOISE = TouchNoise()
 
 
@@ -60,6 +62,24 @@ class RobotTouches:
             elif drawn is not None:
                 refused += 1
         raise TouchError(f"hardly any press of {self.object.name} shows a touch; press deeper")
+
+    def approached(
+        self, T_base_sensor: Poses, press_m: float, name: str, rng: np.random.Generator, travel_m: float = np.inf
+    ) -> Touch | None:
+        """Return the touch of a sensor that moves along its z from `T_base_sensor` (4, 4) until contact, and presses.
+
+        The base frame is the object's; metres. None where it meets nothing within `travel_m`, starts inside the object,
+        or shows no usable touch.
+        """
+        start = invert(T_base_sensor)
+        contact, touching = bring_to_contact(self.object.mesh, start[None], self.geometry)
+        moved_m = start[2, 3] - contact[0, 2, 3]
+        if not touching[0] or not 0 <= moved_m <= travel_m:
+            return None
+        T = contact[0]
+        T[2, 3] -= press_m
+        drawn = self._shown(T, press_m, name, rng)
+        return drawn if isinstance(drawn, Touch) else None
 
     def opposed(self, rng: np.random.Generator, press_m: float) -> list[Touch]:
         """Return the two touches of a gripper that closes on the object: the second sensor faces the first.
@@ -135,3 +155,21 @@ class RobotTouches:
         R = rotation_about(turn, float(np.linalg.norm(turn)) * self.sensor_std_rad)
         off: NDArray[np.float64] = T_base_sensor @ make_transform(R, gel - R @ gel + self.sensor_std_m * shift)
         return off
+
+
+def approaches_around(
+    obj: ObjectModel, geometry: SensorGeometry, count: int, press: float, rng: np.random.Generator
+) -> list[Approach]:
+    """Return approaches from all directions, in the object's frame, that aim at random points of its surface.
+
+    Sensors start clear of the object, and press by the share `press` of the sensor's deepest.
+    """
+    centre = obj.mesh.centroid_m
+    start_m = CLEAR_M + float(np.linalg.norm(obj.mesh.corners_m - centre, axis=1).max())
+    found = []
+    for k, (R, aim_m) in enumerate(zip(random_rotations(count, rng), obj.mesh.sample(count, rng), strict=True)):
+        z = R[:, 2]
+        beside_m = aim_m - centre - z * (z @ (aim_m - centre))
+        T = make_transform(R, centre + beside_m - z * (start_m + geometry.surface_m))
+        found.append(Approach(T, press * geometry.max_depth_m, 2 * start_m, name=f"approach-{k:03d}"))
+    return found

@@ -207,7 +207,7 @@ def _located(
     posterior = _fused(observations, alone, known, times)
     poses = None if coverage is None else PoseSet.of(posterior, first.conformal_sets(posterior.touches), coverage)
     top = top or first.config.top
-    views = [_view(touch, localizer, t) for localizer, t in observations]
+    views = [view_of(touch, localizer, t) for localizer, t in observations]
     radius_m = PROPOSAL_RADIUS * first.mode_radius_m
     with times.stage("modes"):
         modes: list[Mode] = []
@@ -253,7 +253,7 @@ def _each(observations: Sequence[Observation], times: StageTimes, prior: Prior |
     for localizer, touch in observations:
         localizer.require_own(touch)
     first = observations[0][1]
-    views = [_view(first, localizer, touch) for localizer, touch in observations]
+    views = [view_of(first, localizer, touch) for localizer, touch in observations]
     found = found_together(views, searches, times, prior)
     elsewhere = observations[0][0].fused_scaling.elsewhere(found.best)
     return found.posteriors(views, [localizer.temperature_scaling for localizer, _ in observations], elsewhere)
@@ -280,8 +280,8 @@ def _beside(observations: Sequence[Observation], prior: Prior | None) -> Prior |
     return tempered(prior, lambda count: power(len(observations) + told) / power(count))
 
 
-def _view(first: Touch, localizer: Localizer, touch: Touch) -> View:
-    """A touch as hypotheses in the first one's sensor frame are compared with it."""
+def view_of(first: Touch, localizer: Localizer, touch: Touch) -> View:
+    """Return a touch as hypotheses in the first one's sensor frame are compared with it."""
     scene = localizer.scene.of_touch(touch)
     T = np.eye(4) if touch is first else invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
     return View(touch, scene, T, touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)

@@ -1,0 +1,165 @@
+#!/usr/bin/env python3
+"""How often touches tell which of many objects they are of, and that they are of none of these.
+
+Every object in turn is pressed from random directions, by 30 to 90 % of the sensor's deepest press; the touches are
+drawn by ray casting, which the localizer does not use. They are identified among all objects, and among all others but
+their own. Printed by number of touches: how often their own object is among those that are located, and how often it
+is the most probable; how often it is right, "none of these" regarded; how often a left-out object is rejected; the same
+at the threshold of that probability where 5 % of the known objects' touches would be rejected; which objects are taken
+for which; and, by the size of the library, the time of a glance and that of two touches.
+
+`--fit` prints the null evidence that the examples are most probable with. Objects are FILE[:UNITS] or demo names.
+`--out` keeps the examples, a file for each object and number of touches: what is there is not measured again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from contacts import LEVELS
+
+from tactile_loc.core.noise import NOISE, TouchNoise
+from tactile_loc.core.registry import registry
+from tactile_loc.core.sensing import Touch
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.locate.identify import LOCATED, KnownAnswer, NullEvidence, fit_null_evidence, identify
+from tactile_loc.locate.library import Library
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.store import StageStore
+
+TEMPERATURE = 0.05  # that it need not be fitted: objects are weighed by their evidence
+FALSE_ALARMS = 0.05
+SUFFERING = {**LEVELS, "mild": {"noise": TouchNoise(**{**NOISE["mild"].__dict__, "press_share": (1.0, 1.0)})}}
+
+
+def example(library: Library, number: int, arguments: argparse.Namespace, again: int) -> list[Touch]:
+    """The touches of one object; those of a smaller number begin those of a larger one."""
+    obj, geometry = library.models[number].object, library.models[number].scene.geometry
+    raycast = registry().create("renderer", "raycast", {})
+    source = RobotTouches(obj, geometry, raycast, **SUFFERING[arguments.level])
+    rng = np.random.default_rng([arguments.seed, *map(ord, obj.name), again])
+    return source.example(max(arguments.touches), rng)[0]
+
+
+def measured(library: Library, touches: list[Touch]) -> dict[str, Any]:
+    """How alike the objects are, and by how much those that would be located fall short, with or without the truth."""
+    start = time.perf_counter()
+    said = identify(touches, library, LOCATED + 1)
+    return {
+        "seconds": time.perf_counter() - start, "alike": {one.name: one.alike for one in said.objects},
+        "shortfalls": {one.name: one.shortfall for one in said.objects if one.found is not None},
+    }  # fmt: skip
+
+
+def answer(row: dict[str, Any], left_out: bool) -> tuple[list[str], KnownAnswer]:
+    """The objects that are located, and what came of it, its own among them or left out."""
+    alike = {name: value for name, value in row["alike"].items() if not (left_out and name == row["object"])}
+    names = sorted(alike, key=lambda name: -alike[name])[:LOCATED]
+    shortfalls = np.array([row["shortfalls"].get(name, np.inf) for name in names])
+    truth = names.index(row["object"]) if row["object"] in names else -1
+    return names, KnownAnswer(shortfalls, truth, row["touches"])
+
+
+def judged(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, float], Counter[tuple[str, str]]]:
+    """Shares of examples with the same number of touches, and what was taken for what."""
+    looked, first, right, known_none, strange_none = [], [], [], [], []
+    taken: Counter[tuple[str, str]] = Counter()
+    for row in rows:
+        names, known = answer(row, left_out=False)
+        p, none = null.probabilities(known.shortfalls, known.touches)
+        best = names[int(p.argmax())]
+        looked.append(known.truth >= 0)
+        first.append(best == row["object"])
+        right.append(best == row["object"] and p.max() > none)
+        known_none.append(none)
+        if not right[-1]:
+            taken[row["object"], best if p.max() > none else "none"] += 1
+        strange_none.append(null.probabilities(answer(row, left_out=True)[1].shortfalls, row["touches"])[1])
+    limit = np.quantile(known_none, 1 - FALSE_ALARMS)
+    return {
+        "examples": len(rows), "located": np.mean(looked), "first": np.mean(first), "right": np.mean(right),
+        "rejected": np.mean(np.array(strange_none) > 0.5), "rejected_at_5": np.mean(np.array(strange_none) > limit),
+        "seconds": np.median([row["seconds"] for row in rows]),
+    }, taken  # fmt: skip
+
+
+def glance_seconds(library: Library, touch: Touch) -> float:
+    """The time of a glance at all objects, the second one: the first opens them."""
+    library.glance(touch)
+    start = time.perf_counter()
+    library.glance(touch)
+    return time.perf_counter() - start
+
+
+def main() -> None:
+    """Measure, print tables, and keep the examples if asked."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("meshes", nargs="*", default=list(DEMO_OBJECTS), help="FILE[:UNITS]; default: the demo objects")
+    parser.add_argument("--sensor", default="gelsight-mini")
+    parser.add_argument("--level", default="clean", choices=list(SUFFERING))
+    parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3])
+    parser.add_argument("--examples", type=int, default=1, help="of each object")
+    parser.add_argument("--seed", type=int, default=31)
+    parser.add_argument("--fit", action="store_true")
+    parser.add_argument("--sizes", nargs="*", type=int, default=[], help="of libraries, to time")
+    parser.add_argument("--store", type=Path, help="where models are kept")
+    parser.add_argument("--out", type=Path, help="a folder, a file an object and number of touches")
+    arguments = parser.parse_args()
+    store = StageStore(arguments.store)
+    library = Library([
+        Localizer.create(
+            path, units=units or "auto", sensor=arguments.sensor, store=store, grid={"name": "whole"},
+            temperature=TEMPERATURE,
+        )
+        for path, _, units in (mesh.partition(":") for mesh in arguments.meshes)
+    ])  # fmt: skip
+    rows = []
+    for count in arguments.touches:
+        for number, name in enumerate(library.names):
+            for again in range(arguments.examples):
+                label = f"{name}-{arguments.level}-{count}-{again}-{len(library)}.json"
+                kept = arguments.out / label if arguments.out else None
+                if kept is not None and kept.exists():
+                    rows.append(json.loads(kept.read_text()))
+                    continue
+                touches = example(library, number, arguments, again)[:count]
+                rows.append({"object": name, "touches": count, **measured(library, touches)})
+                if kept is not None:
+                    kept.parent.mkdir(parents=True, exist_ok=True)
+                    kept.write_text(json.dumps(rows[-1]))
+    report(rows, arguments)
+    for size in arguments.sizes:
+        some = Library(library.models[:size])
+        touches = example(some, 0, arguments, 0)[:2]
+        glance_s = glance_seconds(some, touches[0])
+        start = time.perf_counter()
+        identify(touches, some)
+        print(f"{size} objects: a glance {1e3 * glance_s:.0f} ms, two touches {time.perf_counter() - start:.1f} s")
+
+
+def report(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
+    """Print the table, and what was taken for what."""
+    null = NullEvidence()
+    if arguments.fit:
+        known = [answer(row, left_out)[1] for row in rows for left_out in (False, True)]
+        null = fit_null_evidence(known)
+        print(null)
+    print("| touches | examples | located | most probable | right | left out: rejected | at 5 % false alarms | s |")
+    print("|---" * 8 + "|")
+    for count in sorted({row["touches"] for row in rows}):
+        said, taken = judged([row for row in rows if row["touches"] == count], null)
+        percent = [f"{said[key]:.0%}" for key in ("located", "first", "right", "rejected", "rejected_at_5")]
+        print(f"| {count} | {said['examples']} | {' | '.join(percent)} | {said['seconds']:.1f} |")
+        for (own, other), times in taken.items():
+            print(f"  {count} touches: {own} taken for {other}" + (f", {times} times" if times > 1 else ""))
+
+
+if __name__ == "__main__":
+    main()

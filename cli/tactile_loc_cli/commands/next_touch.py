@@ -1,0 +1,53 @@
+"""`tactile-loc next-touch`: where to touch next, so that least doubt remains?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from tactile_loc_cli import options
+from tactile_loc_cli.console import say
+
+DEFAULT_OUT = Path("tactile-loc-next-touch")
+
+Result = Annotated[Path, typer.Argument(metavar="RESULT", help="The result.json that run wrote, its .npz beside it.")]
+Candidates = Annotated[
+    Path,
+    options.declare(
+        "--candidates", "FILE.toml", "The approaches to choose from: [[approach]] tables, each with where it starts."
+    ),
+]
+Top = Annotated[int, options.declare("--top", "N", "How many approaches to show; the file has all of them.")]
+Out = Annotated[Path, options.declare("--out", "FOLDER", "Where next_touch.json and next_touch.png go.")]
+
+
+def next_touch(result: Result, candidates: Candidates, top: Top = 10, out: Out = DEFAULT_OUT) -> dict[str, Any]:
+    """Choose where to touch next, so that least doubt remains between the poses that a result lists.
+
+    What each of them would show to each approach is drawn: how far the sensor would come until contact, and what it
+    would see then. Approaches are ranked by the information that is expected of them for what they cost. Poses that
+    none of them tells apart are named.
+    """
+    from tactile_loc.drawing.next_touch import draw_next_touch
+    from tactile_loc.drawing.pictures import save_figure
+    from tactile_loc.io.approach_files import read_approaches
+    from tactile_loc.locate.next_touch import next_touch as choose
+    from tactile_loc.locate.next_touch_files import next_touch_record, read_modes, write_next_touch
+    from tactile_loc.store.files import require_writable
+    from tactile_loc_cli.results import say_next_touch
+
+    modes, T_base_sensor = read_modes(result)
+    approaches = read_approaches(candidates, T_base_sensor)
+    require_writable(out)
+    found = choose(modes, approaches)
+    record = next_touch_record(found)
+    say_next_touch(record, top)
+    title = f"{record.object}: {len(record.modes)} possible poses, {len(record.ranked)} approaches"
+    written = [
+        write_next_touch(out / "next_touch.json", record),
+        save_figure(out / "next_touch.png", draw_next_touch(found, title)),
+    ]
+    say(f"written: {', '.join(map(str, written))}")
+    return {**record.model_dump(mode="json"), "written": [str(path) for path in written]}

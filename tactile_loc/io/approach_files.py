@@ -1,0 +1,101 @@
+"""Touches that could be made, as a TOML file: where each sensor would start, how deep it would press, what it costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError
+
+from tactile_loc.core.errors import ConfigError, did_you_mean
+from tactile_loc.io.toml import MATRIX, Matrix, PoseKeys, Positive, explain, pose_from_keys, read_toml
+
+Pose = NDArray[np.float64]
+
+TRAVEL_M = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Approach:
+    """A touch that could be made: the sensor starts at `T_base_sensor` (4, 4), and moves along its z until contact.
+
+    Then it presses by `press_m`; None: as deep as the touch before. If it meets nothing within `travel_m` it stops.
+    `cost`, of any unit, is above 0; infinite where it cannot be reached. Lengths in metres.
+    """
+
+    T_base_sensor: Pose
+    press_m: float | None = None
+    travel_m: float = TRAVEL_M
+    cost: float = 1.0
+    name: str = ""
+
+
+class _ApproachTable(PoseKeys):
+    name: str | None = Field(None, min_length=1, description="what to call it, in quotes")
+    T_base_sensor: Matrix | None = Field(None, description=MATRIX)
+    T_sensor_next: Matrix | None = Field(None, description=MATRIX)
+    press_depth_mm: Positive | None = Field(None, description="a positive number (mm)")
+    travel_mm: Positive | None = Field(None, description="a positive number (mm)")
+    cost: Annotated[float, Field(gt=0)] = Field(1.0, description="a positive number, or inf where it cannot be reached")
+
+
+def read_approaches(path: str | Path, T_base_sensor: Pose | None = None) -> tuple[Approach, ...]:
+    """Read the `[[approach]]` tables of a TOML file, in their order.
+
+    Where a sensor starts is its `T_base_sensor`, (4, 4) in metres, or `xyz_mm` with `rpy_deg` or `quaternion_wxyz`; or
+    `T_sensor_next`, seen from the sensor of the touch before, whose own pose `T_base_sensor` (4, 4) the first needs
+    and the second does not. Raises ConfigError, which names the file and the approach.
+    """
+    path = Path(path)
+    approaches = []
+    for number, table in enumerate(_tables(path, read_toml(path)), start=1):
+        try:
+            approaches.append(_approach(table, f"approach {number}", T_base_sensor))
+        except ValidationError as error:
+            reason = explain(error, _ApproachTable, table, "an approach")
+            raise ConfigError(f"{path}, approach {number}: {reason}") from error
+        except ValueError as error:
+            raise ConfigError(f"{path}, approach {number}: {error}") from error
+    return tuple(approaches)
+
+
+def _tables(path: Path, values: dict[str, Any]) -> list[dict[str, Any]]:
+    unknown = sorted(set(values) - {"approach"})
+    if unknown:
+        near = did_you_mean(unknown[0], ["approach"])
+        raise ConfigError(f"{path} has an unknown entry {unknown[0]!r}.{near} It is a list of [[approach]] tables")
+    tables = values.get("approach", [])
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise ConfigError(f"approach in {path} is no list of tables; begin each with [[approach]]")
+    if not tables:
+        raise ConfigError(f"{path} lists no approach; give each one an [[approach]] table with where its sensor starts")
+    return tables
+
+
+def _approach(table: dict[str, Any], name: str, T_base_first: Pose | None) -> Approach:
+    keys = _ApproachTable(**table)
+    return Approach(
+        _start(keys, T_base_first), None if keys.press_depth_mm is None else 1e-3 * keys.press_depth_mm,
+        TRAVEL_M if keys.travel_mm is None else 1e-3 * keys.travel_mm, keys.cost, keys.name or name,
+    )  # fmt: skip
+
+
+def _start(keys: _ApproachTable, T_base_first: Pose | None) -> Pose:
+    """Where the sensor starts: in the base frame, or in that of the touch's sensor, if its pose is not known."""
+    T = pose_from_keys(keys, keys.T_base_sensor, "T_base_sensor")
+    if keys.T_sensor_next is not None:
+        if T is not None:
+            raise ValueError("T_sensor_next tells where the sensor starts; leave its pose in the base frame out")
+        motion = np.asarray(pose_from_keys(PoseKeys(), keys.T_sensor_next, "T_sensor_next"))
+        return motion if T_base_first is None else np.asarray(T_base_first @ motion)
+    if T is None:
+        raise ValueError("its start is missing; give T_base_sensor, xyz_mm with rpy_deg, or T_sensor_next")
+    if T_base_first is None:
+        raise ValueError(
+            "T_base_sensor cannot be used: the touch before does not say where its sensor was; give T_sensor_next, as "
+            "seen from that sensor"
+        )
+    return T

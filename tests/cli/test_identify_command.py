@@ -1,0 +1,50 @@
+"""`tactile-loc identify`: from a folder of meshes and touches to a name, a table and an exit code."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import trimesh
+from cli_helpers import assert_refused
+
+SETTINGS = "temperature = 0.05\n[grid]\nname = 'whole'\ndirections = 300\nturns = 24\n"
+IDENTIFY = ["identify", "--objects", "parts", "--units", "mm", "--sensor", "gelsight-mini", "--config", "run.toml"]
+
+
+@pytest.fixture
+def parts(cli) -> Path:
+    """A folder with a plate and a rod, and a touch of the plate."""
+    Path("parts").mkdir()
+    trimesh.creation.box((30, 20, 6)).export("parts/plate.stl")
+    trimesh.creation.cylinder(4, 40, sections=32).export("parts/rod.stl")
+    Path("run.toml").write_text(SETTINGS)
+    plate = ["--object", "parts/plate.stl", "--units", "mm", "--sensor", "gelsight-mini", "--config", "run.toml"]
+    made = cli("simulate", *plate, "--count", 1, "--seed", 3, "--out", "touches")
+    assert made.exit_code == 0, made.stderr
+    return Path("parts")
+
+
+def test_a_touch_tells_which_object_it_is_of_or_none(cli, parts):
+    done = cli(*IDENTIFY, "--touch", "touches/touch-0000.npz", "--out", "out", "--json")
+    assert done.exit_code == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert said["identified"] == "plate"
+    assert said["objects"][0]["poses"][0]["imprint_iou"] > 0.95
+    assert json.loads(Path("out/identification.json").read_text()).items() <= said.items()
+    (parts / "plate.stl").unlink()
+    done = cli(*IDENTIFY, "--touch", "touches/touch-0000.npz", "--out", "out")
+    assert done.exit_code == 1, done.stderr
+    assert "touched: none of these" in done.stdout
+
+
+def test_what_cannot_be_used_is_one_sentence(cli, parts):
+    touch = ["--touch", "touches/touch-0000.npz"]
+    assert_refused(cli("identify", "--objects", "nowhere", *touch), "there is no folder nowhere")
+    Path("empty").mkdir()
+    assert_refused(cli("identify", "--objects", "empty", *touch), "empty holds no mesh")
+    assert_refused(cli(*IDENTIFY, "--touch", "no.npz"), "no.npz")
+    trimesh.creation.box((30, 20, 6)).export(parts / "plate.obj")
+    assert_refused(cli(*IDENTIFY, *touch), "two objects are called plate")
+    assert not Path("tactile-loc-identify").exists()

@@ -1,0 +1,59 @@
+"""`tactile-loc next-touch`: from a result and a list of approaches to a table, a file and a picture."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_helpers import TINY, assert_refused
+
+from tactile_loc.core.geometry import make_transform, rotation_about
+
+
+@pytest.fixture
+def result(cli) -> Path:
+    """The result of one simulated touch."""
+    Path("run.toml").write_text("temperature = 0.05\n")  # which need not be fitted then
+    done = cli("run", "--object", "pin", *TINY, "--config", "run.toml", "--out", "located")
+    assert done.exit_code == 0, done.stderr
+    return Path("located/result.json")
+
+
+def listed(name: str, *starts: np.ndarray, more: str = "") -> str:
+    Path(name).write_text("".join(f"[[approach]]\nT_sensor_next = {T.tolist()}\n{more}" for T in starts))
+    return name
+
+
+def motion(x_mm: float, yaw_deg: float = 0.0) -> np.ndarray:
+    """Back by 50 mm, aside and turned."""
+    return make_transform(rotation_about([0, 0, 1], np.radians(yaw_deg)), [1e-3 * x_mm, 0.0, -0.05])
+
+
+def test_approaches_to_a_result_are_ranked_and_drawn(cli, result):
+    poses = listed("poses.toml", motion(0), motion(4, 90), motion(500))
+    done = cli("next-touch", result, "--candidates", poses, "--out", "out", "--json")
+    assert done.exit_code == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert said["written"] == ["out/next_touch.json", "out/next_touch.png"]
+    assert json.loads(Path("out/next_touch.json").read_text()).items() <= said.items()
+    information = [one["information_nats"] for one in said["ranked"]]
+    assert information == sorted(information, reverse=True)
+    beside = next(one for one in said["ranked"] if one["name"] == "approach 3")  # half a metre away
+    assert beside["information_nats"] == pytest.approx(0)
+    assert set(beside["travel_m"]) == {None}
+    assert sum(mode["probability"] for mode in said["modes"]) == pytest.approx(1)
+    table = cli("next-touch", result, "--candidates", poses, "--out", "out")
+    assert "information nats" in table.stdout
+    assert "approach 3" in table.stdout
+
+
+def test_what_cannot_be_used_is_one_sentence(cli, result):
+    poses = listed("poses.toml", motion(0))
+    assert_refused(cli("next-touch", "nowhere.json", "--candidates", poses), "nowhere.json cannot be read")
+    assert_refused(cli("next-touch", result, "--candidates", "no.toml"), "there is no file no.toml")
+    assert_refused(cli("next-touch", result, "--candidates", listed("none.toml")), "lists no approach")
+    far = listed("far.toml", motion(0), more="cost = inf\n")
+    assert_refused(cli("next-touch", result, "--candidates", far), "none of the 1 approaches is within reach")
+    assert not Path("tactile-loc-next-touch").exists()

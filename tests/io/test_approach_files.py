@@ -1,0 +1,66 @@
+"""Lists of approaches: poses in either frame, and one sentence for what is wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.io.approach_files import read_approaches
+
+START = make_transform(rotation_about([0, 0, 1], 0.3), [0.1, 0.2, 0.3])
+MOTION = make_transform(rotation_about([1, 0, 0], 0.4), [0.0, 0.02, 0.0])
+
+
+@pytest.fixture
+def listed(tmp_path):
+    def write(text: str):
+        (tmp_path / "poses.toml").write_text(text)
+        return tmp_path / "poses.toml"
+
+    return write
+
+
+def test_starts_are_poses_of_the_base_or_motions_from_the_last_touch(listed):
+    path = listed(
+        f'[[approach]]\nT_base_sensor = {START.tolist()}\n[[approach]]\nname = "left"\nT_sensor_next = '
+        f"{MOTION.tolist()}\npress_depth_mm = 0.8\ntravel_mm = 40\ncost = inf\n"
+        "[[approach]]\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 90]\n"
+    )
+    first, left, third = read_approaches(path, START)
+    assert np.allclose(first.T_base_sensor, START)
+    assert (first.name, first.press_m, first.travel_m, first.cost) == ("approach 1", None, 0.1, 1.0)
+    assert np.allclose(left.T_base_sensor, START @ MOTION)
+    assert (left.name, left.press_m, left.travel_m, left.cost) == ("left", 8e-4, 0.04, np.inf)
+    assert np.allclose(third.T_base_sensor[:3, 3], [1e-3, 2e-3, 3e-3])
+
+
+def test_motions_alone_do_without_the_base(listed):
+    (only,) = read_approaches(listed(f"[[approach]]\nT_sensor_next = {MOTION.tolist()}\n"))
+    assert np.allclose(only.T_base_sensor, MOTION)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "lists no approach"),
+        ("approach = 3\n", "no list of tables"),
+        ("[[aproach]]\n", "Did you mean 'approach'"),
+        ("[[approach]]\n", "approach 1: its start is missing"),
+        ("[[approach]]\nxyz_mm = [1, 2, 3]\n", "a pose is T_base_sensor, or xyz_mm with"),
+        ("[[approach]]\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\ncost = 0\n", "cost = 0 is wrong"),
+        ("[[approach]]\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\nspeed = 0\n", "has no key 'speed'"),
+        (f"[[approach]]\nT_base_sensor = {START.tolist()}\nT_sensor_next = {MOTION.tolist()}\n", "leave its pose in"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_one_sentence(listed, text, said):
+    with pytest.raises(ConfigError, match=said):
+        read_approaches(listed(text), START)
+
+
+def test_a_pose_of_the_base_needs_to_know_where_the_sensor_was(listed):
+    with pytest.raises(ConfigError, match="give T_sensor_next"):
+        read_approaches(listed("[[approach]]\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\n"))
+    with pytest.raises(ConfigError, match="there is no file"):
+        read_approaches("nowhere.toml")
