@@ -18,7 +18,7 @@ from tactile_loc.core.places import CAMERA
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import Touch
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.search import PlaceSearch, anchor
+from tactile_loc.locate.search import PlaceSearch
 from tactile_loc.store.keys import StageKey
 
 Codes = NDArray[np.float16]  # (levels, places, D)
@@ -65,14 +65,14 @@ class Library:
 
     def glance(self, touch: Touch) -> NDArray[np.float64]:
         """Return how alike a touch and the most alike place of each object are (K,), unitless, higher is more alike."""
-        from tactile_loc.core.turned_patches import turned_patches
+        from tactile_loc.core.turned_patches import anchor, turned_patches
 
         for model in self.models:
             model.require_own(touch)
         level_m = max([m for m in LEVELS_M if m <= touch.press_depth_m], default=LEVELS_M[0])
         press_m = min(level_m, touch.press_depth_m)
         yaws_rad = 2 * np.pi * np.arange(TURNS) / TURNS
-        depths_m, seen = turned_patches(touch, anchor(touch)[:2], yaws_rad)
+        depths_m, seen = turned_patches(touch, *anchor(touch), yaws_rad)
         cut_m = np.minimum(depths_m, np.float32(press_m))
         queries, weights = self.models[0].encoder.encode_seen(cut_m, seen, press_m, CAMERA)
         scores = self._matcher(level_m).weighted_scores(queries, weights).max(axis=0)
