@@ -78,7 +78,7 @@ class RobotTouches:
             return None
         T = contact[0]
         T[2, 3] -= press_m
-        drawn = self._shown(T, press_m, name, rng)
+        drawn = self.shown(T, press_m, name, rng)
         return drawn if isinstance(drawn, Touch) else None
 
     def opposed(self, rng: np.random.Generator, press_m: float) -> list[Touch]:
