@@ -31,7 +31,7 @@ def labelled(
     folder = frames_folder(source) if source.is_file() else source
     if (folder / TABLE).exists() or not source.exists():
         if ball_radius_mm is not None and source.exists():
-            say(f"the labels in {folder / TABLE} are used as they are")
+            _use_table(folder, ball_radius_mm)
         return folder, sensor_file(folder, sensor, mm_per_px, None), {}
     if ball_radius_mm is None:
         raise CalibrationError(
@@ -46,8 +46,53 @@ def labelled(
             f"pixels, and give that as --mm-per-px, or describe the sensor in {folder / 'sensor.toml'}"
         )
     folder, frames = read_frames(source)
-    file = sensor_file(folder, sensor, mm_per_px, frames[0].image.shape[:2])
-    return folder, file, _find(folder, frames, file, ball_radius_mm)
+    found = _find(folder, frames, _scale(folder, sensor, mm_per_px), ball_radius_mm)
+    return folder, sensor_file(folder, sensor, mm_per_px, frames[0].image.shape[:2]), found
+
+
+def _use_table(folder: Path, ball_radius_mm: float) -> None:
+    """Say that the table is used, and what it lacks. Raises ConfigError when it is of balls of another radius."""
+    from tactile_loc.calibration.frames import picture_names
+    from tactile_loc.calibration.presses import TABLE, table_summary
+    from tactile_loc.core.errors import ConfigError
+
+    names, radii_mm = table_summary(folder)
+    other = next((mm for mm in radii_mm if not math.isclose(mm, ball_radius_mm, rel_tol=SAME_SCALE)), None)
+    if other is not None:
+        raise ConfigError(
+            f"--ball-radius is {ball_radius_mm:g}, but {folder / TABLE} has a ball of {other:g} mm; correct one, or "
+            "remove the table to have the balls looked for again"
+        )
+    new = len(picture_names(folder) - names)
+    more = f"; {new} other images are not in it: remove it to have the balls looked for again" if new else ""
+    say(f"the labels in {folder / TABLE} are used as they are{more}")
+
+
+def _scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> float:
+    """The size of a pixel, mm, given or of the sensor's file. Raises ConfigError, SensorError; writes nothing."""
+    from tactile_loc.calibration.presses import SENSOR
+    from tactile_loc.core.errors import SensorError
+    from tactile_loc.io.sensor_files import read_sensor_file
+
+    file = folder / SENSOR if sensor is None else Path(sensor)
+    if file.exists() or mm_per_px is None or sensor is not None:
+        if not file.is_file():
+            raise SensorError(f"there is no {file}; describe the sensor in it (docs/sensors.md), or give --mm-per-px")
+        _require_same_scale(file, mm_per_px)
+        return 1e3 * read_sensor_file(file).pixel_pitch_m
+    return mm_per_px
+
+
+def _require_same_scale(file: Path, mm_per_px: float | None) -> None:
+    from tactile_loc.core.errors import ConfigError
+    from tactile_loc.io.sensor_files import read_sensor_file
+
+    scale = 1e3 * read_sensor_file(file).pixel_pitch_m
+    if mm_per_px is not None and not math.isclose(scale, mm_per_px, rel_tol=SAME_SCALE):
+        raise ConfigError(
+            f"--mm-per-px is {mm_per_px:g}, but {file} says {scale:.6g}; correct one, or remove the file to have it "
+            "written anew"
+        )
 
 
 def sensor_file(folder: Path, sensor: str | None, mm_per_px: float | None, shape: tuple[int, int] | None) -> Path:
@@ -58,16 +103,12 @@ def sensor_file(folder: Path, sensor: str | None, mm_per_px: float | None, shape
     """
     from tactile_loc.calibration.frames import read_frames
     from tactile_loc.calibration.presses import SENSOR, write_scale
-    from tactile_loc.core.errors import ConfigError
-    from tactile_loc.io.sensor_files import read_sensor_file
 
     file = folder / SENSOR if sensor is None else Path(sensor)
     if mm_per_px is None:
         return file
     if file.exists():
-        scale = 1e3 * read_sensor_file(file).pixel_pitch_m
-        if not math.isclose(scale, mm_per_px, rel_tol=SAME_SCALE):
-            raise ConfigError(f"--mm-per-px is {mm_per_px:g}, but {file} says {scale:.6g}; correct one or leave it out")
+        _require_same_scale(file, mm_per_px)
         return file
     if sensor is not None or not folder.is_dir():
         return file
@@ -88,22 +129,19 @@ def _has_scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> boo
     return mm_per_px is not None or sensor is not None or (folder / SENSOR).exists()
 
 
-def _find(folder: Path, frames: list[Any], sensor: Path, ball_radius_mm: float) -> dict[str, Any]:
+def _find(folder: Path, frames: list[Any], mm_per_px: float, ball_radius_mm: float) -> dict[str, Any]:
     from tactile_loc.calibration.frames import SHEET
-    from tactile_loc.calibration.unlabelled import find_presses, write_labels
-    from tactile_loc.core.errors import SensorError
+    from tactile_loc.calibration.unlabelled import find_presses, press_depths_mm, write_labels
     from tactile_loc.drawing.labels import draw_labels
     from tactile_loc.drawing.pictures import save_figure
-    from tactile_loc.io.sensor_files import read_sensor_file
 
-    if not sensor.is_file():
-        raise SensorError(f"there is no {sensor}; describe the sensor in it (docs/conventions.md), or give --mm-per-px")
-    mm_per_px = 1e3 * read_sensor_file(sensor).pixel_pitch_m
     found = find_presses(frames, ball_radius_mm / mm_per_px, progress())
+    least_mm, most_mm = press_depths_mm(found, ball_radius_mm, mm_per_px)
     table = write_labels(folder, found, ball_radius_mm, mm_per_px)
     title = f"{len(found.used)} of {len(found.presses)} presses are used"
     sheet = save_figure(folder / SHEET, draw_labels(found, title))
     _report(found)
+    say(f"by their circles they were pressed {least_mm:.2f} to {most_mm:.2f} mm deep: is that so?")
     say(f"written: {table} (look at {sheet}; correct the table if need be, and give the command again)")
     dropped = {press.name: press.dropped for press in found.presses if press.dropped}
     return {"labels": {"table": str(table), "sheet": str(sheet), "used": len(found.used), "dropped": dropped}}

@@ -53,7 +53,10 @@ def _summary(record: ResultRecord) -> Iterator[str]:
         )
     grid = record.configuration["grid"]
     if grid["name"] == "whole":
-        yield "the whole object was searched, every direction; if you know the face that touches: --grid face"
+        yield (
+            "the whole object was searched, every direction; if you know that it is its face +z that touches: "
+            "--grid face -o grid.face=+z"
+        )
     if (grid["name"], grid["options"].get("face")) == ("face", "auto"):
         yield f"side searched: {_side(record)}, on which it rests lowest; another: -o grid.face=+z, all: --grid whole"
     errors = record.errors

@@ -54,6 +54,11 @@ def read_frames(source: Path) -> tuple[Path, list[Frame]]:
     return source, _of_one_size(frames, source)
 
 
+def picture_names(folder: Path) -> set[str]:
+    """Return the names of the pictures in a folder, but for the sheet of labels."""
+    return {path.name for path in _files(folder, IMAGE_SUFFIXES)}
+
+
 def _files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
     found = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file()]
     return sorted(path for path in found if path.name != SHEET and not path.name.startswith("."))

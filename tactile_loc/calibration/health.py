@@ -21,6 +21,7 @@ from tactile_loc.core.sensing import SensorGeometry
 logger = logging.getLogger(__name__)
 
 SMOOTHING_PX = 2.0  # of the difference from the untouched gel: the camera's noise is no change of the light
+QUIETEST = 0.3  # of the image, in which a change is one of the light
 STEEP = 0.1  # of slopes: flatter ones are noise to a good part, of which nothing can be told
 FEWEST_STEEP = 0.01  # of the image
 LEAST_LIGHT, LEAST_UNFIT = 3.0, 0.1  # counts, and a share: what calibration presses have, at least
@@ -31,7 +32,8 @@ WARNED, REFUSED = 1.5, 2.5  # times the worst of the calibration's presses
 class Health:
     """What an image (H, W, 3) shows of its sensor.
 
-    `light` is by how much half of the image differs from the untouched gel at least, counts of 255; `unfit` which share
+    `light` is by how much all but three tenths of the image differs from the untouched gel, counts: the lamps light
+    all of it, while a large contact leaves that much untouched; `unfit` which share
     of the steep slopes is no surface's (root of the share of squares), NaN when too little is steep to tell.
     """
 
@@ -65,7 +67,7 @@ def health(image: Image, untouched: Image, slopes: Float32 | None, geometry: Sen
 
     difference = np.moveaxis(image.astype(np.float32) - untouched, -1, 0)
     smooth = np.stack([gaussian_filter(plane, SMOOTHING_PX) for plane in difference])
-    light = float(np.median(np.abs(smooth).max(axis=0)))
+    light = float(np.quantile(np.abs(smooth).max(axis=0)[::2, ::2], QUIETEST))
     return Health(light, np.nan if slopes is None else _unfit(slopes, geometry))
 
 

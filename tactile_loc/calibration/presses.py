@@ -224,6 +224,15 @@ def _read_table(table: Path) -> list[Row]:
     return [_row(line, f"{table}, line {number}", table.parent) for number, line in lines]
 
 
+def table_summary(folder: Path) -> tuple[set[str], set[float]]:
+    """Return the paths of the images that a folder's table lists, and the radii of its balls, mm.
+
+    Raises CalibrationError when it cannot be read.
+    """
+    rows = _read_table(folder / TABLE)
+    return {row.values["image"] for row in rows}, {row.number(KINDS["ball"][-1]) for row in rows if row.kind == "ball"}
+
+
 def _row(line: dict[str, str | None], where: str, folder: Path) -> Row:
     values = {key: (value or "").strip() for key, value in line.items() if key and not isinstance(value, list)}
     image, kind = values["image"], values["kind"]
@@ -270,7 +279,7 @@ def convert(source: Path, out: Path, format: str, ball_radius_mm: float, mm_per_
     if all(circle is None for _, circle in rows):
         raise CalibrationError(f"{source} holds no press in the format {format}")
     with (out / TABLE).open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
+        writer = csv.writer(file, lineterminator="\n")
         writer.writerow(CONVERTED)
         for image, circle in rows:
             if circle is None:

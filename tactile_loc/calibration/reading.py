@@ -49,8 +49,11 @@ def require_image(image: NDArray[Any], background: Image, camera_px: tuple[int, 
     if image.shape != background.shape:
         sizes = (image.shape, background.shape, camera_px or background.shape)
         got, want, own = (f"{shape[1]} x {shape[0]}" for shape in sizes)
-        also = "" if own == want else f", from the camera's {own},"
-        raise TouchError(f"the image is {got} px but the sensor was calibrated at {want} px{also} (width x height)")
+        also = "" if own == want else f", reduced from the camera's {own}"
+        raise TouchError(
+            f"the image is {got} px (width x height) but the sensor was calibrated at {want}{also}; was it taken by "
+            "another camera, or cut or resized?"
+        )
     if (image <= BLACK).all(axis=2).mean() > 0.95:
         raise TouchError("the image is black; is the sensor's light on, and its camera uncovered?")
     if (image >= WHITE).any(axis=2).mean() > 0.5 > (background >= WHITE).any(axis=2).mean():

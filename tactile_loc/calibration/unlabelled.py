@@ -31,6 +31,7 @@ SECOND = 0.35  # of the first imprint's contrast: what is stronger is another ba
 APART = 2.2  # radii around an imprint that belong to it
 OUTSIDE = 0.1  # of the radius that may lie beyond the border
 EXPOSED, MOST_EXPOSED = 253, 0.25  # counts of 255, and share of the circle's pixels and colours
+TOO_LARGE_SAID = "larger than the ball"
 TOO_LARGE = 1.3  # times the ball: no circle is that large, with its skirt
 MOVED_PX, MOVED_SHARE, SEEN = 0.7, 0.5, 4.0  # shift, share of the change and of the pixels that it explains, counts
 ALIKE = 0.25  # by which the correlation of a shifted gel is higher
@@ -40,6 +41,7 @@ KEPT = 6  # images away from whose imprint a pixel is
 AWAY = (1.3, 2.0)  # radii from an imprint: nearer the gel is certainly touched, farther it hardly is
 ORDER = 5  # of the polynomial that is the gel where all images touch it
 PIECED = 2  # rounds
+SHALLOWEST_MM = 0.05  # of the deepest press: balls that leave less are not of the radius that was said
 HOW_TO_PRESS = "press the ball so that all of its imprint is in the image, and add an image of the untouched gel"
 
 Array = NDArray[np.float64]
@@ -86,7 +88,8 @@ def find_presses(
     """
     if len(frames) < 3:
         raise CalibrationError(
-            f"there are {len(frames)} images; a calibration needs one of the untouched gel and five presses, better 30"
+            f"images: {len(frames)}, which are too few; a calibration needs one of the untouched gel and five presses, "
+            "better 30"
         )
     watcher = progress or Progress()
     images = [frame.image for frame in frames]
@@ -104,11 +107,11 @@ def find_presses(
             advance(1)
     untouched = np.clip(np.rint(reference), 0, 255).astype(np.uint8)
     found = FoundPresses(untouched, tuple(frames[n].name for n in quiet), tuple(presses))
-    _require_balls(found)
+    _require_balls(found, ball_px)
     return found
 
 
-def _require_balls(found: FoundPresses) -> None:
+def _require_balls(found: FoundPresses, ball_px: float | None) -> None:
     reasons = [press.dropped for press in found.presses]
     moved = sum(reason.startswith("camera moved") for reason in reasons)
     if moved > len(reasons) / 2:
@@ -119,7 +122,28 @@ def _require_balls(found: FoundPresses) -> None:
     if not found.used:
         counted = sorted(((reasons.count(reason), reason) for reason in set(reasons)), reverse=True)
         said = ", ".join(f"{reason} ({count})" for count, reason in counted) or "all show the untouched gel"
+        if ball_px is not None and counted and counted[0][1] == TOO_LARGE_SAID:
+            usual_px = float(np.median([press.circle.radius_px for press in found.presses if press.circle is not None]))
+            raise CalibrationError(
+                f"no imprint can be the ball's: their radius is about {usual_px:.0f} px, the ball's would be "
+                f"{ball_px:.2g} px; check --ball-radius, the radius in mm, and the size of a pixel, --mm-per-px"
+            )
         raise CalibrationError(f"no image shows one whole ball: {said}; {HOW_TO_PRESS}")
+
+
+def press_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> tuple[float, float]:
+    """Return how deep the balls were pressed, the least and the most, by their visible circles, mm.
+
+    Raises CalibrationError when a ball of this radius would have been pressed in nowhere.
+    """
+    radii_mm = mm_per_px * np.array([press.circle.radius_px for press in found.used if press.circle is not None])
+    depths_mm = ball_radius_mm - np.sqrt(ball_radius_mm**2 - np.minimum(radii_mm, STEEPEST * ball_radius_mm) ** 2)
+    if depths_mm.max() < SHALLOWEST_MM:
+        raise CalibrationError(
+            f"imprints of {radii_mm.min():.2g} to {radii_mm.max():.2g} mm in radius would be {depths_mm.max():.1g} mm "
+            f"deep at most for a ball of radius {ball_radius_mm:g} mm; check --ball-radius, the radius in mm"
+        )
+    return float(depths_mm.min()), float(depths_mm.max())
 
 
 def _first_reference(images: Sequence[Image]) -> Float32:
@@ -245,7 +269,7 @@ def _why_not(image: Image, reference: Float32, circle: Circle, ball_px: float | 
     if white[inside].mean() > MOST_EXPOSED:
         return "over-exposed"
     if ball_px is not None and circle.radius_px > TOO_LARGE * ball_px:
-        return "larger than the ball"
+        return TOO_LARGE_SAID
     return ""
 
 
@@ -329,6 +353,6 @@ def write_labels(folder: Path, found: FoundPresses, ball_radius_mm: float, mm_pe
 
     def write(path: Path) -> None:
         with path.open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file).writerows([CONVERTED, *rows])
+            csv.writer(file, lineterminator="\n").writerows([CONVERTED, *rows])
 
     return write_atomically(table, write)

@@ -38,7 +38,7 @@ class DepthSensor(SensorModel):
         if depth.ndim == 3 or depth.dtype == np.uint8:
             raise TouchError(
                 f"the {type(self).__name__} sensor has no calibration for images; give a contact shape "
-                "(.npz, .npy or 16-bit .png), or choose a sensor that is calibrated"
+                "(.npz, .npy or 16-bit .png), or choose a sensor that is calibrated for images: --sensor FOLDER"
             )
         shape = contact_shape_from_array(depth, self.geometry.max_depth_m)
         if depth.shape != self.geometry.shape:

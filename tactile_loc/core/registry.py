@@ -123,7 +123,8 @@ class Registry:
             return f"there is no slot {slot!r}; the slots are {', '.join(SLOTS)}"
         broken = "".join(f" The plugin {f.plugin} could not be loaded ({f.error})." for f in self.failures)
         known = self.names(slot)
-        return f"there is no {slot} {name!r}; there are {', '.join(known)}.{did_you_mean(name, known)}{broken}"
+        also = ", and no folder or file of that name" if slot == "sensor" else ""
+        return f"there is no {slot} {name!r}{also}; there are {', '.join(known)}.{did_you_mean(name, known)}{broken}"
 
     def load(self, slot: str, name: str) -> type[Any]:
         """Import and return the component's class. Raises PluginLoadError, MissingLibraryError or as `find` does."""

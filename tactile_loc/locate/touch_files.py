@@ -76,8 +76,8 @@ def find_touches(folder: Path) -> list[Path]:
     """Return the touches of a folder or pattern, in the order of names. Raises TouchError when there is none."""
     if folder.is_dir():
         # of what `simulate` wrote, the contact shapes: the images show the same touches, and a sheet of all of them
-        simulated = (folder / "poses.json").is_file()
-        candidates = folder.glob("*.npz") if simulated else folder.iterdir()
+        simulated = list(folder.glob("*.npz")) if (folder / "poses.json").is_file() else []
+        candidates = simulated or folder.iterdir()
     else:
         candidates = folder.parent.glob(folder.name)
     files = sorted(path for path in candidates if path.suffix.lower() in SUFFIXES and path.is_file())

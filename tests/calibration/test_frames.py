@@ -120,7 +120,7 @@ def test_a_ball_larger_than_the_image_is_none():
 
 
 def test_two_images_are_too_few():
-    with pytest.raises(CalibrationError, match="there are 2 images"):
+    with pytest.raises(CalibrationError, match="images: 2, which are too few"):
         find_presses(frames()[:2])
 
 

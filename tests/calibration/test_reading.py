@@ -168,7 +168,7 @@ def test_a_cameras_own_image_is_reduced_to_the_means_of_what_pixels_cover():
     reduced = require_image(finer, GEL, (384, 384))
     assert reduced.shape == GEL.shape
     np.testing.assert_allclose(reduced.astype(int), GEL, atol=1)
-    with pytest.raises(TouchError, match="128 x 128 px, from the camera's 384 x 384,"):
+    with pytest.raises(TouchError, match="calibrated at 128 x 128, reduced from the camera's 384 x 384"):
         require_image(finer[:200], GEL, (384, 384))
 
 
@@ -183,7 +183,7 @@ def refused(image, *words: str, gel=GEL) -> None:
 
 
 def test_another_size_is_refused():
-    refused(GEL[:100], "128 x 100 px", "128 x 128 px")
+    refused(GEL[:100], "128 x 100 px", "128 x 128")
     refused(GEL[:, :64], "64 x 128 px")
     refused(GEL[:0], "128 x 0 px")
 

@@ -73,6 +73,31 @@ def test_what_is_missing_is_said_in_one_sentence(cli, photos):
     assert_refused(cli("calibrate", photos, *BALL, *SCALE, *FEW), "there is no image in photos")
 
 
+@pytest.mark.parametrize(
+    ("lengths", "said"),
+    [
+        (
+            ["--ball-radius", 4000, "--mm-per-px", 0.2],
+            "mm deep at most for a ball of radius 4000 mm; check --ball-radius",
+        ),
+        (["--ball-radius", 0.4, "--mm-per-px", 0.2], "no imprint can be the ball's: their radius is about"),
+    ],
+)
+def test_lengths_that_cannot_be_are_refused_and_leave_nothing(cli, photos, lengths, said):
+    before = {path.name for path in photos.iterdir()}
+    assert_refused(cli("calibrate", photos, *lengths, *FEW), said)
+    assert {path.name for path in photos.iterdir()} == before
+
+
+def test_a_table_of_another_ball_is_refused_and_photos_beside_it_are_told(cli, photos):
+    BALLS.write(photos)
+    assert_refused(cli("calibrate", photos, "--ball-radius", 9, *FEW), "--ball-radius is 9", "remove the table")
+    write_image(photos / "new.png", BALLS.images[0])
+    done = cli("calibrate", photos, *BALL, *FEW, "--out", "mine")
+    assert done.exit_code == 0, done.stderr
+    assert "1 other images are not in it: remove it" in done.stdout
+
+
 def test_a_scale_that_contradicts_the_sensors_file(cli, photos):
     BALLS.write(photos)
     assert_refused(cli("calibrate", photos, "--mm-per-px", 0.3, *FEW), "--mm-per-px is 0.3", "sensor.toml says 0.2")

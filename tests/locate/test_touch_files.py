@@ -48,6 +48,8 @@ def test_touches_are_found_by_their_suffix_in_the_order_of_names(folder):
 def test_of_simulated_touches_the_contact_shapes_are_taken(folder):
     (folder / "poses.json").touch()
     assert [path.name for path in find_touches(folder)] == ["b.npz"]
+    (folder / "b.npz").unlink()
+    assert [path.name for path in find_touches(folder)] == ["a.PNG", "c.npy"]  # another file of that name
 
 
 def test_each_file_is_located_or_says_why_not(localizer: Localizer, tmp_path):
