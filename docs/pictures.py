@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import argparse
+import re
+from contextlib import chdir
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -166,6 +168,14 @@ def _touch(localizer: Localizer) -> Touch:
     return localizer.simulate(1, TOUCH_SEED, noise="strong")[0]
 
 
+def tell_stories(out: Path) -> None:
+    """Run the code of the stories' pages, which draw their own pictures, in the folder of pictures."""
+    with chdir(out):
+        for page in sorted(IMAGES.parent.glob("story-*.md")):
+            for code in re.findall(r"^```python\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE):
+                exec(compile(code, page.name, "exec"), {})
+
+
 def main() -> None:
     """Draw all pictures; the learned encoder is trained if the store has it not."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -184,6 +194,7 @@ def main() -> None:
     }
     for name, figure in figures.items():
         print(save_figure(out / f"{name}.png", figure))
+    tell_stories(out.absolute())
 
 
 if __name__ == "__main__":

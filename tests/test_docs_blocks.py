@@ -196,7 +196,11 @@ def test_commands_run(page, workplace):
 @pytest.mark.parametrize("page", [page for page in PAGES if any(language == "python" for language, _ in blocks(page))])
 def test_python_runs(page, workplace, monkeypatch, store):
     original = Localizer.create.__func__
-    grid = SEARCHED if page == "next-touch.md" else {"grid": {"name": "face", "spacing_mm": 8.0}}
+    grid = (
+        SEARCHED
+        if page == "next-touch.md" or page.startswith("story-")
+        else {"grid": {"name": "face", "spacing_mm": 8.0}}
+    )
     coarse = {"store": store, **grid}
     monkeypatch.setattr(Localizer, "create", classmethod(lambda cls, *a, **k: original(cls, *a, **{**k, **coarse})))
     for number, (language, text) in enumerate(blocks(page)):
