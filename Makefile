@@ -11,7 +11,7 @@ PYTEST_FLAGS ?= -q -n 2 --dist loadfile --no-loadscope-reorder
 # ROS and others put their own packages, pytest plugins among them, in front of ours.
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help setup demo test lint smoke docs bench bench-compare clean
+.PHONY: help setup demo test lint smoke docs audit sbom bench bench-compare clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -44,6 +44,12 @@ smoke: $(STAMP) ## build the wheel, install it into a fresh environment and try 
 docs: $(STAMP) ## build the documentation site in out/site; any broken link is an error
 	@echo "docs: out/site/index.html"
 	@NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict --quiet
+
+audit: $(STAMP) ## look the pinned packages up among known vulnerabilities; needs the internet
+	@scripts/audit.sh $(VENV)/bin/python
+
+sbom: $(STAMP) ## list what the wheel brings with it, as CycloneDX, in out/sbom.cdx.json
+	@scripts/sbom.sh $(VENV)/bin/python out/sbom.cdx.json
 
 bench: $(STAMP) ## run all benchmarks, hours, and keep what they print
 	@$(VENV)/bin/python scripts/bench.py keep --all

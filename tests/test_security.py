@@ -1,0 +1,118 @@
+"""What SECURITY.md promises: no pickle is read, whatever the file is called, and nothing that it says is missing."""
+
+from __future__ import annotations
+
+import ast
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import TactileLocError
+from tactile_loc.io.images import read_colour_image
+from tactile_loc.io.meshes import load_object
+from tactile_loc.io.sensor_files import read_sensor_file
+from tactile_loc.io.touches import read_touch
+from tactile_loc.plugins.sensors.presets import GelSlim
+
+ROOT = Path(__file__).parents[1]
+SOURCES = [
+    path for room in ("tactile_loc", "cli", "plugins_contrib", "scripts") for path in (ROOT / room).rglob("*.py")
+]
+RESTRICTED = (
+    "tactile_loc/plugins/encoders/moco/backbones.py"  # torch's reader of tensors alone, which SECURITY.md names
+)
+UNSAFE = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
+
+
+def imported(tree: ast.AST) -> set[str]:
+    names = [alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
+    names += [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    return {name.partition(".")[0] for name in names}
+
+
+def calls(tree: ast.AST) -> list[ast.Call]:
+    return [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+
+
+def keywords(call: ast.Call) -> dict[str | None, Any]:
+    return {k.arg: k.value.value for k in call.keywords if isinstance(k.value, ast.Constant)}
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_no_source_reads_a_pickle(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    if path.relative_to(ROOT).as_posix() != RESTRICTED:
+        assert not imported(tree) & UNSAFE
+    for call in calls(tree):
+        said = ast.unparse(call.func)
+        assert said not in ("eval", "exec", "builtins.eval", "builtins.exec", "yaml.load")
+        if said == "torch.load" or said.endswith("load_state_dict_from_url"):
+            assert keywords(call).get("weights_only") is True
+        if said in ("np.load", "numpy.load"):
+            assert keywords(call).get("allow_pickle") is False, ast.unparse(call)
+
+
+class Evil:
+    """Leaves a file behind when it is unpickled."""
+
+    def __init__(self, trace: Path) -> None:
+        self.trace = trace
+
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
+        return Path.touch, (self.trace,)
+
+
+READERS = {
+    "touch.npy": lambda path: read_touch(path, GelSlim()),
+    "touch.npz": lambda path: read_touch(path, GelSlim()),
+    "touch.png": lambda path: read_touch(path, GelSlim()),
+    "photo.npy": read_colour_image,
+    "part.stl": load_object,
+    "part.glb": load_object,
+    "part.ply": load_object,
+    "sensor.toml": read_sensor_file,
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_pickle_is_refused_and_does_nothing(tmp_path, name):
+    trace = tmp_path / "trace"
+    path = tmp_path / name
+    path.write_bytes(pickle.dumps(Evil(trace)))
+    with pytest.raises(TactileLocError):
+        READERS[name](path)
+    assert not trace.exists()
+
+
+@pytest.mark.parametrize("name", ["touch.npy", "touch.npz"])
+def test_an_array_of_pickles_is_refused_and_does_nothing(tmp_path, name):
+    trace, path = tmp_path / "trace", tmp_path / name
+    array = np.array([[Evil(trace)]], dtype=object)
+    np.save(path, array) if name.endswith("npy") else np.savez(path, depth=array)
+    with pytest.raises(TactileLocError):
+        read_touch(path, GelSlim())
+    assert not trace.exists()
+
+
+def test_a_sensors_surface_that_is_a_pickle_is_refused(tmp_path):
+    trace = tmp_path / "trace"
+    np.save(tmp_path / "gel.npy", np.array([[Evil(trace)]], dtype=object))
+    keys = 'camera = "orthographic"\nimage_size_px = [4, 4]\nmm_per_px = 1.0\nmax_depth_mm = 1.0\nsurface = "gel.npy"\n'
+    (tmp_path / "sensor.toml").write_text(keys)
+    with pytest.raises(TactileLocError):
+        read_sensor_file(tmp_path / "sensor.toml")
+    assert not trace.exists()
+
+
+@pytest.mark.parametrize(
+    "path", ["scripts/audit.sh", "scripts/sbom.sh", ".github/workflows/audit.yml", "constraints.txt"]
+)
+def test_what_the_policy_names_is_there(path):
+    assert (
+        Path(path).name in (ROOT / "SECURITY.md").read_text()
+        or "make " + Path(path).stem in (ROOT / "SECURITY.md").read_text()
+    )
+    assert (ROOT / path).is_file()
