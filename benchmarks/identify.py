@@ -49,19 +49,21 @@ def example(library: Library, number: int, arguments: argparse.Namespace, again:
 
 
 def measured(library: Library, touches: list[Touch]) -> dict[str, Any]:
-    """How alike the objects are, and by how much those that would be located fall short, with or without the truth."""
+    """How well objects explain touches roughly, and by how much those fall short that would be located, with or without
+    the truth."""
     start = time.perf_counter()
     said = identify(touches, library, LOCATED + 1)
     return {
         "seconds": time.perf_counter() - start, "alike": {one.name: one.alike for one in said.objects},
+        "rough_ious": {one.name: one.rough_iou for one in said.objects},
         "shortfalls": {one.name: one.shortfall for one in said.objects if one.found is not None},
     }  # fmt: skip
 
 
 def answer(row: dict[str, Any], left_out: bool) -> tuple[list[str], KnownAnswer]:
     """The objects that are located, and what came of it, its own among them or left out."""
-    alike = {name: value for name, value in row["alike"].items() if not (left_out and name == row["object"])}
-    names = sorted(alike, key=lambda name: -alike[name])[:LOCATED]
+    others = [name for name in row["alike"] if not (left_out and name == row["object"])]
+    names = sorted(others, key=lambda name: (-row["rough_ious"][name], -row["alike"][name]))[:LOCATED]
     shortfalls = np.array([row["shortfalls"].get(name, np.inf) for name in names])
     truth = names.index(row["object"]) if row["object"] in names else -1
     return names, KnownAnswer(shortfalls, truth, row["touches"])

@@ -144,7 +144,7 @@ def say_identification(record: IdentificationRecord) -> None:
     located = [one for one in record.objects if one.poses]
     say_table([header, *map(_known_cells, located), ["none of these", f"{100 * record.none:.1f}"]], left=1, gap=2)
     if others := len(record.objects) - len(located):
-        say(f"not located, because less alike at a glance, or nowhere: {others} more")
+        say(f"not located, because others explain more, or nowhere: {others} more")
     say(f"touched: {record.identified or 'none of these'}, as {len(record.touches)} touches say")
 
 

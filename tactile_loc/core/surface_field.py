@@ -103,7 +103,7 @@ def _neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArra
     return shared.indices.astype(np.int32), shared.indptr.astype(np.int64)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)  # objects of a library that are looked into together
 def surface_field(mesh: TriangleMesh) -> SurfaceField:
     """Return the field of a mesh, built when it is first asked for."""
     return SurfaceField.of(mesh)

@@ -1,10 +1,11 @@
 """Which of several objects touches are of, or none of these, and where it is.
 
-A glance at all objects says which few are worth locating; those are located, each by all touches, and weighed by the
-evidence by which hypotheses are weighed (`core/explained.py`). What counts is by how many nats the best pose of an
-object falls short of one that would explain all touches fully: that does not depend on how much the touches show. An
-object that nobody has told of explains touches about as well as the best of the others does, by chance; how well that
-is, "none of these", was fitted to simulated touches of objects that were left out.
+A glance at all objects says which are worth looking into, and a rough search of those which few are worth locating.
+These are located, each by all touches, and weighed by the evidence by which hypotheses are weighed
+(`core/explained.py`). What counts is by how many nats the best pose of an object falls short of one that would explain
+all touches fully: that does not depend on how much the touches show. An object that nobody has told of explains touches
+about as well as the best of the others does, by chance; how well that is, "none of these", was fitted to simulated
+touches of objects that were left out.
 """
 
 from __future__ import annotations
@@ -21,13 +22,14 @@ from tactile_loc.core.explained import explained
 from tactile_loc.core.interfaces import IOU_PX, View
 from tactile_loc.core.sensing import Touch
 from tactile_loc.locate.hypotheses import explained_where_seen
-from tactile_loc.locate.library import Library
+from tactile_loc.locate.library import Glance, Library
 from tactile_loc.locate.localizer import Localizer, localize_together, view_of
 from tactile_loc.locate.result import Localization
 
 Float64 = NDArray[np.float64]
 
-LOCATED = 8  # objects that are located, the most alike at a glance
+LOOKED_INTO = 64  # objects that are, the most alike at a glance
+LOCATED = 8  # of those, the ones that explain the touches best
 SHORTFALLS = np.geomspace(0.3, 20, 30).round(2).tolist()  # that are tried, nats
 TEMPERATURES = np.geomspace(0.3, 5, 15).round(2).tolist()
 LEAST = 1e-3  # probability of the truth, lest one touch decide alone
@@ -94,14 +96,17 @@ def fit_null_evidence(answers: Sequence[KnownAnswer]) -> NullEvidence:
 class KnownObject:
     """One object of the library, and what touches say of it.
 
-    `alike` is how alike the touches and its places are at a glance, their mean, unitless. The most alike are located:
-    `found` is where it would be, None if it was not worth it or cannot be; `shortfall` by how many nats its best pose
-    explains the touches less than fully, infinite where there is none; `probability` that it is this one, 0 to 1.
+    `alike` is how alike the touches and its places are at a glance, their mean, unitless. The most alike are looked
+    into: `rough_iou` is how well a rough search explains the touches, imprint IoU, their mean, 0 for the others. The
+    best of these are located: `found` is where it would be, None if it was not worth it or cannot be; `shortfall` by
+    how many nats its best pose explains the touches less than fully, infinite where there is none; `probability` that
+    it is this one, 0 to 1.
     """
 
     name: str
     probability: float
     alike: float
+    rough_iou: float
     shortfall: float
     found: Localization | None
 
@@ -129,17 +134,20 @@ def identify(
 ) -> Identification:  # fmt: skip
     """Return how probable it is that touches of one object are of each of the models' objects, or of none.
 
-    Several touches each know `T_base_sensor`. The `located` objects that are most alike at a glance are located. In
-    which order models are given changes nothing. Raises TactileLocError for touches of another sensor, several of
-    unknown sensor poses, models of one name, or none.
+    Several touches each know `T_base_sensor`. The `located` objects are located that explain them best, roughly, of the
+    LOOKED_INTO that are most alike at a glance. In which order models are given changes nothing. Raises TactileLocError
+    for touches of another sensor, several of unknown sensor poses, models of one name, or none.
     """
     library = models if isinstance(models, Library) else Library(models)
     if not touches:
         raise TouchError("there is no touch to identify; give one at least")
     if located < 1:
         raise ConfigError(f"{located} objects cannot be located; it must be 1 or more")
-    alike = np.mean([library.glance(touch) for touch in touches], axis=0)
-    chosen = np.argsort(-alike, kind="stable")[:located]
+    _require_poses(touches)
+    glances = [library.glance(touch) for touch in touches]
+    alike = np.mean([glance.alike for glance in glances], axis=0)
+    rough = _looked_into(library, glances, np.argsort(-alike, kind="stable")[:LOOKED_INTO])
+    chosen = np.lexsort((-alike, -rough))[:located]
     shortfalls = np.full(len(library), np.inf)
     found: dict[int, Localization] = {}
     with library.progress.task("locating objects", len(chosen)) as advance:
@@ -149,14 +157,11 @@ def identify(
                 found[int(k)], shortfalls[k] = answer, shortfall(library.models[k], answer)
             advance(1)
     p, none = (null or NullEvidence()).probabilities(shortfalls, len(touches))
-    order = np.lexsort((-alike, -p))
-    return Identification(
-        tuple(
-            KnownObject(library.names[k], float(p[k]), float(alike[k]), float(shortfalls[k]), found.get(int(k)))
-            for k in order
-        ),
-        none,
-    )
+    objects = [
+        KnownObject(name, float(p[k]), float(alike[k]), float(rough[k]), float(shortfalls[k]), found.get(k))
+        for k, name in enumerate(library.names)
+    ]
+    return Identification(tuple(objects[k] for k in np.lexsort((-alike, -rough, -p))), none)
 
 
 def shortfall(model: Localizer, found: Localization) -> float:
@@ -169,9 +174,18 @@ def shortfall(model: Localizer, found: Localization) -> float:
     return max(0.0, fully - float(evidence.max()))
 
 
+def _looked_into(library: Library, glances: Sequence[Glance], chosen: NDArray[np.int64]) -> Float64:
+    """How well each object explains the touches, roughly (K,): imprint IoU; 0 for those that were not chosen."""
+    rough = np.zeros(len(library))
+    with library.progress.task("looking into objects", len(chosen)) as advance:
+        for k in chosen:
+            rough[k] = library.look_into(int(k), glances)
+            advance(1)
+    return rough
+
+
 def _located(model: Localizer, touches: Sequence[Touch]) -> Localization | None:
     """Where an object would be; None where no pose of it makes these touches."""
-    _require_poses(touches)
     try:
         return localize_together([(model, touch) for touch in touches])
     except TactileLocError:

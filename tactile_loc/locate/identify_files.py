@@ -41,6 +41,9 @@ class KnownObjectRecord(_Record):
     name: str = Field(description="the object's name")
     probability: float = Field(description="that the touches are of this object, 0 to 1")
     alike: float = Field(description="how alike it is at a glance, unitless, higher is more alike")
+    rough_iou: float = Field(
+        description="how well a rough search of it explains the touches, 0 to 1; 0: it was not worth one"
+    )
     shortfall_nats: float | None = Field(
         description="by how much its best pose explains the touches less than fully; null: it was not located"
     )
@@ -85,7 +88,7 @@ def identification_record(found: Identification, touches: list[str]) -> Identifi
         touches=touches, identified=None if found.best is None else found.best.name, none=found.none,
         objects=[
             KnownObjectRecord(
-                name=one.name, probability=one.probability, alike=one.alike,
+                name=one.name, probability=one.probability, alike=one.alike, rough_iou=one.rough_iou,
                 shortfall_nats=one.shortfall if np.isfinite(one.shortfall) else None,
                 poses=[
                     PoseRecord(

@@ -175,14 +175,14 @@ def found_together(
     touches show, none near to a better one; they are registered to all touches, drawn, and compared with each touch.
     Where none of the best few explains the touches well, more are looked at.
     """
-    metric, radius_m = searches[0].metric, searches[0].radius_m
+    metric = searches[0].metric
     with times.stage("match"):
         poses = np.concatenate([
             invert(view.T_sensor_first) @ some
             for view, search in zip(views, searches, strict=True)
             for some, _ in search.proposed(view.touch, PROPOSED, _seen_by(view, prior))
         ])  # fmt: skip
-        poses = poses[apart(poses, -_gaps(views, poses), metric, radius_m, WIDELY)]
+        poses = _nearest(views, searches[0], poses, WIDELY)
     with times.stage("settle"):
         settled, ious = _settled(views, searches[0], poses[:JOINTLY])
         if ious.mean(axis=1).max() < WELL:
@@ -190,6 +190,20 @@ def found_together(
             settled, ious = np.concatenate([settled, more]), np.concatenate([ious, more_ious])
         kept = apart(settled, ious.mean(axis=1), metric, NEAREST_MM * 1e-3, WIDELY)
     return FoundTogether(settled[kept], ious[kept], metric)
+
+
+def rough_iou(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> float:
+    """Return how well the best of poses (K, 4, 4), metres, explains several touches or one: imprint IoU, their mean.
+
+    Those `count` whose surface is nearest to what the touches show are registered roughly, and drawn coarsely.
+    """
+    _, ious = _settled(views, search, _nearest(views, search, poses, count))
+    return float(ious.mean(axis=1).max())
+
+
+def _nearest(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> Poses:
+    """At most `count` of poses (K, 4, 4), whose surface is nearest to what all touches show, none near to a better."""
+    return poses[apart(poses, -_gaps(views, poses), search.metric, search.radius_m, count)]
 
 
 def _seen_by(view: View, prior: Prior | None) -> Prior | None:

@@ -10,6 +10,8 @@ import trimesh
 
 from tactile_loc.core.errors import ConfigError, ObjectError, TouchError
 from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.noise import NOISE
+from tactile_loc.core.poses import PoseMetric
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.identify import KnownAnswer, NullEvidence, fit_null_evidence, identify, shortfall
@@ -81,11 +83,45 @@ def test_a_single_object_is_where_it_would_be_located(models, touches):
     assert np.array_equal(said.objects[0].found.best.T_sensor_object, alone.best.T_sensor_object)
 
 
-def test_only_those_most_alike_at_a_glance_are_located(library, touches):
+def test_only_those_that_explain_most_roughly_are_located(library, touches):
     said = identify(touches["ring"], library, located=1)
     located = [one for one in said.objects if one.found is not None]
-    assert [one.alike for one in located] == [max(one.alike for one in said.objects)]
+    assert [one.rough_iou for one in located] == [max(one.rough_iou for one in said.objects)]
     assert {one.probability for one in said.objects if one.found is None} == {0.0}
+
+
+def test_only_those_most_alike_at_a_glance_are_looked_into(library, touches, monkeypatch):
+    monkeypatch.setattr("tactile_loc.locate.identify.LOOKED_INTO", 1)
+    said = identify(touches["ring"], library, located=1)
+    looked_into = [one for one in said.objects if one.rough_iou > 0]
+    assert [one.alike for one in looked_into] == [max(one.alike for one in said.objects)]
+
+
+@pytest.mark.parametrize("name", list(solids()))
+def test_noisy_touches_are_explained_best_by_their_own_object(library, name):
+    own = library.names.index(name)
+    model = library.models[own]
+    source = RobotTouches(model.object, model.scene.geometry, RaycastRenderer(), (0.7, 0.9), noise=NOISE["mild"])
+    noisy, _ = source.example(2, np.random.default_rng(8))
+    glances = [library.glance(touch) for touch in noisy]
+    rough = [library.look_into(k, glances) for k in range(len(library))]
+    assert int(np.argmax(rough)) == own
+    assert 0.5 < rough[own] <= 1
+
+
+def test_a_glance_proposes_poses_near_the_true_one(library, touches):
+    for k, model in enumerate(library.models):
+        touch = touches[model.object.name][0]
+        poses = library.glance(touch).poses(k, library.searches[k], 300)
+        true = np.broadcast_to(touch.T_sensor_object, poses.shape)
+        assert len(poses) == 300
+        assert PoseMetric(model.object).symmetric_distance(poses, true).min() < 4e-3
+
+
+def test_several_touches_need_the_sensors_poses(library, touches):
+    lost = [dataclasses.replace(touch, T_base_sensor=None) for touch in touches["ring"]]
+    with pytest.raises(ConfigError, match="does not say where its sensor was"):
+        identify(lost, library)
 
 
 def test_a_pose_that_explains_all_falls_short_by_nothing(models, touches):

@@ -25,9 +25,7 @@ Touches = Annotated[
 ]
 Located = Annotated[
     int,
-    options.declare(
-        "--located", "N", "How many objects to locate, the most alike at a glance; more for noisy touches."
-    ),
+    options.declare("--located", "N", "How many objects to locate, the likeliest of a rough search."),
 ]
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Where identification.json goes.")]
 

@@ -181,12 +181,12 @@ def _covariance(information: Floats, lever_m: Floats) -> Floats | None:
     return covariance_at(covariance * unit * unit[:, None], -lever_m)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)
 def _samples_mm(mesh: TriangleMesh) -> Blocks:
     points = mesh.sample(SAMPLES, np.random.default_rng(0)) * MILLI
     return blocks_of(points[:, None], BLOCK)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)
 def _triangles_mm(mesh: TriangleMesh) -> NearestTriangles:
     return surface_field(mesh).in_unit(MILLI)
