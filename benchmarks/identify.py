@@ -3,10 +3,11 @@
 
 Every object in turn is pressed from random directions, by 30 to 90 % of the sensor's deepest press; the touches are
 drawn by ray casting, which the localizer does not use. They are identified among all objects, and among all others but
-their own. Printed by number of touches: how often their own object is among those that are located, and how often it
-is the most probable; how often it is right, "none of these" regarded; how often a left-out object is rejected; the same
-at the threshold of that probability where 5 % of the known objects' touches would be rejected; which objects are taken
-for which; and, by the size of the library, the time of a glance and that of two touches.
+their own. Printed by number of touches: how often their own object is the most alike at a glance, and the best when
+looked into; how often it is among those that are located, and how often it is the most probable; how often it is right,
+"none of these" regarded; how often a left-out object is rejected; the same at the threshold of that probability where
+5 % of the known objects' touches would be rejected; which objects are taken for which; and, by the size of the library,
+the time of a glance and that of two touches.
 
 `--fit` prints the null evidence that the examples are most probable with. Objects are FILE[:UNITS] or demo names.
 `--out` keeps the examples, a file for each object and number of touches: what is there is not measured again.
@@ -69,6 +70,11 @@ def answer(row: dict[str, Any], left_out: bool) -> tuple[list[str], KnownAnswer]
     return names, KnownAnswer(shortfalls, truth, row["touches"])
 
 
+def own_first(row: dict[str, Any], key: str) -> bool:
+    """Whether no object is before an example's own by what `key` of its row says of them."""
+    return bool(row[key][row["object"]] == max(row[key].values()))
+
+
 def judged(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, float], Counter[tuple[str, str]]]:
     """Shares of examples with the same number of touches, and what was taken for what."""
     looked, first, right, known_none, strange_none = [], [], [], [], []
@@ -86,7 +92,9 @@ def judged(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, fl
         strange_none.append(null.probabilities(answer(row, left_out=True)[1].shortfalls, row["touches"])[1])
     limit = np.quantile(known_none, 1 - FALSE_ALARMS)
     return {
-        "examples": len(rows), "located": np.mean(looked), "first": np.mean(first), "right": np.mean(right),
+        "examples": len(rows), "glanced": np.mean([own_first(row, "alike") for row in rows]),
+        "looked_into": np.mean([own_first(row, "rough_ious") for row in rows]),
+        "located": np.mean(looked), "first": np.mean(first), "right": np.mean(right),
         "rejected": np.mean(np.array(strange_none) > 0.5), "rejected_at_5": np.mean(np.array(strange_none) > limit),
         "seconds": np.median([row["seconds"] for row in rows]),
     }, taken  # fmt: skip
@@ -153,11 +161,13 @@ def report(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
         known = [answer(row, left_out)[1] for row in rows for left_out in (False, True)]
         null = fit_null_evidence(known)
         print(null)
-    print("| touches | examples | located | most probable | right | left out: rejected | at 5 % false alarms | s |")
-    print("|---" * 8 + "|")
+    header = "| touches | examples | first at a glance | first | located | most probable | right "
+    print(header + "| left out: rejected | at 5 % false alarms | s |")
+    print("|---" * 10 + "|")
     for count in sorted({row["touches"] for row in rows}):
         said, taken = judged([row for row in rows if row["touches"] == count], null)
-        percent = [f"{said[key]:.0%}" for key in ("located", "first", "right", "rejected", "rejected_at_5")]
+        shares = ("glanced", "looked_into", "located", "first", "right", "rejected", "rejected_at_5")
+        percent = [f"{said[key]:.0%}" for key in shares]
         print(f"| {count} | {said['examples']} | {' | '.join(percent)} | {said['seconds']:.1f} |")
         for (own, other), times in taken.items():
             print(f"  {count} touches: {own} taken for {other}" + (f", {times} times" if times > 1 else ""))
