@@ -15,6 +15,7 @@ from tactile_loc_cli.commands.calibrate import calibrate
 from tactile_loc_cli.commands.doctor import doctor
 from tactile_loc_cli.commands.evaluate import evaluate
 from tactile_loc_cli.commands.identify import identify
+from tactile_loc_cli.commands.live import live
 from tactile_loc_cli.commands.mount import mount
 from tactile_loc_cli.commands.new_plugin import new_plugin
 from tactile_loc_cli.commands.next_touch import next_touch
@@ -89,8 +90,8 @@ def tactile_loc(
 
 
 for command in (
-    run, build, simulate, evaluate, sweep, report, replay, calibrate, mount, next_touch, identify, objects, plugins,
-    new_plugin,
+    run, build, simulate, evaluate, sweep, report, live, replay, calibrate, mount, next_touch, identify, objects,
+    plugins, new_plugin,
 ):  # fmt: skip
     app.command()(as_command(command))
 for name, command in store_commands.COMMANDS.items():

@@ -34,6 +34,10 @@ class RecordingError(TactileLocError):
     """A recording cannot be used: missing, no recording, without the topic, or of messages that nobody can read."""
 
 
+class SourceError(TactileLocError):
+    """Images cannot be had from a camera, a folder or a video: there is no such source, or it went away."""
+
+
 class FrameError(TactileLocError):
     """Where one frame is seen from another at some time is not known."""
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,15 @@ from tactile_loc.core.errors import CalibrationError
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".mpg", ".mpeg", ".m4v", ".wmv", ".gif")
 TO_INSTALL = "pip install 'tactile-loc[video]'"
+USUAL_HZ = 30.0  # of a video that does not say
+
+
+@dataclass(frozen=True)
+class VideoFacts:
+    """What a video says of itself: frames a second, and how many there are; None where it does not say."""
+
+    rate_hz: float = USUAL_HZ
+    count: int | None = None
 
 
 def video_frames(path: Path) -> Iterator[NDArray[np.uint8]]:
@@ -29,13 +40,45 @@ def video_frames(path: Path) -> Iterator[NDArray[np.uint8]]:
         raise CalibrationError(f"{path} holds no frame that can be read; is it a whole video? {TO_INSTALL}")
 
 
+def video_facts(path: Path) -> VideoFacts:
+    """Return the rate and the number of frames that a video's own header tells; containers estimate the latter."""
+    read = _facts_by_opencv if importlib.util.find_spec("cv2") else _facts_by_imageio
+    rate_hz, count = read(path)
+    known = math.isfinite(count) and count >= 1
+    return VideoFacts(rate_hz if math.isfinite(rate_hz) and rate_hz > 0 else USUAL_HZ, round(count) if known else None)
+
+
+def _facts_by_opencv(path: Path) -> tuple[float, float]:
+    import cv2
+
+    film = cv2.VideoCapture(str(path))
+    try:
+        return float(film.get(cv2.CAP_PROP_FPS)), float(film.get(cv2.CAP_PROP_FRAME_COUNT))
+    finally:
+        film.release()
+
+
+def _facts_by_imageio(path: Path) -> tuple[float, float]:
+    try:
+        import imageio.v3
+
+        about = imageio.v3.immeta(path)
+    except (OSError, ValueError, RuntimeError, ImportError, SyntaxError, EOFError):
+        return math.nan, math.nan  # reading the frames will say why
+    duration = float(about.get("duration", math.nan))
+    if path.suffix.lower() == ".gif":  # milliseconds, of the first frame
+        return 1e3 / duration if duration > 0 else math.nan, math.nan
+    rate_hz = float(about.get("fps", math.nan))
+    return rate_hz, rate_hz * duration
+
+
 def _by_opencv(path: Path) -> Iterator[NDArray[np.uint8]]:
     import cv2
 
     film = cv2.VideoCapture(str(path))
     try:
         while (answer := film.read())[0]:
-            yield answer[1][..., ::-1]
+            yield np.asarray(answer[1][..., ::-1], np.uint8)
     finally:
         film.release()
 

@@ -98,8 +98,12 @@ def gather(contacts: Sequence[Observation], localization: Localization) -> Resul
     kept = most_probable(localization.posterior)
     posterior = localization.posterior
     mesh = contacts[0][0].object.mesh
-    mesh = mesh if len(mesh.faces) <= MOST_FACES else simplified(mesh, MOST_FACES)
-    return ResultArrays(mesh, posterior.grid.T_sensor_object[kept], posterior.log_p[kept], tuple(touches))
+    return ResultArrays(drawn_mesh(mesh), posterior.grid.T_sensor_object[kept], posterior.log_p[kept], tuple(touches))
+
+
+def drawn_mesh(mesh: TriangleMesh) -> TriangleMesh:
+    """Return a surface as pages draw it: decimated if it has more than MOST_FACES faces."""
+    return mesh if len(mesh.faces) <= MOST_FACES else simplified(mesh, MOST_FACES)
 
 
 def most_probable(posterior: PosePosterior, most: int = MOST_POSES) -> NDArray[np.int64]:

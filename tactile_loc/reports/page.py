@@ -1,4 +1,7 @@
-"""The page: one HTML file with everything in it, plotly included. It works offline and asks no server for anything."""
+"""The page: one HTML file with everything in it, plotly included. It works offline and asks no server for anything.
+
+The page of a live run asks the server that it came from for more, and no other.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,7 @@ class Section:
 class Page:
     """A report. `title` and `about` are plain text; `data` are JSON values for `scripts`, names of assets.
 
-    `template`, templates/NAME.html.j2, has a macro for each section.
+    `template`, templates/NAME.html.j2, has a macro for each section. A page that `connects` may ask its own server.
     """
 
     template: str
@@ -43,6 +46,7 @@ class Page:
     sections: Sequence[Section]
     data: Any
     scripts: Sequence[str]
+    connects: bool = False
 
 
 def render(page: Page) -> str:

@@ -46,7 +46,7 @@ def page_of_result(record: ResultRecord, arrays: ResultArrays) -> Page:
         Section("made", "Made with", _made(record)),
     ]
     title = f"{record.object.name} on {_sensor_name(record)}"
-    return Page("run", title, _about(record), sections, data, ["run.js"])
+    return Page("run", title, _about(record), sections, data, ["solids.js", "run.js"])
 
 
 def run_data(record: ResultRecord, arrays: ResultArrays) -> dict[str, Any]:

@@ -111,13 +111,18 @@ def rows_mm(T: Array) -> list[float]:
 
 def pad(touch: TouchArrays) -> dict[str, Any]:
     """Return a touch's sensor: its gel, the housing around it, and the outline of its contact; mm, first frame."""
-    x0, x1, y0, y1 = (1e3 * value for value in touch.geometry.rectangle)
-    top, rim = 1e3 * touch.geometry.surface_m, RIM_MM
-    gel = box((x0, x1), (y0, y1), (top - GEL_MM, top))
-    housing = box((x0 - rim, x1 + rim), (y0 - rim, y1 + rim), (top - 2.2 * GEL_MM, top - 0.4 * GEL_MM))
     T = invert(touch.T_sensor_first)
     lines = [transform_points(T, 1e-3 * line) * 1e3 for line in outlines_mm(touch.shape, touch.geometry)]
-    return {"gel": _triangles(gel, T), "housing": _triangles(housing, T), "contact": _polyline(lines)}
+    return {**empty_pad(touch.geometry, T), "contact": polyline(lines)}
+
+
+def empty_pad(geometry: SensorGeometry, T: Array) -> dict[str, Any]:
+    """Return a sensor's gel and the housing around it, mm, moved by a transform (4, 4) in metres; no contact."""
+    x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
+    top, rim = 1e3 * geometry.surface_m, RIM_MM
+    gel = box((x0, x1), (y0, y1), (top - GEL_MM, top))
+    housing = box((x0 - rim, x1 + rim), (y0 - rim, y1 + rim), (top - 2.2 * GEL_MM, top - 0.4 * GEL_MM))
+    return {"gel": _triangles(gel, T), "housing": _triangles(housing, T), "contact": polyline([])}
 
 
 def outlines_mm(shape: ContactShape, geometry: SensorGeometry) -> list[Array]:
@@ -200,7 +205,7 @@ def triad(box_mm: Array, view: View, length_mm: float) -> dict[str, Any]:
     """Return the frame's axes, `length_mm` long, at the lower left of a box (3, 2), mm, as it is seen: lines, names."""
     corners = np.array(np.meshgrid(*box_mm, indexing="ij")).reshape(3, -1).T
     origin_mm = corners[(view.project(corners) @ [1.0, 1.0]).argmin()]
-    lines = _polyline([np.stack([origin_mm, end]) for end in origin_mm + length_mm * np.eye(3)])
+    lines = polyline([np.stack([origin_mm, end]) for end in origin_mm + length_mm * np.eye(3)])
     names = origin_mm + 1.25 * length_mm * np.eye(3)
     return {"lines": lines, "names": {**_columns(names), "text": ["x", "y", "z"]}}
 
@@ -246,8 +251,8 @@ def _triangles(triangles_mm: Array, T: Array) -> dict[str, list[float]]:
     return _columns(corners) | {name: numbers[:, k].tolist() for k, name in enumerate("ijk")}
 
 
-def _polyline(lines: Sequence[Array]) -> dict[str, list[float | None]]:
-    """Lines (P, 3) as one, with gaps between them."""
+def polyline(lines: Sequence[Array]) -> dict[str, list[float | None]]:
+    """Return lines (P, 3) as one, with gaps between them."""
     columns: dict[str, list[float | None]] = {"x": [], "y": [], "z": []}
     for line in lines:
         for k, name in enumerate("xyz"):

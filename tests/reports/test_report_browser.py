@@ -159,7 +159,7 @@ def assert_dark_theme_draws_anew(browser: Any) -> None:
 def test_names_are_text_in_the_browser(show, unfriendly_run):
     browser = show(unfriendly_run)
     assert UNFRIENDLY.strip() in find(browser, "h1").get_attribute("textContent")
-    assert browser.execute_script("return document.scripts.length") == 4  # the data, plotly, and two of ours
+    assert browser.execute_script("return document.scripts.length") == 5  # the data, plotly, and three of ours
     assert min(plots(browser).values()) > 0
 
 

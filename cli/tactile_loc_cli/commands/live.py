@@ -1,0 +1,200 @@
+"""`tactile-loc live`: where the object is now, frame by frame, of a camera, a folder or a video."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tactile_loc_cli import options
+from tactile_loc_cli.commands.run import Zero
+from tactile_loc_cli.console import say
+
+if TYPE_CHECKING:
+    from tactile_loc.io.frame_sources import FrameSource
+    from tactile_loc.locate.live import LiveLocator, LiveResult, LiveSummary
+    from tactile_loc.locate.localizer import Localizer
+
+    Show = Callable[[LiveResult], object]
+    Output = AbstractContextManager[Show]
+
+logger = logging.getLogger(__name__)
+
+PORT = 8420
+SHOWN = 5  # reasons why frames were refused
+
+Source = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="[FOLDER|VIDEO]", show_default=False,
+        help="A folder that images or contact shapes are put into, or a video.",
+    ),
+]  # fmt: skip
+CameraOption = Annotated[
+    str | None,
+    options.declare(
+        "--camera", "N", "Instead of these: the number of a camera, from 0, or its device, as /dev/video2."
+    ),
+]
+Once = Annotated[
+    bool,
+    typer.Option(
+        "--once", help="Locate every frame that is there, none dropped, and end; not with a camera."
+    ),
+]  # fmt: skip
+Track = Annotated[
+    bool,
+    typer.Option(
+        "--track/--alone",
+        help="Take each frame for the next of one sequence: the sensor stands still, or the files say where it was "
+        "(T_base_sensor). By default each frame is located for itself.",
+    ),
+]
+Out = Annotated[
+    Path | None,
+    options.declare("--out", "FILE.jsonl", "Where each result goes, a line of JSON a frame; by default nowhere."),
+]
+Port = Annotated[
+    int,
+    options.declare(
+        "--port", "N", f"The port of the view, on this machine alone; 0 takes a free one; by default {PORT}."
+    ),
+]
+View = Annotated[bool, typer.Option("--view/--no-view", help="Show frames and poses on a local web page, or do not.")]
+
+
+def live(
+    source: Source = None,
+    camera: CameraOption = None,
+    once: Once = False,
+    object: options.Object = None,
+    units: options.MeshUnits = None,
+    symmetry: options.Symmetry = None,
+    touch_unit: options.TouchUnitOption = None,
+    press_depth: options.PressDepth = None,
+    sensor: options.Sensor = None,
+    zero: Zero = None,
+    grid: options.Grid = None,
+    renderer: options.Renderer = None,
+    encoder: options.Encoder = None,
+    matcher: options.Matcher = None,
+    refiner: options.Refiner = None,
+    option: options.SetOption = None,
+    config: options.Config = None,
+    seed: options.Seed = None,
+    track: Track = False,
+    out: Out = None,
+    view: View = True,
+    port: Port = PORT,
+    store: options.Store = None,
+) -> dict[str, Any]:
+    """Locate an object in each frame of a camera, a folder or a video, as they come.
+
+    What is found is shown on a local web page, and each result is a line of JSON. Where frames come faster than they
+    are located, the newest counts, and the others are dropped. Ends when a video does, or with Ctrl-C.
+    """
+    from tactile_loc.io.frame_sources import open_source
+    from tactile_loc.locate.live import LiveLocator, LiveSummary
+    from tactile_loc.locate.tracker import Tracker
+
+    if zero is not None:
+        option = [*(option or []), f"sensor.zero={json.dumps(str(zero))}"]
+    settings = options.run_config(
+        options.RunOptions(
+            object=object, units=units, symmetry=symmetry, touch_unit=touch_unit, press_depth=press_depth,
+            sensor=sensor, grid=grid, renderer=renderer, encoder=encoder, matcher=matcher, refiner=refiner,
+            option=option, config=config, seed=seed,
+        )
+    )  # fmt: skip
+    opened = open_source(source, camera, once)
+    _require_lines(out)
+    localizer = options.open_localizer(settings, store)
+    tracker = Tracker(localizer) if track else None
+    locator = LiveLocator(localizer, tracker, settings.touch.unit, options.press_depth_m(settings))
+    with ExitStack() as stack:
+        shows = [stack.enter_context(one) for one in _outputs(localizer, opened, out, port if view else None)]
+        _run(locator, opened, shows)
+    summary = LiveSummary.of(locator, opened.dropped)
+    _say(summary, opened.about, out)
+    return {**asdict(summary), "written": [] if out is None else [str(out)]}
+
+
+def _require_lines(out: Path | None) -> None:
+    """Refuse to write lines into what is, by its name, another kind of file."""
+    from tactile_loc.core.errors import OutputError
+
+    if out is not None and out.suffix.lower() != ".jsonl":
+        raise OutputError(f"results are written as lines of JSON, .jsonl, not as {out.name}; choose another --out")
+
+
+def _outputs(localizer: Localizer, source: FrameSource, out: Path | None, port: int | None) -> Iterator[Output]:
+    """Where results go: each is a context that gives what takes them."""
+    if out is not None:
+        yield _written(out)
+    if port is not None:
+        yield _viewed(localizer, source.about, port)
+
+
+@contextmanager
+def _written(out: Path) -> Iterator[Show]:
+    """Results as lines of a file."""
+    from tactile_loc.store.line_files import JsonLines
+
+    with JsonLines(out) as lines:
+        yield lambda result: lines.append(result.record.model_dump_json())
+
+
+@contextmanager
+def _viewed(localizer: Localizer, about: str, port: int) -> Iterator[Show]:
+    """Results on a page that browsers of this machine see."""
+    from tactile_loc.reports.live_server import LiveServer
+    from tactile_loc.reports.live_view import live_page, live_state, shape_made
+    from tactile_loc.reports.page import render
+
+    with LiveServer(render(live_page(localizer, about)), port) as server:
+        say(f"view: {server.url}")
+        sys.stdout.flush()
+
+        def show(result: LiveResult) -> None:
+            server.board.show(partial(live_state, result, shape_made(result, localizer), localizer))
+
+        yield show
+
+
+def _run(locator: LiveLocator, source: FrameSource, shows: Sequence[Show]) -> None:
+    """Locate frames until there are no more, or Ctrl-C is pressed."""
+    frames = source.frames()
+    locator.prepare()
+    with suppress(KeyboardInterrupt), closing(frames):
+        for frame in frames:
+            result = locator.located(frame, source.dropped)
+            for show in shows:
+                show(result)
+            _log(result)
+
+
+def _log(result: LiveResult) -> None:
+    record = result.record
+    if record.state == "refused":
+        logger.warning("refused: %s", record.says)
+    logger.info("%s: %s, %.0f ms, %.1f Hz", record.name, record.state, 1e3 * record.seconds, result.rate_hz)
+
+
+def _say(summary: LiveSummary, about: str, out: Path | None) -> None:
+    """Write how many frames came to what, and where the lines are."""
+    say(
+        f"{about}: {summary.frames} frames, {summary.located} located, {summary.no_contact} without contact, "
+        f"{summary.refused} refused, {summary.dropped} dropped"
+    )
+    for reason, count in summary.reasons[:SHOWN]:
+        say(f"refused {count}: {reason}")
+    if out is not None:
+        say(f"written: {out}")

@@ -1,0 +1,312 @@
+"""Where frames come from while one waits for them: a camera, a folder that images are put into, a video.
+
+A source either gives every frame in turn, or the newest: those that came while nobody asked are dropped, and counted.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import MissingLibraryError, SourceError, TactileLocError
+from tactile_loc.core.interfaces import SensorModel
+from tactile_loc.core.sensing import Touch
+from tactile_loc.io.images import IMAGE_SUFFIXES, read_colour_image
+from tactile_loc.io.touches import read_contents, read_touch, touch_from_image
+from tactile_loc.io.videos import TO_INSTALL, video_facts, video_frames
+
+SUFFIXES = (".npz", ".npy", *IMAGE_SUFFIXES)
+POLL_S = 0.05
+SETTLED_S = 1.0  # a file that cannot be read and has not grown for so long will not be whole any more
+LACKING, FEW = 0.02, 3  # of a video's frames, and at least: what containers miscount; more has broken off
+LEAVES_S = 2.0  # what a camera's thread is given to end
+
+
+@dataclass(frozen=True, eq=False)
+class SourceFrame:
+    """One frame: an `image` (H, W, 3) uint8, or a file at `path`; or, in a sentence, the `problem` with it.
+
+    `number` counts all frames of the source from 0, dropped ones too. `time_s` is since 1970; in a video since its
+    beginning.
+    """
+
+    number: int
+    time_s: float
+    name: str
+    image: NDArray[np.uint8] | None = field(default=None, repr=False)
+    path: Path | None = None
+    problem: TactileLocError | None = None
+
+    def touch(self, sensor: SensorModel, unit: str | None = None, press_depth_m: float | None = None) -> Touch:
+        """Return what a sensor reads in it, as `read_touch` does. Raises NoContactError, or TouchError."""
+        if self.problem is not None:
+            raise self.problem
+        if self.image is not None:
+            return touch_from_image(self.image, sensor, press_depth_m, self.name)
+        return read_touch(Path(self.name) if self.path is None else self.path, sensor, unit, press_depth_m)
+
+
+Frames = Generator[SourceFrame, None, None]
+
+
+class FrameSource(Protocol):
+    """What gives frames. `dropped` are those that nobody got, because newer ones had come."""
+
+    @property
+    def about(self) -> str:
+        """What it is, in words."""
+
+    @property
+    def dropped(self) -> int:
+        """How many frames nobody got so far."""
+
+    def frames(self) -> Frames:
+        """Yield frames as they come, until there are no more. Raises SourceError when the source goes away."""
+
+
+class _Newest:
+    """A place for one frame, the newest: put there by a thread, taken by another."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._frame: SourceFrame | None = None
+        self._ended = False
+        self._error: BaseException | None = None
+        self.dropped = 0
+
+    def put(self, frame: SourceFrame) -> None:
+        with self._changed:
+            self.dropped += self._frame is not None
+            self._frame = frame
+            self._changed.notify()
+
+    def end(self, error: BaseException | None = None) -> None:
+        """Say that nothing more will come, and why, if that is an error."""
+        with self._changed:
+            self._ended, self._error = True, error
+            self._changed.notify()
+
+    def take(self) -> SourceFrame | None:
+        """Wait for a frame; None when there will be none. Raises what ended the other thread."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._frame is not None or self._ended)
+            frame, self._frame = self._frame, None
+        if frame is None and self._error is not None:
+            raise self._error
+        return frame
+
+
+def _newest_of(make: Callable[[], Iterator[SourceFrame]], place: _Newest) -> Frames:
+    """Yield the newest of the frames that another thread gets, while it goes on."""
+    left = threading.Event()
+
+    def fill() -> None:
+        try:
+            for frame in make():
+                if left.is_set():
+                    break
+                place.put(frame)
+            place.end()
+        except BaseException as error:  # noqa: BLE001 - the other thread raises it
+            place.end(error)
+
+    thread = threading.Thread(target=fill, name="frames", daemon=True)
+    thread.start()
+    try:
+        while (frame := place.take()) is not None:
+            yield frame
+    finally:
+        left.set()
+        thread.join(LEAVES_S)
+
+
+class Camera:
+    """A camera that OpenCV opens: its number, or the name of a device. The newest frame counts."""
+
+    def __init__(self, device: str) -> None:
+        self.device, self.about = device, f"camera {device}"
+        self._place = _Newest()
+
+    @property
+    def dropped(self) -> int:
+        """How many frames nobody got so far."""
+        return self._place.dropped
+
+    def frames(self) -> Frames:
+        """Yield the newest frame, again and again. Raises SourceError where there is no camera, or it goes away."""
+        opened = self._opened()
+        return _newest_of(lambda: self._grabbed(opened), self._place)
+
+    def _opened(self) -> Any:
+        try:
+            import cv2
+        except ImportError as error:
+            raise MissingLibraryError(
+                "OpenCV, which reads cameras, is not installed: pip install 'tactile-loc[camera]'"
+            ) from error
+        found = cv2.VideoCapture(int(self.device) if self.device.isdigit() else self.device)
+        if not found.isOpened():
+            found.release()
+            raise SourceError(
+                f"{self.about} cannot be opened; is it plugged in, may you read it, and does no other program use it?"
+            )
+        return found
+
+    def _grabbed(self, opened: Any) -> Iterator[SourceFrame]:
+        number = 0
+        try:
+            while (answer := opened.read())[0]:
+                image = np.ascontiguousarray(answer[1][..., ::-1], np.uint8)
+                yield SourceFrame(number, time.time(), f"frame-{number:06d}", image)
+                number += 1
+        finally:
+            opened.release()
+        raise SourceError(f"{self.about} gives no image any more, after {number}; is it still plugged in?")
+
+
+class Video:
+    """A video: every frame, or, as a camera would give them, the newest at the video's own rate."""
+
+    def __init__(self, path: Path, every: bool) -> None:
+        self.path, self.every, self.about = path, every, f"video {path}"
+        self._place = _Newest()
+
+    @property
+    def dropped(self) -> int:
+        """How many frames nobody got so far."""
+        return self._place.dropped
+
+    def frames(self) -> Frames:
+        """Yield its frames. Raises SourceError when it cannot be read, or breaks off before its end."""
+        return self._read() if self.every else _newest_of(self._played, self._place)
+
+    def _read(self) -> Frames:
+        facts, number = video_facts(self.path), 0
+        try:
+            for number, image in enumerate(video_frames(self.path), 1):
+                yield SourceFrame(number - 1, (number - 1) / facts.rate_hz, f"frame-{number - 1:06d}", image)
+        except TactileLocError as error:
+            raise SourceError(str(error)) from error
+        if facts.count is not None and number < facts.count - max(FEW, LACKING * facts.count):
+            raise SourceError(
+                f"{self.path} breaks off after {number} of {facts.count} frames; is it whole? {TO_INSTALL}"
+            )
+
+    def _played(self) -> Iterator[SourceFrame]:
+        start = time.monotonic()
+        for frame in self._read():
+            time.sleep(max(0.0, start + frame.time_s - time.monotonic()))
+            yield frame
+
+
+class ImageFolder:
+    """A folder that images, or contact shapes, are put into; in the order in which they were written, then of names.
+
+    With `every`, each of those that are there, and that is all; otherwise the newest of those that have come, and then
+    it waits for more. A file that is written anew is another frame.
+    """
+
+    def __init__(self, path: Path, every: bool) -> None:
+        self.path, self.every, self.about = path, every, f"folder {path}"
+        self.dropped = 0
+        self._number = 0
+        self._seen: dict[str, int] = {}  # when each file was written, ns
+        self._growing: dict[str, tuple[int, float]] = {}  # size, and since when it has been that
+
+    def frames(self) -> Frames:
+        """Yield its files as frames. Raises SourceError when the folder is not there, or vanishes."""
+        while True:
+            waiting = self._waiting()
+            yield from self._each(waiting) if self.every else self._newest(waiting)
+            if self.every and not self._growing:
+                return
+            time.sleep(POLL_S)
+
+    def _waiting(self) -> list[tuple[int, Path]]:
+        """When the files that nobody got yet were written, and where they are, the oldest first."""
+        try:
+            found = sorted((_written_ns(path), path) for path in self.path.iterdir() if _is_frame(path))
+        except OSError as error:
+            raise SourceError(f"{self.path} cannot be read any more ({error.strerror}); is it still there?") from error
+        waiting = [(when, path) for when, path in found if self._seen.get(path.name) != when]
+        self._growing = {path.name: self._growing[path.name] for _, path in waiting if path.name in self._growing}
+        return waiting
+
+    def _each(self, waiting: list[tuple[int, Path]]) -> Iterator[SourceFrame]:
+        for when, path in waiting:
+            if (frame := self._frame(path)) is not None:
+                yield self._counted(frame, when, path)
+
+    def _newest(self, waiting: list[tuple[int, Path]]) -> Iterator[SourceFrame]:
+        """The newest that is whole; those before it are dropped."""
+        for place in reversed(range(len(waiting))):
+            when, path = waiting[place]
+            if (frame := self._frame(path)) is not None:
+                self._seen |= {older.name: ns for ns, older in waiting[:place]}
+                self.dropped += place
+                self._number += place
+                yield self._counted(frame, when, path)
+                return
+
+    def _counted(self, frame: SourceFrame, when: int, path: Path) -> SourceFrame:
+        self._seen[path.name] = when
+        self._number += 1
+        return replace(frame, number=self._number - 1)
+
+    def _frame(self, path: Path) -> SourceFrame | None:
+        """A file as a frame; None while somebody may still be writing it."""
+        problem = None
+        try:
+            image = read_colour_image(path)
+            if image is None:
+                read_contents(path)
+        except TactileLocError as error:
+            if self._may_grow(path):
+                return None
+            image, problem = None, error
+        self._growing.pop(path.name, None)
+        return SourceFrame(0, time.time(), path.name, image, path, problem)
+
+    def _may_grow(self, path: Path) -> bool:
+        """Whether a file that cannot be read has grown a moment ago."""
+        size, now = path.stat().st_size if path.exists() else -1, time.monotonic()
+        before, since = self._growing.get(path.name, (size, now))
+        self._growing[path.name] = (size, since if size == before else now)
+        return now - self._growing[path.name][1] < SETTLED_S
+
+
+def _is_frame(path: Path) -> bool:
+    return path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and path.is_file()
+
+
+def _written_ns(path: Path) -> int:
+    """When a file was written, ns; 0 for one that has just been taken away."""
+    try:
+        return path.stat().st_mtime_ns
+    except FileNotFoundError:
+        return 0
+
+
+def open_source(path: Path | None, camera: str | None, every: bool) -> FrameSource:
+    """Return a camera, or what `path` is: a folder of images, or a video. `every` frame, or the newest.
+
+    Raises SourceError where both or neither are given, there is nothing at `path`, or a camera's `every` frame is
+    asked for.
+    """
+    if (path is None) == (camera is None):
+        raise SourceError("give one source of images: --camera with its number, a folder, or a video")
+    if camera is not None and every:
+        raise SourceError("a camera never ends, so --once is for folders and videos; leave it out")
+    if camera is not None:
+        return Camera(camera)
+    assert path is not None
+    if not path.exists():
+        raise SourceError(f"there is no {path}; give a folder of images, or a video")
+    return ImageFolder(path, every) if path.is_dir() else Video(path, every)

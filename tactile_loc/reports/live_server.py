@@ -1,0 +1,155 @@
+"""A small web server for whoever sits at this machine: the page of a live run, and each new frame as an event.
+
+It listens on 127.0.0.1 alone, and answers nobody who calls it by another name.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from types import TracebackType
+from typing import Any
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.reports.page import JSON_OPTIONS
+
+logger = logging.getLogger(__name__)
+
+HOST = "127.0.0.1"
+NAMES = (HOST, "localhost")
+ALIVE_S = 10.0  # a browser hears from the server at least so often
+SHORTEST_S = 0.1  # from one frame that is shown to the next
+HEADERS = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
+
+MakeState = Callable[[], dict[str, Any]]
+
+
+class Board:
+    """What is shown now, for many who wait for it: JSON that is made when the first of them asks."""
+
+    def __init__(self) -> None:
+        self._changed, self._making = threading.Condition(), threading.Lock()
+        self._version, self._make = 0, _nothing
+        self._made = 0, ""
+        self.ended = False
+
+    def show(self, make: MakeState) -> None:
+        """Show what `make` returns; what was shown before is gone."""
+        with self._changed:
+            self._version, self._make = self._version + 1, make
+            self._changed.notify_all()
+
+    def end(self) -> None:
+        """Say that nothing more will come."""
+        with self._changed:
+            self.ended = True
+            self._changed.notify_all()
+
+    def newer(self, version: int, timeout_s: float) -> tuple[int, str]:
+        """Wait for what is newer than `version`, and return its version and JSON; the same version, where none came."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._version > version or self.ended, timeout_s)
+            newest, make = self._version, self._make
+        if newest == version:
+            return version, ""
+        with self._making:
+            if self._made[0] < newest:
+                self._made = newest, json.dumps(make(), **JSON_OPTIONS)
+            return self._made
+
+
+def _nothing() -> dict[str, Any]:
+    return {}
+
+
+class LiveServer:
+    """Serves a page (HTML) at `url`, and what is shown to it; a context.
+
+    `port` 0 takes one that is free. Raises ConfigError where the port is taken or not allowed.
+    """
+
+    def __init__(self, page: str, port: int) -> None:
+        self.board = Board()
+        handler = type("Handler", (_Handler,), {"page": page.encode(), "board": self.board})
+        try:
+            self._server = _Server((HOST, port), handler)
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            raise ConfigError(
+                f"the view cannot be served on port {port} ({reason}); choose another --port, or 0 for any that is free"
+            ) from error
+        self.url = f"http://{HOST}:{self._server.server_port}/"
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,), name="view", daemon=True)
+
+    def __enter__(self) -> LiveServer:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.board.end()
+        self._server.shutdown()
+        self._server.server_close()
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    block_on_close = False
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of browsers that hang up, and of all else what it was."""
+        error = sys.exception()
+        if not isinstance(error, ConnectionError):
+            logger.error("the view cannot show a frame (%s: %s)", type(error).__name__, error)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    page: bytes
+    board: Board
+
+    def do_GET(self) -> None:
+        """Answer with the page, or with events as they come."""
+        if self.headers.get("Host", "").rpartition(":")[0] not in NAMES:
+            self.send_error(HTTPStatus.FORBIDDEN)
+        elif self.path == "/":
+            self._begin("text/html; charset=utf-8", len(self.page))
+            self.wfile.write(self.page)
+        elif self.path == "/events":
+            self._begin("text/event-stream; charset=utf-8")
+            for event in self._events():
+                self.wfile.write(event.encode())
+                self.wfile.flush()
+        else:
+            self.send_error(HTTPStatus.NOT_FOUND)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Keep the terminal for the run."""
+
+    def _begin(self, kind: str, length: int | None = None) -> None:
+        self.send_response(HTTPStatus.OK)
+        lengths = {} if length is None else {"Content-Length": str(length)}
+        for name, value in {"Content-Type": kind, **lengths, **HEADERS}.items():
+            self.send_header(name, value)
+        self.end_headers()
+
+    def _events(self) -> Iterator[str]:
+        """What is shown, whenever it is another, and a word now and then meanwhile; at last, that it ended."""
+        version, pause = 0, threading.Event()
+        while True:
+            ended = self.board.ended
+            newest, text = self.board.newer(version, ALIVE_S)
+            if newest > version:
+                yield f"data: {text}\n\n"
+                pause.wait(SHORTEST_S)
+            elif ended:
+                yield "event: end\ndata: {}\n\n"
+                return
+            else:
+                yield ": alive\n\n"
+            version = newest

@@ -1,0 +1,133 @@
+"""The page of a live run, and what it shows of each frame: image, contact shape, pose, and how sure it is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.formatting import percent
+from tactile_loc.core.geometry import axis_angle, transform_points
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.sensing import ContactShape, SensorGeometry
+from tactile_loc.locate.live import LiveRecord, LiveResult
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result_files import drawn_mesh
+from tactile_loc.reports import pictures, scene
+from tactile_loc.reports.page import Page, Section
+
+Array = NDArray[np.float64]
+
+NUMBERS = (
+    ("state", "state", "what became of the frame"),
+    ("probability", "probability", "of this pose among all"),
+    ("imprint", "imprint IoU", "how well it explains the touch, in depth and outline"),
+    ("place", "x, y, z", "of the object in the sensor's frame, and standard deviations"),
+    ("turn", "turned", "about the axis below, and standard deviations about x, y, z"),
+    ("rate", "rate", "frames located a second"),
+    ("frames", "frames", "dropped: newer ones had come"),
+)
+NOTHING = "-"
+
+
+def live_page(localizer: Localizer, about: str) -> Page:
+    """Return the page that shows frames as they come; `about` says of what."""
+    geometry, mesh = localizer.sensor.geometry, drawn_mesh(localizer.object.mesh)
+    frame = pictures.Frame.of(geometry)
+    numbers = {"numbers": NUMBERS, "frame": frame}
+    data = {
+        "mesh": scene.packed_mesh(mesh), "pad": scene.empty_pad(geometry, np.eye(4)), "bounds": _bounds(mesh, geometry),
+        "camera": _camera(mesh, geometry, _above(mesh, geometry)),
+    }  # fmt: skip
+    title = f"{localizer.object.name}, live"
+    return Page("live", title, about, [Section("now", "", numbers)], data, ["solids.js", "live.js"], connects=True)
+
+
+def shape_made(result: LiveResult, localizer: Localizer) -> ContactShape | None:
+    """Return the contact shape that a frame's pose makes, pressed as its touch is; None without either."""
+    touch, T = result.touch, result.record.T_sensor_object
+    if touch is None or T is None:
+        return None
+    depths_m = localizer.scene.of_touch(touch).depths_explaining(np.array(T)[None], touch)
+    return ContactShape(depths_m[0], touch.press_depth_m)
+
+
+def live_state(result: LiveResult, made: ContactShape | None, localizer: Localizer) -> dict[str, Any]:
+    """Return what the page shows of a frame, as JSON values; `made` (H, W) is the contact shape that its pose makes."""
+    geometry, record, touch = localizer.sensor.geometry, result.record, result.touch
+    shape = None if touch is None else touch.contact_shape
+    T = None if record.T_sensor_object is None else np.array(record.T_sensor_object)
+    image = result.frame.image
+    return {
+        "number": record.number,
+        "says": record.says or record.name,
+        "numbers": _numbers(record, result.rate_hz),
+        "pictures": [
+            None if image is None else pictures.photo_png(image),
+            None if shape is None else pictures.shape_png(shape, geometry),
+        ],
+        "outline": "" if shape is None else pictures.outline_path(shape, geometry),
+        "made": "" if made is None else pictures.outline_path(made, geometry),
+        "contact": scene.polyline([] if shape is None else scene.outlines_mm(shape, geometry)),
+        "touches": touch is not None,
+        "T": None if T is None else scene.rows_mm(T),
+        "camera": None if T is None else _camera(localizer.object.mesh, geometry, T),
+    }
+
+
+def _numbers(record: LiveRecord, rate_hz: float) -> dict[str, str]:
+    """The main numbers by their names."""
+    shares = {"probability": record.probability, "imprint": record.imprint_iou}
+    return {
+        "state": str(record.state),
+        **{name: NOTHING if share is None else percent(share) for name, share in shares.items()},
+        "place": NOTHING, "turn": NOTHING, **_pose(record),
+        "rate": f"{rate_hz:.1f} Hz" if rate_hz else NOTHING,
+        "frames": f"{record.number + 1}, {record.dropped} dropped",
+    }  # fmt: skip
+
+
+def _pose(record: LiveRecord) -> dict[str, str]:
+    """Where the object is, mm and degrees, each with its standard deviations."""
+    if record.T_sensor_object is None:
+        return {}
+    T, std = np.array(record.T_sensor_object), record.std
+    angle_deg, axis = axis_angle(T[:3, :3])
+    place, about = _listed(1e3 * T[:3, 3], 2), "({:.2f}, {:.2f}, {:.2f})".format(*axis)
+    if std is None:
+        return {"place": f"{place} mm", "turn": f"{angle_deg:.1f}° about {about}"}
+    along, turned = _listed(1e3 * std[:3], 2), _listed(np.degrees(std[3:]), 1)
+    return {"place": f"{place} ± {along} mm", "turn": f"{angle_deg:.1f}° about {about} ± {turned}°"}
+
+
+def _listed(values: Any, digits: int) -> str:
+    return ", ".join(f"{v:.{digits}f}" for v in values)
+
+
+def _reach_mm(mesh: TriangleMesh) -> float:
+    """The object's largest extent, mm."""
+    return 1e3 * float(np.linalg.norm(np.ptp(mesh.vertices_m, axis=0)))
+
+
+def _bounds(mesh: TriangleMesh, geometry: SensorGeometry) -> list[list[float]]:
+    """The range along x, y, z, mm, that holds the sensor, and the object wherever it touches."""
+    x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
+    reach_mm, z = _reach_mm(mesh) + scene.MARGIN_MM, 1e3 * geometry.surface_m
+    return [[x0 - reach_mm, x1 + reach_mm], [y0 - reach_mm, y1 + reach_mm], [z - scene.MARGIN_MM, z + reach_mm]]
+
+
+def _above(mesh: TriangleMesh, geometry: SensorGeometry) -> Array:
+    """The object as it is, on the gel (4, 4): where it is looked at before anything is known."""
+    T = np.eye(4)
+    T[:3, 3] = -mesh.vertices_m.mean(axis=0)
+    T[2, 3] = geometry.surface_m - mesh.vertices_m[:, 2].min()
+    return T
+
+
+def _camera(mesh: TriangleMesh, geometry: SensorGeometry, T: Array) -> dict[str, Any]:
+    """From where the sensor, and the object at T (4, 4), are seen."""
+    housing = scene.empty_pad(geometry, np.eye(4))["housing"]
+    corners = np.stack([housing[k] for k in "xyz"], axis=1)
+    seen_mm = np.concatenate([1e3 * transform_points(T, mesh.vertices_m), corners])
+    return scene.camera_on(seen_mm, _bounds(mesh, geometry), scene.view_of(mesh, T))

@@ -1,0 +1,72 @@
+"""Files that grow by whole lines: whenever the program ends, what is there can be read line by line."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from pathlib import Path
+from types import TracebackType
+
+from tactile_loc.core.errors import OutputError
+
+LONGEST = 1_000_000  # bytes of a line
+
+
+class JsonLines:
+    """A file of JSON values, one a line, that is open for more; a context. What is in it already stays.
+
+    A last line that a killed process left half-written is removed. Raises OutputError when it cannot be written, or
+    another process is at work on it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+        except OSError as error:
+            raise OutputError(f"{path} cannot be written ({error.strerror}); choose another --out") from error
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            os.close(self._descriptor)
+            raise OutputError(f"another process is at work on {path}; wait for it, or choose another --out") from error
+        self._end_last_line()
+
+    def __enter__(self) -> JsonLines:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.close(self._descriptor)
+
+    def append(self, line: str) -> None:
+        """Add a value, as JSON without line breaks, all of it or nothing. Raises OutputError when the disk refuses."""
+        size = os.fstat(self._descriptor).st_size
+        text = line.encode() + b"\n"
+        try:
+            written = os.write(self._descriptor, text)
+            while written < len(text):
+                written += os.write(self._descriptor, text[written:])
+        except OSError as error:
+            os.ftruncate(self._descriptor, size)
+            raise OutputError(
+                f"{self.path} cannot be written any more ({error.strerror}); its lines so far are whole; free some "
+                "space, or choose another --out"
+            ) from error
+
+    def _end_last_line(self) -> None:
+        """Give the last line its end; remove it if it is no JSON."""
+        size = os.fstat(self._descriptor).st_size
+        start = max(0, size - LONGEST)
+        last = os.pread(self._descriptor, size - start, start).rpartition(b"\n")[2]
+        if not last:
+            return
+        try:
+            json.loads(last)
+        except ValueError:
+            os.ftruncate(self._descriptor, size - len(last))
+        else:
+            os.write(self._descriptor, b"\n")
