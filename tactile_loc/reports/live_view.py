@@ -19,14 +19,13 @@ from tactile_loc.reports.page import Page, Section
 
 Array = NDArray[np.float64]
 
-NUMBERS = (
+NUMBERS = (  # of an element, its label, and what it means
     ("state", "state", "what became of the frame"),
     ("probability", "probability", "of this pose among all"),
-    ("imprint", "imprint IoU", "how well it explains the touch, in depth and outline"),
-    ("place", "x, y, z", "of the object in the sensor's frame, and standard deviations"),
-    ("turn", "turned", "about the axis below, and standard deviations about x, y, z"),
-    ("rate", "rate", "frames located a second"),
-    ("frames", "frames", "dropped: newer ones had come"),
+    ("imprint", "imprint IoU", "how well it explains the touch"),
+    ("place", "x, y, z (mm)", "of the object in the sensor's frame"),
+    ("turn", "turned", "from the sensor's frame"),
+    ("rate", "rate", "frames a second"),
 )
 NOTHING = "-"
 
@@ -61,8 +60,7 @@ def live_state(result: LiveResult, made: ContactShape | None, localizer: Localiz
     image = result.frame.image
     return {
         "number": record.number,
-        "says": record.says or record.name,
-        "numbers": _numbers(record, result.rate_hz),
+        "texts": _texts(record, result.rate_hz),
         "pictures": [
             None if image is None else pictures.photo_png(image),
             None if shape is None else pictures.shape_png(shape, geometry),
@@ -76,29 +74,29 @@ def live_state(result: LiveResult, made: ContactShape | None, localizer: Localiz
     }
 
 
-def _numbers(record: LiveRecord, rate_hz: float) -> dict[str, str]:
-    """The main numbers by their names."""
+def _texts(record: LiveRecord, rate_hz: float) -> dict[str, str]:
+    """What elements of the page say, by their names."""
     shares = {"probability": record.probability, "imprint": record.imprint_iou}
     return {
-        "state": str(record.state),
+        "says": record.says or record.name, "state": str(record.state),
         **{name: NOTHING if share is None else percent(share) for name, share in shares.items()},
-        "place": NOTHING, "turn": NOTHING, **_pose(record),
-        "rate": f"{rate_hz:.1f} Hz" if rate_hz else NOTHING,
-        "frames": f"{record.number + 1}, {record.dropped} dropped",
+        **_pose(record), "rate": f"{rate_hz:.1f} Hz" if rate_hz else NOTHING,
+        "rate-more": f"{record.number + 1} frames, {record.dropped} dropped as newer ones had come",
     }  # fmt: skip
 
 
 def _pose(record: LiveRecord) -> dict[str, str]:
-    """Where the object is, mm and degrees, each with its standard deviations."""
+    """Where the object is, mm and degrees, and standard deviations."""
     if record.T_sensor_object is None:
-        return {}
+        return {"place": NOTHING, "place-more": "", "turn": NOTHING, "turn-more": ""}
     T, std = np.array(record.T_sensor_object), record.std
     angle_deg, axis = axis_angle(T[:3, :3])
-    place, about = _listed(1e3 * T[:3, 3], 2), "({:.2f}, {:.2f}, {:.2f})".format(*axis)
-    if std is None:
-        return {"place": f"{place} mm", "turn": f"{angle_deg:.1f}° about {about}"}
-    along, turned = _listed(1e3 * std[:3], 2), _listed(np.degrees(std[3:]), 1)
-    return {"place": f"{place} ± {along} mm", "turn": f"{angle_deg:.1f}° about {about} ± {turned}°"}
+    along, about = ("", "") if std is None else (_listed(1e3 * std[:3], 2), _listed(np.degrees(std[3:]), 1))
+    return {
+        "place": _listed(1e3 * T[:3, 3], 1), "place-more": along and f"std {along} mm",
+        "turn": f"{angle_deg:.1f}°",
+        "turn-more": f"about ({_listed(axis, 2)})" + (about and f"; std {about}° about x, y, z"),
+    }  # fmt: skip
 
 
 def _listed(values: Any, digits: int) -> str:

@@ -26,14 +26,14 @@
 
   function show(state) {
     now = { ...state, camera: now.T ? now.camera : state.camera || now.camera }; // it stays while there is a pose
-    for (const [name, text] of Object.entries(state.numbers)) document.getElementById(name).textContent = text;
-    document.getElementById("says").textContent = state.says;
+    for (const [name, text] of Object.entries(state.texts)) document.getElementById(name).textContent = text;
     document.documentElement.dataset.number = state.number;
     places.forEach((place, k) => {
       place.image.setAttribute("href", state.pictures[k] || "data:,");
       place.seen.setAttribute("d", state.outline);
       place.made.setAttribute("d", state.made);
     });
+    document.getElementById("photo").hidden = !state.pictures[0];
     render("scene");
   }
 

@@ -1,0 +1,244 @@
+"""Frames of a folder, a video and a camera: every one or the newest, and what is told when the source goes away."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tactile_loc.core.errors import MissingLibraryError, SourceError, TouchError
+from tactile_loc.io import frame_sources
+from tactile_loc.io.frame_sources import Camera, ImageFolder, SourceFrame, Video, open_source
+from tactile_loc.io.videos import VideoFacts
+
+
+def until_it_fails(frames: Iterable[SourceFrame]) -> tuple[list[SourceFrame], str]:
+    """The frames that came before a source went away, and what it said then."""
+    found = []
+    try:
+        for frame in frames:
+            found.append(frame)
+    except SourceError as error:
+        return found, str(error)
+    raise AssertionError("the source did not go away")
+
+
+READS_VIDEOS = any(importlib.util.find_spec(name) for name in ("cv2", "imageio"))
+COLOURS = [(200, 30, 30), (30, 200, 30), (30, 30, 200), (200, 200, 30)]
+
+
+def picture(colour: tuple[int, int, int]) -> np.ndarray:
+    return np.full((12, 16, 3), colour, np.uint8)
+
+
+def put(folder: Path, name: str, colour: tuple[int, int, int], written_s: float | None = None) -> Path:
+    folder.mkdir(exist_ok=True)
+    Image.fromarray(picture(colour)).save(folder / name)
+    if written_s is not None:
+        os.utime(folder / name, (written_s, written_s))
+    return folder / name
+
+
+@pytest.fixture
+def meanwhile(monkeypatch) -> Callable[..., None]:
+    """Have things happen, one after the other, whenever a source waits; it must not wait more often."""
+
+    def arrange(*happenings: Callable[[], object]) -> None:
+        waiting = iter(happenings)
+        monkeypatch.setattr(frame_sources.time, "sleep", lambda _: next(waiting)())
+
+    return arrange
+
+
+def test_of_a_folder_every_frame_comes_in_the_order_of_writing_and_of_names(tmp_path):
+    for name, colour, written_s in zip(("c.png", "b.png", "a.png", "z.png"), COLOURS, (5, 7, 7, 2), strict=True):
+        put(tmp_path / "in", name, colour, written_s)
+    (tmp_path / "in" / "notes.txt").write_text("no image")
+    source = ImageFolder(tmp_path / "in", every=True)
+    frames = list(source.frames())
+    assert [frame.name for frame in frames] == ["z.png", "c.png", "a.png", "b.png"]
+    assert [frame.number for frame in frames] == [0, 1, 2, 3]
+    assert source.dropped == 0
+    for frame, colour in zip(frames, (COLOURS[3], COLOURS[0], COLOURS[2], COLOURS[1]), strict=True):
+        np.testing.assert_array_equal(frame.image, picture(colour))
+
+
+def test_the_newest_of_a_folder_counts_and_then_it_waits(tmp_path, meanwhile):
+    folder = tmp_path / "in"
+    for k in range(3):
+        put(folder, f"{k}.png", COLOURS[k], 10 + k)
+    meanwhile(
+        lambda: None,
+        lambda: put(folder, "a.png", COLOURS[3], 20),
+        lambda: put(folder, "2.png", COLOURS[1], 30),  # written anew
+    )
+    source = ImageFolder(folder, every=False)
+    frames = source.frames()
+    found = [next(frames) for _ in range(3)]
+    assert [(frame.number, frame.name) for frame in found] == [(2, "2.png"), (3, "a.png"), (4, "2.png")]
+    assert source.dropped == 2
+    np.testing.assert_array_equal(found[2].image, picture(COLOURS[1]))
+
+
+def test_a_file_that_is_being_written_is_waited_for(tmp_path, meanwhile):
+    folder = tmp_path / "in"
+    whole = put(folder, "whole.png", COLOURS[0], 1).read_bytes()
+    (folder / "half.png").write_bytes(whole[: len(whole) // 2])
+    meanwhile(lambda: (folder / "half.png").write_bytes(whole))
+    names = [frame.name for frame in ImageFolder(folder, every=True).frames()]
+    assert names == ["whole.png", "half.png"]
+
+
+def test_a_file_that_stays_damaged_is_a_frame_that_says_so(tmp_path, monkeypatch):
+    folder = tmp_path / "in"
+    whole = put(folder, "cut.png", COLOURS[0]).read_bytes()
+    (folder / "cut.png").write_bytes(whole[: len(whole) // 2])
+    monkeypatch.setattr(frame_sources, "SETTLED_S", 0.0)
+    (frame,) = ImageFolder(folder, every=True).frames()
+    with pytest.raises(TouchError, match=r"cut\.png cannot be read as png"):
+        frame.touch(None)  # type: ignore[arg-type]
+
+
+def test_a_folder_that_vanishes_is_told(tmp_path, meanwhile):
+    put(tmp_path / "in", "0.png", COLOURS[0])
+    meanwhile(lambda: shutil.rmtree(tmp_path / "in"))
+    frames = ImageFolder(tmp_path / "in", every=False).frames()
+    assert next(frames).name == "0.png"
+    with pytest.raises(SourceError, match=r"in cannot be read any more .*still there"):
+        next(frames)
+
+
+def write_gif(path: Path) -> Path:
+    first, *rest = [Image.fromarray(picture(colour)) for colour in COLOURS]
+    first.save(path, save_all=True, append_images=rest, duration=40, loop=0)
+    return path
+
+
+@pytest.mark.skipif(not READS_VIDEOS, reason="nothing that reads videos is installed")
+def test_every_frame_of_a_video(tmp_path):
+    frames = list(Video(write_gif(tmp_path / "film.gif"), every=True).frames())
+    assert [frame.time_s for frame in frames] == pytest.approx([0, 0.04, 0.08, 0.12])
+    for frame, colour in zip(frames, COLOURS, strict=True):
+        assert np.abs(frame.image.astype(int) - picture(colour)).max() < 12
+
+
+@pytest.fixture
+def film(monkeypatch) -> list[int]:
+    """A video of 50 frames, at 1000 Hz; its facts may be changed."""
+    monkeypatch.setattr(frame_sources, "video_frames", lambda _: iter([picture((k, k, k)) for k in range(50)]))
+    monkeypatch.setattr(frame_sources, "video_facts", lambda _: VideoFacts(1000.0, 50))
+    return list(range(50))
+
+
+def test_of_a_video_that_plays_on_the_newest_counts(film, tmp_path):
+    source = Video(tmp_path / "film.mp4", every=False)
+    found = []
+    for frame in source.frames():
+        found.append(frame.number)
+        while not source._place._ended:
+            time.sleep(0.001)
+    assert found[-1] == 49
+    assert len(found) <= 3
+    assert len(found) + source.dropped == 50
+
+
+def test_a_video_that_breaks_off_is_told_after_its_frames(film, tmp_path, monkeypatch):
+    monkeypatch.setattr(frame_sources, "video_facts", lambda _: VideoFacts(1000.0, 80))
+    for every in (True, False):
+        found, says = until_it_fails(Video(tmp_path / "film.mp4", every).frames())
+        assert found[-1].number == 49
+        assert "breaks off after 50 of 80 frames" in says
+    monkeypatch.setattr(frame_sources, "video_facts", lambda _: VideoFacts(1000.0, 51))  # containers miscount
+    assert len(list(Video(tmp_path / "film.mp4", every=True).frames())) == 50
+
+
+def test_a_film_cut_short_is_told(tmp_path):
+    cv2 = pytest.importorskip("cv2", reason="OpenCV writes and reads the film")
+    path = tmp_path / "film.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25.0, (64, 48))
+    noise = np.random.default_rng(0).integers(0, 256, (60, 48, 64, 3), np.uint8)
+    for image in noise:
+        writer.write(image)
+    writer.release()
+    assert len(list(Video(path, every=True).frames())) == 60
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    found, says = until_it_fails(Video(path, every=True).frames())
+    assert 0 < len(found) < 60
+    assert f"breaks off after {len(found)} of" in says
+
+
+def test_a_file_that_is_no_video_is_told(tmp_path):
+    (tmp_path / "film.mp4").write_bytes(b"no film at all")
+    with pytest.raises(SourceError, match=r"film\.mp4"):
+        list(Video(tmp_path / "film.mp4", every=True).frames())
+
+
+class FakeCapture:
+    """A camera of OpenCV that gives three images, blue first, and is unplugged then."""
+
+    asked: object = None
+    opens = True
+
+    def __init__(self, device: object) -> None:
+        type(self).asked, self.left = device, 3
+
+    def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
+        return self.opens
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        self.left -= 1
+        return (True, picture((10, 20, 30))) if self.left >= 0 else (False, None)
+
+    def release(self) -> None:
+        self.left = 0
+
+
+@pytest.fixture
+def capture(monkeypatch) -> type[FakeCapture]:
+    kind = type("Capture", (FakeCapture,), {})
+    monkeypatch.setitem(sys.modules, "cv2", SimpleNamespace(VideoCapture=kind))
+    return kind
+
+
+def test_a_camera_gives_red_first_and_is_told_when_it_goes_away(capture):
+    camera = Camera("/dev/video2")
+    found, says = until_it_fails(camera.frames())
+    assert capture.asked == "/dev/video2"
+    assert "camera /dev/video2 gives no image any more, after 3" in says
+    assert found[-1].number == 2
+    assert len(found) + camera.dropped == 3
+    np.testing.assert_array_equal(found[-1].image, picture((30, 20, 10)))
+    until_it_fails(Camera("0").frames())
+    assert capture.asked == 0
+
+
+def test_a_camera_that_is_not_there_is_told_at_once(capture, monkeypatch):
+    monkeypatch.setattr(capture, "opens", False)
+    with pytest.raises(SourceError, match="camera 3 cannot be opened"):
+        Camera("3").frames()
+
+
+def test_without_opencv_a_camera_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    with pytest.raises(MissingLibraryError, match=r"pip install 'tactile-loc\[camera\]'"):
+        Camera("0").frames()
+
+
+def test_there_is_one_source(tmp_path):
+    for given in ((None, None, False), (tmp_path, "0", False)):
+        with pytest.raises(SourceError, match="one source"):
+            open_source(*given)
+    with pytest.raises(SourceError, match="--once is for folders and videos"):
+        open_source(None, "0", True)
+    with pytest.raises(SourceError, match=r"there is no .*nowhere"):
+        open_source(tmp_path / "nowhere", None, True)
+    assert isinstance(open_source(tmp_path, None, True), ImageFolder)

@@ -1,0 +1,130 @@
+"""The view of a live run: who may ask for it, what is answered, and what it says of a frame."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+from http.client import HTTPConnection, HTTPResponse
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.io.frame_sources import SourceFrame
+from tactile_loc.locate.live import Estimate, FrameState, LiveLocator, LiveRecord, LiveResult
+from tactile_loc.reports.live_server import Board, LiveServer
+from tactile_loc.reports.live_view import live_page, live_state, shape_made
+from tactile_loc.reports.page import JSON_OPTIONS, render
+
+
+def ask(server: LiveServer, path: str, host: str | None = None) -> HTTPResponse:
+    port = int(server.url.rstrip("/").rpartition(":")[2])
+    connection = HTTPConnection("127.0.0.1", port, timeout=30)
+    connection.request("GET", path, headers={"Host": host or f"127.0.0.1:{port}"})
+    return connection.getresponse()
+
+
+def events(response: HTTPResponse) -> list[str]:
+    return response.read().decode().strip().split("\n\n")
+
+
+def test_the_page_comes_from_this_machine_alone_and_asks_only_its_own_server(localizer):
+    with LiveServer(render(live_page(localizer, "<b>camera</b> 0")), 0) as server:
+        assert server.url.startswith("http://127.0.0.1:")
+        answer = ask(server, "/")
+        text = answer.read().decode()
+        assert answer.status == 200
+        assert answer.headers["Content-Type"] == "text/html; charset=utf-8"
+        assert "connect-src 'self';" in text
+        assert "&lt;b&gt;camera" in text
+        assert "<b>camera" not in text
+        assert ask(server, "/result.json").status == 404
+        for host in ("evil.example:80", "evil.example", "127.0.0.1.evil.example:8420"):
+            assert ask(server, "/", host).status == 403
+            assert ask(server, "/events", host).status == 403
+        assert ask(server, "/", server.url[7:-1].replace("127.0.0.1", "localhost")).status == 200
+
+
+def test_a_browser_gets_the_newest_and_hears_of_the_end():
+    with LiveServer("", 0) as server:
+        for number in range(3):
+            server.board.show(lambda number=number: {"number": number})
+        answer = ask(server, "/events")
+        assert answer.headers["Content-Type"].startswith("text/event-stream")
+        assert answer.readline() == b'data: {"number":2}\n'
+        server.board.show(lambda: {"number": 3})
+        server.board.end()
+        assert events(answer) == ['data: {"number":3}', "event: end\ndata: {}"]
+
+
+def test_what_nobody_asks_for_is_not_made_and_what_two_ask_for_is_made_once():
+    board, made = Board(), []
+
+    def make() -> dict[str, int]:
+        made.append(1)
+        return {"number": 1}
+
+    board.show(make)
+    assert made == []
+    threads = [threading.Thread(target=board.newer, args=(0, 10.0)) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert made == [1]
+    assert board.newer(1, 0.01) == (1, "")
+
+
+def test_a_port_that_is_taken_is_told():
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        with pytest.raises(ConfigError, match=f"port {port} .*another --port"):
+            LiveServer("", port)
+    with pytest.raises(ConfigError, match="port 70000"):
+        LiveServer("", 70000)
+
+
+def state_of(localizer, record: LiveRecord) -> dict:
+    frame = SourceFrame(record.number, record.time_s, record.name)
+    return live_state(LiveResult(frame, record, None, None, 12.34), None, localizer)
+
+
+def test_numbers_are_in_millimetres_and_degrees(localizer):
+    T = np.array([[0, -1, 0, 0.0012], [1, 0, 0, -0.0345], [0, 0, 1, 0.0256], [0, 0, 0, 1.0]])
+    C = np.diag(np.square([1e-4, 2e-4, 3e-5, *np.radians([0.5, 1.0, 10.0])]))
+    record = LiveRecord(
+        number=9, name="9.png", time_s=1.0, state=FrameState.TRACKING, T_sensor_object=T.tolist(),
+        covariance=C.tolist(), probability=0.981, imprint_iou=0.5, seconds=0.1, dropped=3,
+    )  # fmt: skip
+    texts = state_of(localizer, record)["texts"]
+    assert texts["state"] == "tracking"
+    assert texts["place"] == "1.2, -34.5, 25.6"
+    assert texts["place-more"] == "std 0.10, 0.20, 0.03 mm"
+    assert texts["turn"] == "90.0°"
+    assert texts["turn-more"] == "about (0.00, 0.00, 1.00); std 0.5, 1.0, 10.0° about x, y, z"
+    assert (texts["probability"], texts["imprint"], texts["rate"]) == ("98 %", "50 %", "12.3 Hz")
+    assert texts["rate-more"].startswith("10 frames, 3 dropped")
+    bare = record.model_copy(update={"covariance": None})
+    assert state_of(localizer, bare)["texts"]["turn-more"] == "about (0.00, 0.00, 1.00)"
+    none = LiveRecord(number=0, name="0.png", time_s=0, state="no contact", says="none", seconds=0.1, dropped=0)
+    texts = state_of(localizer, none)["texts"]
+    assert (texts["place"], texts["turn"], texts["says"]) == ("-", "-", "none")
+
+
+def test_a_frame_is_shown_with_its_outline_and_the_one_that_the_true_pose_makes(localizer):
+    touch = localizer.simulate(1, seed=1)[0]
+    estimate = Estimate(FrameState.LOCATED, touch.T_sensor_object[None], np.ones(1), None, 1.0)
+    record = LiveLocator(localizer).located(SourceFrame(0, 0.0, "0", touch.contact_shape.depth_m)).record
+    true = record.model_copy(update={"T_sensor_object": touch.T_sensor_object.tolist()})
+    result = LiveResult(SourceFrame(0, 0.0, "0"), true, touch, estimate, 0.0)
+    made = shape_made(result, localizer)
+    assert made.contact_iou(touch.contact_shape, touch.geometry.observed_mask) > 0.97
+    state = live_state(result, made, localizer)
+    assert state["outline"].startswith("M")
+    assert state["made"].startswith("M")
+    assert state["pictures"][0] is None
+    assert state["pictures"][1].startswith("data:image/png;base64,")
+    assert json.loads(json.dumps(state, **JSON_OPTIONS)) == state

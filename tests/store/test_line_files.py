@@ -1,0 +1,64 @@
+"""Files that grow by lines: whole ones, whatever happens."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from tactile_loc.core.errors import OutputError
+from tactile_loc.store.line_files import JsonLines
+
+
+def values(path: Path) -> list[int]:
+    return [json.loads(line)["n"] for line in path.read_text().splitlines()]
+
+
+def add(path: Path, *numbers: int) -> None:
+    with JsonLines(path) as lines:
+        for number in numbers:
+            lines.append(json.dumps({"n": number}))
+
+
+def test_lines_are_there_at_once_and_more_are_added_later(tmp_path):
+    path = tmp_path / "new" / "a.jsonl"
+    with JsonLines(path) as lines:
+        lines.append('{"n": 1}')
+        assert values(path) == [1]
+    add(path, 2, 3)
+    assert values(path) == [1, 2, 3]
+
+
+@pytest.mark.parametrize(("last", "expected"), [('{"n": 2', [1, 3]), ('{"n": 2}', [1, 2, 3]), ("", [1, 3])])
+def test_a_half_line_is_removed_and_a_whole_one_without_its_end_is_kept(tmp_path, last, expected):
+    path = tmp_path / "a.jsonl"
+    path.write_text('{"n": 1}\n' + last)
+    add(path, 3)
+    assert values(path) == expected
+
+
+def test_a_full_disk_leaves_whole_lines(tmp_path, monkeypatch):
+    path, write = tmp_path / "a.jsonl", os.write
+
+    def full(descriptor: int, text: bytes) -> int:
+        if len(text) > 3:
+            return write(descriptor, text[:-3])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    add(path, 1)
+    with JsonLines(path) as lines, monkeypatch.context() as patch:
+        patch.setattr(os, "write", full)
+        with pytest.raises(OutputError, match="No space left on device"):
+            lines.append('{"n": 2}')
+    assert values(path) == [1]
+
+
+def test_two_writers_and_impossible_places_are_refused(tmp_path):
+    with JsonLines(tmp_path / "a.jsonl"), pytest.raises(OutputError, match="another process is at work"):
+        JsonLines(tmp_path / "a.jsonl")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot be written"):
+        JsonLines(tmp_path / "file" / "a.jsonl")
