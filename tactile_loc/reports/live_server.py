@@ -10,6 +10,7 @@ import logging
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import TracebackType
@@ -24,6 +25,7 @@ HOST = "127.0.0.1"
 NAMES = (HOST, "localhost")
 ALIVE_S = 10.0  # a browser hears from the server at least so often
 SHORTEST_S = 0.1  # from one frame that is shown to the next
+LAST_S = 1.0  # that a browser has to hear of the end
 HEADERS = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
 
 MakeState = Callable[[], dict[str, Any]]
@@ -36,6 +38,7 @@ class Board:
         self._changed, self._making = threading.Condition(), threading.Lock()
         self._version, self._make = 0, _nothing
         self._made = 0, ""
+        self._watchers = 0
         self.ended = False
 
     def show(self, make: MakeState) -> None:
@@ -45,10 +48,23 @@ class Board:
             self._changed.notify_all()
 
     def end(self) -> None:
-        """Say that nothing more will come."""
+        """Say that nothing more will come, and wait until those who watch have heard it, but not for long."""
         with self._changed:
             self.ended = True
             self._changed.notify_all()
+            self._changed.wait_for(lambda: not self._watchers, LAST_S)
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Count whoever watches in the block."""
+        with self._changed:
+            self._watchers += 1
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._watchers -= 1
+                self._changed.notify_all()
 
     def newer(self, version: int, timeout_s: float) -> tuple[int, str]:
         """Wait for what is newer than `version`, and return its version and JSON; the same version, where none came."""
@@ -122,9 +138,9 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(self.page)
         elif self.path == "/events":
             self._begin("text/event-stream; charset=utf-8")
-            for event in self._events():
-                self.wfile.write(event.encode())
-                self.wfile.flush()
+            with self.board.watched():
+                for event in self._events():
+                    self.wfile.write(event.encode())
         else:
             self.send_error(HTTPStatus.NOT_FOUND)
 

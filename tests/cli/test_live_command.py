@@ -1,0 +1,155 @@
+"""`tactile-loc live`: a line a frame, a page while it goes on, and one sentence where the source goes away."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+from cli_helpers import HANGS_S, TINY, assert_refused, command
+
+from tactile_loc.io import frame_sources
+
+LOCATED = ["--object", "pin", *TINY, "-o", "temperature=0.001"]
+NOTHING = np.full((200, 200), 0.002, np.float32)
+
+
+@pytest.fixture(scope="module")
+def touches(tmp_path_factory, store) -> Path:
+    """A folder of three touches, an image without contact, and one that no sensor took."""
+    folder = tmp_path_factory.mktemp("touches")
+    line = command("simulate", "--object", "pin", *TINY, "--count", "3", "--seed", "1", "--out", folder)
+    subprocess.run(line, check=True, env={**os.environ, "TACTILE_LOC_STORE": str(store)}, timeout=HANGS_S)
+    for path in [*folder.glob("*.png"), folder / "poses.json"]:
+        path.unlink()
+    np.savez(folder / "touch-no.npz", depth=NOTHING, unit="m", press_depth=0.001)
+    np.savez(folder / "touch-strange.npz", depth=NOTHING[:50], unit="m", press_depth=0.001)
+    for k, name in enumerate(sorted(folder.iterdir())):
+        os.utime(name, (k, k))
+    return folder
+
+
+def records(path: Path | str) -> list[dict]:
+    return [json.loads(line) for line in Path(path).read_text().splitlines()]
+
+
+def test_every_frame_of_a_folder_is_a_line(cli, touches):
+    words = ["live", touches, *LOCATED, "--once", "--no-view", "--out", "found.jsonl"]
+    done = cli(*words)
+    assert done.exit_code == 0, done.stderr
+    assert "5 frames, 3 located, 1 without contact, 1 refused, 0 dropped" in done.stdout
+    assert "refused 1: touch-strange.npz is 50 x 200 pixels" in done.stdout
+    found = records("found.jsonl")
+    assert [record["state"] for record in found] == ["located"] * 3 + ["no contact", "refused"]
+    for record in found[:3]:
+        touch = np.load(touches / record["name"])
+        off_m = np.linalg.norm(np.array(record["T_sensor_object"])[:3, 3] - touch["T_sensor_object"][:3, 3])
+        assert record["probability"] > 0
+        assert off_m < 0.05
+    done = cli(*words, "--json")
+    assert json.loads(done.stdout)["located"] == 3
+    assert len(records("found.jsonl")) == 10  # appended
+
+
+def test_a_folder_that_vanishes_ends_it_and_what_was_written_stays(cli, touches, monkeypatch):
+    shutil.copytree(touches, "in")
+    monkeypatch.setattr(frame_sources.time, "sleep", lambda _: shutil.rmtree("in"))
+    done = cli("live", "in", *LOCATED, "--no-view", "--out", "found.jsonl")
+    assert_refused(done, "in cannot be read any more", "is it still there?")
+    assert [record["number"] for record in records("found.jsonl")] == [4]
+    assert records("found.jsonl")[0]["dropped"] == 4
+
+
+def test_a_camera_that_goes_away_is_one_sentence(cli, touches, monkeypatch):
+    reads = iter([(True, np.zeros((200, 200, 3), np.uint8)), (False, None)])
+    camera = SimpleNamespace(isOpened=lambda: True, read=lambda: next(reads), release=lambda: None)
+    monkeypatch.setitem(sys.modules, "cv2", SimpleNamespace(VideoCapture=lambda device: camera))
+    done = cli("live", "--camera", "0", *LOCATED, "--no-view", "--out", "found.jsonl")
+    assert_refused(done, "camera 0 gives no image any more, after 1")
+    assert records("found.jsonl")[0]["state"] == "refused"
+    assert "has no calibration for images" in records("found.jsonl")[0]["says"]
+
+
+def test_what_cannot_be_done_is_one_sentence(cli, touches):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        for words, mentioned in (
+            ([], "give one source of images"),
+            ([touches, "--camera", "0"], "give one source of images"),
+            (["--camera", "0", "--once"], "a camera never ends"),
+            (["nowhere"], "there is no nowhere"),
+            ([touches, "--out", "found.csv"], ".jsonl, not as found.csv"),
+            ([touches, "--port", port], f"port {port}"),
+            ([touches, "--sensor", "gelslam"], "gelslam"),
+        ):
+            assert_refused(cli("live", *words, *LOCATED), mentioned)
+    assert list(Path().iterdir()) == []
+
+
+@pytest.fixture
+def going(touches, tmp_path, store) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Start the command in a process of its own; it is ended after the test."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*words: object) -> subprocess.Popen[str]:
+        line = command("live", *words, *LOCATED)
+        variables = {**os.environ, "TACTILE_LOC_STORE": str(store)}
+        started.append(
+            subprocess.Popen(
+                line, cwd=tmp_path, env=variables, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            )
+        )
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def wait_for_lines(path: Path, count: int) -> None:
+    ends_s = time.monotonic() + HANGS_S
+    while not path.exists() or path.read_text().count("\n") < count:
+        assert time.monotonic() < ends_s
+        time.sleep(0.05)
+
+
+def test_it_waits_for_more_shows_the_newest_and_ends_with_ctrl_c(going, touches, tmp_path):
+    (folder := tmp_path / "in").mkdir()
+    live = going(folder, "--port", "0", "--out", "found.jsonl")
+    url = live.stdout.readline().split("view: ")[1].strip()
+    with urlopen(f"{url}events", timeout=HANGS_S) as stream:
+        for k, name in enumerate(("touch-0000.npz", "touch-no.npz"), 1):
+            shutil.copy(touches / name, folder)
+            state = json.loads(stream.readline().removeprefix(b"data: "))
+            assert stream.readline() == b"\n"
+            assert state["number"] == k - 1
+            assert bool(state["T"]) == (k == 1)
+            wait_for_lines(tmp_path / "found.jsonl", k)
+        live.send_signal(signal.SIGINT)
+        assert stream.read() == b"event: end\ndata: {}\n\n"
+    out, err = live.communicate(timeout=HANGS_S)
+    assert (live.returncode, err) == (0, "")
+    assert "2 frames, 1 located, 1 without contact, 0 refused, 0 dropped" in out
+    assert [record["state"] for record in records(tmp_path / "found.jsonl")] == ["located", "no contact"]
+
+
+def test_killed_it_leaves_whole_lines(going, touches, tmp_path):
+    live = going(touches, "--no-view", "--once", "--out", "found.jsonl")
+    wait_for_lines(tmp_path / "found.jsonl", 1)
+    live.kill()
+    live.wait()
+    assert 1 <= len(records(tmp_path / "found.jsonl")) <= 5
