@@ -24,10 +24,12 @@ from tactile_loc import Localizer, load_object, write_touch
 from tactile_loc.core.geometry import make_transform, rotation_about
 from tactile_loc.evaluation.slides import random_slide, write_slide
 from tactile_loc.io.approach_files import read_approaches
+from tactile_loc.io.frame_sources import ImageFolder
 from tactile_loc.io.mount_files import MountRecord, write_mount
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.io.touch_lists import read_touch_list
+from tactile_loc.locate.live import LiveLocator
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -60,6 +62,7 @@ CHEAPER = {
     "mount": ["-o", "temperature=0.001"],
     "replay": [*COARSE, "-o", "temperature=0.001"],
     "identify": ["-o", "temperature=0.05", "-o", "grid.directions=300"],
+    "live": [*COARSE, "-o", "temperature=0.001", "--port", "0"],
 }
 Block = tuple[str, str]
 
@@ -118,6 +121,10 @@ def furnished(tmp_path_factory, store) -> Path:
     write_touch(folder / "touch.npz", localizer.simulate(1, seed=3)[0])
     (folder / "touches.toml").write_text('[[touch]]\npath = "first.npz"\n\n[[touch]]\npath = "second.npz"\n')
     mounted(folder)
+    (folder / "touches").mkdir()
+    write_touch(folder / "touches" / "0.npz", touches[0])
+    (frame,) = ImageFolder(folder / "touches", every=True).frames()
+    (folder / "found.jsonl").write_text(LiveLocator(localizer).located(frame).record.model_dump_json() + "\n")
     write_slide(folder / "drive.mcap", random_slide(localizer, 3, seed=0))
     (folder / "poses.toml").write_text(
         "".join(

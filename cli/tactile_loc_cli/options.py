@@ -111,6 +111,10 @@ TouchNoise = Annotated[
     typer.Option("--noise", help="How far simulated touches are from clean renders; by default none."),
 ]
 Seed = Annotated[int | None, declare("--seed", "N", "Seed of everything random; by default 0.")]
+Rerun = Annotated[
+    Path | None,
+    declare("--rerun", "FILE.rrd", "Write touches and poses as a file for the Rerun viewer, too; none is started."),
+]
 Store = Annotated[
     Path | None,
     declare("--store", "FOLDER", "Where models are kept; by default $TACTILE_LOC_STORE or ~/.cache/tactile-loc."),
@@ -236,3 +240,11 @@ def press_depth_m(config: RunConfig) -> float | None:
     """Return the press depth that was asked for, metres."""
     asked_mm = config.touch.press_depth_mm
     return None if asked_mm is None else 1e-3 * asked_mm
+
+
+def require_rerun(path: Path | None) -> None:
+    """Check that a Rerun file can be written, if one is asked for. Raises OutputError or MissingLibraryError."""
+    if path is not None:
+        from tactile_loc.drawing import rerun_log
+
+        rerun_log.require_rerun(path)

@@ -9,8 +9,8 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 COMMANDS = (
-    "run", "build", "simulate", "evaluate", "sweep", "report", "replay", "calibrate", "mount", "next-touch", "identify",
-    "objects", "plugins", "new-plugin", "store", "store list", "store size", "store prune", "doctor",
+    "run", "build", "simulate", "evaluate", "sweep", "report", "live", "replay", "calibrate", "mount", "next-touch",
+    "identify", "objects", "plugins", "new-plugin", "store", "store list", "store size", "store prune", "doctor",
 )  # fmt: skip
 WIDTH = "100"
 
@@ -24,7 +24,7 @@ degrees; files are in SI units. Errors are one line on stderr.
 
 | exit code | meaning |
 |---|---|
-| 0 | done |
+| 0 | done; `live`, when Ctrl-C ends it, too |
 | 1 | done, but a part of `sweep` failed, a contract is broken, `doctor` found a fault, `identify` no object; or a bug |
 | 2 | the input, an option, a component or a place to write cannot be used; the line says which, and what to do |
 | 130 | interrupted with Ctrl-C; what was finished is kept, and the same command resumes |

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -16,6 +17,7 @@ from tactile_loc.core.errors import NoContactError, TactileLocError
 from tactile_loc.core.sensing import Touch
 from tactile_loc.io.frame_sources import SourceFrame
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result import Hypothesis
 from tactile_loc.locate.tracker import Tracker
 
 Matrix = list[list[float]]
@@ -73,6 +75,19 @@ class Estimate:
     covariance: Floats | None
     imprint_iou: float
 
+    @classmethod
+    def of(cls, hypotheses: Sequence[Hypothesis]) -> Estimate:
+        """Return what hypotheses, the first one the best, say."""
+        poses = np.stack([one.T_sensor_object for one in hypotheses])
+        shares = np.array([one.probability for one in hypotheses])
+        best = hypotheses[0]
+        return cls(FrameState.LOCATED, poses, shares, best.refined.covariance, best.imprint_iou)
+
+    @property
+    def std(self) -> Floats | None:
+        """Standard deviations (6,), metres and radians, of x, y, z and about them; None when they are not known."""
+        return None if self.covariance is None else np.sqrt(np.diag(self.covariance))
+
 
 @dataclass(frozen=True, eq=False)
 class LiveResult:
@@ -83,15 +98,6 @@ class LiveResult:
     touch: Touch | None
     estimate: Estimate | None
     rate_hz: float
-
-
-def located_alone(localizer: Localizer, touch: Touch) -> Estimate:
-    """Return what a touch alone says. Raises TactileLocError when nothing fits it."""
-    hypotheses = localizer.localize(touch).hypotheses
-    poses = np.stack([one.T_sensor_object for one in hypotheses])
-    shares = np.array([one.probability for one in hypotheses])
-    best = hypotheses[0]
-    return Estimate(FrameState.LOCATED, poses, shares, best.refined.covariance, best.imprint_iou)
 
 
 @dataclass(eq=False)
@@ -149,7 +155,7 @@ class LiveLocator:
 
     def _estimate(self, frame: SourceFrame, touch: Touch) -> Estimate:
         if self.tracker is None:
-            return located_alone(self.localizer, touch)
+            return Estimate.of(self.localizer.localize(touch).hypotheses)
         if touch.T_base_sensor is not None:
             self._T_base_sensor = touch.T_base_sensor
         return self._tracked(frame, touch)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -62,6 +63,15 @@ class FrameRecord(BaseModel):
 
 
 @dataclass(frozen=True, eq=False)
+class FrameView:
+    """An image of a recording (H, W, 3) or (H, W), and where its frame is in the base frame, (4, 4), metres, if a base
+    frame was asked for and that is known."""
+
+    image: NDArray[Any]
+    T_base_frame: NDArray[np.float64] | None
+
+
+@dataclass(frozen=True, eq=False)
 class Replay:
     """What is located: the images on a `topic` of a recording, by a localizer's sensor.
 
@@ -86,6 +96,19 @@ class Replay:
             if number >= first:
                 yield self._located(number, message, estimator)
 
+    def views(self) -> Iterator[FrameView]:
+        """Yield the topic's images, in order. Raises RecordingError for those that cannot be read."""
+        for message in self.recording.messages(self.topic.name):
+            image = message.decoded()
+            T = None
+            with suppress(FrameError):
+                T = self._base_from(self._frame_of(image), stamp_ns(image.header)) if self.base_frame else None
+            yield FrameView(image_array(image), T)
+
+    def touch(self, image: NDArray[Any]) -> Touch:
+        """Return what the sensor reads in an image. Raises NoContactError or TouchError."""
+        return touch_from_image(image, self.localizer.sensor, self.press_depth_m)
+
     def _located(self, number: int, message: Message, estimator: Estimator) -> FrameRecord:
         image = message.decoded()
         frame = self._frame_of(image)
@@ -94,7 +117,7 @@ class Replay:
             "frame": self.base_frame or frame,
         }  # fmt: skip
         try:
-            touch = touch_from_image(image_array(image), self.localizer.sensor, self.press_depth_m)
+            touch = self.touch(image_array(image))
             T_base_frame = self._base_from(frame, given["stamp_ns"])
             return _record(given, estimator(touch), T_base_frame)
         except RecordingError:

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import percent
-from tactile_loc.core.geometry import axis_angle, transform_points
+from tactile_loc.core.geometry import transform_points
 from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.pose_words import pose_words
 from tactile_loc.core.sensing import ContactShape, SensorGeometry
 from tactile_loc.locate.live import LiveRecord, LiveResult
 from tactile_loc.locate.localizer import Localizer
@@ -89,18 +90,12 @@ def _pose(record: LiveRecord) -> dict[str, str]:
     """Where the object is, mm and degrees, and standard deviations."""
     if record.T_sensor_object is None:
         return {"place": NOTHING, "place-more": "", "turn": NOTHING, "turn-more": ""}
-    T, std = np.array(record.T_sensor_object), record.std
-    angle_deg, axis = axis_angle(T[:3, :3])
-    along, about = ("", "") if std is None else (_listed(1e3 * std[:3], 2), _listed(np.degrees(std[3:]), 1))
+    words = pose_words(np.array(record.T_sensor_object), record.std)
+    std = "" if record.std is None else f"; std {words.turn_std} about x, y, z"
     return {
-        "place": _listed(1e3 * T[:3, 3], 1), "place-more": along and f"std {along} mm",
-        "turn": f"{angle_deg:.1f}°",
-        "turn-more": f"about ({_listed(axis, 2)})" + (about and f"; std {about}° about x, y, z"),
+        "place": words.place, "place-more": words.place_std and f"std {words.place_std} mm",
+        "turn": words.turn, "turn-more": f"about {words.axis}{std}",
     }  # fmt: skip
-
-
-def _listed(values: Any, digits: int) -> str:
-    return ", ".join(f"{v:.{digits}f}" for v in values)
 
 
 def _reach_mm(mesh: TriangleMesh) -> float:

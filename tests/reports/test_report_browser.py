@@ -1,4 +1,7 @@
-"""The pages in a browser without any network: they draw, they answer, and nothing goes wrong or out."""
+"""The pages in a browser without any network: they draw, they answer, and nothing goes wrong or out.
+
+That of a live run has its own server, and asks no other.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +17,22 @@ import pytest
 from PIL import Image
 from report_helpers import UNFRIENDLY, write_sweep
 
+from tactile_loc.core.sensing import Touch
+from tactile_loc.io.frame_sources import SourceFrame
+from tactile_loc.locate.live import Estimate, FrameState, LiveRecord, LiveResult
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.reports import find_source, write_report
+from tactile_loc.reports.live_server import LiveServer
+from tactile_loc.reports.live_view import live_page, live_state, shape_made
+from tactile_loc.reports.page import render
+from tactile_loc.reports.scene import rows_mm
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
-    "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--headless=new", "--no-sandbox", "--disable-dev-shm-usage",
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
     "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--window-size=640,640",
 )  # fmt: skip
 LOCAL = ("file:", "data:", "blob:", "about:", "chrome:")
@@ -223,3 +235,54 @@ def test_a_sweep_with_few_columns_is_drawn_too(show, tmp_path):
     rows = [{"object": UNFRIENDLY, "refiner": name, "chosen_median_mm": value} for name, value in (("a", 1), ("b", 2))]
     browser = show(write_sweep(tmp_path, rows))
     assert plots(browser) == {"effect-0": 2}
+
+
+def live_result(number: int, touch: Touch | None) -> LiveResult:
+    """A frame with a photo, at the true pose of its touch."""
+    photo = np.random.default_rng(number).integers(0, 256, (48, 48, 3), np.uint8)
+    frame = SourceFrame(number, 0.0, f"{number}.png", photo)
+    seen: dict[str, Any] = {"number": number, "name": frame.name, "time_s": 0.0, "seconds": 0.1, "dropped": 2}
+    if touch is None:
+        record = LiveRecord(**seen, state=FrameState.NO_CONTACT, says="no contact: nothing")
+        return LiveResult(frame, record, None, None, 4.0)
+    T, C = touch.T_sensor_object, np.diag(np.square([1e-4] * 3 + [0.01] * 3))
+    told = {"T_sensor_object": T.tolist(), "covariance": C.tolist(), "probability": 0.97, "imprint_iou": 0.8}
+    record = LiveRecord(**seen, **told, state=FrameState.TRACKING)
+    return LiveResult(frame, record, touch, Estimate(FrameState.TRACKING, T[None], np.ones(1), C, 0.8), 4.0)
+
+
+def test_a_live_run_is_drawn_as_it_goes(browser, localizer: Localizer):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    first, second = localizer.simulate(2, seed=1)
+    body = localizer.object.mesh.vertices_m
+    for kind in ("browser", "performance"):
+        browser.get_log(kind)
+    with LiveServer(render(live_page(localizer, "camera 0")), 0) as server:
+        browser.get(server.url)
+        assert find(browser, "#says").text == "waiting for the first frame"
+        for number, touch in enumerate((first, second, None)):
+            result = live_result(number, touch)
+            made = shape_made(result, localizer)
+            server.board.show(lambda result=result, made=made: live_state(result, made, localizer))
+            WebDriverWait(browser, 120).until(
+                lambda _, n=str(number): browser.execute_script("return document.documentElement.dataset.number") == n
+            )
+            drawn = browser.execute_script("return document.getElementById('scene').data[0].visible")
+            image, *_ = browser.find_elements("css selector", "#photo image")
+            assert image.get_attribute("href").startswith("data:image/png")
+            assert drawn == (touch is not None)
+            if touch is not None:
+                rows = np.reshape(rows_mm(touch.T_sensor_object), (3, 4))
+                expected = 1e3 * body @ rows[:, :3].T + rows[:, 3]
+                assert np.abs(object_points(browser) - expected).max() < 0.01
+                texts = [find(browser, f"#{name}").text for name in ("state", "probability", "place-more", "rate")]
+                assert texts == ["tracking", "97 %", "std 0.10, 0.10, 0.10 mm", "4.0 Hz"]
+                assert find(browser, "#shape .made").get_attribute("d").startswith("M")
+        assert find(browser, "#state").text == "no contact"
+        assert find(browser, "#says").text == "no contact: nothing"
+    WebDriverWait(browser, 120).until(lambda _: find(browser, "#state").text == "ended")
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+    asked = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    urls = {m["params"]["request"]["url"] for m in asked if m["method"] == "Network.requestWillBeSent"}
+    assert {url for url in urls if not url.startswith(LOCAL)} == {server.url, f"{server.url}events"}

@@ -34,15 +34,13 @@ SHOWN = 5  # reasons why frames were refused
 Source = Annotated[
     Path | None,
     typer.Argument(
-        metavar="[FOLDER|VIDEO]", show_default=False,
+        metavar="FOLDER|VIDEO", show_default=False,
         help="A folder that images or contact shapes are put into, or a video.",
     ),
 ]  # fmt: skip
 CameraOption = Annotated[
     str | None,
-    options.declare(
-        "--camera", "N", "Instead of these: the number of a camera, from 0, or its device, as /dev/video2."
-    ),
+    options.declare("--camera", "N", "A camera instead: its number, from 0, or its device, as /dev/video2."),
 ]
 Once = Annotated[
     bool,
@@ -65,7 +63,10 @@ Out = Annotated[
 Port = Annotated[
     int,
     options.declare(
-        "--port", "N", f"The port of the view, on this machine alone; 0 takes a free one; by default {PORT}."
+        "--port",
+        "N",
+        f"The port of the view, on this machine alone; 0 takes a free one; by default {PORT}.",
+        show_default=False,
     ),
 ]
 View = Annotated[bool, typer.Option("--view/--no-view", help="Show frames and poses on a local web page, or do not.")]
@@ -94,6 +95,7 @@ def live(
     out: Out = None,
     view: View = True,
     port: Port = PORT,
+    rerun: options.Rerun = None,
     store: options.Store = None,
 ) -> dict[str, Any]:
     """Locate an object in each frame of a camera, a folder or a video, as they come.
@@ -115,30 +117,36 @@ def live(
         )
     )  # fmt: skip
     opened = open_source(source, camera, once)
-    _require_lines(out)
+    _require_outputs(out, rerun)
     localizer = options.open_localizer(settings, store)
     tracker = Tracker(localizer) if track else None
     locator = LiveLocator(localizer, tracker, settings.touch.unit, options.press_depth_m(settings))
     with ExitStack() as stack:
-        shows = [stack.enter_context(one) for one in _outputs(localizer, opened, out, port if view else None)]
+        shows = [stack.enter_context(one) for one in _outputs(localizer, opened, out, port if view else None, rerun)]
         _run(locator, opened, shows)
     summary = LiveSummary.of(locator, opened.dropped)
-    _say(summary, opened.about, out)
-    return {**asdict(summary), "written": [] if out is None else [str(out)]}
+    written = [str(path) for path in (out, rerun) if path is not None]
+    _say(summary, opened.about, written)
+    return {**asdict(summary), "written": written}
 
 
-def _require_lines(out: Path | None) -> None:
-    """Refuse to write lines into what is, by its name, another kind of file."""
+def _require_outputs(out: Path | None, rerun: Path | None) -> None:
+    """Refuse to write into what is, by its name, another kind of file, before anything is built."""
     from tactile_loc.core.errors import OutputError
 
+    options.require_rerun(rerun)
     if out is not None and out.suffix.lower() != ".jsonl":
         raise OutputError(f"results are written as lines of JSON, .jsonl, not as {out.name}; choose another --out")
 
 
-def _outputs(localizer: Localizer, source: FrameSource, out: Path | None, port: int | None) -> Iterator[Output]:
+def _outputs(
+    localizer: Localizer, source: FrameSource, out: Path | None, port: int | None, rerun: Path | None
+) -> Iterator[Output]:
     """Where results go: each is a context that gives what takes them."""
     if out is not None:
         yield _written(out)
+    if rerun is not None:
+        yield _logged(localizer, rerun)
     if port is not None:
         yield _viewed(localizer, source.about, port)
 
@@ -150,6 +158,23 @@ def _written(out: Path) -> Iterator[Show]:
 
     with JsonLines(out) as lines:
         yield lambda result: lines.append(result.record.model_dump_json())
+
+
+@contextmanager
+def _logged(localizer: Localizer, path: Path) -> Iterator[Show]:
+    """Results in a Rerun file."""
+    from tactile_loc.drawing.rerun_log import Logged, RerunLog
+
+    start_s: list[float] = []
+    with RerunLog(path, localizer.scene) as log:
+
+        def show(result: LiveResult) -> None:
+            frame = result.frame
+            start_s[:] = start_s or [frame.time_s]
+            time_s = frame.time_s - start_s[0]
+            log.add(Logged(frame.number, time_s, frame.image, result.touch, result.estimate, says=result.record.says))
+
+        yield show
 
 
 @contextmanager
@@ -178,23 +203,23 @@ def _run(locator: LiveLocator, source: FrameSource, shows: Sequence[Show]) -> No
             result = locator.located(frame, source.dropped)
             for show in shows:
                 show(result)
-            _log(result)
+            _tell(result)
 
 
-def _log(result: LiveResult) -> None:
+def _tell(result: LiveResult) -> None:
     record = result.record
     if record.state == "refused":
         logger.warning("refused: %s", record.says)
     logger.info("%s: %s, %.0f ms, %.1f Hz", record.name, record.state, 1e3 * record.seconds, result.rate_hz)
 
 
-def _say(summary: LiveSummary, about: str, out: Path | None) -> None:
-    """Write how many frames came to what, and where the lines are."""
+def _say(summary: LiveSummary, about: str, written: Sequence[str]) -> None:
+    """Write how many frames came to what, and where that is written."""
     say(
         f"{about}: {summary.frames} frames, {summary.located} located, {summary.no_contact} without contact, "
         f"{summary.refused} refused, {summary.dropped} dropped"
     )
     for reason, count in summary.reasons[:SHOWN]:
         say(f"refused {count}: {reason}")
-    if out is not None:
-        say(f"written: {out}")
+    if written:
+        say(f"written: {', '.join(written)}")

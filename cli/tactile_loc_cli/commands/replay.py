@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -69,6 +69,7 @@ def replay(
     poses_only: PosesOnly = False,
     seed: options.Seed = None,
     out: Out = None,
+    rerun: options.Rerun = None,
     store: options.Store = None,
 ) -> dict[str, Any]:
     """Locate an object in each image of a ROS recording.
@@ -88,6 +89,7 @@ def replay(
             seed=seed,
         )
     )  # fmt: skip
+    options.require_rerun(rerun)
     out = _out(recording, out)
     recorded = Recording(recording)
     contents = recorded.contents()
@@ -101,6 +103,10 @@ def replay(
     localizer = options.open_localizer(settings, store)
     asked = Replay(recorded, topic, localizer, frame, base_frame, tree, options.press_depth_m(settings))
     found = replay_to(out, asked, contents.counts[topic], pose_topic, poses_only)
+    if rerun is not None:
+        from tactile_loc.drawing.rerun_files import write_replay
+
+        found = replace(found, written=(*found.written, write_replay(rerun, asked, found.records)))
     _say(found, topic.name)
     written = [str(path) for path in found.written]
     return {**asdict(found.summary), "resumed": found.resumed, "damage": contents.damage, "written": written}

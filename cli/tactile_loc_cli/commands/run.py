@@ -90,6 +90,7 @@ def run(
     out: Out = DEFAULT_OUT,
     pictures: Pictures = False,
     report: Report = False,
+    rerun: options.Rerun = None,
     store: options.Store = None,
 ) -> dict[str, Any]:
     """Locate an object from one touch, from several at once, or from each of a folder's touches.
@@ -113,14 +114,17 @@ def run(
     _require_one_source(settings, noise)
     _require_several(settings)
     require_writable(out)
+    options.require_rerun(rerun)
     localizer = options.open_localizer(settings, store)
     if settings.touch.path is not None and is_folder(Path(settings.touch.path)):
-        _require_neither(prior, report)
+        _require_neither(prior, report, rerun)
         return _run_folder(localizer, Path(settings.touch.path), out, pictures)
-    return _run_together(localizer, prior, out, report)
+    return _run_together(localizer, prior, out, report, rerun)
 
 
-def _run_together(localizer: Localizer, prior: Path | None, out: Path, report: bool) -> dict[str, Any]:
+def _run_together(
+    localizer: Localizer, prior: Path | None, out: Path, report: bool, rerun: Path | None
+) -> dict[str, Any]:
     """Locate the object from one touch or from all of a list."""
     from tactile_loc.locate.localizer import localize_together
 
@@ -132,7 +136,7 @@ def _run_together(localizer: Localizer, prior: Path | None, out: Path, report: b
     seconds = {"model": time.perf_counter() - start}
     alone = len(observations) == 1
     localization = localizer.localize(observations[0][1], known) if alone else localize_together(observations, known)
-    return _report(observations, localization, seconds, out, report)
+    return _report(observations, localization, seconds, out, report, rerun)
 
 
 def _require_one_source(settings: RunConfig, noise: options.Noise | None) -> None:
@@ -158,12 +162,14 @@ def _require_several(settings: RunConfig) -> None:
         )
 
 
-def _require_neither(prior: Path | None, report: bool) -> None:
+def _require_neither(prior: Path | None, report: bool, rerun: Path | None) -> None:
     """Refuse with a folder of touches what is of one result."""
     from tactile_loc.core.errors import ConfigError
 
     if prior is not None:
         raise ConfigError("--prior is of one pose; leave it out with a folder of touches")
+    if rerun is not None:
+        raise ConfigError("--rerun is of one result; leave it out with a folder of touches, or give that to `live`")
     if report:
         raise ConfigError("--report is of one result; leave it out with a folder of touches, or locate one of them")
 
@@ -195,7 +201,12 @@ def _touch(localizer: Localizer) -> sensing.Touch:
 
 
 def _report(
-    observations: list[Observation], localization: Localization, seconds: dict[str, float], out: Path, page: bool
+    observations: list[Observation],
+    localization: Localization,
+    seconds: dict[str, float],
+    out: Path,
+    page: bool,
+    rerun: Path | None,
 ) -> dict[str, Any]:
     """Show the result, write it (result.json, .npz, .png and, if asked for, the page), and return it and the paths."""
     from tactile_loc.drawing.pictures import draw_result, save_figure
@@ -221,6 +232,10 @@ def _report(
         from tactile_loc.reports import find_source, write_report
 
         written.append(write_report(find_source(out / "result.json")))
+    if rerun is not None:
+        from tactile_loc.drawing.rerun_files import write_localization
+
+        written.append(write_localization(rerun, localization, localizer.scene))
     say(f"written: {', '.join(map(str, written))}")
     return {**record.model_dump(mode="json"), "written": [str(path) for path in written]}
 

@@ -1,0 +1,187 @@
+"""Touches and poses as a Rerun file (.rrd), for the viewer of that name; none is started."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import MissingLibraryError, OutputError
+from tactile_loc.core.formatting import percent
+from tactile_loc.core.geometry import rotation_to_quaternion
+from tactile_loc.core.interfaces import Scene
+from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.pose_words import pose_words
+from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.sensing import SensorGeometry, Touch
+from tactile_loc.locate.live import Estimate
+from tactile_loc.locate.result_files import drawn_mesh, most_probable
+from tactile_loc.store.files import require_writable
+
+SENSOR = "base/sensor"
+OBJECT, HYPOTHESES, POSTERIOR, SPREAD = (f"{SENSOR}/{n}" for n in ("object", "hypotheses", "posterior", "uncertainty"))
+STEEL, GHOST, HIDDEN = (124, 159, 199, 255), (124, 159, 199, 50), (0, 0, 0, 0)
+GEL = (223, 225, 220)
+DEVIATIONS = 2.0  # that the ellipsoid's half axes are
+MARK_M = 5e-4  # radius of the most probable pose's mark
+
+
+def require_rerun(path: Path) -> None:
+    """Check that a Rerun file can be written to `path`.
+
+    Raises OutputError for another suffix or a place that cannot be written, and MissingLibraryError.
+    """
+    if path.suffix.lower() != ".rrd":
+        raise OutputError(f"a Rerun file is written as .rrd, not as {path.name}; choose another --rerun")
+    if path.is_dir():
+        raise OutputError(f"{path} is a folder; choose another --rerun")
+    require_writable(path.parent)
+    _library()
+
+
+def _library() -> Any:
+    try:
+        import rerun
+    except ImportError as error:
+        raise MissingLibraryError(
+            "rerun, which writes files for its viewer, is not installed: pip install 'tactile-loc[view]'"
+        ) from error
+    return rerun
+
+
+@dataclass(frozen=True, eq=False)
+class Logged:
+    """One frame, `time_s` seconds after whatever the file begins with: image (H, W, 3), touch, what is known of the
+    pose, the posterior, and what is said of it. What is None is not there."""
+
+    number: int
+    time_s: float
+    image: NDArray[np.uint8] | None = None
+    touch: Touch | None = None
+    estimate: Estimate | None = None
+    posterior: PosePosterior | None = None
+    says: str = ""
+
+
+class RerunLog:
+    """A Rerun file that grows frame by frame; a context. In metres, in the sensor's frame, and that in the base's.
+
+    `scene` says which object and which sensor.
+    """
+
+    def __init__(self, path: Path, scene: Scene) -> None:
+        self._rr = _library()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._stream = self._rr.RecordingStream(f"tactile-loc {scene.object.name}")
+        self._stream.save(path)
+        self._stream.set_log_time_enabled(False)
+        self._stream.set_log_tick_enabled(False)
+        self._shown: dict[str, bool] = {}
+        self._begin(drawn_mesh(scene.object.mesh), scene.geometry)
+
+    def __enter__(self) -> RerunLog:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stream.flush()
+        self._stream.disconnect()
+
+    def add(self, frame: Logged) -> None:
+        """Add a frame; what it has not is not shown any more."""
+        self._stream.set_time("frame", sequence=frame.number)
+        self._stream.set_time("time", duration=frame.time_s)
+        self._add_touch(frame.image, frame.touch)
+        has_pose = frame.estimate is not None and len(frame.estimate.T_sensors_object) > 0
+        if frame.estimate is not None and has_pose:
+            self._add_estimate(frame.estimate)
+        else:
+            self._log(SPREAD, self._rr.Clear(recursive=False))
+        for path, colour in ((OBJECT, STEEL), (HYPOTHESES, GHOST)):
+            self._show(path, has_pose, colour)
+        if frame.posterior is not None:
+            self._add_posterior(frame.posterior)
+        self._log("pose", self._rr.TextDocument(pose_text(frame)))
+        self._stream.flush()
+
+    def _log(self, path: str, what: Any, static: bool = False) -> None:
+        self._stream.log(path, what, static=static)
+
+    def _begin(self, mesh: TriangleMesh, geometry: SensorGeometry) -> None:
+        """The object's surface, not shown yet, and the gel."""
+        shape = {"vertex_positions": mesh.vertices_m, "triangle_indices": mesh.faces}
+        self._stream.set_time("frame", sequence=0)
+        self._stream.set_time("time", duration=0.0)
+        for path in (f"{OBJECT}/surface", HYPOTHESES):
+            self._log(path, self._rr.Mesh3D(**shape, albedo_factor=HIDDEN))
+        x0, x1, y0, y1 = geometry.rectangle
+        middle = [(x0 + x1) / 2, (y0 + y1) / 2, geometry.surface_m]
+        gel = self._rr.Boxes3D(centers=[middle], sizes=[[x1 - x0, y1 - y0, 0.0]], colors=[GEL])
+        self._log(f"{SENSOR}/gel", gel, static=True)
+
+    def _show(self, path: str, shown: bool, colour: tuple[int, int, int, int]) -> None:
+        """Show a surface, or hide it."""
+        if self._shown.get(path, False) != shown:
+            self._shown[path] = shown
+            surface = f"{OBJECT}/surface" if path == OBJECT else path
+            self._log(surface, self._rr.Mesh3D.from_fields(albedo_factor=colour if shown else HIDDEN))
+
+    def _add_touch(self, image: NDArray[np.uint8] | None, touch: Touch | None) -> None:
+        rr, nothing = self._rr, self._rr.Clear(recursive=False)
+        self._log("image", nothing if image is None or image.ndim != 3 else rr.Image(image))
+        shape = None if touch is None else touch.contact_shape
+        self._log("contact_shape", nothing if shape is None else rr.DepthImage(shape.depth_m, meter=1.0))
+        if touch is not None and touch.T_base_sensor is not None:
+            self._log(SENSOR, self._transform(touch.T_base_sensor))
+
+    def _transform(self, T: NDArray[np.float64]) -> Any:
+        return self._rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
+
+    def _add_estimate(self, found: Estimate) -> None:
+        rr, poses = self._rr, found.T_sensors_object
+        self._log(OBJECT, self._transform(poses[0]))
+        self._log(HYPOTHESES, rr.InstancePoses3D(translations=poses[:, :3, 3], mat3x3=poses[:, :3, :3]))
+        self._log(HYPOTHESES, rr.AnyValues(probability=found.probabilities))
+        self._log("plots/probability", rr.Scalars(found.probabilities[0]))
+        if not np.isnan(found.imprint_iou):
+            self._log("plots/imprint_iou", rr.Scalars(found.imprint_iou))
+        if found.covariance is None:
+            self._log(SPREAD, rr.Clear(recursive=False))
+            return
+        self._log(SPREAD, self._ellipsoid(poses[0, :3, 3], found.covariance[:3, :3]))
+        self._log(SPREAD, rr.AnyValues(covariance=found.covariance.ravel()))
+
+    def _ellipsoid(self, centre_m: NDArray[np.float64], covariance: NDArray[np.float64]) -> Any:
+        """The place's uncertainty: half axes of DEVIATIONS standard deviations."""
+        variances, R = np.linalg.eigh(covariance)
+        R[:, 0] *= np.sign(np.linalg.det(R))  # axes of a right-handed frame
+        half = DEVIATIONS * np.sqrt(np.maximum(variances, 0))
+        turned = self._rr.Quaternion(xyzw=np.roll(rotation_to_quaternion(R), -1))
+        return self._rr.Ellipsoids3D(centers=[centre_m], half_sizes=[half], quaternions=[turned])
+
+    def _add_posterior(self, posterior: PosePosterior) -> None:
+        """The posterior's most probable poses: where the object's origin is, larger marks the likelier."""
+        kept = most_probable(posterior)
+        poses, p = posterior.grid.T_sensor_object[kept], posterior.probabilities[kept]
+        self._log(POSTERIOR, self._rr.Points3D(poses[:, :3, 3], radii=MARK_M * np.sqrt(p / p.max())))
+        self._log(POSTERIOR, self._rr.AnyValues(T_sensor_object=poses.reshape(-1), probability=p))
+
+
+def pose_text(frame: Logged) -> str:
+    """Return what is known at a frame in words: mm, degrees, per cent."""
+    found = frame.estimate
+    if found is None or not len(found.T_sensors_object):
+        return frame.says
+    words = pose_words(found.T_sensors_object[0], found.std)
+    std = "" if found.std is None else f"\nstd {words.place_std} mm; {words.turn_std} about x, y, z"
+    lines = (
+        f"{found.state}, {percent(float(found.probabilities[0]))}",
+        f"{words.place} mm, turned {words.turn} about {words.axis}{std}",
+        frame.says,
+    )
+    return "\n".join(line for line in lines if line)
