@@ -13,7 +13,7 @@ from tactile_loc.core.geometry import axis_angle
 
 @dataclass(frozen=True)
 class PoseWords:
-    """A pose and its standard deviations: places in mm, without the unit, turns in degrees; "" for what is not known."""
+    """A pose and its standard deviations: places in mm, without the unit, turns in degrees; "" what is not known."""
 
     place: str
     turn: str

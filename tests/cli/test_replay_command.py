@@ -11,6 +11,7 @@ import pytest
 from cli_helpers import TINY, assert_refused
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from rerun_helpers import read
 
 from tactile_loc.core.hand_eye import pose_errors
 from tactile_loc.evaluation.slides import T_BASE_OBJECT, T_FLANGE_GEL
@@ -73,6 +74,24 @@ def test_the_simulated_recording_says_the_truth(slide):
         T_base_gel = tree.lookup("base", "gel", stamp_ns(message.header))
         np.testing.assert_allclose(T_base_gel @ T_gel_object, T_BASE_OBJECT, atol=1e-9)
     np.testing.assert_allclose(tree.lookup("flange", "gel", 0), T_FLANGE_GEL, atol=1e-12)
+
+
+def test_a_rerun_file_has_the_poses_where_the_sensor_was(cli, slide):
+    """In the file the object hangs below the sensor, and that in the base frame: together the poses in that."""
+    pytest.importorskip("rerun", reason="rerun is not installed")
+    done = cli("replay", slide, *LOCATED, "--base-frame", "base", "--rerun", "slide.rrd", "--out", "out.mcap")
+    assert done.exit_code == 0, done.stderr
+    assert "out.json, slide.rrd" in done.stdout
+    found = read(Path("slide.rrd"))
+    below = found["base/sensor/object"]["Transform3D:translation"]
+    places, turns = (found["base/sensor"][f"Transform3D:{name}"] for name in ("translation", "mat3x3"))
+    frames = [f for f in json.loads(Path("out.json").read_text())["poses"] if f["outcome"] == "located"]
+    assert len(frames) == len(below) == len(places) == IMAGES - 2
+    for frame, (t,), (place,), (turn,) in zip(frames, below, places, turns, strict=True):
+        R = np.reshape(turn, (3, 3)).T
+        np.testing.assert_allclose(R @ t + place, np.array(frame["T_frame_object"])[:3, 3], atol=1e-6)
+    assert len(found["image"].get("Image:buffer", [])) == 0  # it is of depths
+    assert len(found["contact_shape"]["DepthImage:buffer"]) == IMAGES - 2
 
 
 def test_an_interrupted_replay_is_resumed(cli, slide, monkeypatch):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from cli_helpers import TINY, assert_refused, touch_depths, write_box
 from PIL import Image
+from rerun_helpers import read
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
@@ -209,3 +210,14 @@ def test_all_modes_of_a_set_are_listed(cli, tmp_path):
     assert found["coverage"] == 0.9
     assert found["grid_poses"] == sum(h["grid_poses"] for h in result["hypotheses"])
     assert f"90.0% set: {found['grid_poses']} of these poses" in done.stdout
+
+
+def test_a_rerun_file_is_written_beside_the_result(cli):
+    pytest.importorskip("rerun", reason="rerun is not installed")
+    done = cli("run", "--object", "pin", *TINY, "-o", "temperature=0.001", "--out", "out", "--rerun", "out/result.rrd")
+    assert done.exit_code == 0, done.stderr
+    best = json.loads(Path("out/result.json").read_text())["hypotheses"][0]["T_sensor_object"]
+    (place,) = read(Path("out/result.rrd"))["base/sensor/object"]["Transform3D:translation"][0]
+    np.testing.assert_allclose(place, np.array(best)[:3, 3], atol=1e-6)
+    Path("many").mkdir()
+    assert_refused(cli("run", "--touch", "many", "--rerun", "a.rrd"), "--rerun is of one result")

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from rerun_helpers import read
 
 from tactile_loc.core.errors import MissingLibraryError, OutputError
 from tactile_loc.core.geometry import make_transform, rotation_about
@@ -22,19 +21,6 @@ C = np.diag(np.square([1e-4, 3e-4, 2e-4, 0.01, 0.02, 0.03]))
 
 def estimate(state: FrameState = FrameState.TRACKING) -> Estimate:
     return Estimate(state, np.stack([T, np.eye(4)]), np.array([0.75, 0.2]), C, 0.9)
-
-
-def read(path: Path) -> dict[str, dict[str, list[Any]]]:
-    """What a file holds: of each entity, each component's values in the order of frames."""
-    chunks = pytest.importorskip("rerun.chunk", reason="this version of rerun does not read its files")
-    found: dict[str, dict[str, list[tuple[int, Any]]]] = {}
-    for chunk in chunks.RrdReader(path).stream():
-        rows = chunk.to_record_batch().to_pydict()
-        numbers = rows.get("frame", [-1] * chunk.num_rows)
-        for name, values in rows.items():
-            column = found.setdefault(chunk.entity_path.lstrip("/"), {}).setdefault(name, [])
-            column += [(n, v) for n, v in zip(numbers, values, strict=True) if v is not None]
-    return {e: {n: [v for _, v in sorted(c, key=lambda p: p[0])] for n, c in d.items()} for e, d in found.items()}
 
 
 @pytest.fixture
