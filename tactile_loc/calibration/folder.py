@@ -17,12 +17,12 @@ from tactile_loc.calibration.estimator import GelEstimator, estimator_class, est
 from tactile_loc.calibration.health import Health, health, require_healthy
 from tactile_loc.calibration.labels import Image
 from tactile_loc.calibration.reading import read_zero, require_image
-from tactile_loc.core.errors import CalibrationError, OutputError, SensorError, TouchError
+from tactile_loc.core.errors import CalibrationError, OutputError, SensorError, TouchError, named
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.imaging.optics import Optics
 from tactile_loc.io.images import read_colour_image, write_image
 from tactile_loc.io.sensor_files import CALIBRATION, read_sensor_file, write_sensor_file
-from tactile_loc.store.files import recover_folder, replacing_folder
+from tactile_loc.store.files import read_json, recover_folder, replacing_folder
 from tactile_loc.store.keys import hash_arrays, hash_file
 
 SCHEMA_VERSION = 1
@@ -65,8 +65,10 @@ class Calibration:
     @cached_property
     def estimator(self) -> GelEstimator:
         """The estimator with what it learned. Raises WeightsError, MissingLibraryError."""
-        kind = estimator_class(self.record["estimator"])
-        estimator = kind(self.geometry, self.background, estimator_options(kind, self.record["options"]))
+        with named(self.folder / CALIBRATION):
+            kind = estimator_class(self.record["estimator"])
+            options = estimator_options(kind, self.record["options"])
+        estimator = kind(self.geometry, self.background, options)
         estimator.load(self.folder / WEIGHTS)
         estimator.untouched = self.untouched
         return estimator
@@ -112,7 +114,7 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
         if not (folder / name).is_file():
             raise CalibrationError(f"{folder} is no calibrated sensor: {name} is missing; calibrate it again")
     try:
-        record = json.loads((folder / CALIBRATION).read_text(encoding="utf-8"))
+        record = read_json(folder / CALIBRATION)
         geometry = read_sensor_file(folder / SENSOR)
         background = read_colour_image(folder / BACKGROUND)
     except (OSError, ValueError, SensorError, TouchError) as error:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from tactile_loc.core.geometry import make_transform
 from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.io.arrays import load_npz
 from tactile_loc.io.images import read_colour_image, write_image
 from tactile_loc.io.meshes import load_object
 
@@ -274,7 +274,7 @@ def convert(source: Path, out: Path, format: str, ball_radius_mm: float, mm_per_
     largest = np.floor(1e3 * STEEPEST * ball_radius_mm / mm_per_px) / 1e3
     try:
         rows = list(FORMATS[format](source, out))
-    except (OSError, KeyError, ValueError, IndexError, TypeError, EOFError, BadZipFile) as error:
+    except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
         raise CalibrationError(f"{source} cannot be read as a set in the format {format} ({error})") from error
     if all(circle is None for _, circle in rows):
         raise CalibrationError(f"{source} holds no press in the format {format}")
@@ -325,17 +325,16 @@ def _gs_sdk(source: Path, out: Path) -> Rows:
     """gs_sdk: background.png, and a folder a press with gelsight.png and label.npz (center, radius)."""
     yield _link(source / "background.png", out, "background.png"), None
     for label in sorted(source.glob("*/label.npz"), key=lambda path: (len(path.parent.name), path.parent.name)):
-        with np.load(label, allow_pickle=False) as values:
-            x, y = map(float, values["center"])
-            circle = (x, y, float(values["radius"]))
+        values = load_npz(label)
+        x, y = map(float, values["center"])
+        circle = (x, y, float(values["radius"]))
         yield _link(label.with_name("gelsight.png"), out, f"{label.parent.name}.png"), circle
 
 
 def _taxim(source: Path, out: Path) -> Rows:
     """Taxim: a data pack (npz) with imgs, f0, touch_center and touch_radius."""
-    with np.load(source, allow_pickle=False) as values:
-        pack = {name: values[name] for name in ("touch_center", "touch_radius")}
-        pack |= {name: values[name].astype(np.uint8) for name in ("imgs", "f0")}
+    pack = load_npz(source)
+    pack |= {name: pack[name].astype(np.uint8) for name in ("imgs", "f0")}
     yield write_image(out / "background.png", pack["f0"]).name, None
     for number, (image, centre, radius) in enumerate(
         zip(pack["imgs"], pack["touch_center"], pack["touch_radius"], strict=True)

@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+import reprlib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+MOST_LETTERS = 1500  # of a sentence
 
 
 class TactileLocError(Exception):
-    """Base of all errors raised on purpose. The command line prints it as one sentence and exits with code 2."""
+    """Base of all errors raised on purpose. The command line prints it as one sentence and exits with code 2.
+
+    Whatever it quotes of a file, it is one line of bounded length without control characters.
+    """
+
+    def __str__(self) -> str:
+        return one_line(super().__str__())
 
 
 class ObjectError(TactileLocError):
@@ -100,6 +111,33 @@ class PluginConflictError(PluginError):
 
 class MissingLibraryError(PluginError):
     """A plugin needs a library that is not installed."""
+
+
+def one_line(text: str) -> str:
+    """Return a text as one line; what cannot be printed is escaped, and of a very long one the middle is left out."""
+    words = " ".join(text.split())
+    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in words)
+    half = MOST_LETTERS // 2
+    return shown if len(shown) <= MOST_LETTERS else f"{shown[:half]} ... {shown[3 - half :]}"
+
+
+def quoted(value: Any) -> str:
+    """Return a value as Python writes it, long ones abridged."""
+    short = reprlib.Repr()
+    short.maxstring = short.maxother = 200
+    short.maxlist = short.maxdict = short.maxtuple = 8
+    return short.repr(value)
+
+
+@contextmanager
+def named(source: object) -> Iterator[None]:
+    """Have errors of the block begin with `source`, a file say, unless they mention it."""
+    try:
+        yield
+    except TactileLocError as error:
+        if str(source) in str(error):
+            raise
+        raise type(error)(f"{source}: {error}") from error
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -23,6 +23,7 @@ from tactile_loc.core.errors import (
     PluginLoadError,
     UnknownPluginError,
     did_you_mean,
+    quoted,
 )
 
 PROJECT = "tactile_loc"
@@ -180,7 +181,8 @@ def validate_options(model: Any, values: Mapping[str, Any], owner: str) -> Any:
             near = did_you_mean(key, model.model_fields)
             raise ConfigError(f"the {owner} has no option {key!r}.{near} Its options: {allowed}") from error
         raise ConfigError(
-            f"the {owner} cannot take {key} = {problem['input']!r}: {problem['msg'].lower()}. Its options: {allowed}"
+            f"the {owner} cannot take {key} = {quoted(problem['input'])}: {problem['msg'].lower()}. "
+            f"Its options: {allowed}"
         ) from error
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import tokenize
-import zipfile
+import struct
 import zlib
 from pathlib import Path
 from typing import IO, Any
@@ -12,13 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TouchError
+from tactile_loc.io.arrays import load_npy
 
 FORMATS = ".npz, .npy or 16-bit grey .png"  # of contact shapes
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
+MOST_PIXELS = 2**26  # 8192 x 8192: more than any camera behind a gel has
+
 UNREADABLE = (
-    OSError, ValueError, EOFError, KeyError, SyntaxError, RuntimeError, MemoryError,
-    tokenize.TokenError, zipfile.BadZipFile, zlib.error,
+    OSError, ValueError, TypeError, EOFError, KeyError, IndexError, SyntaxError, RuntimeError, MemoryError,
+    struct.error, zlib.error,
 )  # fmt: skip
 
 
@@ -48,10 +50,17 @@ def load_image(path: Path | IO[bytes], mode: str | None = None) -> tuple[str, ND
 
     try:
         with Image.open(path) as image:
+            _require_bounded(image.size)
             wanted = image if mode is None else image.convert(mode)
             return wanted.mode, np.asarray(wanted)
     except Image.DecompressionBombError as error:
         raise ValueError(str(error)) from error
+
+
+def _require_bounded(size_px: tuple[int, int]) -> None:
+    width, height = size_px
+    if width * height > MOST_PIXELS:
+        raise ValueError(f"{width} x {height} pixels are more than the {MOST_PIXELS / 1e6:.0f} million of any sensor")
 
 
 def write_image(path: Path, values: NDArray[Any]) -> Path:
@@ -80,18 +89,3 @@ def why_unreadable(path: Path, error: BaseException) -> str:
         return f"{path} holds Python objects, which are never loaded; save plain numbers (H, W)"
     reason = " ".join(str(error).split()) or type(error).__name__
     return f"{path} cannot be read as {path.suffix.lower()[1:]} ({reason}); it is damaged or of another kind"
-
-
-def expect_magic(file: IO[bytes], magic: bytes) -> None:
-    """Raise ValueError unless a file begins with these bytes."""
-    if file.read(len(magic)) != magic:
-        raise ValueError("its first bytes are those of another kind of file")
-    file.seek(0)
-
-
-def load_npy(path: Path) -> NDArray[Any]:
-    """Return the array of an .npy file. Raises one of UNREADABLE when it is damaged or none."""
-    with path.open("rb") as file:
-        expect_magic(file, b"\x93NUMPY")
-        array: NDArray[Any] = np.load(file, allow_pickle=False)
-    return array

@@ -47,16 +47,31 @@ def read_surface(path: Path) -> Surface:
             raw = trimesh.load(path, force="mesh", process=False)
     except Exception as error:
         raise ObjectError(f"{path} cannot be read as a mesh ({_first_line(error)}); give an STL, OBJ or PLY") from error
-    if not isinstance(raw, trimesh.Trimesh) or len(raw.faces) == 0:
-        raise ObjectError(f"{path} is an empty mesh or no surface mesh: it has no faces; export it as a surface mesh")
-    if not np.isfinite(raw.vertices).all():
-        raise ObjectError(f"{path} has vertices that are NaN or infinite; repair or export the mesh again")
-    raw.merge_vertices(merge_tex=True, merge_norm=True)
-    raw.update_faces(raw.nondegenerate_faces(height=0))
-    raw.remove_unreferenced_vertices()  # strays would enlarge the box that bounds where the object can touch
-    if len(raw.faces) == 0:
+    if not isinstance(raw, trimesh.Trimesh):
+        raise ObjectError(f"{path} is no surface mesh; export it as one")
+    _require_surface(np.asarray(raw.vertices), np.asarray(raw.faces), path)
+    plain = trimesh.Trimesh(raw.vertices, raw.faces, process=False)  # textures and normals would part vertices
+    plain.merge_vertices()
+    plain.update_faces(plain.nondegenerate_faces(height=0))
+    plain.remove_unreferenced_vertices()  # strays would enlarge the box that bounds where the object can touch
+    if len(plain.faces) == 0:
         raise ObjectError(f"{path} has zero extent: all its faces are points or lines; export the mesh again")
-    return Surface(np.asarray(raw.vertices, float), np.asarray(raw.faces, np.int64), bool(raw.is_watertight))
+    return Surface(np.asarray(plain.vertices, float), np.asarray(plain.faces, np.int64), bool(plain.is_watertight))
+
+
+def _require_surface(vertices: NDArray[Any], faces: NDArray[Any], path: Path) -> None:
+    """Raise ObjectError unless these are finite vertices (V, 3), and triangles (F, 3), one at least, of them."""
+    if len(faces) == 0:
+        raise ObjectError(f"{path} is an empty mesh or no surface mesh: it has no faces; export it as a surface mesh")
+    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
+        raise ObjectError(f"{path} has vertices or faces that are not of three numbers; export the mesh again")
+    if not np.isfinite(vertices).all():
+        raise ObjectError(f"{path} has vertices that are NaN or infinite; repair or export the mesh again")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ObjectError(
+            f"{path} has faces of vertices that it does not have: it holds {len(vertices)}, and they name number "
+            f"{faces.min()} to {faces.max()}; export the mesh again"
+        )
 
 
 def find_symmetry(declared: str, mesh: TriangleMesh) -> SymmetryGroup:

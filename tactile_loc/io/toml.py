@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from tactile_loc.core.errors import ConfigError, did_you_mean
+from tactile_loc.core.errors import ConfigError, did_you_mean, quoted
 from tactile_loc.core.geometry import is_rigid, make_transform, quaternion_to_rotation, rotation_about
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -21,6 +21,7 @@ Three = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Four = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 Matrix = Annotated[list[Four], Field(min_length=4, max_length=4)]
 MATRIX = "four rows of four numbers (rotation without unit, translation in metres, last row 0 0 0 1)"
+NOT_TOML = (ValueError, RecursionError)  # numbers of thousands of digits and endless nesting, too
 UNIT_TOLERANCE = 1e-3  # of a quaternion's length: rounded to four digits it is still meant as one
 
 
@@ -32,7 +33,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         raise ConfigError(f"there is no file {path}; check the path") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} cannot be read ({error})") from error
-    except tomllib.TOMLDecodeError as error:
+    except NOT_TOML as error:
         raise ConfigError(f"{path} is not valid TOML: {error}") from error
 
 
@@ -40,7 +41,7 @@ def toml_value(text: str) -> Any:
     """Return the value that a text has in TOML; the text itself where it has none."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except NOT_TOML:
         return text
 
 
@@ -59,7 +60,7 @@ def explain(
         known = model.model_fields
         return f"{what} has no key {key!r}.{did_you_mean(key, known)} Its keys: {', '.join(known)}"
     must_be = f"it must be {field.description}"
-    return f"{key} = {values[key]!r} is wrong; {must_be}" if key in values else f"{key} is missing; {must_be}"
+    return f"{key} = {quoted(values[key])} is wrong; {must_be}" if key in values else f"{key} is missing; {must_be}"
 
 
 class PoseKeys(BaseModel):

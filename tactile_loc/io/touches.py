@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import OutputError, TouchError
 from tactile_loc.core.geometry import is_rigid
 from tactile_loc.core.sensing import ContactShape, Touch, contact_shape_from_array
+from tactile_loc.io.arrays import load_npy, load_npz
 from tactile_loc.io.images import (
     FORMATS,
     IMAGE_SUFFIXES,
     UNREADABLE,
-    expect_magic,
     load_image,
-    load_npy,
     read_colour_image,
     require_file,
     why_unreadable,
@@ -74,10 +73,7 @@ def _read_npy(path: Path) -> FileContents:
 
 
 def _read_npz(path: Path) -> FileContents:
-    with path.open("rb") as file:
-        expect_magic(file, b"PK")
-        archive = np.load(file, allow_pickle=False)
-        arrays = {name: np.asarray(archive[name]) for name in archive.files}
+    arrays = load_npz(path)
     unit = str(arrays["unit"]) if "unit" in arrays else None
     return FileContents(
         _find_depth(arrays, path), unit, _number(arrays, "press_depth", path),

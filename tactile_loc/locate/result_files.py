@@ -8,8 +8,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,10 +22,11 @@ from tactile_loc.core.geometry import invert
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.io.arrays import load_npz
 from tactile_loc.io.meshes import simplified
 from tactile_loc.locate import result_json
 from tactile_loc.locate.result_json import ResultRecord
-from tactile_loc.store.files import write_atomically
+from tactile_loc.store.files import json_value, read_json, write_atomically
 
 if TYPE_CHECKING:
     from tactile_loc.core.posterior import PosePosterior
@@ -115,7 +114,7 @@ def most_probable(posterior: PosePosterior, most: int = MOST_POSES) -> NDArray[n
 def read_document(path: Path) -> dict[str, Any]:
     """Return the table of keys that a result's JSON file holds. Raises ResultError when it holds none."""
     try:
-        found = json.loads(path.read_bytes())
+        found = read_json(path)
     except OSError as error:
         raise ResultError(f"{path} cannot be read ({error.strerror or error})") from error
     except ValueError as error:
@@ -212,7 +211,7 @@ def _touch_arrays(touch: TouchArrays) -> dict[str, NDArray[Any]]:
 
 
 def _touch(arrays: dict[str, NDArray[Any]]) -> TouchArrays:
-    camera = json.loads(str(arrays["geometry"]))
+    camera = json_value(str(arrays["geometry"]))
     if camera["rectangle_m"] is not None:
         camera["rectangle_m"] = tuple(camera["rectangle_m"])
     geometry = SensorGeometry(**camera, observed=arrays.get("observed"), relief_m=arrays.get("relief_m"))
@@ -232,7 +231,6 @@ def _sensor_first(first: Touch, touch: Touch) -> NDArray[np.float64]:
 
 def _stored(path: Path) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, AttributeError) as error:
+        return load_npz(path)
+    except (OSError, ValueError) as error:
         raise ResultError(f"{path} is damaged: it cannot be read as .npz; {AGAIN}") from error

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import StoreError
+from tactile_loc.store.files import read_json
 from tactile_loc.store.keys import StageKey, canonical_json, hash_file
 from tactile_loc.store.packed import read_packed
 
@@ -88,7 +89,7 @@ class Artifact:
         """
         path = self.file(f"{name}.json")
         try:
-            return json.loads(path.read_bytes())
+            return read_json(path)
         except (OSError, ValueError) as error:
             raise StoreError(f"Cannot read {path}: {error}; remove {self.path} and run again.") from error
 
@@ -143,7 +144,7 @@ def read_artifact(folder: Path) -> Artifact:
         DamagedError: if the manifest is missing, unreadable or altered.
     """
     try:
-        manifest = json.loads((folder / MANIFEST).read_bytes())
+        manifest = read_json(folder / MANIFEST)
         if manifest.pop("sha256") != _seal(manifest) or manifest["format"] != _FORMAT:
             raise DamagedError("its manifest is altered or of another format")
         files = {name: FileRecord(**record) for name, record in manifest["files"].items()}

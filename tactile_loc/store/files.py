@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import fcntl
 import glob
+import json
 import os
 import shutil
 import tempfile
@@ -12,6 +13,7 @@ import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from tactile_loc.core.errors import OutputError
 
@@ -66,6 +68,19 @@ def recover_folder(path: Path) -> None:
     if not os.path.lexists(path):
         with suppress(OSError):  # there is none, or another process was faster
             _aside(path).rename(path)
+
+
+def read_json(path: Path) -> Any:
+    """Return what a JSON file holds. Raises OSError, and ValueError when it holds none, or is nested without end."""
+    return json_value(path.read_bytes())
+
+
+def json_value(text: str | bytes) -> Any:
+    """Return the value of a JSON text. Raises ValueError when it is none, or is nested without end."""
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
 
 
 def delete(path: Path) -> None:

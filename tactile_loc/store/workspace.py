@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import StoreError
 from tactile_loc.core.interfaces import Checkpoints
 from tactile_loc.store.artifact import MANIFEST, FileRecord, write_manifest
-from tactile_loc.store.files import delete, replacing, sync_folder
+from tactile_loc.store.files import delete, read_json, replacing, sync_folder
 from tactile_loc.store.keys import StageKey, hash_file
 from tactile_loc.store.packed import read_packed, write_packed
 
@@ -144,7 +144,7 @@ class Workspace:
 
     def _read_pieces(self) -> dict[str, list[str]]:
         try:
-            pieces = json.loads((self.path / _PIECES).read_bytes())
+            pieces = read_json(self.path / _PIECES)
         except (OSError, ValueError):
             return {}
         return pieces if isinstance(pieces, dict) else {}

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
-from tactile_loc.core.errors import ConfigError, did_you_mean
+from tactile_loc.core.errors import ConfigError, did_you_mean, named
 from tactile_loc.core.noise import noise_level
 from tactile_loc.core.registry import SLOTS, registry, validate_options
 from tactile_loc.data import DEMO_OBJECTS
@@ -48,7 +48,8 @@ class Plan:
     @classmethod
     def from_toml(cls, path: str | Path) -> Plan:
         """Read a plan's file; see `from_values`."""
-        return cls.from_values(read_toml(path), str(path))
+        with named(path):
+            return cls.from_values(read_toml(path), str(path))
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any], source: str = "the plan") -> Plan:

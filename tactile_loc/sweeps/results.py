@@ -15,7 +15,7 @@ from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION
 from tactile_loc.evaluation.tabular import markdown_table
 from tactile_loc.locate.result_json import versions
-from tactile_loc.store.files import write_atomically
+from tactile_loc.store.files import read_json, write_atomically
 from tactile_loc.sweeps.figures import draw_effects, draw_error_time
 from tactile_loc.sweeps.sweep import Sweep
 from tactile_loc.sweeps.table import csv_text, write_parquet
@@ -78,7 +78,7 @@ def read_sweep(folder: Path) -> dict[str, Any]:
     """Read a sweep's sweep.json. Raises ConfigError when there is none, or it is none."""
     path = folder / "sweep.json"
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = read_json(path)
         _ = found["rows"], found["versions"]
     except FileNotFoundError as error:
         raise ConfigError(f"there is no {path}; give the --out folder of a sweep that has ended") from error

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.registry import SLOTS
-from tactile_loc.store.files import require_writable, write_atomically
+from tactile_loc.store.files import read_json, require_writable, write_atomically
 from tactile_loc.sweeps.combination import Combination, combine, in_running_order
 from tactile_loc.sweeps.plan import Plan, choice_labels, varying
 from tactile_loc.sweeps.table import Row, require_tables, rows_of, table_of
@@ -47,7 +47,7 @@ class FinishedRows:
     def read(self, key: str) -> Outcome | None:
         """Return the outcome of this key; None if there is none, or none that can be read."""
         try:
-            found = json.loads(self._row(key).read_text(encoding="utf-8"))
+            found = read_json(self._row(key))
             return Outcome(found["key"], found["measured"], tuple(found["built"]), found["error"])
         except (OSError, ValueError, KeyError, TypeError):
             return None
