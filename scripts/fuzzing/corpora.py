@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -272,8 +273,12 @@ def sweep(folder: Path) -> None:
 
     from tactile_loc.io.config import RunConfig
 
-    configuration = RunConfig.from_dict({"grid": "face"}).model_dump(mode="json")
-    write_sweep(folder, [{**row, "configuration": configuration} for row in sweep_rows()])
+    def configured(row: dict[str, Any]) -> dict[str, Any]:
+        grid = {"name": "face", "spacing_mm": row["grid.spacing_mm"]}
+        config = RunConfig.from_dict({"object": {"path": row["object"]}, "grid": grid, "refiner": row["refiner"]})
+        return {**row, "configuration": config.model_dump(mode="json")}
+
+    write_sweep(folder, [configured(row) for row in sweep_rows()])
 
 
 def _images() -> np.ndarray:

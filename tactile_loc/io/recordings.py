@@ -128,7 +128,8 @@ class Recording:
 
         with self.path.open("rb") as file:
             try:
-                for record in StreamReader(file, validate_crcs=True).records:
+                largest = self.path.stat().st_size  # a record's length may be damaged, too
+                for record in StreamReader(file, validate_crcs=True, record_size_limit=largest).records:
                     if isinstance(record, DataEnd):
                         return
                     yield record
@@ -258,7 +259,8 @@ def _damages() -> tuple[type[Exception], ...]:
     from zstandard import ZstdError
 
     of_libraries = (McapError, AnyReaderError, ZstdError, struct.error, apsw.Error)
-    return (OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError, *of_libraries)
+    of_code = (LookupError, ArithmeticError, AssertionError, TypeError, AttributeError, RuntimeError)  # on stray bytes
+    return (OSError, ValueError, EOFError, *of_code, *of_libraries)
 
 
 def _one_line(error: Exception) -> str:

@@ -90,7 +90,7 @@ def _by_imageio(path: Path) -> Iterator[NDArray[np.uint8]]:
         raise CalibrationError(f"{path} is a video, and nothing is installed that reads them; {TO_INSTALL}") from error
     try:
         yield from imageio.v3.imiter(path, **({"mode": "RGB"} if path.suffix.lower() == ".gif" else {}))
-    except (OSError, ValueError, RuntimeError, ImportError, SyntaxError, EOFError) as error:
+    except Exception as error:  # whatever stray bytes make of the readers' code
         reason = " ".join(str(error).split())[:120]
         raise CalibrationError(
             f"{path} cannot be read as a video ({reason}); is it whole? for films such as mp4: {TO_INSTALL}"

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 
 from tactile_loc.core.errors import ResultError, TactileLocError
 from tactile_loc.core.geometry import invert
-from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.objects import TriangleMesh, check_surface
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
 from tactile_loc.io.arrays import load_npz
@@ -191,8 +191,9 @@ def from_arrays(arrays: dict[str, NDArray[Any]]) -> ResultArrays:
     for number in range(count):
         head = f"touch_{number}_"
         touches.append(_touch({k.removeprefix(head): v for k, v in arrays.items() if k.startswith(head)}))
-    if not touches or mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices_m):
+    if not touches or not mesh.faces.size or mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices_m):
         raise ValueError("it holds no touch, or no surface")
+    check_surface(mesh, "its surface")
     T, log_p = arrays["T_sensor_object"].astype(float), arrays["log_p"].astype(float)
     if T.shape != (len(log_p), 4, 4) or len(log_p) == 0:
         raise ValueError("its poses and log-probabilities do not belong together")

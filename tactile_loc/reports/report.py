@@ -59,7 +59,7 @@ def write_report(source: Source, out: Path | None = None) -> Path:
     """
     path = source.folder / DEFAULT_NAME if out is None else out
     html = render(page_of(source))
-    return write_atomically(path, lambda temporary: temporary.write_text(html, encoding="utf-8"))
+    return write_atomically(path, lambda temporary: temporary.write_bytes(html.encode(errors="backslashreplace")))
 
 
 def _in_folder(folder: Path) -> Source:

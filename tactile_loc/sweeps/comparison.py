@@ -114,15 +114,19 @@ def _options(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _by_identity(rows: pd.DataFrame, shared: list[str]) -> pd.DataFrame:
-    """Rows by what they are; options that the other sweep's components do not have are left out if nothing is lost."""
+    """Rows by what they are; options that the other sweep's components do not have are left out if nothing is lost.
+
+    Of rows of one identity the first counts.
+    """
     names = rows.columns.drop(ERROR) if rows.duplicated(shared).any() else shared
-    return rows.set_index(rows[names].fillna("").agg("\n".join, axis=1))
+    named = rows.set_index(rows[names].fillna("").agg("\n".join, axis=1))
+    return named[~named.index.duplicated()]
 
 
 def _names(rows: pd.DataFrame) -> pd.DataFrame:
     """What tells rows apart: of IDENTITY what differs, the object always, and options that differ within a component.
 
-    An option is called "slot.option", and empty where a component lacks it. Of rows of one identity the first counts.
+    An option is called "slot.option", and empty where a component lacks it.
     """
     options = [name for name in rows.columns if "." in name]
     varied = [name for name in (*IDENTITY, *options) if name == "object" or rows[name].nunique() > 1]

@@ -18,7 +18,7 @@ from tactile_loc.locate.result_json import versions
 from tactile_loc.store.files import read_json, write_atomically
 from tactile_loc.sweeps.figures import draw_effects, draw_error_time
 from tactile_loc.sweeps.sweep import Sweep
-from tactile_loc.sweeps.table import csv_text, write_parquet
+from tactile_loc.sweeps.table import IDENTITY, csv_text, write_parquet
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -79,14 +79,27 @@ def read_sweep(folder: Path) -> dict[str, Any]:
     path = folder / "sweep.json"
     try:
         found = read_json(path)
-        _ = found["rows"], found["versions"]
+        _require_rows(found["rows"])
+        _ = dict(found["versions"])
     except FileNotFoundError as error:
         raise ConfigError(f"there is no {path}; give the --out folder of a sweep that has ended") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ConfigError(
             f"{path} cannot be read as a sweep's ({type(error).__name__}); run that sweep again"
         ) from error
     return dict(found)
+
+
+def _require_rows(rows: list[dict[str, Any]]) -> None:
+    """Refuse rows that do not say what was combined, and what came of it."""
+    if not rows:
+        raise ValueError("it has no row")
+    for row in rows:
+        chosen = [row["configuration"][slot] for slot in SLOTS]
+        said = [row[name] for name in IDENTITY], [(one["name"], one["options"].items()) for one in chosen]
+        medians = [value for name, value in row.items() if name.endswith("_median_mm")]
+        if not said or not all(value is None or isinstance(value, int | float) for value in medians):
+            raise ValueError("an error is no number")
 
 
 def markdown(sweep: Sweep, line: str) -> str:
