@@ -17,20 +17,22 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-PATHS = [str(ROOT / "scripts"), str(ROOT / "tests")]  # whose helpers write small results
+PATHS = [str(ROOT / name) for name in ("scripts", "tests", ".", "cli")]  # of the tests: helpers that write results
 sys.path[:0] = PATHS
 
 from fuzzing.readers import READERS, Reader, reader  # noqa: E402
 from fuzzing.trial import READ, REFUSED, SECONDS, make_input  # noqa: E402
 
+Job = tuple[str, str, int, int]
+
 PATIENCE_S = SECONDS + 60  # for a process that does not even hear its alarm
+KNOWN = [one.name for one in READERS]
 EXPECTED = (0, 2, 3)  # exit codes of a command: done, refused, something to notice
 COMMAND_BYTES = 12 * 2**30  # of address space; libraries take most of it without using it
 
@@ -42,6 +44,11 @@ class Progress:
     done: int = 0
     commands: int = 0
     outcomes: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def findings(self) -> dict[str, int]:
+        """The findings by their kinds, and how many inputs made them."""
+        return {kind: count for kind, count in self.outcomes.items() if kind not in (READ, REFUSED)}
 
 
 @dataclass
@@ -76,22 +83,22 @@ class State:
         temporary.replace(self.path)
 
 
-def fuzz(chosen: Reader, state: State, inputs: int, commands: int, out: Path) -> Progress:
-    """Read what is left of a reader's inputs, and the first of them by its command, too."""
-    progress, pristine = state.of(chosen.name), _pristine(chosen, out)
-    while progress.done < inputs:
-        for line in _worked(chosen, state.seed, progress.done, inputs, pristine):
-            _note(line, chosen, state, pristine, out)
-            progress.done = line["number"] + 1
-            if progress.done % 100 == 0:
+def fuzz(chosen: Sequence[Reader], state: State, inputs: int, commands: int, out: Path) -> None:
+    """Read what is left of the inputs of readers, in one process, and the first of them by their commands, too."""
+    whole = {one.name: _pristine(one, out) for one in chosen}
+    while jobs := [(name, str(path), state.of(name).done, inputs) for name, path in whole.items()
+                   if state.of(name).done < inputs]:  # fmt: skip
+        for line in _worked(state.seed, jobs):
+            _note(line, state, whole, out)
+            state.of(line["reader"]).done += 1
+            if line["number"] % 100 == 0:
                 state.save()
-    while chosen.words and progress.commands < commands:
-        line = _commanded(chosen, state.seed, progress.commands, pristine, out)
-        _note(line, chosen, state, pristine, out)
-        progress.commands += 1
-        state.save()
+    for one in (one for one in chosen if one.words):
+        for number in range(state.of(one.name).commands, commands):
+            _note(_commanded(one, state.seed, number, whole[one.name], out), state, whole, out)
+            state.of(one.name).commands += 1
+            state.save()
     state.save()
-    return progress
 
 
 def _pristine(chosen: Reader, out: Path) -> Path:
@@ -106,24 +113,24 @@ def _pristine(chosen: Reader, out: Path) -> Path:
     return folder
 
 
-def _worked(chosen: Reader, seed: int, first: int, last: int, pristine: Path) -> Iterator[dict[str, Any]]:
+def _worked(seed: int, jobs: Sequence[Job]) -> Iterator[dict[str, Any]]:
     """What a process says of inputs, up to the last or to one that it does not survive."""
     with tempfile.TemporaryDirectory() as sandbox:
-        words = [chosen.name, str(seed), str(first), str(last), str(pristine), sandbox]
-        process = subprocess.Popen([sys.executable, "-m", "fuzzing.worker", *words], env=_environment(), cwd=ROOT,
-                                   stdout=subprocess.PIPE, text=True)  # fmt: skip
-        said = _line(process)
-        if said is None or said["outcome"] not in (READ, REFUSED):
-            process.kill()
-            sys.exit(f"{chosen.name} does not read what is as it should be: {said}")
-        number = first
-        while number < last and (said := _line(process)) is not None:
-            number = said["number"] + 1
+        words = [sys.executable, "-m", "fuzzing.worker", str(seed), sandbox, json.dumps(jobs)]
+        process = subprocess.Popen(words, env=_environment(), cwd=ROOT, stdout=subprocess.PIPE, text=True)
+        for name, *_ in jobs:
+            said = _line(process)
+            if said is None or said["outcome"] not in (READ, REFUSED):
+                process.kill()
+                sys.exit(f"{name} does not read what is as it should be: {said}")
+        for name, number in ((name, number) for name, _, first, last in jobs for number in range(first, last)):
+            said = _line(process)
+            if said is None:
+                process.kill()
+                yield {"reader": name, "number": number, "outcome": f"dies ({process.wait()})", "details": ""}
+                return
             yield said
-        process.kill()
-        code = process.wait()
-        if number < last:
-            yield {"number": number, "outcome": f"dies ({code})", "details": ""}
+        process.wait()
 
 
 def _line(process: subprocess.Popen[str]) -> dict[str, Any] | None:
@@ -144,6 +151,7 @@ def _commanded(chosen: Reader, seed: int, number: int, pristine: Path, out: Path
     with tempfile.TemporaryDirectory() as sandbox:
         folder = Path(sandbox, "input")
         make_input(chosen, pristine, folder, seed, number)
+        said = {"reader": chosen.name, "number": number}
         names = {"FOLDER": str(folder), "STORE": str(out / "store")}
         words = [_filled(word, names) for word in chosen.words]
         limit = f'ulimit -v {COMMAND_BYTES // 1024}; exec "$@"'
@@ -152,9 +160,9 @@ def _commanded(chosen: Reader, seed: int, number: int, pristine: Path, out: Path
             done = subprocess.run(line, cwd=sandbox, env=_environment(), capture_output=True, text=True,
                                   errors="replace", timeout=PATIENCE_S, check=False)  # fmt: skip
         except subprocess.TimeoutExpired:
-            return {"number": number, "outcome": "command: too long", "details": ""}
+            return {**said, "outcome": "command: too long", "details": str(words)}
         left = [path.name for path in Path(sandbox).iterdir() if path != folder]
-    return {"number": number, "outcome": _of_command(done, left), "details": f"{words}\n{done.stderr}\n{left}"}
+    return {**said, "outcome": _of_command(done, left), "details": f"{words}\n{done.stderr}\n{left}"}
 
 
 def _filled(word: str, names: dict[str, str]) -> str:
@@ -173,46 +181,46 @@ def _of_command(done: subprocess.CompletedProcess[str], left: list[str]) -> str:
     return "command: writes elsewhere" if left else (REFUSED if done.returncode == 2 else READ)
 
 
-def _note(line: dict[str, Any], chosen: Reader, state: State, pristine: Path, out: Path) -> None:
+def _note(line: dict[str, Any], state: State, whole: Mapping[str, Path], out: Path) -> None:
     """Count what became of an input; of a finding keep the input."""
-    outcome, number = line["outcome"], line["number"]
-    counts = state.of(chosen.name).outcomes
+    name, outcome, number = line["reader"], line["outcome"], line["number"]
+    counts = state.of(name).outcomes
     counts[outcome] = counts.get(outcome, 0) + 1
     if outcome in (READ, REFUSED):
         return
-    folder = out / "findings" / f"{chosen.name}-{number}"
+    folder = out / "findings" / f"{name}-{number}"
     if not folder.exists():
         folder.parent.mkdir(parents=True, exist_ok=True)
-        make_input(chosen, pristine, folder, state.seed, number)
-    told = {"reader": chosen.name, "seed": state.seed, "number": number, "outcome": outcome}
+        make_input(reader(name), whole[name], folder, state.seed, number)
+    told = {"reader": name, "seed": state.seed, "number": number, "outcome": outcome}
     (folder / "finding.json").write_text(json.dumps(told) + "\n", encoding="utf-8")
     (folder / "finding.txt").write_text(line["details"], encoding="utf-8")
-    print(f"{chosen.name} {number}: {outcome}", flush=True)
+    print(f"{name} {number}: {outcome}", flush=True)
 
 
 def _say(name: str, progress: Progress) -> None:
-    found = Counter(progress.outcomes)
-    read, refused = found.pop(READ, 0), found.pop(REFUSED, 0)
+    read, refused = (progress.outcomes.get(outcome, 0) for outcome in (READ, REFUSED))
     said = f"{progress.done:6d} inputs, {progress.commands:3d} commands: {read} read, {refused} refused"
-    print(f"{name:16s} {said}, {sum(found.values())} findings {dict(found) or ''}", flush=True)
+    print(f"{name:16s} {said}, {sum(progress.findings.values())} findings {progress.findings or ''}", flush=True)
 
 
 def main(words: list[str] | None = None) -> int:
     """Fuzz the readers that are asked for; return 1 if there are findings."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("readers", nargs="*", metavar="READER", help=", ".join(one.name for one in READERS))
+    parser.add_argument("readers", nargs="*", metavar="READER", help=", ".join(KNOWN))
     parser.add_argument("--inputs", type=int, default=2000, help="inputs a reader (2000)")
     parser.add_argument("--commands", type=int, default=5, help="of these through the command line (5)")
     parser.add_argument("--seed", type=int, default=0, help="another seed makes other inputs (0)")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "fuzz", help="where all is kept (out/fuzz)")
     given = parser.parse_args(words)
-    chosen = [reader(name) for name in given.readers] or list(READERS)
+    chosen = [one for one in READERS if one.name in (given.readers or KNOWN)]
+    if unknown := sorted(set(given.readers) - set(KNOWN)):
+        parser.error(f"there is no reader {unknown[0]!r}; there are {', '.join(KNOWN)}")
     state = State.open(given.out / "state.json", given.seed)
     for one in chosen:
-        _say(one.name, fuzz(one, state, given.inputs, given.commands, given.out))
-    findings = sum(count for one in chosen for kind, count in state.of(one.name).outcomes.items()
-                   if kind not in (READ, REFUSED))  # fmt: skip
-    return int(findings > 0)
+        fuzz([one], state, given.inputs, given.commands, given.out)
+        _say(one.name, state.of(one.name))
+    return int(any(state.of(one.name).findings for one in chosen))
 
 
 if __name__ == "__main__":

@@ -28,9 +28,9 @@ def labelled(
     from tactile_loc.core.errors import CalibrationError
 
     _require_lengths(ball_radius_mm, mm_per_px)
-    folder = frames_folder(source) if source.is_file() else source
-    if (folder / TABLE).exists() or not source.exists():
-        if ball_radius_mm is not None and source.exists():
+    folder = frames_folder(source) if os.path.isfile(source) else source
+    if os.path.exists(folder / TABLE) or not os.path.exists(source):
+        if ball_radius_mm is not None and os.path.exists(source):
             _use_table(folder, ball_radius_mm)
         return folder, sensor_file(folder, sensor, mm_per_px, None), {}
     if ball_radius_mm is None:

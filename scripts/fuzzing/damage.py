@@ -146,7 +146,8 @@ def _npz(content: bytes, draw: Draw) -> bytes:
         name = list(members)[int(draw.integers(len(members)))]
         members[name] = _lying_npy(draw)
     if draw.random() < 0.15:
-        members[values.strange_text(draw).replace("\x00", "") or "x"] = b"outside"
+        name = values.strange_text(draw).replace("\x00", "") or "x"
+        members[name.encode(errors="replace").decode()] = b"outside"
     return _zip(members)
 
 

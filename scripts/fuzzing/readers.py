@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,7 @@ from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 
 if TYPE_CHECKING:
+    from tactile_loc.core.objects import ObjectModel
     from tactile_loc.io.recordings import Message
 
 STAGE = StageKey("fuzzed", 1, {"of": "nothing"})
@@ -115,11 +116,17 @@ def _priors(folder: Path) -> None:
     _every(partial(_prior, path) for path in sorted(folder.iterdir()))
 
 
-def _prior(path: Path) -> None:
+@cache
+def _pin() -> ObjectModel:
     from tactile_loc.io.meshes import load_object
+
+    return load_object("pin")
+
+
+def _prior(path: Path) -> None:
     from tactile_loc.io.prior_files import read_prior
 
-    prior = read_prior(path, load_object("pin")).seen_from(np.eye(4))
+    prior = read_prior(path, _pin()).seen_from(np.eye(4))
     if np.isnan(prior(np.stack([np.eye(4)] * 3))).any():
         raise AssertionError("a prior was accepted that knows no number")
 

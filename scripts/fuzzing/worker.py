@@ -1,7 +1,8 @@
-"""A process that reads damaged inputs of one reader, and prints a line of JSON for each.
+"""A process that reads damaged inputs, and prints a line of JSON for each.
 
-Its arguments: READER SEED FIRST LAST PRISTINE SANDBOX. PRISTINE holds the reader's files as they should be, SANDBOX is
-a folder of its own. The process may die of an input; whoever started it knows from the lines which one that was.
+Its arguments: SEED, SANDBOX, a folder of its own, and JOBS, JSON lists of a reader's name, the folder of its files as
+they should be, and the first and the last number but one of its inputs. The process may die of an input; whoever
+started it knows from the lines which one that was.
 """
 
 from __future__ import annotations
@@ -14,31 +15,45 @@ import sys
 import warnings
 from dataclasses import asdict
 from pathlib import Path
+from typing import IO
 
 from fuzzing.readers import reader
-from fuzzing.trial import judged, limit_memory, make_input, watch_writes
+from fuzzing.trial import Verdict, judged, limit_memory, make_input, watch_writes
+
+Job = tuple[str, str, int, int]
 
 
-def main(name: str, seed: int, first: int, last: int, pristine: Path, sandbox: Path) -> None:
-    """Read inputs `first` to `last` - 1."""
-    out = os.fdopen(os.dup(1), "w")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    os.dup2(1, 2)  # libraries complain there
-    logging.disable()
-    warnings.simplefilter("ignore")
-    chosen, folder = reader(name), sandbox / "input"
-    shutil.copytree(pristine, folder)
-    before = judged(chosen, folder)  # compiles, imports, fills caches
-    print(json.dumps({"number": None, **asdict(before)}), file=out, flush=True)
+def main(seed: int, sandbox: Path, jobs: list[Job]) -> None:
+    """Read the inputs of all jobs; before, what is as it should be, which imports and compiles."""
+    out = _silenced()
+    folder = sandbox / "input"
+    for name, pristine, _, _ in jobs:
+        shutil.copytree(pristine, folder)
+        _say(out, name, None, judged(reader(name), folder))
+        shutil.rmtree(folder)
     watch_writes()
     limit_memory()
-    for number in range(first, last):
-        shutil.rmtree(folder, ignore_errors=True)
-        make_input(chosen, pristine, folder, seed, number)
-        verdict = judged(chosen, folder)
-        print(json.dumps({"number": number, **asdict(verdict)}), file=out, flush=True)
+    for name, pristine, first, last in jobs:
+        for number in range(first, last):
+            make_input(reader(name), Path(pristine), folder, seed, number)
+            _say(out, name, number, judged(reader(name), folder))
+            shutil.rmtree(folder)
+
+
+def _silenced() -> IO[str]:
+    """Have libraries write to nowhere; return what was the standard output."""
+    out = os.fdopen(os.dup(1), "w")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    os.dup2(1, 2)
+    logging.disable()
+    warnings.simplefilter("ignore")
+    return out
+
+
+def _say(out: IO[str], name: str, number: int | None, verdict: Verdict) -> None:
+    out.write(json.dumps({"reader": name, "number": number, **asdict(verdict)}) + "\n")
+    out.flush()
 
 
 if __name__ == "__main__":
-    name, seed, first, last, pristine, sandbox = sys.argv[1:]
-    main(name, int(seed), int(first), int(last), Path(pristine), Path(sandbox))
+    main(int(sys.argv[1]), Path(sys.argv[2]), json.loads(sys.argv[3]))

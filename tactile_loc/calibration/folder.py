@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -108,7 +109,7 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
     Raises CalibrationError when something is missing, damaged, or of another sensor, TouchError for a `zero` that is.
     """
     recover_folder(folder)
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise CalibrationError(f"there is no folder {folder}; make it with tactile-loc calibrate")
     for name in (SENSOR, BACKGROUND, CALIBRATION, WEIGHTS):
         if not (folder / name).is_file():

@@ -6,6 +6,7 @@ folder beside it, so that a table can name them.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,9 +44,9 @@ def read_frames(source: Path) -> tuple[Path, list[Frame]]:
     The source is a folder of pictures and videos, or a video; a video's chosen frames are written to the folder
     NAME-frames beside it. Raises CalibrationError when there are none, one cannot be read, or they differ in size.
     """
-    if not source.exists():
+    if not os.path.exists(source):
         raise CalibrationError(f"there is no {source}; give a folder with images of presses, or a video")
-    if source.is_file():
+    if os.path.isfile(source):
         folder = take_frames(source)
         return folder, _of_one_size(_pictures(folder, folder), folder)
     frames = list(_pictures(source, source))

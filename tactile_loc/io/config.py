@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
@@ -137,7 +138,7 @@ def kind_of_sensor(name: str) -> str | None:
     if name.endswith(".toml"):
         return "file"
     recover_folder(Path(name))
-    return "calibrated" if Path(name).is_dir() or "/" in name else None
+    return "calibrated" if os.path.isdir(name) or "/" in name else None
 
 
 def parse_settings(assignments: Iterable[str]) -> tuple[dict[str, Any], list[str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -34,7 +35,7 @@ class Surface(NamedTuple):
 
 def read_surface(path: Path) -> Surface:
     """Read and merge the triangles of a mesh file. Raises ObjectError when there is none, or nothing in it."""
-    if not path.is_file():
+    if not os.path.isfile(path):
         near = did_you_mean(str(path), DEMO_OBJECTS)
         raise ObjectError(
             f"there is no mesh file at {path}; check the path.{near} Demo objects: {', '.join(DEMO_OBJECTS)}"
@@ -101,7 +102,7 @@ def load_object(
     or checks the symmetry. Raises ObjectError or SymmetryError.
     """
     demo = DEMO_OBJECTS.get(str(path))
-    if demo is not None and not Path(path).is_file():
+    if demo is not None and not os.path.isfile(path):
         path, units = demo.path, "m"
         symmetry = demo.symmetry if symmetry == "auto" else symmetry
     path = Path(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -65,10 +66,10 @@ class Recording:
         require_libraries()
         self.path = Path(path)
         self.damage = ""
-        if not self.path.exists():
+        if not os.path.exists(self.path):
             raise RecordingError(f"there is no recording {self.path}; check the path")
-        self._in_mcap = self.path.is_file() and self.path.suffix.lower() == ".mcap"
-        if not (self._in_mcap or self.path.is_dir() or self.path.suffix.lower() == ".bag"):
+        self._in_mcap = os.path.isfile(self.path) and self.path.suffix.lower() == ".mcap"
+        if not (self._in_mcap or os.path.isdir(self.path) or self.path.suffix.lower() == ".bag"):
             raise RecordingError(f"{self.path} is no recording; give {FORMATS}")
 
     def messages(self, *names: str) -> Iterator[Message]:

@@ -6,6 +6,7 @@ docs/conventions.md lists the keys, examples/my_sensor.toml shows one.
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -141,7 +142,7 @@ def _read_surface(path: Path, sensor_file: Path) -> Depth:
 def is_calibrated_sensor(folder: Path) -> bool:
     """Tell whether `folder` is that of a calibrated sensor."""
     recover_folder(folder)
-    return (folder / CALIBRATION).is_file()
+    return os.path.isfile(folder / CALIBRATION)
 
 
 def write_sensor_file(path: Path, geometry: SensorGeometry) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -28,9 +29,9 @@ UNIT_TOLERANCE = 1e-3  # of a quaternion's length: rounded to four digits it is 
 def read_toml(path: str | Path) -> dict[str, Any]:
     """Read a TOML file. Raises ConfigError when it is missing, unreadable, or not TOML."""
     try:
+        if not os.path.isfile(path):  # a device or a pipe has no end
+            raise ConfigError(f"there is no file {path}; check the path")
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise ConfigError(f"there is no file {path}; check the path") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} cannot be read ({error})") from error
     except NOT_TOML as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -104,7 +105,7 @@ def _mount(path: Path, values: dict[str, Any]) -> Mount | None:
 def _listed(table: dict[str, Any], folder: Path, mount: Mount | None, of_flange: bool) -> ListedTouch:
     keys = _TouchTable(**table)
     file = folder / keys.path
-    if not file.is_file():
+    if not os.path.isfile(file):
         raise ValueError(f"there is no file {file}; path is relative to the list")
     T, F = pose_from_keys(keys, keys.T_base_sensor, "T_base_sensor"), _flange(keys)
     used = None if of_flange else _used_mount(keys, folder, mount)
@@ -153,7 +154,7 @@ def _sensor(sensor: str | None, folder: Path) -> str | None:
         return None
     place = folder / sensor
     is_path = Path(sensor).suffix == ".toml" or "/" in sensor
-    if (is_path and place.exists()) or is_calibrated_sensor(place):
+    if (is_path and os.path.exists(place)) or is_calibrated_sensor(place):
         return str(place)
     if is_path:
         raise ValueError(f"there is no sensor {place}; it is relative to the list")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -67,7 +68,7 @@ def read_library(folder: Path, config: RunConfig, store: StageStore, progress: P
 
     Raises ObjectError when there is no such folder, or no mesh in it.
     """
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise ObjectError(f"there is no folder {folder}; give one with a mesh file for each object")
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SELF_CONTAINED)
     if not files:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,7 +65,7 @@ class LocatedFile:
 
 def is_folder(path: Path) -> bool:
     """Whether a path means many touches: a folder, or a pattern such as folder/*.png."""
-    return path.is_dir() or ("*" in path.name and not path.exists())
+    return os.path.isdir(path) or ("*" in path.name and not os.path.exists(path))
 
 
 def is_list(path: Path) -> bool:
@@ -74,7 +75,7 @@ def is_list(path: Path) -> bool:
 
 def find_touches(folder: Path) -> list[Path]:
     """Return the touches of a folder or pattern, in the order of names. Raises TouchError when there is none."""
-    if folder.is_dir():
+    if os.path.isdir(folder):
         # of what `simulate` wrote, the contact shapes: the images show the same touches, and a sheet of all of them
         simulated = list(folder.glob("*.npz")) if (folder / "poses.json").is_file() else []
         candidates = simulated or folder.iterdir()

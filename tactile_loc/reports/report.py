@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,14 +30,14 @@ class Source:
 
 def find_source(path: Path) -> Source:
     """Return the result that a path names: its folder, or one of its files. Raises ResultError if it names none."""
-    if path.is_dir():
+    if os.path.isdir(path):
         return _in_folder(path)
     kind = KINDS.get(path.stem) if path.suffix in SUFFIXES else None
     if kind is None:
-        what = "is no result" if path.exists() else "does not exist"
+        what = "is no result" if os.path.exists(path) else "does not exist"
         raise ResultError(f"{path} {what}; give the folder that run, evaluate or sweep wrote, or its {_names()}")
     document = path.with_suffix(".json")
-    if not document.is_file():
+    if not os.path.isfile(document):
         raise ResultError(f"there is no {document}; give the folder that run, evaluate or sweep wrote")
     return Source(kind, document)
 

@@ -64,9 +64,9 @@ def replacing_folder(path: Path, fresh: bool = False) -> Iterator[Path]:
 
 def recover_folder(path: Path) -> None:
     """Put back the folder that a killed `replacing_folder` had set aside, if nothing stands in its place."""
-    path = path.resolve()
-    if not os.path.lexists(path):
-        with suppress(OSError):  # there is none, or another process was faster
+    with suppress(OSError, ValueError):  # there is none, none can be called so, or another process was faster
+        path = path.resolve()
+        if not os.path.lexists(path):
             _aside(path).rename(path)
 
 

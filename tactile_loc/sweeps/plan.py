@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
@@ -89,7 +90,7 @@ def _objects(entries: Sequence[Any], source: str) -> tuple[ObjectConfig, ...]:
         if not table.get("path"):
             raise ConfigError(f"{source} has an object without a path: {entry!r}; write a name or {{path = ...}}")
         chosen: ObjectConfig = validate_options(ObjectConfig, table, f"object of {source}")
-        if chosen.path not in DEMO_OBJECTS or Path(chosen.path).is_file():
+        if chosen.path not in DEMO_OBJECTS or os.path.isfile(chosen.path):
             chosen = chosen.model_copy(update={"path": str(Path(chosen.path).expanduser().absolute())})
         found.append(chosen)
     return tuple(dict.fromkeys(found))

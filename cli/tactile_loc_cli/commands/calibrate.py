@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 import tempfile
 from enum import StrEnum
 from pathlib import Path
@@ -195,7 +196,7 @@ def _calibrate(
     from tactile_loc.core.errors import CalibrationError
     from tactile_loc.store.store import StageStore
 
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise CalibrationError(f"there is no folder {folder}; give one with images of presses and presses.csv")
     camera = _geometry(sensor)
     size_px = image_size or reading_size_px(camera)
@@ -252,7 +253,7 @@ def _geometry(path: Path) -> SensorGeometry:
     from tactile_loc.core.errors import SensorError
     from tactile_loc.io.sensor_files import read_sensor_file
 
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise SensorError(f"there is no {path}; describe the sensor in it (docs/conventions.md), or give --sensor")
     return read_sensor_file(path)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -122,7 +123,7 @@ def _out(recording: Path, out: Path | None) -> Path:
         raise OutputError(f"a recording is written as .mcap, not as {chosen.name}; choose another --out")
     if chosen.resolve() == recording.resolve():
         raise OutputError(f"{chosen} is the recording that is to be read; choose another --out")
-    if chosen.is_dir():
+    if os.path.isdir(chosen):
         raise OutputError(f"{chosen} is a folder; choose another --out")
     require_writable(chosen.parent)
     return chosen

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import http.client
 import logging
+import os
 import pickle
 import struct
 from collections.abc import Mapping, Sequence
@@ -263,7 +264,7 @@ def _from_file(path: Path) -> tuple[object, str]:
         raise WeightsError(
             f"The weights {path} are of an unknown kind: give a .pth, .pt or .safetensors file, or 'hub'."
         )
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise WeightsError(f"There is no weights file {path}: check the path, or give 'hub' to download weights.")
     try:
         if path.suffix == ".safetensors":
