@@ -109,7 +109,6 @@ def _sensor(folder: Path) -> None:
     geometry = _sensor_of(folder).geometry
     if not all(np.isfinite(rays).all() for rays in geometry.pixel_slopes):
         raise AssertionError("a sensor was accepted whose rays are none")
-    geometry.resized(16, 16 * geometry.height_px // geometry.width_px or 1)
 
 
 def _priors(folder: Path) -> None:

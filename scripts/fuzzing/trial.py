@@ -22,7 +22,8 @@ from fuzzing.readers import Reader
 from tactile_loc.core.errors import TactileLocError
 
 SECONDS = 60
-MOST_BYTES = 3 * 2**30  # beyond what the libraries take by themselves
+MOST_BYTES = 3 * 2**30  # of address space, beyond what the libraries take by themselves
+MOST_TAKEN = 2**30  # bytes of memory by which the most that was ever taken may grow
 LONGEST = 1600  # letters of a sentence
 WRITES = re.compile(r"[wxa+]")
 CACHES = re.compile(r"__pycache__|/dev/null|/matplotlib|\.cache/")  # of what is compiled, not of what is read
@@ -62,6 +63,7 @@ def judged(reader: Reader, folder: Path) -> Verdict:
     """Have a reader read a folder, and judge what it does."""
     outside = _listing(folder.parent, folder)
     written.clear()
+    taken = _taken()
     try:
         with _deadline():
             reader.read(folder)
@@ -70,6 +72,8 @@ def judged(reader: Reader, folder: Path) -> Verdict:
         verdict = _of_sentence(error, folder, reader.names_file)
     except (Exception, TooLongError) as error:  # noqa: BLE001 - whatever a reader lets through is a finding
         verdict = Verdict(_kind(error), traceback.format_exc())
+    if _taken() - taken > MOST_TAKEN:
+        verdict = Verdict("memory", f"{(_taken() - taken) / 2**30:.2f} GiB more than ever before")
     strange = _listing(folder.parent, folder) ^ outside
     strange |= {path for path in written if not path.startswith(str(folder)) and not CACHES.search(path)}
     return Verdict("writes elsewhere", str(sorted(strange))) if strange else verdict
@@ -82,7 +86,8 @@ def _of_sentence(error: TactileLocError, folder: Path, names_file: bool) -> Verd
         return Verdict("memory", traceback.format_exc())
     if not text or not text.isprintable() or len(text) > LONGEST:
         return Verdict("no sentence", repr(text[:2000]))
-    if names_file and not any(name in text for name in {folder.name, *(path.name for path in folder.rglob("*"))}):
+    names = {folder.name, "/dev/zero", *(path.name for path in folder.rglob("*"))}
+    if names_file and not any(name in text for name in names):
         return Verdict("says not where", text)
     return Verdict(REFUSED, text)
 
@@ -98,6 +103,11 @@ def _kind(error: BaseException) -> str:
     ours = [frame for frame in traceback.extract_tb(error.__traceback__) if "/tactile_loc" in frame.filename]
     where = f" at {Path(ours[-1].filename).name}:{ours[-1].lineno}" if ours else ""
     return f"{type(error).__name__}{where}"
+
+
+def _taken() -> int:
+    """The most bytes of memory that this process ever took."""
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def _listing(folder: Path, but: Path) -> set[str]:

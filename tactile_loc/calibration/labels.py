@@ -22,6 +22,7 @@ Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 SKIRT = 2.5  # contact radii: from there on the gel is untouched
+LARGEST_BALL_M = 1.0
 STEEPEST = 0.98  # of the ball's radius: beyond, its surface stands upright
 SKIRT_M = 3e-3  # from a mesh's contact
 
@@ -58,9 +59,10 @@ def ball_label(
             f"the circle's centre ({centre_px[0]:g}, {centre_px[1]:g}) px is outside the image of {width} x {height} px"
         )
     r, R = radius_px * geometry.pixel_pitch_m, ball_radius_m
-    if not (r > 0 and R > 0):
+    if not (r > 0 and 0 < R <= LARGEST_BALL_M):
         raise CalibrationError(
-            f"the circle's radius is {radius_px:g} px and the ball's {1e3 * R:.3g} mm; both must be positive"
+            f"the circle's radius is {radius_px:g} px and the ball's {1e3 * R:.3g} mm; both must be positive, and the "
+            f"ball's at most {1e3 * LARGEST_BALL_M:g} mm"
         )
     if not r <= STEEPEST * R:
         raise CalibrationError(

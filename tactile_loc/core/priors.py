@@ -129,9 +129,10 @@ class GaussianPrior(PosePrior):
         symmetry = self.symmetry or SymmetryGroup(np.zeros(3))
         R, t = T_sensor_object[:, :3, :3], T_sensor_object[:, :3, 3]
         centre_m = self.T[:3, :3] @ symmetry.centre_m + self.T[:3, 3]
-        squared_m2 = ((R @ symmetry.centre_m + t - centre_m) ** 2).sum(axis=1)
+        distance_m = np.linalg.norm(R @ symmetry.centre_m + t - centre_m, axis=1)
         angle_rad = symmetry.least_angle(self.T[:3, :3], R)
-        return -0.5 * (squared_m2 / self.translation_std_m**2 + (angle_rad / self.rotation_std_rad) ** 2)
+        with np.errstate(over="ignore"):  # far beyond a tiny deviation: no weight at all
+            return -0.5 * ((distance_m / self.translation_std_m) ** 2 + (angle_rad / self.rotation_std_rad) ** 2)
 
 
 @dataclass(frozen=True, eq=False)

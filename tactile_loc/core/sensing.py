@@ -21,6 +21,7 @@ from tactile_loc.core.errors import NoContactError, SensorError, TouchError
 Depth = NDArray[np.float32]
 
 LARGEST_PX = 8192
+FEWEST_PX_M, MOST_PX_M = 1e1, 1e7  # pixels a metre: of 10 cm to 0.1 micrometres
 SAME_RELIEF_M = 5e-5  # two gels whose surfaces differ by less are one
 
 
@@ -71,6 +72,11 @@ class SensorGeometry:
                 f"it must be bool and as large as the image, {self.shape} (rows, columns)"
             )
         self._check_relief()
+        if not all(FEWEST_PX_M <= scale <= MOST_PX_M for scale in self.scale_at_surface):
+            x, y = (1e-3 * scale for scale in self.scale_at_surface)
+            raise SensorError(
+                f"the sensor sees {x:.3g} x {y:.3g} pixels a mm of its surface; check the camera's numbers"
+            )
         x0, x1, y0, y1 = self.rectangle
         if not (x0 < x1 and y0 < y1):
             raise SensorError(f"the sensing rectangle {self.rectangle} is empty; give x_min < x_max and y_min < y_max")

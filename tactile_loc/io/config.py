@@ -107,7 +107,7 @@ class RunConfig(_Strict):
         if not isinstance(value, dict):
             return value
         grid = value.get("grid", WHOLE)
-        named = grid if isinstance(grid, str) else dict(grid).get("name")
+        named = grid.get("name") if isinstance(grid, dict) else getattr(grid, "name", grid)
         return {slot: default_component(slot, str(named)) for slot in OF_WHOLE} | value
 
     @classmethod

@@ -129,7 +129,7 @@ class Recording:
 
         with self.path.open("rb") as file:
             try:
-                largest = self.path.stat().st_size  # a record's length may be damaged, too
+                largest = self.path.stat().st_size
                 for record in StreamReader(file, validate_crcs=True, record_size_limit=largest).records:
                     if isinstance(record, DataEnd):
                         return
@@ -261,7 +261,7 @@ def _damages() -> tuple[type[Exception], ...]:
 
     of_libraries = (McapError, AnyReaderError, ZstdError, struct.error, apsw.Error)
     of_code = (LookupError, ArithmeticError, AssertionError, TypeError, AttributeError, RuntimeError)  # on stray bytes
-    return (OSError, ValueError, EOFError, *of_code, *of_libraries)
+    return (OSError, ValueError, EOFError, MemoryError, *of_code, *of_libraries)  # lengths are damaged, too
 
 
 def _one_line(error: Exception) -> str:

@@ -150,9 +150,11 @@ def read_artifact(folder: Path) -> Artifact:
         files = {name: FileRecord(**record) for name, record in manifest["files"].items()}
         key = StageKey(manifest["stage"], manifest["version"], manifest["inputs"], manifest.get("label", ""))
         return Artifact(folder, key, files, datetime.fromisoformat(manifest["created"]))
+    except DamagedError:
+        raise
     except OSError as error:
         raise DamagedError(f"its manifest cannot be read ({error.strerror})") from error
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, StoreError) as error:
         raise DamagedError("its manifest is not readable JSON") from error
 
 

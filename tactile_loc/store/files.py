@@ -66,8 +66,9 @@ def recover_folder(path: Path) -> None:
     """Put back the folder that a killed `replacing_folder` had set aside, if nothing stands in its place."""
     with suppress(OSError, ValueError):  # there is none, none can be called so, or another process was faster
         path = path.resolve()
-        if not os.path.lexists(path):
-            _aside(path).rename(path)
+        aside = _aside(path)
+        if not os.path.lexists(path) and aside.is_dir():
+            aside.rename(path)
 
 
 def read_json(path: Path) -> Any:

@@ -1,0 +1,120 @@
+"""Damaged inputs for every reader, a few of what `make fuzz` tries; and what the fuzzer would find."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import time
+from pathlib import Path
+
+import fuzz
+import pytest
+from fuzzing import trial
+from fuzzing.readers import READERS, Reader, reader
+
+from tactile_loc.core.errors import ConfigError
+
+PAGES = [one for one in READERS if one.name in ("result", "evaluation", "contacts", "sweep", "touch-png", "artifact")]
+OTHERS = [one for one in READERS if one not in PAGES]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("chosen", "inputs"), [(OTHERS, 100), (PAGES, 15)], ids=["files", "pages"])
+def test_damaged_inputs_are_read_rightly_or_refused_in_one_sentence(tmp_path, chosen, inputs):
+    for library in ("mcap", "rosbags", "safetensors", "pandas"):
+        pytest.importorskip(library)
+    state = fuzz.State(tmp_path / "state.json", 0)
+    fuzz.fuzz(chosen, state, inputs, 0, tmp_path)
+    assert {one.name: state.of(one.name).findings for one in chosen if state.of(one.name).findings} == {}
+    assert all(sum(state.of(one.name).outcomes.values()) == inputs for one in chosen)
+    assert sum(state.of(one.name).outcomes.get(trial.READ, 0) for one in chosen) > 0.05 * inputs * len(chosen)
+
+
+@pytest.fixture
+def judge(tmp_path):
+    """Judge a reader that does something with a folder of one file."""
+
+    def judged(read, names_file=True):
+        folder = tmp_path / "sandbox" / "input"
+        folder.mkdir(parents=True)
+        (folder / "part.toml").write_text("a = 1\n")
+        return trial.judged(Reader("broken", lambda _: None, read, names_file=names_file), folder)
+
+    return judged
+
+
+def refuse(text, cause=None):
+    def read(folder):
+        raise ConfigError(text.format(folder)) from cause
+
+    return read
+
+
+def test_what_is_right(judge):
+    assert judge(lambda folder: None) == trial.Verdict(trial.READ)
+
+
+def test_a_refusal(judge):
+    assert judge(refuse("{}/part.toml is no table")).outcome == trial.REFUSED
+
+
+@pytest.mark.parametrize(
+    ("text", "cause", "finding"),
+    [
+        ("something is wrong", None, "says not where"),
+        ("", None, "no sentence"),
+        ("{}/part.toml cannot be read", MemoryError(), "memory"),
+    ],
+)
+def test_refusals_that_are_findings(judge, text, cause, finding):
+    assert judge(refuse(text, cause)).outcome == finding
+
+
+def test_another_exception(judge):
+    verdict = judge(lambda folder: [][1])
+    assert verdict.is_finding
+    assert verdict.outcome.startswith("IndexError")
+
+
+def test_one_that_hangs(judge, monkeypatch):
+    monkeypatch.setattr(trial, "SECONDS", 0.05)
+    assert judge(lambda folder: time.sleep(10)).outcome.startswith("TooLongError")
+
+
+def test_what_is_written_beside_the_input(judge):
+    assert judge(lambda folder: (folder / "../escaped").write_text("x")).outcome == "writes elsewhere"
+
+
+def test_a_process_that_dies_is_a_finding_and_the_next_input_follows(tmp_path, monkeypatch):
+    def worked(seed, jobs):
+        ((name, _, first, last),) = jobs
+        if first == 0:
+            yield {"reader": name, "number": 0, "outcome": "dies (-9)", "details": ""}
+            return
+        yield from ({"reader": name, "number": n, "outcome": trial.READ, "details": ""} for n in range(first, last))
+
+    monkeypatch.setattr(fuzz, "_worked", worked)
+    state = fuzz.State(tmp_path / "state.json", 3)
+    fuzz.fuzz([reader("mount")], state, 5, 0, tmp_path)
+    assert state.of("mount") == fuzz.Progress(5, 0, {"dies (-9)": 1, trial.READ: 4})
+    told = json.loads((tmp_path / "findings" / "mount-0" / "finding.json").read_text())
+    assert told == {"reader": "mount", "seed": 3, "number": 0, "outcome": "dies (-9)"}
+    assert fuzz.State.open(tmp_path / "state.json", 3) == state, "it goes on there"
+    assert fuzz.State.open(tmp_path / "state.json", 4).readers == {}, "another seed begins anew"
+
+
+def test_a_number_and_a_seed_make_the_same_input_again(tmp_path):
+    chosen = dataclasses.replace(reader("touch-npz"), fuzzed=("*",))
+    whole = tmp_path / "whole"
+    whole.mkdir()
+    chosen.write(whole)
+
+    def made(name: str, seed: int, number: int) -> dict[str, bytes]:
+        trial.make_input(chosen, whole, tmp_path / name, seed, number)
+        return {path.name: path.read_bytes() for path in Path(tmp_path / name).iterdir()}
+
+    first = [made(f"a{n}", 1, n) for n in range(20)]
+    assert [made(f"b{n}", 1, n) for n in range(20)] == first
+    assert [made(f"c{n}", 2, n) for n in range(20)] != first
+    assert all(set(files) == set(os.listdir(whole)) for files in first)
