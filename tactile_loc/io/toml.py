@@ -29,8 +29,10 @@ UNIT_TOLERANCE = 1e-3  # of a quaternion's length: rounded to four digits it is 
 def read_toml(path: str | Path) -> dict[str, Any]:
     """Read a TOML file. Raises ConfigError when it is missing, unreadable, or not TOML."""
     try:
-        if not os.path.isfile(path):  # a device or a pipe has no end
+        if not os.path.exists(path):
             raise ConfigError(f"there is no file {path}; check the path")
+        if not os.path.isfile(path):  # a device or a pipe has no end
+            raise ConfigError(f"{path} cannot be read (it is no file)")
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} cannot be read ({error})") from error

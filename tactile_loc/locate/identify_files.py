@@ -13,10 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from tactile_loc.core.errors import ObjectError
 from tactile_loc.core.progress import Progress
 from tactile_loc.io.config import RunConfig
+from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.identify import Identification
 from tactile_loc.locate.library import Library
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result_json import Matrix
 from tactile_loc.locate.stored_object import SELF_CONTAINED, stored_object
 from tactile_loc.store.files import write_atomically
 from tactile_loc.store.store import StageStore

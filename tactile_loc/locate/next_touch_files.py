@@ -13,10 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.next_touch import NextTouch, RatedApproach
 from tactile_loc.locate.pose_modes import PoseModes, distinct_modes, sharpness_of
 from tactile_loc.locate.result_files import NAME, read_arrays, read_record
-from tactile_loc.locate.result_json import Matrix
 from tactile_loc.store.files import write_atomically
 
 SCHEMA_VERSION = 1

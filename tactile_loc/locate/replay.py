@@ -17,14 +17,15 @@ from tactile_loc.core.errors import FrameError, NoContactError, RecordingError, 
 from tactile_loc.core.frame_tree import FrameTree
 from tactile_loc.core.geometry import covariance_along
 from tactile_loc.core.sensing import Touch
+from tactile_loc.io.mount_files import Covariance
 from tactile_loc.io.recordings import Message, Recording
 from tactile_loc.io.ros_messages import image_array, stamp_ns
 from tactile_loc.io.ros_types import Topic
+from tactile_loc.io.toml import Matrix
 from tactile_loc.io.touches import touch_from_image
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Hypothesis
 
-Matrix = list[list[float]]
 Estimator = Callable[[Touch], Hypothesis]  # what a touch comes to: a localizer's best, or what a tracker makes of it
 
 
@@ -48,7 +49,7 @@ class FrameRecord(BaseModel):
     says: str = Field(default="", description="why it was not located; empty if it was")
     frame: str = Field(description="the frame that the pose is in")
     T_frame_object: Matrix | None = Field(default=None, description="the object's pose there, (4, 4), m")
-    covariance: Matrix | None = Field(
+    covariance: Covariance | None = Field(
         default=None,
         description="(6, 6), of x, y, z of the object's origin (m) and rotations about the frame's axes (rad); null "
         "when it is not known",

@@ -185,7 +185,9 @@ def as_arrays(result: ResultArrays) -> dict[str, NDArray[Any]]:
 
 def from_arrays(arrays: dict[str, NDArray[Any]]) -> ResultArrays:
     """Return the result that stored arrays hold. Raises KeyError, ValueError or TypeError when they hold none."""
-    mesh = TriangleMesh(arrays["vertices_m"].astype(float), arrays["faces"].astype(np.int64))
+    mesh = TriangleMesh(_numbers(arrays, "vertices_m"), _numbers(arrays, "faces").astype(np.int64))
+    if mesh.vertices_m.shape[1:] != (3,) or mesh.faces.shape[1:] != (3,):
+        raise ValueError("its vertices or faces are not of three numbers")
     count = sum(name.startswith("touch_") and name.endswith("_geometry") for name in arrays)
     touches = []
     for number in range(count):
@@ -194,8 +196,8 @@ def from_arrays(arrays: dict[str, NDArray[Any]]) -> ResultArrays:
     if not touches or not mesh.faces.size or mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices_m):
         raise ValueError("it holds no touch, or no surface")
     check_surface(mesh, "its surface")
-    T, log_p = arrays["T_sensor_object"].astype(float), arrays["log_p"].astype(float)
-    if T.shape != (len(log_p), 4, 4) or len(log_p) == 0:
+    T, log_p = _numbers(arrays, "T_sensor_object"), _numbers(arrays, "log_p")
+    if T.shape != (*log_p.shape, 4, 4) or log_p.size == 0:
         raise ValueError("its poses and log-probabilities do not belong together")
     return ResultArrays(mesh, T, log_p, tuple(touches))
 
@@ -216,11 +218,22 @@ def _touch(arrays: dict[str, NDArray[Any]]) -> TouchArrays:
     if camera["rectangle_m"] is not None:
         camera["rectangle_m"] = tuple(camera["rectangle_m"])
     geometry = SensorGeometry(**camera, observed=arrays.get("observed"), relief_m=arrays.get("relief_m"))
-    shape = ContactShape(arrays["depth_m"], float(arrays["press_depth_m"]))
-    made_m = arrays["made_m"]
+    shape = ContactShape(_numbers(arrays, "depth_m").astype(np.float32), float(arrays["press_depth_m"]))
+    made_m, T_sensor_first = _numbers(arrays, "made_m").astype(np.float32), _numbers(arrays, "T_sensor_first")
     if shape.depth_m.shape != geometry.shape or made_m.shape[1:] != geometry.shape:
         raise ValueError("its contact shapes do not have the sensor's size")
-    return TouchArrays(shape, geometry, arrays["T_sensor_first"], made_m, arrays.get("image"))
+    image = arrays.get("image")
+    if T_sensor_first.shape != (4, 4) or not (image is None or (image.ndim == 3 and image.dtype == np.uint8)):
+        raise ValueError("a touch's pose is no matrix, or its image none")
+    return TouchArrays(shape, geometry, T_sensor_first, made_m, image)
+
+
+def _numbers(arrays: dict[str, NDArray[Any]], name: str) -> NDArray[np.float64]:
+    """The array of that name as floats. Raises KeyError, or ValueError unless it is of finite numbers."""
+    values = arrays[name]
+    if values.dtype.kind not in "fiu" or not np.isfinite(values).all():
+        raise ValueError(f"{name} is not of finite numbers")
+    return values.astype(np.float64)
 
 
 def _sensor_first(first: Touch, touch: Touch) -> NDArray[np.float64]:

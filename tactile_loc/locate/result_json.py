@@ -18,6 +18,8 @@ from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.registry import SLOTS, registry, validate_options
 from tactile_loc.core.sensing import Touch
 from tactile_loc.io.config import RunConfig, TouchConfig
+from tactile_loc.io.mount_files import Covariance
+from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.coverage import PoseSet
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
@@ -27,8 +29,6 @@ SCHEMA_VERSION = 2
 LIBRARIES = (
     "faiss-cpu", "numba", "numpy", "open3d", "open3d-cpu", "pluggy", "pydantic", "pyrender", "scipy", "torch", "trimesh"
 )  # fmt: skip
-
-Matrix = list[list[float]]
 
 
 class _Record(BaseModel):
@@ -84,7 +84,7 @@ class HypothesisRecord(_Record):
     )
     converged: bool = Field(description="whether the refinement converged")
     iterations: int = Field(description="iterations of the refinement")
-    covariance: Matrix | None = Field(
+    covariance: Covariance | None = Field(
         default=None,
         description="covariance (6, 6) of the answer's error, in the order and frame of ROS's PoseWithCovariance: "
         "x, y, z of the object frame's origin (m), rotations about the sensor's x, y, z axes (rad); null when the "
@@ -144,7 +144,7 @@ class ResultRecord(_Record):
         description="entropy / log(grid_poses): 0 one pose is certain, 1 nothing is known"
     )
     entropy_nats: float = Field(description="Shannon entropy of the posterior, nats")
-    hypotheses: list[HypothesisRecord] = Field(description="distinct explanations, the best first")
+    hypotheses: list[HypothesisRecord] = Field(min_length=1, description="distinct explanations, the best first")
     pose_set: PoseSetRecord | None = Field(
         description="the set whose modes the hypotheses are; null unless a coverage was asked for"
     )

@@ -86,6 +86,6 @@ def damage_named(path: Path) -> Iterator[None]:
     """Say in one sentence what a result's document lacks, or holds that it should not. Raises ResultError."""
     try:
         yield
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, StopIteration) as error:
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, StopIteration) as error:
         reason = f"it has no {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
         raise ResultError(f"{path} is damaged or incomplete: {reason}; make the result again") from error
