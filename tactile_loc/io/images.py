@@ -6,6 +6,7 @@ import os
 import struct
 import warnings
 import zlib
+from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
@@ -53,7 +54,8 @@ def load_image(path: Path | IO[bytes], mode: str | None = None) -> tuple[str, ND
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the bound is ours
-            with Image.open(path) as image:
+            file = BytesIO(path.read_bytes()) if isinstance(path, Path) else path  # beyond whose end no length leads
+            with Image.open(file) as image:
                 _require_bounded(image.size)
                 wanted = image if mode is None else image.convert(mode)
                 return wanted.mode, np.asarray(wanted)

@@ -203,3 +203,12 @@ def test_what_an_earlier_posterior_left_elsewhere_is_anywhere(box):
     sure, doubtful = (PosteriorPrior(PosePosterior(grid, np.zeros(2), elsewhere=e), np.eye(4)) for e in (0.0, 0.4))
     assert np.exp(sure(far)) == pytest.approx(1e-3 / 2)
     assert np.exp(doubtful(far)) == pytest.approx((1e-3 + 0.999 * 0.4) / 2)
+
+
+@pytest.mark.parametrize("std_m", [1e-300, 1e300])
+def test_a_gaussian_of_any_width_has_weights(std_m):
+    prior = GaussianPrior(np.eye(4), std_m, 1.0)
+    away = make_transform(np.eye(3), [0.1, 0, 0])
+    weights = prior(np.stack([np.eye(4), away]))
+    assert weights[0] == 0
+    assert weights[1] == (-np.inf if std_m < 1 else 0)

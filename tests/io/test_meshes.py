@@ -233,3 +233,20 @@ def test_a_simplified_surface_has_fewer_faces_and_the_same_shape():
     assert 500 < len(fewer.faces) <= 1000
     assert np.linalg.norm(fewer.vertices_m, axis=1) == pytest.approx(0.02, rel=0.02)
     assert fewer.face_areas.sum() == pytest.approx(mesh.face_areas.sum(), rel=0.02)
+
+
+@pytest.mark.parametrize(("suffix", "place"), [("ply", -9), ("glb", None)])
+def test_faces_of_vertices_that_are_not_there(write_box, suffix, place):
+    path = write_box(f"part.{suffix}", 1e3)
+    content = bytearray(path.read_bytes())
+    place = len(content) + place if place else content.index(b"BIN\x00") + 4  # glb: the indices come first
+    content[place : place + 4] = (10**6).to_bytes(4, "little")
+    path.write_bytes(content)
+    with pytest.raises(ObjectError, match="faces of vertices that it does not have: it holds 8"):
+        load_object(path, "mm")
+
+
+def test_vertices_of_two_numbers(tmp_path):
+    (tmp_path / "flat.obj").write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
+    with pytest.raises(ObjectError, match=r"flat\.obj"):
+        load_object(tmp_path / "flat.obj", "mm")

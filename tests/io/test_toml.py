@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tactile_loc.core.errors import ConfigError
 from tactile_loc.io.config import RunConfig
-from tactile_loc.io.toml import PoseKeys, pose_from_keys, toml_text
+from tactile_loc.io.toml import PoseKeys, pose_from_keys, read_toml, toml_text, toml_value
 from tactile_loc.locate.result_json import resolved
 
 
@@ -73,3 +74,11 @@ def test_values_are_toml(value, text):
 
 def test_what_is_not_set_is_left_out():
     assert toml_text({"touch": {"path": None, "noise": "none"}}) == '[touch]\nnoise = "none"\n'
+
+
+@pytest.mark.parametrize("text", [f"a = {'9' * 5000}", f"a = {'[' * 5000}"], ids=["digits", "nesting"])
+def test_endless_numbers_and_nesting(tmp_path, text):
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.raises(ConfigError, match="is not valid TOML"):
+        read_toml(tmp_path / "a.toml")
+    assert toml_value(text.removeprefix("a = ")) == text.removeprefix("a = ")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_loc.core.errors import ResultError
+from tactile_loc.core.errors import ResultError, TactileLocError
 from tactile_loc.core.geometry import make_transform
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import PoseGrid, PoseMetric
@@ -19,6 +19,7 @@ from tactile_loc.locate.result_files import (
     ResultArrays,
     TouchArrays,
     fingerprint,
+    from_arrays,
     gather,
     most_probable,
     read_arrays,
@@ -201,3 +202,20 @@ def test_a_damaged_document_is_one_sentence(tmp_path, text, says):
     (tmp_path / "result.json").write_text(text)
     with pytest.raises(ResultError, match=says):
         read_document(tmp_path / "result.json")
+
+
+@pytest.mark.parametrize("name", ["T_sensor_object", "log_p", "vertices_m", "touch_0_made_m", "touch_0_T_sensor_first"])
+@pytest.mark.parametrize("damage", [lambda a: np.full_like(a, np.nan), lambda a: a[..., :-1], lambda a: a.astype(str)])
+def test_arrays_that_are_not_what_they_should_be(run_folder, name, damage):
+    with np.load(run_folder / "result.npz") as file:
+        arrays = {key: file[key] for key in file.files}
+    from_arrays(dict(arrays))
+    with pytest.raises((ValueError, TactileLocError)):
+        from_arrays({**arrays, name: damage(arrays[name])})
+
+
+def test_a_surface_without_extent_is_refused(run_folder):
+    with np.load(run_folder / "result.npz") as file:
+        arrays = {key: file[key] for key in file.files}
+    with pytest.raises(TactileLocError, match="zero extent"):
+        from_arrays({**arrays, "vertices_m": 0 * arrays["vertices_m"]})

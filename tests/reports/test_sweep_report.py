@@ -8,6 +8,7 @@ import pytest
 from report_helpers import Elements, html_of, page_in, sweep_rows, write_sweep
 
 from tactile_loc.core.errors import ResultError
+from tactile_loc.reports import find_source, write_report
 from tactile_loc.reports.sweep import components, is_factor, measured_lines, rows_of, varying
 
 
@@ -100,3 +101,9 @@ def test_options_are_texts_and_what_is_not_finite_is_missing():
         {"object": "pin", "count": "5", "grid.spacing_mm": "4.0", "refiner.steps": "[1, 2]", "refiner.robust": "true",
          "chosen_median_mm": None, "grid_poses": 7.0, "error": None}
     ]  # fmt: skip
+
+
+def test_half_a_letter_is_shown_escaped(tmp_path):
+    rows = [{**row, "object": "\ud800"} for row in sweep_rows()]
+    page = write_report(find_source(write_sweep(tmp_path, rows)))
+    assert "ud800" in page.read_text(encoding="utf-8")

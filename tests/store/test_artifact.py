@@ -12,6 +12,7 @@ from store_helpers import KEY, Five, contents, flip, folder_of
 
 from tactile_loc.core.errors import StoreError
 from tactile_loc.store import artifact as artifact_module
+from tactile_loc.store.artifact import MANIFEST, DamagedError, read_artifact
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 
@@ -133,3 +134,10 @@ def test_a_change_within_one_tick_of_the_clock_is_seen(store: StageStore) -> Non
     flip("sum.npy", -1)(path.parent)
     os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
     assert store.get(KEY) is None
+
+
+@pytest.mark.parametrize("text", ["[" * 10**5, '{"sha256": "", "format": NaN}', "{}"], ids=["nested", "nan", "empty"])
+def test_a_manifest_that_is_none(tmp_path, text):
+    (tmp_path / MANIFEST).write_text(text)
+    with pytest.raises(DamagedError):
+        read_artifact(tmp_path)

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from tactile_loc.sweeps.results import markdown
+import json
+
+import pytest
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.sweeps.results import markdown, read_sweep
 
 MM = {("pin", "none"): 4.0, ("pin", "icp"): 0.5, ("head", "none"): 2.0, ("head", "icp"): 2.0001}
 
@@ -44,3 +49,10 @@ def test_where_nothing_varies_the_components_are_named(made_up):
     assert "| pixel + joint | **1.00** |" in markdown(
         made_up({"object": "pin"}, lambda one: {"chosen_median_mm": 1.0}), "chosen"
     )
+
+
+@pytest.mark.parametrize("rows", [[], [{}], [{"configuration": {}}], 3, [[]]])
+def test_a_table_that_is_none(tmp_path, rows):
+    (tmp_path / "sweep.json").write_text(json.dumps({"rows": rows, "versions": {}}))
+    with pytest.raises(ConfigError, match="cannot be read as a sweep's"):
+        read_sweep(tmp_path)

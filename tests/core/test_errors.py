@@ -1,0 +1,34 @@
+"""Whatever an error quotes, it is one sentence."""
+
+import pytest
+
+from tactile_loc.core.errors import ConfigError, TactileLocError, named, one_line, quoted
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [("two\nlines", "two lines"), ("\x1b[31mred", "\\x1b[31mred"), ("a\x00b", "a\\x00b"), ("\ud800", "\\ud800"),
+     ("é \u202e", "é \\u202e")],
+)  # fmt: skip
+def test_what_cannot_be_printed_is_escaped(text, shown):
+    assert str(TactileLocError(text)) == one_line(text) == shown
+
+
+def test_of_what_is_very_long_the_beginning_and_the_end_are_kept():
+    said = str(ConfigError(f"key = {'x' * 10**6} is wrong; give a number"))
+    assert len(said) < 1600
+    assert said.startswith("key = xxx")
+    assert said.endswith("xxx is wrong; give a number")
+
+
+def test_long_values_are_abridged():
+    assert quoted([1.5, "a"]) == "[1.5, 'a']"
+    assert len(quoted(list(range(10**5)))) < 100
+    assert len(quoted("x" * 10**5)) < 300
+
+
+def test_errors_are_said_of_what_they_are_about():
+    with pytest.raises(ConfigError, match=r"^plan\.toml: there is no noise 'x'$"), named("plan.toml"):
+        raise ConfigError("there is no noise 'x'")
+    with pytest.raises(ConfigError, match=r"^the plan plan\.toml is empty$"), named("plan.toml"):
+        raise ConfigError("the plan plan.toml is empty")

@@ -1,0 +1,44 @@
+"""Names that no file can have, and what is no file: refused as any that is missing."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from tactile_loc.calibration.folder import read_calibration
+from tactile_loc.calibration.frames import read_frames
+from tactile_loc.core.errors import ConfigError, TactileLocError
+from tactile_loc.core.registry import registry
+from tactile_loc.io.config import kind_of_sensor
+from tactile_loc.io.meshes import load_object
+from tactile_loc.io.recordings import Recording
+from tactile_loc.io.toml import read_toml
+from tactile_loc.io.touches import read_contents
+from tactile_loc.reports import find_source
+
+NAMES = ["x" * 5000, "/nowhere/" + "x" * 300, "a\x00b", "x" * 5000 + ".toml"]
+READERS = {
+    "mesh": load_object, "toml": read_toml, "touch": lambda name: read_contents(Path(name)),
+    "calibration": lambda name: read_calibration(Path(name)), "recording": Recording,
+    "result": lambda name: find_source(Path(name)), "frames": lambda name: read_frames(Path(name)),
+    "sensor": lambda name: registry().create("sensor", kind_of_sensor(name) or name, {"path": name}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES, ids=range(len(NAMES)))
+@pytest.mark.parametrize("reader", READERS)
+def test_a_name_that_no_file_can_have(reader, name):
+    if reader == "recording":
+        pytest.importorskip("mcap")
+    with pytest.raises(TactileLocError):
+        READERS[reader](name)
+
+
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "list.toml")
+    with pytest.raises(ConfigError, match="it is no file"):
+        read_toml(tmp_path / "list.toml")
+    with pytest.raises(ConfigError, match="it is no file"):
+        read_toml("/dev/zero")
