@@ -11,7 +11,7 @@ PYTEST_FLAGS ?= -q -n 2 --dist loadfile --no-loadscope-reorder
 # ROS and others put their own packages, pytest plugins among them, in front of ours.
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help setup demo test lint smoke docs audit sbom bench bench-compare clean
+.PHONY: help setup demo test lint smoke docs audit sbom fuzz bench bench-compare clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -45,11 +45,16 @@ docs: $(STAMP) ## build the documentation site in out/site; any broken link is a
 	@echo "docs: out/site/index.html"
 	@NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict --quiet
 
+<<<<<<< HEAD
 audit: $(STAMP) ## look the pinned packages up among known vulnerabilities; needs the internet
 	@scripts/audit.sh $(VENV)/bin/python
 
 sbom: $(STAMP) ## list what the wheel brings with it, as CycloneDX, in out/sbom.cdx.json
 	@scripts/sbom.sh $(VENV)/bin/python out/sbom.cdx.json
+=======
+fuzz: $(STAMP) ## give every reader 2000 damaged inputs, half an hour; the same again goes on where it was stopped
+	@$(VENV)/bin/python scripts/fuzz.py
+>>>>>>> 9e95f4f (Archives are not unpacked; the same number makes the same archive again)
 
 bench: $(STAMP) ## run all benchmarks, hours, and keep what they print
 	@$(VENV)/bin/python scripts/bench.py keep --all

@@ -22,6 +22,8 @@ log = logging.getLogger(__name__)
 Units = Literal["m", "mm", "cm", "inch", "auto"]
 METRES_PER_UNIT: dict[str, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2, "inch": 0.0254}
 
+ARCHIVES = (".zip", ".gz", ".bz2", ".xz", ".tar")  # which could inflate without end
+
 _detected: dict[str, SymmetryGroup] = {}  # by the surface's digest: a sweep opens the same file again and again
 
 
@@ -40,6 +42,8 @@ def read_surface(path: Path) -> Surface:
         raise ObjectError(
             f"there is no mesh file at {path}; check the path.{near} Demo objects: {', '.join(DEMO_OBJECTS)}"
         )
+    if path.suffix.lower() in ARCHIVES:
+        raise ObjectError(f"{path} is an archive; unpack it, and give the mesh that is in it")
     import trimesh
 
     try:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import logging
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -250,3 +251,10 @@ def test_vertices_of_two_numbers(tmp_path):
     (tmp_path / "flat.obj").write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
     with pytest.raises(ObjectError, match=r"flat\.obj"):
         load_object(tmp_path / "flat.obj", "mm")
+
+
+def test_archives_are_not_unpacked(write_box, tmp_path):
+    with zipfile.ZipFile(tmp_path / "part.zip", "w") as archive:
+        archive.write(write_box(), "part.stl")
+    with pytest.raises(ObjectError, match="is an archive"):
+        load_object(tmp_path / "part.zip", "mm")
