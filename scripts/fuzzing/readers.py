@@ -308,7 +308,7 @@ READERS: Sequence[Reader] = (
     Reader("artifact", corpora.artifact, _artifact, (), ("fuzzed/*/*",)),
     Reader("result", corpora.result, _report, ("report", "FOLDER", "--out", "FOLDER/out/page.html"), ("result.*",)),
     Reader("next-touch", corpora.result, _next_touch, ("next-touch", "FOLDER/result.json", "--candidates",
-           "FOLDER/approaches.toml", "--out", "FOLDER/out"), ("result.*", "approaches.toml")),
+           "FOLDER/approaches.toml", "--out", "FOLDER/out"), ("result.*", "approaches.toml"), False),
     Reader("evaluation", corpora.evaluation, _report, ("report", "FOLDER", "--out", "FOLDER/out/page.html")),
     Reader("contacts", corpora.contacts, _report, ("report", "FOLDER", "--out", "FOLDER/out/page.html")),
     Reader("sweep", corpora.sweep, _report, ("report", "FOLDER", "--out", "FOLDER/out/page.html")),
