@@ -45,16 +45,14 @@ docs: $(STAMP) ## build the documentation site in out/site; any broken link is a
 	@echo "docs: out/site/index.html"
 	@NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict --quiet
 
-<<<<<<< HEAD
 audit: $(STAMP) ## look the pinned packages up among known vulnerabilities; needs the internet
 	@scripts/audit.sh $(VENV)/bin/python
 
 sbom: $(STAMP) ## list what the wheel brings with it, as CycloneDX, in out/sbom.cdx.json
 	@scripts/sbom.sh $(VENV)/bin/python out/sbom.cdx.json
-=======
+
 fuzz: $(STAMP) ## give every reader 2000 damaged inputs, half an hour; the same again goes on where it was stopped
 	@$(VENV)/bin/python scripts/fuzz.py
->>>>>>> 9e95f4f (Archives are not unpacked; the same number makes the same archive again)
 
 bench: $(STAMP) ## run all benchmarks, hours, and keep what they print
 	@$(VENV)/bin/python scripts/bench.py keep --all

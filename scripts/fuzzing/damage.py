@@ -113,7 +113,7 @@ BYTEWISE: list[Damage] = [
 def _npy(content: bytes, draw: Draw) -> bytes:
     if draw.random() < 0.3:
         return _lying_npy(draw)
-    return written_npy(values.strange_array(np.load(io.BytesIO(content)), draw))
+    return written_npy(values.strange_array(np.load(io.BytesIO(content), allow_pickle=False), draw))
 
 
 def written_npy(array: np.ndarray) -> bytes:
