@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import logging
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.sensing import ContactShape, SensorGeometry
 from tactile_loc.drawing.pictures import extent_mm
-from tactile_loc.io.images import load_image
+from tactile_loc.io.images import UNREADABLE, load_image
 from tactile_loc.reports.scene import number, outlines_mm, round_values
 
 log = logging.getLogger(__name__)
@@ -107,11 +108,11 @@ def gallery_picture(path: Path) -> str | None:
 
     try:
         small = Image.fromarray(load_image(path, "RGB")[1])
-    except (OSError, ValueError):
+    except UNREADABLE:
         log.warning(f"{path} cannot be read as a picture and is left out of the report")
         return None
     if small.width > WIDEST_PX:
-        small = small.resize((WIDEST_PX, round(small.height * WIDEST_PX / small.width)), Image.Resampling.LANCZOS)
+        small = small.resize((WIDEST_PX, math.ceil(small.height * WIDEST_PX / small.width)), Image.Resampling.LANCZOS)
     return _data_uri(small.quantize(COLOURS))
 
 

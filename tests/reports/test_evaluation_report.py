@@ -101,3 +101,11 @@ def test_numbers_that_are_none_are_one_sentence(evaluation_folder, tmp_path):
     (folder / "results.json").write_text(re.sub(r'("entropy": \[\s*)[\d.e-]+', r"\1NaN", text, count=1))
     with pytest.raises(ResultError, match=r"results\.json"):
         page_in(folder)
+
+
+def test_a_damaged_gallery_is_left_out(evaluation_folder, tmp_path):
+    folder = shutil.copytree(evaluation_folder, tmp_path / "copy")
+    (picture,) = folder.glob("gallery-*.png")
+    content = picture.read_bytes()
+    picture.write_bytes(content[:33] + bytes(8) + content[41:])  # the second part's length and kind
+    assert "Best, median and worst" not in html_of(folder)
