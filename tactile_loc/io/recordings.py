@@ -257,9 +257,11 @@ def _damages() -> tuple[type[Exception], ...]:
     import apsw
     from mcap.exceptions import McapError
     from rosbags.highlevel import AnyReaderError
+    from rosbags.rosbag1 import ReaderError as Ros1Error
+    from rosbags.rosbag2 import ReaderError as Ros2Error
     from zstandard import ZstdError
 
-    of_libraries = (McapError, AnyReaderError, ZstdError, struct.error, apsw.Error)
+    of_libraries = (McapError, AnyReaderError, Ros1Error, Ros2Error, ZstdError, struct.error, apsw.Error)
     of_code = (LookupError, ArithmeticError, AssertionError, TypeError, AttributeError, RuntimeError)  # on stray bytes
     return (OSError, ValueError, EOFError, MemoryError, *of_code, *of_libraries)  # lengths are damaged, too
 

@@ -94,6 +94,7 @@ def _require_rows(rows: list[dict[str, Any]]) -> None:
     """Refuse rows that do not say what was combined, and what came of it."""
     if not rows:
         raise ValueError("it has no row")
+    json.dumps(rows, ensure_ascii=False).encode()  # half a letter could not be written again
     for row in rows:
         chosen = [row["configuration"][slot] for slot in SLOTS]
         said = [row[name] for name in IDENTITY], [(one["name"], one["options"].items()) for one in chosen]

@@ -51,7 +51,7 @@ def test_where_nothing_varies_the_components_are_named(made_up):
     )
 
 
-@pytest.mark.parametrize("rows", [[], [{}], [{"configuration": {}}], 3, [[]]])
+@pytest.mark.parametrize("rows", [[], [{}], [{"configuration": {}}], 3, [[]], ["\ud800"]])
 def test_a_table_that_is_none(tmp_path, rows):
     (tmp_path / "sweep.json").write_text(json.dumps({"rows": rows, "versions": {}}))
     with pytest.raises(ConfigError, match="cannot be read as a sweep's"):
