@@ -135,8 +135,8 @@ def _type(annotation: Any) -> str:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return "object"
     text = str(annotation)
-    if "list[list[float]]" in text:
-        return "4 x 4 numbers"
+    if text.count("list[") > 1:
+        return "rows of numbers"
     names = {int: "integer", float: "number", str: "text", bool: "true or false"}
     return "list" if text.startswith("list") else "object" if text.startswith("dict") else names[annotation]
 

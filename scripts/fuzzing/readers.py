@@ -313,9 +313,12 @@ READERS: Sequence[Reader] = (
     Reader("contacts", corpora.contacts, _report, ("report", "FOLDER", "--out", "FOLDER/out/page.html")),
     Reader("sweep", corpora.sweep, _report, ("report", "FOLDER", "--out", "FOLDER/out/page.html")),
     Reader("sweeps-compared", corpora.sweep, _compared, ("sweep", "--compare", "FOLDER", "--out", "FOLDER")),
-    Reader("mcap", corpora.mcap, _recording, ("replay", "FOLDER/drive.mcap", *PART, "--out", "FOLDER/out/x.mcap"), names_file=False),
-    Reader("bag-ros1", corpora.bag1, _recording, ("replay", "FOLDER/drive.bag", *PART, "--out", "FOLDER/out/x.mcap"), names_file=False),
-    Reader("bag-ros2", corpora.bag2, _recording, ("replay", "FOLDER/drive", *PART, "--out", "FOLDER/out/x.mcap"), names_file=False),
+    Reader("mcap", corpora.mcap, _recording, ("replay", "FOLDER/drive.mcap", *PART,
+           "--out", "FOLDER/out/x.mcap"), names_file=False),
+    Reader("bag-ros1", corpora.bag1, _recording, ("replay", "FOLDER/drive.bag", *PART,
+           "--out", "FOLDER/out/x.mcap"), names_file=False),
+    Reader("bag-ros2", corpora.bag2, _recording, ("replay", "FOLDER/drive", *PART,
+           "--out", "FOLDER/out/x.mcap"), names_file=False),
     Reader("video", corpora.video, _video, (), ("film.gif",)),
 )  # fmt: skip
 
