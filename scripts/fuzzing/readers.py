@@ -278,6 +278,11 @@ def _touch_reader(suffix: str, unit: str | None) -> Reader:
     return Reader(f"touch-{suffix}", corpora.touches, _touch(name, unit), words, (name,))
 
 
+def _recorded(name: str, write: Callable[[Path], None], recording: str) -> Reader:
+    words = ("replay", f"FOLDER/{recording}", *PART, "--out", "FOLDER/out/x.mcap")
+    return Reader(name, write, _recording, words, names_file=False)  # of a message the topic is said
+
+
 READERS: Sequence[Reader] = (
     _mesh("stl"),
     _mesh("stl", "stl_ascii"),
@@ -313,12 +318,9 @@ READERS: Sequence[Reader] = (
     Reader("contacts", corpora.contacts, _report, ("report", "FOLDER", "--out", "FOLDER/out/page.html")),
     Reader("sweep", corpora.sweep, _report, ("report", "FOLDER", "--out", "FOLDER/out/page.html")),
     Reader("sweeps-compared", corpora.sweep, _compared, ("sweep", "--compare", "FOLDER", "--out", "FOLDER")),
-    Reader("mcap", corpora.mcap, _recording, ("replay", "FOLDER/drive.mcap", *PART,
-           "--out", "FOLDER/out/x.mcap"), names_file=False),
-    Reader("bag-ros1", corpora.bag1, _recording, ("replay", "FOLDER/drive.bag", *PART,
-           "--out", "FOLDER/out/x.mcap"), names_file=False),
-    Reader("bag-ros2", corpora.bag2, _recording, ("replay", "FOLDER/drive", *PART,
-           "--out", "FOLDER/out/x.mcap"), names_file=False),
+    _recorded("mcap", corpora.mcap, "drive.mcap"),
+    _recorded("bag-ros1", corpora.bag1, "drive.bag"),
+    _recorded("bag-ros2", corpora.bag2, "drive"),
     Reader("video", corpora.video, _video, (), ("film.gif",)),
 )  # fmt: skip
 

@@ -63,8 +63,8 @@ def _facts_by_imageio(path: Path) -> tuple[float, float]:
         import imageio.v3
 
         about = imageio.v3.immeta(path)
-    except (OSError, ValueError, RuntimeError, ImportError, SyntaxError, EOFError):
-        return math.nan, math.nan  # reading the frames will say why
+    except Exception:  # noqa: BLE001 - reading the frames will say why
+        return math.nan, math.nan
     duration = float(about.get("duration", math.nan))
     if path.suffix.lower() == ".gif":  # milliseconds, of the first frame
         return 1e3 / duration if duration > 0 else math.nan, math.nan
