@@ -21,7 +21,7 @@ from tactile_loc.core.errors import NoContactError, SensorError, TouchError
 Depth = NDArray[np.float32]
 
 LARGEST_PX = 8192
-FEWEST_PX_M, MOST_PX_M = 1e1, 1e7  # pixels a metre: of 10 cm to 0.1 micrometres
+FEWEST_PX_M, MOST_PX_M = 1e-1, 1e7  # pixels a metre: what lies beyond is no length, whatever its unit
 SAME_RELIEF_M = 5e-5  # two gels whose surfaces differ by less are one
 
 
