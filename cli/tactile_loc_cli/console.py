@@ -20,6 +20,7 @@ from tactile_loc.core.progress import Progress, rank
 
 PACKAGES = ("tactile_loc", "tactile_loc_cli")
 LEVELS = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO, 2: logging.DEBUG}  # by verbosity
+REASONS = 5  # why frames were refused, that are written
 UNKNOWN_WIDTH, NARROWEST = 160, 20  # characters: of a window that is none, and of a folded column
 
 
@@ -27,6 +28,13 @@ def say(text: str = "") -> None:
     """Write a line of results as it is, never wrapped; of processes that work together, the first does."""
     if rank() == 0:
         sys.stdout.write(text + "\n")
+
+
+def say_reasons(reasons: Sequence[tuple[str, int]]) -> int:
+    """Write why frames were refused, the most frequent reasons, and return how many more there are."""
+    for reason, count in reasons[:REASONS]:
+        say(f"refused {count}: {reason}")
+    return max(0, len(reasons) - REASONS)
 
 
 def say_table(rows: Sequence[Sequence[str]], left: int | Container[int] = 2, gap: int = 1, fold: bool = False) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -111,6 +112,10 @@ TouchNoise = Annotated[
     typer.Option("--noise", help="How far simulated touches are from clean renders; by default none."),
 ]
 Seed = Annotated[int | None, declare("--seed", "N", "Seed of everything random; by default 0.")]
+Zero = Annotated[
+    Path | None,
+    typer.Option("--zero", metavar="IMAGE", help="A newer image of the calibrated sensor's untouched gel."),
+]
 Rerun = Annotated[
     Path | None,
     declare("--rerun", "FILE.rrd", "Write touches and poses as a file for the Rerun viewer, too; none is started."),
@@ -240,6 +245,11 @@ def press_depth_m(config: RunConfig) -> float | None:
     """Return the press depth that was asked for, metres."""
     asked_mm = config.touch.press_depth_mm
     return None if asked_mm is None else 1e-3 * asked_mm
+
+
+def with_zero(option: list[str] | None, zero: Path | None) -> list[str] | None:
+    """Return components' options with that of a newer image of the untouched gel, if there is one."""
+    return option if zero is None else [*(option or []), f"sensor.zero={json.dumps(str(zero))}"]
 
 
 def require_rerun(path: Path | None) -> None:

@@ -74,22 +74,31 @@ def ball_label(
     y = ((np.arange(height) + 0.5 - centre_px[1]) / sy)[:, None]
     rho2 = x**2 + y**2
     contact = rho2 < r**2
-    known = contact | (rho2 > (SKIRT * r) ** 2)
-    if geometry.relief_m is None:
-        below = _below_middle(rho2, R)
-        indentation = np.where(contact, below - np.sqrt(R**2 - r**2), 0.0).astype(np.float32)
-        slope = np.stack([-x / below, -y / below], axis=-1) * contact[..., None]
-        return PressLabel(indentation, slope.astype(np.float32), contact, known, False)
-    gel = np.stack([s * a for s, a in zip((sx, sy), np.gradient(geometry.relief_m)[::-1], strict=True)], axis=-1)
+    gel = _gel_slopes(geometry)
     tilt_x, tilt_y = gel[contact].mean(axis=0) if contact.any() else np.zeros(2)
     length = np.sqrt(1 + tilt_x**2 + tilt_y**2)
     x, y = x + R * tilt_x / length, y + R * tilt_y / length
     below = _below_middle(x**2 + y**2, R)
-    pushed = geometry.relief_m + below
-    rim = np.abs(np.sqrt(rho2) - r) < geometry.pixel_pitch_m
-    pushed = np.where(contact, pushed - (pushed[rim].mean() if rim.any() else 0.0), 0.0)
+    pushed = below if geometry.relief_m is None else below + geometry.relief_m
+    rim = np.sqrt(R**2 - r**2) if geometry.relief_m is None else _rim(pushed, rho2, r, geometry.pixel_pitch_m)
+    indentation = np.where(contact, pushed - rim, 0.0).astype(np.float32)
     slope = (gel + np.stack([-x / below, -y / below], axis=-1)) * contact[..., None]
-    return PressLabel(pushed.astype(np.float32), slope.astype(np.float32), contact, known, False)
+    return PressLabel(indentation, slope.astype(np.float32), contact, contact | (rho2 > (SKIRT * r) ** 2), False)
+
+
+def _gel_slopes(geometry: SensorGeometry) -> NDArray[np.float64]:
+    """How steep the undeformed gel is along x and y (H, W, 2), unitless."""
+    if geometry.relief_m is None:
+        return np.zeros((*geometry.shape, 2))
+    sx, sy = geometry.scale_at_surface
+    down, across = np.gradient(geometry.relief_m.astype(float))
+    return np.stack([sx * across, sy * down], axis=-1)
+
+
+def _rim(pushed_m: NDArray[np.float64], rho2: NDArray[np.float64], r: float, width_m: float) -> float:
+    """The mean (metres) of what is pushed in (H, W) along a circle of radius r, `width_m` to either side of it."""
+    along = np.abs(np.sqrt(rho2) - r) < width_m
+    return float(pushed_m[along].mean()) if along.any() else 0.0
 
 
 def _below_middle(rho2: NDArray[np.float64], R: float) -> NDArray[np.float64]:

@@ -2,10 +2,14 @@
 
 Only the part of the object over the rectangle counts. The lowest point of a triangle over a rectangle is a corner of
 their intersection: a vertex inside, an edge crossing a side, or the triangle's height at a corner of the rectangle.
-Looking at exactly these makes the result exact. Compiled with numba; imported only when poses are brought to contact.
+Looking at exactly these makes the result exact. Over a curved gel the lowest point may lie anywhere on a triangle: its
+edges, cut at the rectangle, and its inside are looked at every STEP_M; of a gel of radius r that misses at most
+STEP_M^2 / 8 r, below a micrometre. Compiled with numba; imported only when poses are brought to contact.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +19,12 @@ from tactile_loc.core.compiled import in_threads, njit
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.zbuffer import place
 
+# mypy: disable-error-code="no-untyped-def,no-untyped-call"
+
+STEP_M = 2.5e-4
+ROUNDS = 4  # in which a pinhole's relief, known along rays, is found upright
 BINS = 256  # into which blocks of triangles are sorted by height
 
 
@@ -28,18 +37,10 @@ def bring_to_contact(
     curved, what is brought to the standoff is the least height over its relief.
     """
     T = np.array(T_sensor_object, float, copy=True)
-    lowest = _lowest_over_gel(mesh, T, geometry)
+    lowest = lowest_over_relief(mesh, T, geometry) if geometry.is_curved else lowest_points(mesh, T, geometry.rectangle)
     touching = np.isfinite(lowest)
     T[touching, 2, 3] += geometry.standoff_m - lowest[touching]
     return T, touching
-
-
-def _lowest_over_gel(mesh: TriangleMesh, T: Poses, geometry: SensorGeometry) -> NDArray[np.float64]:
-    if geometry.relief_m is None:
-        return lowest_points(mesh, T, geometry.rectangle)
-    from tactile_loc.core.curved_contact import lowest_over_gel
-
-    return lowest_over_gel(mesh, T, geometry)
 
 
 def lowest_points(
@@ -53,6 +54,35 @@ def lowest_points(
     result = np.full(len(members), np.inf)
     in_threads(_lowest, len(rotations), triangles, rotations, starts, members, t, rectangle, result)
     return result
+
+
+def lowest_over_relief(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> NDArray[np.float64]:
+    """Return the least of z - relief (N,), metres, of poses' surface over the sensing rectangle; inf where none is."""
+    T = np.ascontiguousarray(T_sensor_object, float)
+    result = np.full(len(T), np.inf)
+    gel = (np.asarray(geometry.rectangle, float), *upright_relief(geometry))
+    in_threads(_lowest_curved, len(T), triangle_blocks(mesh), T, *gel, result)
+    return result
+
+
+def upright_relief(geometry: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return a curved gel's relief (H, W), metres, over points of the plane z = surface, and their lattice.
+
+    The lattice (4,), metres, are x and y of the first point and the steps to the next. Parallel rays see it so; a
+    pinhole's pixel sees the gel beside the point of the plane that it aims at.
+    """
+    from scipy.ndimage import map_coordinates
+
+    k = geometry.surface_m if geometry.is_pinhole else 1.0
+    x, y = (slopes * k for slopes in geometry.pixel_slopes)
+    lattice = np.array([x[0], y[0], k / geometry.fx, k / geometry.fy])
+    seen = np.asarray(geometry.relief_m, float)
+    relief = seen
+    for _ in range(ROUNDS if geometry.is_pinhole else 0):
+        z = geometry.surface_m + relief
+        at = (y[:, None] * geometry.fy / z + geometry.cy - 0.5, x[None] * geometry.fx / z + geometry.cx - 0.5)
+        relief = map_coordinates(seen, at, order=1, mode="nearest")
+    return np.ascontiguousarray(relief), lattice
 
 
 def group_rotations(R: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
@@ -69,14 +99,14 @@ def group_rotations(R: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
 
 
 @njit
-def _lowest(first, last, triangles, rotations, starts, members, t, rectangle, result):  # type: ignore[no-untyped-def]
+def _lowest(first, last, triangles, rotations, starts, members, t, rectangle, result):
     """Fill the lowest z (N,) of the poses that have one of the rotations from first to last."""
     for k in range(first, last):
         _lowest_of_rotation(triangles, rotations[k], members[starts[k] : starts[k + 1]], t, rectangle, result)
 
 
 @njit
-def _lowest_of_rotation(triangles, R, members, t, rectangle, result):  # type: ignore[no-untyped-def]
+def _lowest_of_rotation(triangles, R, members, t, rectangle, result):
     """Search the blocks of triangles roughly from the lowest up, and stop when no other can be lower."""
     count = len(triangles.radii)
     middles, floor, p = np.empty((count, 3)), np.empty(count), np.empty((3, 3))
@@ -103,7 +133,7 @@ def _lowest_of_rotation(triangles, R, members, t, rectangle, result):  # type: i
 
 
 @njit
-def _from_below(heights):  # type: ignore[no-untyped-def]
+def _from_below(heights):
     """The order (F,) of heights (F,) sorted into bins, and how wide a bin is: numpy's sort takes seconds to compile."""
     low = high = heights[0]
     for height in heights:
@@ -123,14 +153,14 @@ def _from_below(heights):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _turn(R, p, turned):  # type: ignore[no-untyped-def]
+def _turn(R, p, turned):
     """Fill the point (3,) where the rotation R takes p (3,)."""
     for a in range(3):
         turned[a] = R[a, 0] * p[0] + R[a, 1] * p[1] + R[a, 2] * p[2]
 
 
 @njit
-def _lowest_of_triangle(p, x0, x1, y0, y1):  # type: ignore[no-untyped-def]
+def _lowest_of_triangle(p, x0, x1, y0, y1):
     """Lowest z of one triangle (3, 3) over a rectangle; inf when it is nowhere over it."""
     if max(p[0, 0], p[1, 0], p[2, 0]) < x0 or min(p[0, 0], p[1, 0], p[2, 0]) > x1:
         return np.inf
@@ -146,17 +176,9 @@ def _lowest_of_triangle(p, x0, x1, y0, y1):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _lowest_of_edge(a, b, x0, x1, y0, y1):  # type: ignore[no-untyped-def]
-    """Lowest z of the part of the segment a-b over the rectangle (Liang-Barsky clipping); inf when no part is."""
-    enter, leave = 0.0, 1.0
-    for axis, low, high in ((0, x0, x1), (1, y0, y1)):
-        d = b[axis] - a[axis]
-        if d == 0.0:
-            if a[axis] < low or a[axis] > high:
-                return np.inf
-            continue
-        s, e = (low - a[axis]) / d, (high - a[axis]) / d
-        enter, leave = max(enter, min(s, e)), min(leave, max(s, e))
+def _lowest_of_edge(a, b, x0, x1, y0, y1):
+    """Lowest z of the part of the segment a-b over the rectangle; inf when no part is."""
+    enter, leave = _over(a, b, x0, x1, y0, y1)
     if enter > leave:
         return np.inf
     dz = b[2] - a[2]
@@ -164,7 +186,25 @@ def _lowest_of_edge(a, b, x0, x1, y0, y1):  # type: ignore[no-untyped-def]
 
 
 @njit
-def _height_at(p, x, y):  # type: ignore[no-untyped-def]
+def _over(a, b, x0, x1, y0, y1):
+    """Where, in shares of its length, the segment a-b enters and leaves the rectangle (Liang-Barsky clipping).
+
+    It leaves before it enters when no part is over it.
+    """
+    enter, leave = 0.0, 1.0
+    for axis, low, high in ((0, x0, x1), (1, y0, y1)):
+        d = b[axis] - a[axis]
+        if d == 0.0:
+            if a[axis] < low or a[axis] > high:
+                return 1.0, 0.0
+            continue
+        s, e = (low - a[axis]) / d, (high - a[axis]) / d
+        enter, leave = max(enter, min(s, e)), min(leave, max(s, e))
+    return enter, leave
+
+
+@njit
+def _height_at(p, x, y):
     """Height z of the triangle's plane at (x, y) when that point lies in the triangle, else inf."""
     ax, ay = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1]
     bx, by = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1]
@@ -176,3 +216,82 @@ def _height_at(p, x, y):  # type: ignore[no-untyped-def]
     if u < 0.0 or v < 0.0 or u + v > 1.0:
         return np.inf
     return p[0, 2] + u * (p[1, 2] - p[0, 2]) + v * (p[2, 2] - p[0, 2])
+
+
+@njit
+def _lowest_curved(first, last, triangles, T, rectangle, relief, lattice, result):
+    """Fill the least heights (N,) over the gel of the poses from first to last."""
+    p, centre, highest = np.empty((3, 3)), np.empty(3), relief.max()
+    for i in range(first, last):
+        best = np.inf
+        for b in range(len(triangles.radii)):
+            place(T[i], triangles.centres[b], centre)
+            r = triangles.radii[b]
+            if centre[2] - r - highest >= best or _beside(centre, r, rectangle):
+                continue
+            for f in range(triangles.starts[b], triangles.starts[b + 1]):
+                for c in range(3):
+                    place(T[i], triangles.corners[f, c], p[c])
+                if min(p[0, 2], p[1, 2], p[2, 2]) - highest < best:
+                    best = min(best, _lowest_inside(p, rectangle, relief, lattice))
+        result[i] = best
+
+
+@njit
+def _beside(centre, r, rectangle):
+    """Whether a sphere is nowhere over the rectangle."""
+    beside_x = centre[0] + r < rectangle[0] or centre[0] - r > rectangle[1]
+    return beside_x or centre[1] + r < rectangle[2] or centre[1] - r > rectangle[3]
+
+
+@njit
+def _lowest_inside(p, rectangle, relief, lattice):
+    """Least height of a triangle (3, 3) over the gel: along its edges, and at points inside."""
+    best = np.inf
+    for c in range(3):
+        best = min(best, _lowest_along(p[c], p[(c + 1) % 3], rectangle, relief, lattice))
+    low_x, high_x = max(rectangle[0], p[:, 0].min()), min(rectangle[1], p[:, 0].max())
+    low_y, high_y = max(rectangle[2], p[:, 1].min()), min(rectangle[3], p[:, 1].max())
+    ax, ay, bx, by = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[2, 0] - p[0, 0], p[2, 1] - p[0, 1]
+    area = ax * by - ay * bx
+    if area == 0.0 or low_x > high_x or low_y > high_y:
+        return best
+    columns, rows = math.ceil((high_x - low_x) / STEP_M), math.ceil((high_y - low_y) / STEP_M)
+    for j in range(rows + 1):
+        y = low_y + (high_y - low_y) * j / max(rows, 1)
+        for i in range(columns + 1):
+            x = low_x + (high_x - low_x) * i / max(columns, 1)
+            u = ((x - p[0, 0]) * by - (y - p[0, 1]) * bx) / area
+            v = (ax * (y - p[0, 1]) - ay * (x - p[0, 0])) / area
+            if u >= 0.0 and v >= 0.0 and u + v <= 1.0:
+                z = p[0, 2] + u * (p[1, 2] - p[0, 2]) + v * (p[2, 2] - p[0, 2])
+                best = min(best, z - _relief_at(relief, lattice, x, y))
+    return best
+
+
+@njit
+def _lowest_along(a, b, rectangle, relief, lattice):
+    """Least height over the gel of the part of a segment a-b over the rectangle; inf when none is."""
+    enter, leave = _over(a, b, rectangle[0], rectangle[1], rectangle[2], rectangle[3])
+    if enter > leave:
+        return np.inf
+    x, y, z = a[0] + enter * (b[0] - a[0]), a[1] + enter * (b[1] - a[1]), a[2] + enter * (b[2] - a[2])
+    dx, dy, dz = (leave - enter) * (b[0] - a[0]), (leave - enter) * (b[1] - a[1]), (leave - enter) * (b[2] - a[2])
+    best, steps = np.inf, max(1, math.ceil(math.hypot(dx, dy) / STEP_M))
+    for k in range(steps + 1):
+        s = k / steps
+        best = min(best, z + s * dz - _relief_at(relief, lattice, x + s * dx, y + s * dy))
+    return best
+
+
+@njit
+def _relief_at(relief, lattice, x, y):
+    """The relief, linear between the lattice's points; beyond them it goes on as at the last."""
+    rows, columns = relief.shape
+    c = min(max((x - lattice[0]) / lattice[2], 0.0), columns - 1.0)
+    r = min(max((y - lattice[1]) / lattice[3], 0.0), rows - 1.0)
+    i, j = min(int(r), max(rows - 2, 0)), min(int(c), max(columns - 2, 0))
+    s, t = r - i, c - j
+    below, beside = min(i + 1, rows - 1), min(j + 1, columns - 1)
+    above = (1 - t) * relief[i, j] + t * relief[i, beside]
+    return (1 - s) * above + s * ((1 - t) * relief[below, j] + t * relief[below, beside])

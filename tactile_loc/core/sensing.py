@@ -98,11 +98,16 @@ class SensorGeometry:
             )
 
     @property
+    def is_curved(self) -> bool:
+        """Whether the undeformed gel is not flat."""
+        return self.relief_m is not None
+
+    @property
     def full_penetration_m(self) -> float | Depth:
         """Where contact depths begin: z at the deepest point of contact; at each pixel (H, W) if the gel is curved."""
         return self.standoff_m if self.relief_m is None else np.float32(self.standoff_m) + self.relief_m
 
-    @property
+    @cached_property
     def band(self) -> SensorGeometry:
         """The sensor with a flat gel whose contact band holds all of this one's: what renderers are given."""
         if self.relief_m is None:

@@ -73,7 +73,7 @@ def _draw(first, last, triangles, T, camera, slopes_x, slopes_y, depth, which):
             for u in range(picture.shape[1]):
                 picture[v, u] = np.inf
         for b in range(len(triangles.radii)):
-            _place(T[i], triangles.centres[b], centre)
+            place(T[i], triangles.centres[b], centre)
             x, y, z = centre
             r = triangles.radii[b]
             k = z if pinhole else 1.0
@@ -87,13 +87,13 @@ def _draw(first, last, triangles, T, camera, slopes_x, slopes_y, depth, which):
                 continue
             for f in range(triangles.starts[b], triangles.starts[b + 1]):
                 for a in range(3):
-                    _place(T[i], triangles.corners[f, a], placed[a])
+                    place(T[i], triangles.corners[f, a], placed[a])
                 if min(placed[0, 2], placed[1, 2], placed[2, 2]) < far:
                     _draw_triangle(f, placed, camera, slopes_x, slopes_y, picture, which[i])
 
 
 @njit
-def _place(T, p, placed):
+def place(T, p, placed):
     """Fill the point (3,) where the pose T (4, 4) has p (3,)."""
     for a in range(3):
         placed[a] = T[a, 0] * p[0] + T[a, 1] * p[1] + T[a, 2] * p[2] + T[a, 3]

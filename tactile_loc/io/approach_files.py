@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from tactile_loc.core.errors import ConfigError, did_you_mean
-from tactile_loc.io.toml import MATRIX, Matrix, PoseKeys, Positive, explain, pose_from_keys, read_toml
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.io.toml import MATRIX, Matrix, PoseKeys, Positive, explain, listed_tables, pose_from_keys, read_toml
 
 Pose = NDArray[np.float64]
 
@@ -51,7 +51,8 @@ def read_approaches(path: str | Path, T_base_sensor: Pose | None = None) -> tupl
     """
     path = Path(path)
     approaches = []
-    for number, table in enumerate(_tables(path, read_toml(path)), start=1):
+    tables = listed_tables(path, read_toml(path), "approach", "where its sensor starts")
+    for number, table in enumerate(tables, start=1):
         try:
             approaches.append(_approach(table, f"approach {number}", T_base_sensor))
         except ValidationError as error:
@@ -60,19 +61,6 @@ def read_approaches(path: str | Path, T_base_sensor: Pose | None = None) -> tupl
         except ValueError as error:
             raise ConfigError(f"{path}, approach {number}: {error}") from error
     return tuple(approaches)
-
-
-def _tables(path: Path, values: dict[str, Any]) -> list[dict[str, Any]]:
-    unknown = sorted(set(values) - {"approach"})
-    if unknown:
-        near = did_you_mean(unknown[0], ["approach"])
-        raise ConfigError(f"{path} has an unknown entry {unknown[0]!r}.{near} It is a list of [[approach]] tables")
-    tables = values.get("approach", [])
-    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-        raise ConfigError(f"approach in {path} is no list of tables; begin each with [[approach]]")
-    if not tables:
-        raise ConfigError(f"{path} lists no approach; give each one an [[approach]] table with where its sensor starts")
-    return tables
 
 
 def _approach(table: dict[str, Any], name: str, T_base_first: Pose | None) -> Approach:

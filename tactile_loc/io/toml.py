@@ -40,6 +40,24 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         raise ConfigError(f"{path} is not valid TOML: {error}") from error
 
 
+def listed_tables(path: Path, values: dict[str, Any], name: str, needs: str, *others: str) -> list[dict[str, Any]]:
+    """Return the `[[name]]` tables of a file's values, of which it has one at least, and but for `others` nothing else.
+
+    Raises ConfigError, which says what each `needs`.
+    """
+    known = [name, *others]
+    unknown = sorted(set(values) - set(known))
+    if unknown:
+        near = did_you_mean(unknown[0], known)
+        raise ConfigError(f"{path} has an unknown entry {unknown[0]!r}.{near} It is a list of [[{name}]] tables")
+    tables = values.get(name, [])
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise ConfigError(f"{name} in {path} is no list of tables; begin each {name} with [[{name}]]")
+    if not tables:
+        raise ConfigError(f"{path} lists no {name}; give each one a table [[{name}]] with {needs}")
+    return tables
+
+
 def toml_value(text: str) -> Any:
     """Return the value that a text has in TOML; the text itself where it has none."""
     try:

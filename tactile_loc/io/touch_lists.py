@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from tactile_loc.core.errors import ConfigError, TouchError, did_you_mean
+from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.io.mount_files import Mount, read_mount
 from tactile_loc.io.sensor_files import is_calibrated_sensor
-from tactile_loc.io.toml import MATRIX, Matrix, PoseKeys, Positive, explain, pose_from_keys, read_toml
+from tactile_loc.io.toml import MATRIX, Matrix, PoseKeys, Positive, explain, listed_tables, pose_from_keys, read_toml
 from tactile_loc.io.touches import TouchUnit, read_contents
 
 Pose = NDArray[np.float64]
@@ -63,7 +63,7 @@ def read_touch_list(path: str | Path, of_flange: bool = False) -> tuple[ListedTo
     or a file or pose is missing.
     """
     path, values = Path(path), read_toml(path)
-    tables = _tables(path, values)
+    tables = listed_tables(path, values, "touch", "its path", "mount")
     mount = None if of_flange else _mount(path, values)
     touches = []
     for number, table in enumerate(tables, start=1):
@@ -77,19 +77,6 @@ def read_touch_list(path: str | Path, of_flange: bool = False) -> tuple[ListedTo
         except (ValueError, TouchError, ConfigError) as error:
             raise TouchError(f"{path}, touch {number}: {error}") from error
     return tuple(touches)
-
-
-def _tables(path: Path, values: dict[str, Any]) -> list[dict[str, Any]]:
-    unknown = sorted(set(values) - {"touch", "mount"})
-    if unknown:
-        near = did_you_mean(unknown[0], ["touch", "mount"])
-        raise ConfigError(f"{path} has an unknown entry {unknown[0]!r}.{near} It is a list of [[touch]] tables")
-    tables = values.get("touch", [])
-    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-        raise ConfigError(f"touch in {path} is no list of tables; begin each touch with [[touch]]")
-    if not tables:
-        raise ConfigError(f"{path} lists no touch; give each one a [[touch]] table with its path")
-    return tables
 
 
 def _mount(path: Path, values: dict[str, Any]) -> Mount | None:

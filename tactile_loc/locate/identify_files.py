@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +17,7 @@ from tactile_loc.locate.identify import Identification
 from tactile_loc.locate.library import Library
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.stored_object import SELF_CONTAINED, stored_object
-from tactile_loc.store.files import write_atomically
+from tactile_loc.store.files import write_json
 from tactile_loc.store.store import StageStore
 
 SCHEMA_VERSION = 1
@@ -105,5 +104,4 @@ def identification_record(found: Identification, touches: list[str]) -> Identifi
 
 def write_identification(path: str | Path, record: IdentificationRecord) -> Path:
     """Write a record as JSON, atomically, and return the path. Raises OutputError when that is impossible."""
-    text = json.dumps(record.model_dump(mode="json"), indent=1) + "\n"
-    return write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return write_json(Path(path), record.model_dump(mode="json"))

@@ -133,10 +133,10 @@ class LiveLocator:
             touch = frame.touch(self.localizer.sensor, self.unit, self.press_depth_m)
             estimate = self._estimate(frame, touch)
         except NoContactError as error:
-            state, says = FrameState.NO_CONTACT, _sentence(error)
+            state, says = FrameState.NO_CONTACT, str(error)
             estimate = self._predicted(frame)
         except TactileLocError as error:
-            says = _sentence(error)
+            says = str(error)
             self.reasons[says] += 1
         state = state if estimate is None else estimate.state
         self.counts[state] += 1
@@ -182,10 +182,6 @@ def _told(estimate: Estimate | None) -> dict[str, Any]:
         "covariance": None if covariance is None else covariance.tolist(),
         "probability": float(estimate.probabilities[0]), "imprint_iou": None if np.isnan(iou) else float(iou),
     }  # fmt: skip
-
-
-def _sentence(error: TactileLocError) -> str:
-    return " ".join(str(error).split())
 
 
 @dataclass(frozen=True)

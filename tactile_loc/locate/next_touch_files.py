@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.next_touch import NextTouch, RatedApproach
 from tactile_loc.locate.pose_modes import PoseModes, distinct_modes, sharpness_of
 from tactile_loc.locate.result_files import NAME, read_arrays, read_record
-from tactile_loc.store.files import write_atomically
+from tactile_loc.store.files import write_json
 
 SCHEMA_VERSION = 1
 
@@ -112,8 +111,7 @@ def next_touch_record(found: NextTouch) -> NextTouchRecord:
 
 def write_next_touch(path: str | Path, record: NextTouchRecord) -> Path:
     """Write a record as JSON, atomically, and return the path. Raises OutputError when that is impossible."""
-    text = json.dumps(record.model_dump(mode="json"), indent=1) + "\n"
-    return write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return write_json(Path(path), record.model_dump(mode="json"))
 
 
 def _rated(rank: int, one: RatedApproach) -> RatedRecord:

@@ -124,9 +124,9 @@ class Replay:
         except RecordingError:
             raise
         except NoContactError as error:
-            return FrameRecord(**given, outcome=Outcome.NO_CONTACT, says=_sentence(error))
+            return FrameRecord(**given, outcome=Outcome.NO_CONTACT, says=str(error))
         except TactileLocError as error:
-            return FrameRecord(**given, outcome=Outcome.REFUSED, says=_sentence(error))
+            return FrameRecord(**given, outcome=Outcome.REFUSED, says=str(error))
 
     def _frame_of(self, image: Any) -> str:
         frame = self.frame or str(image.header.frame_id)
@@ -149,10 +149,6 @@ def _record(given: dict[str, Any], best: Hypothesis, T_base_frame: NDArray[np.fl
         **given, outcome=Outcome.LOCATED, T_frame_object=(T_base_frame @ best.T_sensor_object).tolist(),
         covariance=along, probability=best.probability, imprint_iou=best.imprint_iou,
     )  # fmt: skip
-
-
-def _sentence(error: TactileLocError) -> str:
-    return " ".join(str(error).split())
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -18,7 +17,7 @@ from tactile_loc.io.ros_messages import POSE, RosPose
 from tactile_loc.io.ros_types import pose_message
 from tactile_loc.locate.replay import Estimator, FrameRecord, Replay, ReplaySummary, require_located
 from tactile_loc.locate.replay_journal import Journal, journal
-from tactile_loc.store.files import write_atomically
+from tactile_loc.store.files import write_atomically, write_json
 
 log = logging.getLogger(__name__)
 
@@ -141,5 +140,4 @@ def write_summary(path: Path, replay: Replay, summary: ReplaySummary, records: S
     """Write what was replayed, how many frames came to what, and each of them, as JSON in SI units; return the path."""
     about = {"recording": str(replay.recording.path), "image_topic": replay.topic.name}
     frames = [record.model_dump(mode="json") for record in records]
-    text = json.dumps({**about, **asdict(summary), "poses": frames}, indent=1) + "\n"
-    return write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return write_json(path, {**about, **asdict(summary), "poses": frames})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,10 +10,10 @@ from typing import IO, Any
 
 from pydantic import ValidationError
 
-from tactile_loc.core.errors import OutputError
 from tactile_loc.locate.replay import FrameRecord, Outcome, Replay
 from tactile_loc.locate.result_json import resolved
 from tactile_loc.store.keys import StageKey
+from tactile_loc.store.line_files import open_locked
 
 VERSION = 1  # of what a frame comes to: raised when a replay would find another answer
 
@@ -49,16 +48,7 @@ def journal(path: Path, replay: Replay) -> Iterator[Journal]:
 
     Raises OutputError when it cannot be written, or another process is at work on it.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = path.open("a+b")
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written ({error.strerror}); choose another --out") from error
-    with file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise OutputError(f"another process is at work on {path}; wait for it, or choose another --out") from error
+    with open_locked(path) as file:
         file.seek(0)
         kept = Journal(file, replay_key(replay))
         try:

@@ -107,7 +107,7 @@ def _located(
         try:
             touches[path] = localizer.read_touch(path, localizer.config.touch.unit, press_depth_m)
         except TactileLocError as error:
-            problems[path] = " ".join(str(error).split())
+            problems[path] = str(error)
     found = dict(zip(touches, localizer.localize_many(list(touches.values())), strict=True))
     for path in files:
         if path in found:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import GridError, TouchError
-from tactile_loc.core.geometry import invert, is_rigid, rotation_angle
+from tactile_loc.core.geometry import covariance_along, invert, is_rigid, rotation_angle
 from tactile_loc.core.interfaces import View
 from tactile_loc.core.pose_filter import PoseFilter, SeenPose, motion_errors
 from tactile_loc.core.poses import PoseMetric
@@ -213,8 +213,8 @@ class Tracker:
             return _rigid(told, time_s), None
         if before is None or motion is None:
             return np.eye(4), None
-        turned = np.kron(np.eye(2), before[:3, :3])
-        return before @ _rigid(motion.T_previous_sensor, time_s), turned @ motion.covariance @ turned.T
+        T = before @ _rigid(motion.T_previous_sensor, time_s)
+        return T, covariance_along(motion.covariance, before[:3, :3])
 
     def _predicted(self, mode: _Mode, T: Floats, passed_s: float, added: Floats | None) -> _Mode:
         """A mode as predicted for a sensor at T (4, 4), `passed_s` seconds later."""

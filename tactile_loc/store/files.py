@@ -132,6 +132,12 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
     return path
 
 
+def write_json(path: Path, value: Any) -> Path:
+    """Write JSON values for people to read too, atomically, and return the path. Raises OutputError."""
+    text = json.dumps(value, indent=1) + "\n"
+    return write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
 def _beside(path: Path) -> Path:
     return path.with_name(f".tmp-{uuid.uuid4().hex}-{path.name}")
 

@@ -7,10 +7,26 @@ import json
 import os
 from pathlib import Path
 from types import TracebackType
+from typing import IO
 
 from tactile_loc.core.errors import OutputError
 
 LONGEST = 1_000_000  # bytes of a line
+
+
+def open_locked(path: Path) -> IO[bytes]:
+    """Open a file to read it and to add to it, alone. Raises OutputError when that is impossible."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("a+b")
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written ({error.strerror}); choose another --out") from error
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        file.close()
+        raise OutputError(f"another process is at work on {path}; wait for it, or choose another --out") from error
+    return file
 
 
 class JsonLines:
@@ -21,17 +37,8 @@ class JsonLines:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
-        except OSError as error:
-            raise OutputError(f"{path} cannot be written ({error.strerror}); choose another --out") from error
-        try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            os.close(self._descriptor)
-            raise OutputError(f"another process is at work on {path}; wait for it, or choose another --out") from error
+        self.path, self._file = path, open_locked(path)
+        self._descriptor = self._file.fileno()
         self._end_last_line()
 
     def __enter__(self) -> JsonLines:
@@ -40,7 +47,7 @@ class JsonLines:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        os.close(self._descriptor)
+        self._file.close()
 
     def append(self, line: str) -> None:
         """Add a value, as JSON without line breaks, all of it or nothing. Raises OutputError when the disk refuses."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.registry import SLOTS
-from tactile_loc.store.files import read_json, require_writable, write_atomically
+from tactile_loc.store.files import read_json, require_writable, write_atomically, write_json
 from tactile_loc.sweeps.combination import Combination, combine, in_running_order
 from tactile_loc.sweeps.plan import Plan, choice_labels, varying
 from tactile_loc.sweeps.table import Row, require_tables, rows_of, table_of
@@ -61,8 +60,7 @@ class FinishedRows:
             trace.unlink(missing_ok=True)
         values = {name: value for name, value in asdict(outcome).items() if name != "trace"}
         record = {**values, "object": combination.object, "configuration": combination.describe()}
-        text = json.dumps(record, indent=1) + "\n"
-        write_atomically(self._row(outcome.key), lambda path: path.write_text(text, encoding="utf-8"))
+        write_json(self._row(outcome.key), record)
 
     def _row(self, key: str) -> Path:
         return self.out / "rows" / f"{key}.json"

@@ -9,8 +9,7 @@ import pytest
 import trimesh
 
 from tactile_loc.core.clouds import contact_cloud
-from tactile_loc.core.contact import bring_to_contact
-from tactile_loc.core.curved_contact import upright_relief
+from tactile_loc.core.contact import bring_to_contact, upright_relief
 from tactile_loc.core.geometry import translation
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.registry import registry

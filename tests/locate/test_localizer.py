@@ -179,7 +179,8 @@ def test_metres_and_millimetres_give_the_same_poses(pin_files, store):
         for unit in ("m", "mm")
     )
     np.testing.assert_allclose(metres.model.grid.T_sensor_object, milli.model.grid.T_sensor_object, atol=1e-8)
-    (touch,) = metres.simulate(1, seed=2)
+    (touch,) = metres.simulate(1, seed=6)
+    assert touch.contact_shape.contact.mean() > 0.1, "a wide one: of a narrow one rounding decides the pin's turn"
     a, b = metres.localize(touch), milli.localize(touch)
     np.testing.assert_allclose(a.posterior.probabilities, b.posterior.probabilities, atol=1e-3)
     assert a.best.grid_index == b.best.grid_index

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -15,8 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tactile_loc_cli import options
-from tactile_loc_cli.commands.run import Zero
-from tactile_loc_cli.console import say
+from tactile_loc_cli.console import say, say_reasons
 
 if TYPE_CHECKING:
     from tactile_loc.io.frame_sources import FrameSource
@@ -29,7 +27,6 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 PORT = 8420
-SHOWN = 5  # reasons why frames were refused
 
 Source = Annotated[
     Path | None,
@@ -82,7 +79,7 @@ def live(
     touch_unit: options.TouchUnitOption = None,
     press_depth: options.PressDepth = None,
     sensor: options.Sensor = None,
-    zero: Zero = None,
+    zero: options.Zero = None,
     grid: options.Grid = None,
     renderer: options.Renderer = None,
     encoder: options.Encoder = None,
@@ -107,13 +104,11 @@ def live(
     from tactile_loc.locate.live import LiveLocator, LiveSummary
     from tactile_loc.locate.tracker import Tracker
 
-    if zero is not None:
-        option = [*(option or []), f"sensor.zero={json.dumps(str(zero))}"]
     settings = options.run_config(
         options.RunOptions(
             object=object, units=units, symmetry=symmetry, touch_unit=touch_unit, press_depth=press_depth,
             sensor=sensor, grid=grid, renderer=renderer, encoder=encoder, matcher=matcher, refiner=refiner,
-            option=option, config=config, seed=seed,
+            option=options.with_zero(option, zero), config=config, seed=seed,
         )
     )  # fmt: skip
     opened = open_source(source, camera, once)
@@ -219,7 +214,6 @@ def _say(summary: LiveSummary, about: str, written: Sequence[str]) -> None:
         f"{about}: {summary.frames} frames, {summary.located} located, {summary.no_contact} without contact, "
         f"{summary.refused} refused, {summary.dropped} dropped"
     )
-    for reason, count in summary.reasons[:SHOWN]:
-        say(f"refused {count}: {reason}")
+    say_reasons(summary.reasons)
     if written:
         say(f"written: {', '.join(written)}")

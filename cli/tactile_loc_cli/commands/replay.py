@@ -11,15 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tactile_loc_cli import options
-from tactile_loc_cli.console import say
+from tactile_loc_cli.console import say, say_reasons
 
 if TYPE_CHECKING:
     from tactile_loc.io.recordings import Contents
     from tactile_loc.locate.replay_files import Replayed
 
 logger = logging.getLogger(__name__)
-
-SHOWN = 5  # reasons why frames were refused
 
 RecordingFile = Annotated[
     Path,
@@ -146,10 +144,8 @@ def _say(found: Replayed, topic: str) -> None:
         f"{topic}: {summary.frames} images, {summary.located} located, {summary.no_contact} without contact, "
         f"{summary.refused} refused" + (f"; {found.resumed} of them were finished before" if found.resumed else "")
     )
-    for reason, count in summary.reasons[:SHOWN]:
-        say(f"refused {count}: {reason}")
-    if len(summary.reasons) > SHOWN:
-        say(f"and for {len(summary.reasons) - SHOWN} more reasons: see {found.written[1]}")
+    if more := say_reasons(summary.reasons):
+        say(f"and for {more} more reasons: see {found.written[1]}")
     if summary.jumps_back:
         logger.warning("the clock of %s goes back %d times; its images are located in their order all the same",
                        topic, summary.jumps_back)  # fmt: skip

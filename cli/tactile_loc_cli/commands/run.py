@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import time
 from pathlib import Path
@@ -34,10 +33,6 @@ Touch = Annotated[
         help="The touch: a contact shape (npz, npy, 16-bit png), an image; a folder or '*.png' for many, each for "
         "itself; a list (.toml) for several of one object, fused; by default simulated.",
     ),
-]
-Zero = Annotated[
-    Path | None,
-    typer.Option("--zero", metavar="IMAGE", help="A newer image of the calibrated sensor's untouched gel."),
 ]
 PriorFile = Annotated[
     Path | None, typer.Option("--prior", metavar="FILE", help="What is known of the pose before: a TOML file.")
@@ -73,7 +68,7 @@ def run(
     press_depth: options.PressDepth = None,
     noise: options.TouchNoise = None,
     sensor: options.Sensor = None,
-    zero: Zero = None,
+    zero: options.Zero = None,
     grid: options.Grid = None,
     renderer: options.Renderer = None,
     encoder: options.Encoder = None,
@@ -101,13 +96,11 @@ def run(
     from tactile_loc.locate.touch_files import is_folder
     from tactile_loc.store.files import require_writable
 
-    if zero is not None:
-        option = [*(option or []), f"sensor.zero={json.dumps(str(zero))}"]
     settings = options.run_config(
         options.RunOptions(
             object=object, units=units, symmetry=symmetry, touch=touch, touch_unit=touch_unit, press_depth=press_depth,
             noise=noise, sensor=sensor, grid=grid, renderer=renderer, encoder=encoder, matcher=matcher, refiner=refiner,
-            fuser=fuser, option=option, config=config, top=top, coverage=coverage, seed=seed,
+            fuser=fuser, option=options.with_zero(option, zero), config=config, top=top, coverage=coverage, seed=seed,
             drop_outliers=drop_outliers,
         )
     )  # fmt: skip

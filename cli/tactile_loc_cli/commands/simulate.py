@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -113,7 +112,7 @@ def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, A
     from tactile_loc.drawing.pictures import draw_touches, save_figure
     from tactile_loc.io.touches import write_touch
     from tactile_loc.locate.result_json import resolved
-    from tactile_loc.store.files import write_atomically
+    from tactile_loc.store.files import write_json
 
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -129,8 +128,7 @@ def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, A
         "configuration": resolved(localizer.config),
         "T_sensor_object": {t.name: t.T_sensor_object.tolist() for t in touches if t.T_sensor_object is not None},
     }
-    text = json.dumps(record, indent=1) + "\n"
-    write_atomically(out / "poses.json", lambda path: path.write_text(text, encoding="utf-8"))
+    write_json(out / "poses.json", record)
     name, sensor, noise = localizer.object.name, localizer.config.sensor.name, localizer.config.touch.noise
     title = f"{name} on {sensor}, simulated" + (f" with {noise} noise" if noise != "none" else "")
     save_figure(out / "touches.png", draw_touches(touches, title))

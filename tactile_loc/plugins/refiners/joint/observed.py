@@ -79,10 +79,11 @@ def _image_mm(touch: Seen) -> NDArray[np.float32]:
     contact = touch.shape.contact & geometry.observed_mask
     z_m = touch.shape.depth_m + geometry.full_penetration_m
     rows, columns = distance_transform_edt(~contact, return_distances=False, return_indices=True)[:, :-1, :-1]
-    gel_mm = np.where(geometry.observed_mask, _gel_mm(touch), np.nan)
+    gel_mm = _gel_mm(touch)
+    lowest_mm = _least_of_four(gel_mm) if gel_mm.ndim else gel_mm
     touched = _least_of_four(np.where(geometry.observed_mask, np.where(contact, z_m * MILLI, np.inf), np.nan))
     image = np.empty((*rows.shape, 4), np.float32)
-    image[..., 0] = np.where(np.isinf(touched), -_least_of_four(gel_mm), touched)
+    image[..., 0] = np.where(np.isinf(touched), -lowest_mm, touched)
     image[..., 1:] = (geometry.backproject(z_m) * MILLI)[rows, columns]
     return image
 
