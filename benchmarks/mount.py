@@ -94,7 +94,7 @@ def row(level: str, count: int, found: list[Example | str], outlier: bool) -> st
     good = [one for one in found if isinstance(one, Example)]
     start = f"| {level} | {count} | {len(found) - len(good)} of {len(found)} |"
     if not good:
-        return start + " - |" * (6 + outlier)
+        return start + " - |" * (5 + outlier)
     mm, deg, nees, left_out, named, seconds = np.array(good, float).T
     inside = float((nees < chi2.ppf(0.95, 6)).mean())
     last = f" {named.mean():.0%} |" if outlier else ""

@@ -1,18 +1,20 @@
 #!/usr/bin/env python3
-"""Results of benchmarks that can be compared over time.
+"""Results of benchmarks that can be compared over time, and that the documentation's figures come from.
 
 `keep NAME [ARGUMENT ...]` runs benchmarks/NAME.py, shows what it prints, and keeps its tables in
-benchmarks/results/VERSION/NAME.json with the machine, the versions, the date and the arguments; `--all` runs every
-benchmark as it is. Times of different machines, and of a busy one, are compared as multiples of a yardstick: a fixed
-piece of work, measured before and after. `compare` tells what changed since the latest earlier version that has
-results, and fails where a time grew or a speed fell by more than a tenth; `page` writes the documentation's page of
-what is kept, and its figure.
+benchmarks/results/VERSION/RUN.json with the machine, the versions, the date and the arguments. A run is called as its
+benchmark is, or as `--as RUN` says where one is kept with several arguments; without arguments those are taken that it
+was kept with before. Then the documentation's tables and computed figures are renewed, and what of its text is left to
+be looked over is told; `bind RUN` says that it has been. `--all` runs all that is kept, and every other benchmark as it
+is. Times of different machines, and of a busy one, are compared as multiples of a yardstick: a fixed piece of work,
+measured before and after. `compare` tells what changed since the latest earlier version that has results, and fails
+where a time grew or a speed fell by more than a tenth; `page` writes the documentation's page of what is kept, its
+figure, and all figures that come from what is kept.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 import platform
@@ -21,59 +23,25 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent
-BENCHMARKS, RESULTS = ROOT / "benchmarks", ROOT / "benchmarks" / "results"
+import figures
+from results import NUMBER, RESULTS, ROOT, Kept, Table, latest, tables, versions
+
+BENCHMARKS = ROOT / "benchmarks"
 PAGE, FIGURE = ROOT / "docs" / "results.md", ROOT / "docs" / "images" / "results.png"
 PACKAGES = ("numpy", "scipy", "numba", "torch", "open3d", "trimesh", "faiss-cpu")
 WORSE = 0.1  # of a time, by which it may grow
 CHANGED = 0.1  # of a figure, from which on a change is told
-NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 TIME = re.compile(r"(?<!/)\b(m?s|seconds|milliseconds)\b")
 RATE = re.compile(r"/s\b")
 RATIO = re.compile(r"^x \w")  # how many times as fast as something else of the same run
-
-
-@dataclass(frozen=True)
-class Table:
-    """A printed table: the names of its columns, and its rows of cells."""
-
-    columns: list[str]
-    rows: list[list[str]]
-
-
-@dataclass(frozen=True)
-class Kept:
-    """What a benchmark printed, where and when; `yardstick_ms` is the median time of the fixed piece of work."""
-
-    benchmark: str
-    arguments: list[str]
-    version: str
-    date: str
-    seconds: float
-    yardstick_ms: float
-    machine: dict[str, Any]
-    packages: dict[str, str]
-    tables: list[Table]
-
-    @classmethod
-    def read(cls, path: Path) -> Kept:
-        """Read one that was kept."""
-        values = json.loads(path.read_text())
-        return cls(**{**values, "tables": [Table(**table) for table in values["tables"]]})
-
-    def write(self, folder: Path) -> Path:
-        """Write it into the folder of its version; return the file."""
-        path = folder / self.version / f"{self.benchmark}.json"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(asdict(self), indent=1) + "\n")
-        return path
 
 
 @dataclass(frozen=True)
@@ -99,49 +67,45 @@ class Change:
         return self.wanted * math.log(max(self.ratio, 1e-9)) < -math.log(1 + WORSE)
 
 
-def tables(text: str) -> list[Table]:
-    """Return the Markdown tables of what a benchmark printed; a row without a first cell has that of the row above."""
-    found: list[Table] = []
-    before = ""
-    for line in text.splitlines():
-        cells = [cell.strip() for cell in line.strip().strip("|").split("|")] if line.strip().startswith("|") else []
-        is_rule = bool(cells) and all(re.fullmatch(r":?-+:?", cell) for cell in cells)
-        if cells and is_rule and before:
-            found.append(Table(before, []))
-        elif cells and found and before and len(cells) == len(found[-1].columns):
-            if not cells[0] and found[-1].rows:
-                cells[0] = found[-1].rows[-1][0]
-            found[-1].rows.append(cells)
-        before = cells
-    return found
-
-
 def compared(before: Kept, now: Kept) -> list[Change]:
-    """Return every figure that both have: of tables with the same columns, and rows with the same words."""
+    """Return every figure that both have: of tables with the same columns, and rows with the same words.
+
+    Times and speeds are left out where the yardstick of either is not known.
+    """
     earlier = {key: value for table in before.tables for key, value in _figures(table).items()}
+    yardsticks = (before.yardstick_ms, now.yardstick_ms)
     changes = []
     for table in now.tables:
         for (row, column, place), value in _figures(table).items():
-            if (row, column, place) in earlier:
-                power = 1 if RATE.search(column) else -1 if TIME.search(column) else 0  # of the yardstick
-                old, new = earlier[row, column, place] * before.yardstick_ms**power, value * now.yardstick_ms**power
-                where = f"{now.benchmark}: {row}, {column}"
+            power = 1 if RATE.search(column) else -1 if TIME.search(column) else 0  # of the yardstick
+            if (row, column, place) in earlier and (all(yardsticks) or not power):
+                old, new = ((y or 1.0) ** power for y in yardsticks)
+                old, new = old * earlier[row, column, place], new * value
+                where = f"{now.name}: {row}, {column}"
                 changes.append(Change(where, old, new, 1 if RATIO.search(column) else power))
     return changes
 
 
 def _figures(table: Table) -> dict[tuple[str, str, int], float]:
-    """The numbers of a table by the words of their row (and how many had the same before), column and place in it."""
+    """The numbers of a table by the words of their row, column (and how many had the same before), and place in it."""
     found: dict[tuple[str, str, int], float] = {}
-    alike: Counter[str] = Counter()
-    for cells in table.rows:
+    columns, alike = _told_apart(table.columns, Counter()), Counter[str]()
+    for cells in table.filled:
         words = ", ".join(cell for cell in cells if cell and not NUMBER.match(cell))
-        row = f"{words} {alike[words] + 1}" if alike[words] else words
-        alike[words] += 1
-        for column, cell in zip(table.columns, cells, strict=True):
+        (row,) = _told_apart([words], alike)
+        for column, cell in zip(columns, cells, strict=True):
             if NUMBER.match(cell):
                 for place, number in enumerate(NUMBER.findall(cell)):
                     found[row, column, place] = float(number)
+    return found
+
+
+def _told_apart(words: list[str], seen: Counter[str]) -> list[str]:
+    """The words, with a number where they were seen before."""
+    found = []
+    for one in words:
+        found.append(f"{one} {seen[one] + 1}" if seen[one] else one)
+        seen[one] += 1
     return found
 
 
@@ -160,14 +124,14 @@ def yardstick_ms() -> float:
     return median(taken)
 
 
-def machine() -> dict[str, Any]:
+def machine(environment: Mapping[str, str] = os.environ) -> dict[str, Any]:
     """Say what this runs on."""
     name = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists() and (found := re.search(r"model name\s*:\s*(.+)", info.read_text())):
         name = found[1]
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    threads = {name: os.environ[name] for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS") if name in os.environ}
+    threads = {name: environment[name] for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS") if name in environment}
     return {
         "processor": name,
         "cores": cores,
@@ -177,49 +141,67 @@ def machine() -> dict[str, Any]:
     }
 
 
-def keep(name: str, arguments: list[str], folder: Path = RESULTS) -> Kept:
-    """Run a benchmark, show what it prints, and keep its tables. Raises SystemExit when it fails."""
-    script = BENCHMARKS / f"{name}.py"
-    if not script.exists():
+def keep(name: str, arguments: list[str], folder: Path = RESULTS, run: str = "") -> Kept:
+    """Run a benchmark, show what it prints, and keep its tables as those of `run`, by default of its name.
+
+    Without arguments it gets those that the run was kept with. Raises SystemExit when it fails, or they are not known.
+    """
+    if not (script := BENCHMARKS / f"{name}.py").exists():
         raise SystemExit(f"bench: there is no benchmark {name}; there are {', '.join(names())}")
+    before = latest(folder).get(run or name)
+    arguments = arguments or (before.arguments if before else [])
+    if any(given.startswith(("FILE", "FOLDER")) for given in arguments):
+        raise SystemExit(f"bench: {run or name} was measured with files of one's own; name them: {' '.join(arguments)}")
+    if before and before.arguments != arguments:
+        print(f"bench: other arguments than those that {before.name} was kept with: {' '.join(before.arguments)}")
     first, start = yardstick_ms(), time.perf_counter()
+    environment = {**(_threads(before) if before else {}), **os.environ}
+    found = tables(_printed(script, arguments, environment))
+    if not found:
+        raise SystemExit(f"bench: {name} printed no table; nothing is kept")
+    kept = Kept(
+        name, [given.rpartition("/")[2] for given in arguments],
+        metadata.version("tactile-loc"), f"{datetime.now(UTC):%Y-%m-%d}", round(time.perf_counter() - start, 1),
+        round((first + yardstick_ms()) / 2, 2), machine(environment), packages(), found, run or name,
+    )  # fmt: skip
+    print(f"bench: kept in {kept.write(folder)}")
+    return kept
+
+
+def _threads(kept: Kept) -> dict[str, str]:
+    """How many threads a run was given, as variables of the environment."""
+    return {name: kept.machine[name] for name in sorted(kept.machine) if name.isupper()}
+
+
+def _printed(script: Path, arguments: list[str], environment: dict[str, str]) -> str:
+    """What a benchmark prints, shown while it does. Raises SystemExit when it fails."""
     process = subprocess.Popen(
         [sys.executable, str(script), *arguments], stdout=subprocess.PIPE, text=True, cwd=ROOT,
-        env={**os.environ, "COLUMNS": "200"},
+        env={**environment, "COLUMNS": "200"},
     )  # fmt: skip
     lines = []
     for line in process.stdout or []:
         print(line, end="", flush=True)
         lines.append(line)
     if process.wait():
-        raise SystemExit(f"bench: {name} failed with exit code {process.returncode}; nothing is kept")
-    found = tables("".join(lines))
-    if not found:
-        raise SystemExit(f"bench: {name} printed no table; nothing is kept")
-    packages = {}
+        raise SystemExit(f"bench: {script.stem} failed with exit code {process.returncode}; nothing is kept")
+    return "".join(lines)
+
+
+def packages() -> dict[str, str]:
+    """Return the versions of the packages that times and results depend on."""
+    found = {}
     for package in PACKAGES:
         try:
-            packages[package] = metadata.version(package)
+            found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             continue
-    kept = Kept(
-        name, [Path(given).name if Path(given).exists() else given for given in arguments],
-        metadata.version("tactile-loc"), f"{datetime.now(UTC):%Y-%m-%d}", round(time.perf_counter() - start, 1),
-        round((first + yardstick_ms()) / 2, 2), machine(), packages, found,
-    )  # fmt: skip
-    print(f"bench: kept in {kept.write(folder)}")
-    return kept
+    return found
 
 
 def names() -> list[str]:
     """Return the names of all benchmarks."""
     return sorted(path.stem for path in BENCHMARKS.glob("*.py"))
-
-
-def versions(folder: Path = RESULTS) -> list[str]:
-    """Return the versions that have results, the oldest first."""
-    found = [path.name for path in folder.glob("*") if path.is_dir()]
-    return sorted(found, key=lambda name: [int(part) for part in re.findall(r"\d+", name)])
 
 
 def compare(folder: Path = RESULTS) -> int:
@@ -244,29 +226,39 @@ def compare(folder: Path = RESULTS) -> int:
 
 
 def page(folder: Path = RESULTS) -> str:
-    """Return the page of what is kept of the newest version, in Markdown."""
-    known = versions(folder)
+    """Return the page of what is kept, in Markdown: every run, and the tables of those that were kept by `keep`."""
     parts = [
         "# Results over time\n",
-        "What the benchmarks printed, kept by `scripts/bench.py keep NAME`, a file a benchmark and version in\n"
+        "What the benchmarks printed, kept by `scripts/bench.py keep NAME`, a file a run and version in\n"
         "`benchmarks/results`. Times of different machines are compared as multiples of a yardstick, a fixed piece of\n"
         "work that is measured before and after; `make bench-compare` tells what changed since the version before,\n"
-        "and fails where a time grew, or a speed fell, by more than a tenth.\n",
+        "and fails where a time grew, or a speed fell, by more than a tenth. The tables of a run without a yardstick\n"
+        "were taken from the page that is named, where they are.\n",
     ]
-    if len(known) > 1:
+    if len(versions(folder)) > 1:
         parts.append("![Times by version, as multiples of the first version's](images/results.png)\n")
-    for path in sorted((folder / known[-1]).glob("*.json")) if known else []:
-        kept = Kept.read(path)
-        threads = ", ".join(f"{name}={kept.machine[name]}" for name in sorted(kept.machine) if name.isupper())
-        parts.append(
-            f"## {kept.benchmark}\n\n`python benchmarks/{' '.join([f'{kept.benchmark}.py', *kept.arguments])}`\n\n"
-            f"{kept.version}, {kept.date}, {kept.machine['processor']}, {kept.machine['cores']} cores"
-            f"{f' ({threads})' if threads else ''}; yardstick {kept.yardstick_ms:g} ms.\n"
-        )
-        for table in kept.tables:
-            rows = [table.columns, ["---"] * len(table.columns), *table.rows]
-            parts.append("\n".join(f"| {' | '.join(row)} |" for row in rows) + "\n")
+    runs = latest(folder)
+    rows = [
+        [name, f"`{command(kept)}`", kept.version, kept.date, str(kept.yardstick_ms or kept.source.partition(",")[0])]
+        for name, kept in runs.items()
+    ]
+    parts.append(Table(["run", "command", "version", "date", "yardstick, ms, or source"], rows).markdown())
+    for name, kept in runs.items():
+        if kept.yardstick_ms is not None:
+            parts.append(
+                f"## {name}\n\n`{command(kept)}`\n\n{kept.version}, {kept.date}, {kept.machine['processor']}, "
+                f"{kept.machine['cores']} cores; yardstick {kept.yardstick_ms:g} ms.\n"
+            )
+            parts += [table.markdown() for table in kept.tables]
     return "\n".join(parts)
+
+
+def command(kept: Kept) -> str:
+    """Return how a run is started: of a benchmark, or whatever else was measured."""
+    is_ours = (BENCHMARKS / f"{kept.benchmark}.py").exists()
+    threads = [f"{name}={value}" for name, value in _threads(kept).items()]
+    started = f"python benchmarks/{kept.benchmark}.py" if is_ours else kept.benchmark
+    return " ".join([*threads, started, *kept.arguments])
 
 
 def draw(path: Path, folder: Path = RESULTS) -> bool:
@@ -301,23 +293,52 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     kept = commands.add_parser("keep", help="run a benchmark and keep what it prints")
+    kept.add_argument("--as", dest="run", default="", help="what the run is called; by default as the benchmark")
+    kept.add_argument("--all", action="store_true", help="all that is kept, and every other benchmark")
     kept.add_argument("name", nargs="?")
     kept.add_argument("arguments", nargs=argparse.REMAINDER)
-    kept.add_argument("--all", action="store_true", help="every benchmark, without arguments")
     commands.add_parser("compare", help="tell what changed since the version before")
-    commands.add_parser("page", help="write the documentation's page and figure")
+    commands.add_parser("page", help="write the documentation's page, figure and figures")
+    bound = commands.add_parser("bind", help="say that the text about a run was looked over, and is true of it")
+    bound.add_argument("name")
     chosen = parser.parse_args()
+    failed = 0
     if chosen.command == "compare":
         return compare()
-    if chosen.command == "page":
-        PAGE.write_text(page())
-        draw(FIGURE)
-        return 0
-    if not (chosen.all or chosen.name):
+    if chosen.command == "bind":
+        figures.bind(chosen.name)
+    elif chosen.command == "keep" and chosen.all:
+        failed = keep_all()
+    elif chosen.command == "keep" and chosen.name:
+        benchmark = latest()[chosen.name].benchmark if chosen.name in latest() else chosen.name
+        keep(benchmark, chosen.arguments, run=chosen.run or chosen.name)
+    elif chosen.command == "keep":
         parser.error(f"name a benchmark, or say --all; there are {', '.join(names())}")
-    for name in names() if chosen.all else [chosen.name]:
-        keep(name, [] if chosen.all else chosen.arguments)
-    return 0
+    renew()
+    return 1 if failed else 0
+
+
+def keep_all() -> int:
+    """Keep every run of a benchmark anew, and every benchmark that has none; what fails is told, and how many did."""
+    runs = {name: kept.benchmark for name, kept in latest().items() if kept.benchmark in names()}
+    failed = 0
+    for run, name in {**runs, **{name: name for name in names() if name not in runs.values()}}.items():
+        try:
+            keep(name, [], run=run)
+        except SystemExit as error:
+            print(error)
+            failed += 1
+    return failed
+
+
+def renew() -> None:
+    """Write what comes of what is kept into the documentation, and tell what of it is to be looked over."""
+    PAGE.write_text(page(), encoding="utf-8")
+    draw(FIGURE)
+    for path in figures.renew():
+        print(f"bench: wrote {path}")
+    for problem in figures.problems():
+        print(f"bench: {problem}")
 
 
 if __name__ == "__main__":

@@ -27,8 +27,39 @@ def kept(version, yardstick_ms=10.0, text=PRINTED):
 def test_tables_are_found_in_what_is_printed():
     first, second = bench.tables(PRINTED)
     assert first.columns == ["object", "faces", "median, ms", "error, mm"]
-    assert first.rows[1] == ["pin", "1768", "60, 70", "12 of 15"]
+    assert first.rows[1] == ["", "1768", "60, 70", "12 of 15"]
+    assert first.filled[1] == ["pin", "1768", "60, 70", "12 of 15"]
+    assert first.numbers("median, ms", "pin") == [50]
+    assert first.column("error, mm") == [0.1, 12]
     assert second.rows == [["0 to 1 %", "59%"]]
+
+
+def test_a_row_has_as_many_cells_as_its_heading():
+    (table,) = bench.tables("| a | b |\n|---|---|\n| 1 | 2 | 3 |\n| 4 |\n")
+    assert table.rows == [["1", "2"], ["4", ""]]
+    assert table.markdown() == "| a | b |\n|---|---|\n| 1 | 2 |\n| 4 |  |\n"
+
+
+def test_tables_that_touch_are_two():
+    first, second = bench.tables("| a | b |\n|---|---|\n| 1 | 2 |\n| c | d |\n|---|---|\n| 3 | 4 |\n")
+    assert (first.rows, second.columns, second.rows) == ([["1", "2"]], ["c", "d"], [["3", "4"]])
+
+
+def test_lines_between_rows_do_not_end_a_table():
+    text = "| a |\n|---|\n| 1 |\n  1 touch: pin taken for hook\n| 2 |\n\n| b |\n|---|\n| 3 |\n"
+    assert [table.rows for table in bench.tables(text)] == [[["1"], ["2"]], [["3"]]]
+
+
+def test_columns_of_one_name_are_compared_each_with_its_own():
+    text = "| object | mean | mean |\n|---|---|---|\n| pin | 1.0 | 2.0 |\n"
+    changes = bench.compared(kept("1", text=text), kept("2", text=text.replace("1.0", "3.0")))
+    assert [(c.where, c.ratio) for c in changes] == [("joint: pin, mean", 3.0), ("joint: pin, mean 2", 1.0)]
+
+
+def test_times_are_not_compared_where_the_yardstick_is_not_known():
+    columns = {change.where for change in bench.compared(kept("1", None), kept("2"))}
+    assert "joint: pin, error, mm" in columns
+    assert not any("median, ms" in where for where in columns)
 
 
 def test_what_is_kept_is_read_again(tmp_path):
@@ -104,6 +135,14 @@ def test_a_benchmark_is_run_and_kept(tmp_path, monkeypatch, capsys):
     assert result.arguments == ["tiny.py"]  # no path of this machine
     assert result.yardstick_ms > 0
     assert bench.Kept.read(next((tmp_path / "results").glob("*/tiny.json"))) == result
+    monkeypatch.setattr(bench, "yardstick_ms", lambda: 10.0)
+    again = bench.keep("tiny", [], tmp_path / "results", run="tiny-again")
+    assert (again.name, again.arguments) == ("tiny-again", [])
+    assert bench.keep("tiny", [], tmp_path / "results").arguments == ["tiny.py"]  # as before
+    unknown = dataclasses.replace(again, arguments=["FILE[:UNITS]", "..."])
+    unknown.write(tmp_path / "results")
+    with pytest.raises(SystemExit, match="with files of one's own; name them: FILE"):
+        bench.keep("tiny", [], tmp_path / "results", run="tiny-again")
     with pytest.raises(SystemExit, match="nothing is kept"):
         bench.keep("tiny", ["a", "b"], tmp_path / "others")
     assert not (tmp_path / "others").exists()
