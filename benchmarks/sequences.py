@@ -10,9 +10,9 @@ truth.
 Errors are those of the object's centroid and of its rotation, modulo its symmetry: median and 95 % over all frames, and
 at the end. Time a frame is the median and the 99th percentile, wall clock, of the tracker where it did not search. *In
 95 %* is how often the truth is in the tracker's 95 % ellipsoid. A jump: the object lies elsewhere all at once, and the
-sensor's pose says nothing of it. Found is what is within 3 mm (root mean square over the surface): at once, of one
-frame alone, and of the tracker's first mode or any of its modes, later. `OMP_NUM_THREADS=1` keeps libraries from
-waiting for one another.
+sensor's pose says nothing of it; a slip: it slid by 4 mm along the gel and turned by 15 degrees. Found is what is
+within 3 mm (root mean square over the surface), 1.5 mm of a slip: at once, of one frame alone, and of the tracker's
+first mode or any of its modes, later. `OMP_NUM_THREADS=1` keeps libraries from waiting for one another.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.metrics import pose_differences
 from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.evaluation.sequences import Frame, SlidingTouches
+from tactile_loc.evaluation.sequences import Frame, SlidingTouches, Slip
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.tracker import TrackedPose, Tracker
 from tactile_loc.store.store import StageStore
@@ -47,6 +47,7 @@ SENSOR_STD_M, SENSOR_STD_RAD = 1e-4, np.radians(0.1)
 START_STD = np.array([1e-3] * 3 + [np.radians(1.0)] * 3) / np.sqrt(3)
 ALONE_EVERY = 10  # frames of which one is localised alone
 FOUND_M = 3e-3
+SLIP, SLIP_FOUND_M = Slip(4e-3, np.radians(15.0)), 1.5e-3
 BEFORE, SOON, LATE = 12, 3, 100  # frames before a jump, and after it
 CLOUD_POINTS = 1000
 
@@ -172,25 +173,27 @@ class Found(NamedTuple):
     seconds: float
 
 
-def jumps(localizer: Localizer, examples: int, seed: int) -> Found:
-    """After how many jumps the object is found again."""
+def jumps(localizer: Localizer, examples: int, seed: int, slip: Slip | None) -> Found:
+    """After how many jumps, or slips, the object is found again."""
+    near_m = SLIP_FOUND_M if slip else FOUND_M
     metric, searching, counts = PoseMetric(localizer.object), [], np.zeros(5, int)
     for number in range(examples):
         rng = np.random.default_rng([seed, 1, number])
-        frames = sliding(localizer).example(BEFORE + LATE + 1, rng, jump_at=BEFORE)
+        frames = sliding(localizer).example(BEFORE + LATE + 1, rng, BEFORE, slip)
         found, seconds = tracked(started(localizer, frames, rng), frames)
         searching += [s for one, s in zip(found, seconds, strict=True) if one.searched]
-        near = [is_near(metric, localizer.localize(frames[BEFORE].touch).best.T_sensor_object[None], frames[BEFORE])[0]]
+        alone = localizer.localize(frames[BEFORE].touch).best.T_sensor_object
+        near = [is_near(metric, alone[None], frames[BEFORE], near_m)[0]]
         for after in (SOON, LATE):
-            modes = is_near(metric, found[BEFORE + after].T_sensors_object, frames[BEFORE + after])
+            modes = is_near(metric, found[BEFORE + after].T_sensors_object, frames[BEFORE + after], near_m)
             near += [modes[0], modes.any()]
         counts += near
     return Found(*counts.tolist(), float(np.median(searching)) if searching else np.nan)
 
 
-def is_near(metric: PoseMetric, poses: np.ndarray, frame: Frame) -> np.ndarray:
-    """Whether poses (K, 4, 4) are near the true one."""
-    return metric.symmetric_distance(poses, np.stack([frame.T_sensor_object] * len(poses))) < FOUND_M
+def is_near(metric: PoseMetric, poses: np.ndarray, frame: Frame, near_m: float) -> np.ndarray:
+    """Whether poses (K, 4, 4) are within `near_m` metres of the true one."""
+    return metric.symmetric_distance(poses, np.stack([frame.T_sensor_object] * len(poses))) < near_m
 
 
 def main() -> None:
@@ -212,14 +215,15 @@ def main() -> None:
         localizer.localize(touch)  # builds the model
         tracked(Tracker(localizer), [Frame(0.0, touch, np.eye(4), np.eye(4))] * 2)  # compiles
         print("\n".join(slides(localizer, arguments.frames, arguments.seed)), flush=True)
-    print(
-        f"\n| object | jumps | one frame alone | {SOON} frames later | any mode | {LATE} frames later | any mode | "
-        "search, ms |\n|---|---|---|---|---|---|---|---|"
-    )
-    for localizer in localizers:
-        *counts, seconds = jumps(localizer, arguments.jumps, arguments.seed)
-        print(f"| {localizer.object.name} | {arguments.jumps} | {' | '.join(map(str, counts))} | {1e3 * seconds:.0f} |",
-              flush=True)  # fmt: skip
+    for slip in (None, SLIP):
+        print(
+            f"\n| object | {'slips' if slip else 'jumps'} | one frame alone | {SOON} frames later | any mode | "
+            f"{LATE} frames later | any mode | search, ms |\n|---|---|---|---|---|---|---|---|"
+        )
+        for localizer in localizers:
+            *counts, seconds = jumps(localizer, arguments.jumps, arguments.seed, slip)
+            print(f"| {localizer.object.name} | {arguments.jumps} | {' | '.join(map(str, counts))} | "
+                  f"{1e3 * seconds:.0f} |", flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":

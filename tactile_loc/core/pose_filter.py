@@ -22,6 +22,7 @@ from tactile_loc.core.hand_eye import UNIT, moved, pose_errors
 Floats = NDArray[np.float64]
 
 UNKNOWN = np.array([1.0] * 3 + [3.0] * 3)  # standard deviations, m and rad, of what nothing is known of
+FREEDOM = 4.0  # degrees of freedom of Student's t
 POSE, TOUCH, SENSOR = slice(0, 6), slice(6, 12), slice(12, 18)
 
 
@@ -84,17 +85,29 @@ class PoseFilter:
         kept = np.concatenate([np.ones(6), np.full(12, 1 - share)])
         P = kept[:, None] * self.covariance * kept
         fresh = 1 - (1 - share) ** 2
-        P[TOUCH, TOUCH] += fresh * _in_unit(seen.common)
         P[SENSOR, SENSOR] += fresh * _in_unit(seen.sensor)
         errors = (1 - share) * self.errors
         T = invert(seen.T_base_sensor) @ self.T_base_object
         H = _observed(seen.T_base_sensor, T, seen.at_m)
         e = pose_errors(seen.T_sensor_object, T) / UNIT - H[:, 6:] @ errors
-        S = H @ P @ H.T + _in_unit(seen.own)
+        known = H @ P @ H.T
+        doubt = _doubt(e, known + fresh * _in_unit(seen.common) + _in_unit(seen.own))
+        P[TOUCH, TOUCH] += doubt * fresh * _in_unit(seen.common)
+        own = doubt * _in_unit(seen.own)
+        S = H @ P @ H.T + own
         K = np.linalg.solve(S, H @ P).T
         kept_back = np.eye(18) - K @ H
-        P = kept_back @ P @ kept_back.T + K @ _in_unit(seen.own) @ K.T  # Joseph's form: stays positive
+        P = kept_back @ P @ kept_back.T + K @ own @ K.T  # Joseph's form: stays positive
         return PoseFilter(moved(self.T_base_object, UNIT * (K[POSE] @ e)), errors + K[6:] @ e, (P + P.T) / 2)
+
+
+def _doubt(e: Floats, S: Floats) -> float:
+    """By how much a touch's covariance is too small, at least 1.
+
+    Its error (6,), which should have the covariance S (6, 6), is taken for one of Student's t, whose tails are as heavy
+    as those of registrations that end in another valley.
+    """
+    return max(1.0, (FREEDOM + float(e @ np.linalg.solve(S, e))) / (FREEDOM + 6))
 
 
 def _observed(T_base_sensor: Floats, T_sensor_object: Floats, at_m: Floats) -> Floats:

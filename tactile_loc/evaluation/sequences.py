@@ -7,9 +7,10 @@ changing speeds and a smoothly changing press, and turns back where it would los
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,13 @@ class Frame:
     T_sensor_object: Floats
 
 
+class Slip(NamedTuple):
+    """How far an object slides along the gel, metres, and turns about the gel's middle, radians, all at once."""
+
+    shift_m: float
+    turn_rad: float
+
+
 @dataclass(frozen=True, eq=False)
 class SlidingTouches:
     """Draws sequences of touches of an object over which a sensor slides and turns.
@@ -61,15 +69,18 @@ class SlidingTouches:
     turn_rad_s: float = 0.25
     noise_s: float = 0.25
 
-    def example(self, count: int, rng: np.random.Generator, jump_at: int | None = None) -> list[Frame]:
+    def example(
+        self, count: int, rng: np.random.Generator, jump_at: int | None = None, slip: Slip | None = None
+    ) -> list[Frame]:
         """Return `count` frames; from frame `jump_at` on the object lies elsewhere, and nobody says so.
 
-        The base frame is the object's, before it jumps. Raises TouchError where hardly any start shows a touch.
+        It lies anywhere, or, given a `slip`, where that takes it. The base frame is the object's, before it jumps.
+        Raises TouchError where hardly any start, or slip, shows a touch.
         """
         errors = correlated_normal(count, 1 / (self.rate_hz * self.noise_s), 6, rng)
         frames: list[Frame] = []
         T_base_object = T_base_sensor = np.eye(4)
-        for k, (T_sensor_object, touch) in enumerate(self._path(count, rng, jump_at)):
+        for k, (T_sensor_object, touch) in enumerate(self._path(count, rng, jump_at, slip)):
             if k == jump_at:
                 T_base_object = T_base_sensor @ T_sensor_object  # the sensor is where it was
             T_base_sensor = T_base_object @ invert(T_sensor_object)
@@ -78,7 +89,9 @@ class SlidingTouches:
             frames.append(Frame(k / self.rate_hz, named, reported, T_sensor_object))
         return frames
 
-    def _path(self, count: int, rng: np.random.Generator, jump_at: int | None) -> Iterator[tuple[Poses, Touch | None]]:
+    def _path(
+        self, count: int, rng: np.random.Generator, jump_at: int | None, slip: Slip | None
+    ) -> Iterator[tuple[Poses, Touch | None]]:
         """Where the sensor sees the object while it slides, (4, 4), metres, and its touches."""
         dt_s = 1 / self.rate_hz
         speeds = smooth_random(count, dt_s, 5, rng) * ([self.speed_m_s] * 2 + [self.turn_rad_s] * 3)
@@ -88,7 +101,8 @@ class SlidingTouches:
         for k, (speed, press_m) in enumerate(zip(speeds, presses_m, strict=True)):
             gel = int(gels[int(k * dt_s / self.noise_s)])
             if k in (0, jump_at):
-                T, touch = self._started(press_m, gel, rng)
+                near = partial(self._slipped, T, slip, rng) if k and slip else partial(self.source.random_pose, rng)
+                T, touch = self._started(near, press_m, gel)
             else:
                 T, touch, direction = self._moved(T, direction, dt_s * speed, press_m, gel)
             yield _pressed(T, press_m), touch
@@ -99,14 +113,20 @@ class SlidingTouches:
         share = low + (high - low) * (0.5 + 0.5 * np.tanh(wandering))
         return np.asarray(self.source.geometry.max_depth_m * share)
 
-    def _started(self, press_m: float, gel: int, rng: np.random.Generator) -> tuple[Poses, Touch | None]:
+    def _started(self, random_pose: Callable[[], Poses | None], press_m: float, gel: int) -> tuple[Poses, Touch | None]:
         """A random pose that just touches, and its touch."""
         for _ in range(MOST_STARTS):
-            T = self.source.random_pose(rng)
+            T = random_pose()
             touch = None if T is None else self._touch(T, press_m, gel)
             if T is not None and isinstance(touch, Touch):
                 return T, touch
         raise TouchError(f"hardly any press of {self.source.object.name} shows a touch; press deeper")
+
+    def _slipped(self, T: Poses, slip: Slip, rng: np.random.Generator) -> Poses | None:
+        """A pose that just touches, as far from T (4, 4) as a slip is, in a random direction; None without contact."""
+        step = np.concatenate([slip.shift_m * _direction(2, rng), slip.turn_rad * _direction(3, rng)])
+        moved, touching = bring_to_contact(self.source.object.mesh, (self._step(step) @ T)[None], self.source.geometry)
+        return moved[0] if touching[0] else None
 
     def _moved(
         self, T: Poses, direction: float, step: Floats, press_m: float, gel: int
@@ -154,6 +174,11 @@ class SlidingTouches:
         middle = [k * slopes[i].mean() for slopes, i in zip(geometry.pixel_slopes, (columns, rows), strict=True)]
         x0, x1, y0, y1 = geometry.rectangle
         return float((2 * np.abs(np.subtract(middle, [(x0 + x1) / 2, (y0 + y1) / 2])) / [x1 - x0, y1 - y0]).max())
+
+
+def _direction(dimensions: int, rng: np.random.Generator) -> Floats:
+    found = rng.normal(size=dimensions)
+    return np.asarray(found / np.linalg.norm(found))
 
 
 def _pressed(T: Poses, press_m: float) -> Poses:

@@ -2,8 +2,9 @@
 
 A few poses of the object, its modes, are predicted by the sensor's motion and registered to each touch; prediction and
 touch are fused, so that what the touch does not show, such as how a bolt is turned, is held by the prediction. The
-touches of places that are apart, key touches, decide between modes. Where none is sure, or none explains the touch, the
-whole object is searched again, by the key touches together.
+touches of places that are apart, key touches, decide between modes. Where none explains the touch, poses nearby are
+tried, to which the object may have slipped; where that does not help, or no mode is sure, the whole object is searched
+again, by the key touches together.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.errors import GridError, TouchError
-from tactile_loc.core.geometry import covariance_along, invert, is_rigid, rotation_angle
+from tactile_loc.core.geometry import covariance_along, invert, is_rigid, make_transform, rotation_angle, translation
 from tactile_loc.core.interfaces import View
 from tactile_loc.core.pose_filter import PoseFilter, SeenPose, motion_errors
 from tactile_loc.core.poses import PoseMetric
@@ -42,6 +44,9 @@ FALL = 0.15  # imprint IoU: a touch that is explained so much worse than those b
 LEAST = 0.25  # imprint IoU: less explains nothing
 HABIT = 0.1  # of what a touch is explained: how far what is usual follows it
 STAYS = 8.0  # nats that speak for a tracked mode beside one that is found anew: objects seldom jump
+SLIPS = 4.0  # the same of a mode that slipped: they slip more often
+SLIP = np.array([2e-3] * 3 + [0.15] * 3)  # m and rad along and about each axis, as far as objects slip
+SLIPPED = 64  # poses that an object may have slipped to, which are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +67,8 @@ class TrackedPose:
     first explains the touch; NaN without a touch.
 
     `state`: "tracking" one mode is certain, "searching" none is yet, "lost" the first does not explain the touch, "no
-    contact" there is no touch, and poses are predicted. `searched`: the whole object was searched at this frame.
+    contact" there is no touch, and poses are predicted. `searched`: poses were searched for, nearby or of the whole
+    object, which takes longer than a frame that is followed.
     """
 
     time_s: float
@@ -155,11 +161,14 @@ class Tracker:
         """Follow the modes to a touch; search where they do not explain it, or are not certain of a new key touch."""
         is_key = not self._keys or self._motion_m(self._keys[-1].T_base_sensor, touch.T_base_sensor) > KEY_M
         self._modes = self._followed(touch, is_key)
+        slips = bool(self._modes) and self._contradicted(is_key)
+        slipped = slips and self._slip(touch, is_key)
         contradicted = not self._modes or self._contradicted(is_key)
         search = contradicted or (is_key and not self._is_certain and len(self._keys) < KEY_TOUCHES)
-        keys = [*self._keys, touch][-KEY_TOUCHES:] if is_key else self._keys
+        keys = [touch] if slipped else [*self._keys, touch][-KEY_TOUCHES:] if is_key else self._keys
         lost = search and self._search(touch, [touch] if contradicted else keys)
         self._keys = [touch] if contradicted and lost else keys
+        search = search or slips
         if not self._modes:
             return self._result("lost", 0.0, search)
         iou = self._modes[0].imprint_iou
@@ -259,7 +268,7 @@ class Tracker:
     def _contradicted(self, is_key: bool) -> bool:
         """Whether the likeliest mode explains a touch far worse than those before, or does not explain a key touch."""
         iou = self._modes[0].imprint_iou
-        return iou < self._usual - FALL or (is_key and iou < LEAST)
+        return iou < self._usual - min(FALL, self._usual / 2) or (is_key and iou < LEAST)
 
     def _distinct(self, modes: Sequence[_Mode]) -> list[_Mode]:
         """The likeliest modes, none of them near a likelier one or improbable beside it."""
@@ -272,6 +281,41 @@ class Tracker:
                 continue
             kept.append(mode)
         return kept[:MODES]
+
+    def _slip(self, touch: Touch, is_key: bool) -> bool:
+        """Look where the likeliest modes may have slipped to; return whether one of these poses is the pose now."""
+        view = View(touch, self.localizer.scene.of_touch(touch))
+        best = self._modes[0].evidence
+        slipped = self._slipped(view)
+        poses, covariances = self._first_refiner.followed([view], np.stack([m.T_sensor_object for m in slipped]))
+        T_base_sensor = np.asarray(touch.T_base_sensor)
+        T_base_gel = T_base_sensor @ translation(self._gel_m)
+        new = []
+        for mode, T, covariance in zip(slipped, poses, covariances, strict=True):
+            if covariance is not None:
+                creep = motion_errors(np.diag(SLIP**2), T_base_gel, mode.known.T_base_object)
+                known = mode.known.later(creep).touched(self._seen(touch, T, covariance), 1.0)
+                new.append(self._at(replace(mode, known=known, evidence=SLIPS), T_base_sensor))
+        before = self._modes
+        tracked = [replace(mode, evidence=STAYS + mode.evidence - best) for mode in before]
+        if self._decided(tracked, new, [touch]) and not self._contradicted(is_key):
+            return True
+        self._modes = before  # the touch is at fault, or the object is far away
+        return False
+
+    def _slipped(self, view: View) -> list[_Mode]:
+        """The two likeliest modes where they may have slipped to, registered roughly: distinct poses."""
+        rng = np.random.default_rng(SLIPPED)
+        modes = [self._modes[k] for k in np.arange(SLIPPED) % min(len(self._modes), 2)]
+        slips = rng.normal(size=(SLIPPED, 6)) * SLIP
+        R = Rotation.from_rotvec(slips[:, 3:]).as_matrix()
+        turned = make_transform(R, self._gel_m - R @ self._gel_m + slips[:, :3])
+        ends = self._first_refiner.settled([view], turned @ np.stack([mode.T_sensor_object for mode in modes]))
+        found = view.explained(ends, EXPLAINED_PX)
+        return self._distinct([
+            replace(mode, T_sensor_object=T, evidence=float(nats))
+            for mode, T, nats in zip(modes, ends, found.evidence, strict=True)
+        ])  # fmt: skip
 
     def _search(self, touch: Touch, keys: Sequence[Touch]) -> bool:
         """Search the whole object by key touches, and weigh what is found beside the modes that there are.
@@ -291,14 +335,18 @@ class Tracker:
         self._alike = 1.0
         best = max((mode.evidence for mode in self._modes), default=0.0)
         tracked = [replace(mode, evidence=STAYS + mode.evidence - best) for mode in self._modes]
-        tracked, new = (self._weighed(modes, keys) for modes in (tracked, new))
-        self._modes = self._distinct([*tracked, *new])
-        lost = not any(self._modes[0] is mode for mode in tracked)
+        lost = self._decided(tracked, new, keys)
         if not lost and len(keys) == 1:  # the touch is at fault, not the track
-            self._modes = self._distinct(tracked)
+            self._modes = self._distinct(self._weighed(tracked, keys))
         else:
             self._elsewhere = found.posterior.elsewhere
         return lost
+
+    def _decided(self, tracked: Sequence[_Mode], new: Sequence[_Mode], keys: Sequence[Touch]) -> bool:
+        """Weigh modes by key touches and keep the likeliest; return whether a new one is the likeliest of all."""
+        tracked, new = (self._weighed(modes, keys) for modes in (tracked, new))
+        self._modes = self._distinct([*tracked, *new])
+        return not any(self._modes[0] is mode for mode in tracked)
 
     def _weighed(self, modes: Sequence[_Mode], keys: Sequence[Touch]) -> list[_Mode]:
         """Modes with the evidence of all key touches added, and how well they explain the last one."""

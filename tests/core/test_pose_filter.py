@@ -111,6 +111,20 @@ def test_what_a_touch_says_nothing_of_stays_as_predicted():
     assert found[5, 5] == pytest.approx(STD[5] ** 2, rel=0.3)
 
 
+def test_a_touch_that_is_far_from_what_is_known_is_trusted_less():
+    """As by Student's t: what it says twenty deviations off counts less than what it says two off."""
+    rng = np.random.default_rng(6)
+    T_base_sensor, T_sensor_object = poses(2, rng)
+    known = PoseFilter.known(T_base_sensor @ T_sensor_object, np.diag(STD**2))
+    gain = []
+    for far in (0.5, 2.0, 20.0):
+        told = moved(T_sensor_object, far * STD)
+        T, _ = known.touched(seen_pose(T_base_sensor, told, np.diag(STD**2)), 1.0).seen_from(T_base_sensor, GEL)
+        gain.append(np.linalg.norm(pose_errors(T, T_sensor_object) / (far * STD)))
+    assert gain[0] == pytest.approx(gain[1], rel=0.05), "as expected: in full"
+    assert gain[2] < 0.1 * gain[1]
+
+
 def test_errors_are_as_large_as_the_covariance_says_though_they_are_correlated():
     """Touches whose errors are first-order autoregressive, by sensors whose poses are: NEES is chi-squared."""
     nees, share = [], 0.1

@@ -10,7 +10,7 @@ from tactile_loc.core.geometry import invert, rotation_angle
 from tactile_loc.core.noise import NOISE
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.evaluation.sequences import MOST_RISE_M, SlidingTouches, correlated_normal, smooth_random
+from tactile_loc.evaluation.sequences import MOST_RISE_M, SlidingTouches, Slip, correlated_normal, smooth_random
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 
 GEOMETRY = SensorGeometry("orthographic", 80, 60, 4000.0, 4000.0, 40.0, 30.0, 0.01, 1e-3)
@@ -53,6 +53,18 @@ def test_it_moves_smoothly_and_says_where_it_was(frames):
     shift_m = np.linalg.norm(step[:, :3, :3] @ gel + step[:, :3, 3] - gel, axis=1)
     assert 0 < shift_m[: JUMP - 1].max() < MOST_RISE_M + 5e-4
     assert shift_m[JUMP - 1] < 1e-12  # it is the object that jumps
+
+
+def test_a_slip_is_as_far_as_asked_for(box):
+    slip = Slip(2e-3, 0.1)
+    frames = SlidingTouches(source(box)).example(3, np.random.default_rng(4), jump_at=1, slip=slip)
+    before, after = (frames[k].T_sensor_object for k in (0, 1))
+    T = after @ invert(before)
+    gel = np.array([0.0, 0.0, GEOMETRY.standoff_m])
+    shift_m = T[:3, :3] @ gel + T[:3, 3] - gel
+    assert np.linalg.norm(shift_m[:2]) == pytest.approx(slip.shift_m, rel=0.1), "the press changes a little, too"
+    assert rotation_angle(T[:3, :3]) == pytest.approx(slip.turn_rad, rel=1e-6)
+    assert np.allclose(frames[0].T_base_sensor, frames[1].T_base_sensor), "the sensor stays where it is"
 
 
 def test_the_same_seed_is_the_same_sequence_and_noise_stays_on_the_gel(box):

@@ -112,6 +112,19 @@ def test_an_object_that_jumps_is_found_again_at_once(pin, sure):
     assert not tracker.update(0.04, after, np.eye(4)).searched
 
 
+def test_an_object_that_slips_is_found_nearby(pin, slide):
+    """No place elsewhere that would explain the touch as well is taken."""
+    source = RobotTouches(pin.object, pin.sensor.geometry, ZBufferRenderer())
+    tracker, frame = started(pin, slide), slide[0]
+    for k in range(3):
+        tracker.update(0.01 * k, frame.touch, frame.T_base_sensor)
+    slipped = translation([2e-3, 1e-3, 0.0]) @ frame.T_sensor_object
+    touch = source.shown(slipped, frame.touch.indentation_m, "slipped", np.random.default_rng(0))
+    found = tracker.update(0.03, touch, frame.T_base_sensor)
+    assert found.searched
+    assert off_mm(pin, found.T_sensor_object, slipped) < 1.0
+
+
 def test_without_contact_the_pose_is_predicted_exactly_and_becomes_less_sure(pin, slide):
     tracker = started(pin, slide)
     first = slide[0]
