@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 from cli_helpers import HANGS_S, command
+from tactile_loc_cli.main import app
 from test_startup import HEAVY, PROBE
+from typer.testing import CliRunner
 
 from tactile_loc.core.registry import SLOTS, registry
 from tactile_loc.data import DEMO_OBJECTS
@@ -28,7 +30,10 @@ def ask(line: list[str], **environment: str) -> str:
 def bash(words: str) -> set[str]:
     """What bash is offered for the last word of a line, which may be empty."""
     typed = {"COMP_WORDS": words, "COMP_CWORD": str(len(words.split(" ")) - 1)}
-    return set(ask(command(), **typed, _TACTILE_LOC_COMPLETE="complete_bash").split())
+    asked = {**typed, "_TACTILE_LOC_COMPLETE": "complete_bash"}
+    done = CliRunner().invoke(app, [], env=asked, prog_name="tactile-loc")
+    assert done.stderr == ""
+    return set(done.stdout.split())
 
 
 @pytest.mark.parametrize("slot", ["sensor", "renderer", "refiner"])
