@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,12 @@ import numpy as np
 from typer.testing import Result
 
 TINY = ["--grid", "face", "-o", "grid.spacing_mm=8"]  # a grid of a few hundred poses
+FLAT_SENSOR = """\
+camera = "orthographic"
+image_size_px = [80, 80]
+max_depth_mm = 2.0
+mm_per_px = 0.35
+"""
 NO_CONTACT_M = 0.002
 HANGS_S = 1800  # a process that takes longer than this hangs: no test is about speed, and machines may be busy
 
@@ -19,6 +26,12 @@ Cli = Callable[..., Result]
 def command(*words: object) -> list[str]:
     """The command line of a process of its own."""
     return [sys.executable, "-m", "tactile_loc_cli.main", *map(str, words)]
+
+
+def hear_ctrl_c() -> None:
+    """What a process that is to be interrupted does first, as in a terminal: a shell's background jobs, and what they
+    start, tests among them, would ignore Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def assert_one_error(stderr: str, code: int, *mentioned: str) -> None:

@@ -9,8 +9,28 @@ from pathlib import Path
 
 import pytest
 from cli_helpers import HANGS_S, Cli, command
+from matplotlib.figure import Figure
+from PIL import Image
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
+
+
+def blank(figure: Figure, path: Path, dpi: int, **_: object) -> None:
+    """Write a white picture of a figure's size in its place."""
+    width_px, height_px = (int(dpi * inches) for inches in figure.get_size_inches())
+    Image.new("L", (width_px, height_px), 255).save(path)
+
+
+@pytest.fixture
+def drawn_pictures() -> None:
+    """Asked for by tests that look at what a command in this process draws."""
+
+
+@pytest.fixture(autouse=True)
+def blank_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """White pictures for all other tests: a command that finds its model in the store draws longer than it locates."""
+    if "drawn_pictures" not in request.fixturenames:
+        monkeypatch.setattr(Figure, "savefig", blank)
 
 
 @pytest.fixture(scope="session")

@@ -65,6 +65,7 @@ def add_m(found: list, true: list) -> float:
     return float(np.linalg.norm(corners @ R.T + t, axis=1).mean())
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_a_photo_is_located_by_a_sensor_that_was_calibrated_from_photos(cli, presses):
     done = cli("calibrate", presses, *STEPS, "--out", "mine")
     assert done.exit_code == 0, done.stderr

@@ -37,6 +37,7 @@ def calibrate(cli):
 
 
 @pytest.mark.parametrize("estimator", TINY)
+@pytest.mark.usefixtures("drawn_pictures")
 def test_it_is_calibrated_on_boards_under_the_lamps_asked_for(calibrate, estimator):
     done = calibrate("--sensor", "sensor.toml", "--optics", "digit", *TINY[estimator], "--out", "out")
     assert done.exit_code == 0, done.stderr

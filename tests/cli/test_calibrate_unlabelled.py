@@ -39,6 +39,7 @@ def table(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_photos_alone_become_a_sensor_and_a_table_that_can_be_corrected(cli, photos):
     write_image(photos / "two.png", np.maximum(BALLS.images[0], BALLS.images[0][::-1, ::-1]))
     done = cli("calibrate", photos, *BALL, *SCALE, *FEW, "--out", "mine", "--json")

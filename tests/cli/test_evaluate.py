@@ -6,7 +6,7 @@ import csv
 import json
 
 import pytest
-from cli_helpers import TINY, assert_refused, write_box
+from cli_helpers import FLAT_SENSOR, TINY, assert_refused, write_box
 from PIL import Image
 
 from tactile_loc.data import DEMO_OBJECTS
@@ -15,6 +15,7 @@ from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 FEW = ["--count", 3, "--refiner", "none", *TINY]
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_several_objects_are_evaluated_and_written(cli, tmp_path):
     done = cli("evaluate", "--object", "pin", "--object", "head", "--seed", 2, *FEW)
     assert done.exit_code == 0, done.stderr
@@ -46,9 +47,7 @@ def test_several_objects_are_evaluated_and_written(cli, tmp_path):
 
 
 def test_images_are_read_by_a_sensor_calibrated_on_simulated_ones(cli, tmp_path):
-    (tmp_path / "sensor.toml").write_text(
-        'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
-    )
+    (tmp_path / "sensor.toml").write_text(FLAT_SENSOR)
     learn = ["--estimator", "photometric", "--presses", 20, "-o", "steps=200"]
     made = cli("calibrate", "--simulated", "--sensor", "sensor.toml", *learn, "--out", "mine")
     assert made.exit_code == 0, made.stderr

@@ -14,6 +14,7 @@ from tactile_loc_cli.commands.evaluate import parse_contacts
 FEW = ["--count", 3, "--refiner", "none", *TINY]
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_objects_are_evaluated_by_number_of_contacts_and_written(cli, tmp_path):
     done = cli("evaluate", "--contacts", "1..3", "--object", "pin", "--object", "head", "--seed", 2, *FEW)
     assert done.exit_code == 0, done.stderr

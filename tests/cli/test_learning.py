@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from pathlib import Path
 
 import pytest
-from cli_helpers import TINY, assert_refused
-from matplotlib.figure import Figure
+from cli_helpers import FLAT_SENSOR, TINY, assert_refused
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
@@ -18,36 +18,33 @@ from tactile_loc.store.store import StageStore  # noqa: E402
 
 OPTIONS = ("epochs=2", "queries=64", "batch=32", "channels=4")
 MOCO = ["--encoder", "moco", *(word for option in OPTIONS for word in ("-o", f"encoder.{option}"))]
-PIXEL = ["--object", "pin", *TINY]
+PIXEL = ["--object", "pin", *TINY, "--sensor", "flat.toml"]
 PIN = [*PIXEL, *MOCO]
 EVALUATE = ["evaluate", *PIN, "--encoder", "pixel", "--refiner", "none", "--count", 2]
 
 
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A store that holds all that needs no learning."""
-    store = tmp_path_factory.mktemp("prepared") / "store"
-    done = CliRunner().invoke(app, [*map(str, ["build", *PIXEL, "--store", store])])
+    """A folder with a sensor of few pixels, and a store that holds all that needs no learning."""
+    folder = tmp_path_factory.mktemp("prepared")
+    (folder / "flat.toml").write_text(FLAT_SENSOR)
+    with contextlib.chdir(folder):
+        done = CliRunner().invoke(app, ["build", *PIXEL, "--store", "store"])
     assert done.exit_code == 0, done.stderr
-    return store
+    return folder
 
 
 @pytest.fixture(autouse=True)
 def stores(prepared: Path, cli) -> None:
-    """Copies of it, one for each test's needs."""
+    """Copies of it, one for each test's needs, and the file of the sensor."""
+    shutil.copy(prepared / "flat.toml", ".")
     for name in ("whole", "again", "stopped", "fresh"):
-        shutil.copytree(prepared, name)
+        shutil.copytree(prepared / "store", name)
 
 
 @pytest.fixture(autouse=True)
 def few_touches_to_validate_with(monkeypatch):
     monkeypatch.setattr(training, "VALIDATION_TOUCHES", 32)
-
-
-@pytest.fixture
-def no_pictures(monkeypatch):
-    """Do not spend time on drawing what nobody looks at."""
-    monkeypatch.setattr(Figure, "savefig", lambda self, path, **_: Path(path).touch())
 
 
 def table(cli, folder: str) -> str:
@@ -56,7 +53,6 @@ def table(cli, folder: str) -> str:
     return (Path(f"out-{folder}") / "results.csv").read_text()
 
 
-@pytest.mark.usefixtures("no_pictures")
 def test_the_same_seed_gives_the_same_table_though_training_was_interrupted(cli, monkeypatch):
     whole = table(cli, "whole")
     assert {line.split(",")[1] for line in whole.splitlines()[1:]} == {"moco", "pixel"}
@@ -98,7 +94,7 @@ def test_a_gpu_that_is_not_there(cli, monkeypatch):
 
 
 def test_a_grid_too_large_for_memory(cli, monkeypatch):
-    monkeypatch.setattr(encoder, "_available_bytes", lambda: 10**6)
+    monkeypatch.setattr(encoder, "_available_bytes", lambda: 10**5)
     assert_refused(build(cli), "GiB", "encoder.negatives", "grid.spacing_mm")
 
 

@@ -17,7 +17,7 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
-from cli_helpers import HANGS_S, TINY, assert_refused, command
+from cli_helpers import HANGS_S, TINY, assert_refused, command, hear_ctrl_c
 
 from tactile_loc.io import frame_sources
 
@@ -109,7 +109,13 @@ def going(touches, tmp_path, store) -> Iterator[Callable[..., subprocess.Popen[s
         variables = {**os.environ, "TACTILE_LOC_STORE": str(store)}
         started.append(
             subprocess.Popen(
-                line, cwd=tmp_path, env=variables, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+                line,
+                cwd=tmp_path,
+                env=variables,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                preexec_fn=hear_ctrl_c,
             )
         )
         return started[-1]

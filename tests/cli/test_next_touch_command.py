@@ -31,6 +31,7 @@ def motion(x_mm: float, yaw_deg: float = 0.0) -> np.ndarray:
     return make_transform(rotation_about([0, 0, 1], np.radians(yaw_deg)), [1e-3 * x_mm, 0.0, -0.05])
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_approaches_to_a_result_are_ranked_and_drawn(cli, result):
     poses = listed("poses.toml", motion(0), motion(4, 90), motion(500))
     done = cli("next-touch", result, "--candidates", poses, "--out", "out", "--json")

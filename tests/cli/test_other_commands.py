@@ -66,6 +66,7 @@ def test_run_uses_what_build_built(cli, tmp_path):
     assert sorted((tmp_path / "store").rglob("*.np[yz]")) == before
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_simulate_writes_touches_that_run_reads(cli):
     done = cli("simulate", "--count", 3, "--press-depth", 1.5, "--seed", 4, "--out", "out")
     assert done.exit_code == 0, done.stderr

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import HANGS_S, TINY, assert_one_error, assert_refused
+from cli_helpers import HANGS_S, TINY, assert_one_error, assert_refused, hear_ctrl_c
 
 # `tactile-loc build` in small shards, which stops at a point that it names and goes on when it is told to
 BUILD = """
@@ -39,11 +39,11 @@ main()
 
 
 def start(tmp_path: Path, store: Path, stop: str = "nowhere") -> subprocess.Popen[str]:
-    """Start a build as in a terminal: a shell's background jobs, these tests among them, would ignore Ctrl-C."""
+    """Start a build as in a terminal."""
     return subprocess.Popen(
-        [sys.executable, "-c", BUILD, stop, "build", *TINY], cwd=tmp_path, text=True, stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, env={**os.environ, "TACTILE_LOC_STORE": str(store)},
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        [sys.executable, "-c", BUILD, stop, "build", *TINY], cwd=tmp_path, text=True,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=hear_ctrl_c,
+        env={**os.environ, "TACTILE_LOC_STORE": str(store)},
     )  # fmt: skip
 
 

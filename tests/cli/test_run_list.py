@@ -45,6 +45,7 @@ def prior(kind: str = "gaussian", **keys: object) -> Path:
     return Path("prior.toml")
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_several_touches_are_fused(cli, listed):
     done = cli("run", *OBJECT, "--touch", "touches.toml", "--out", "both")
     assert done.exit_code == 0, done.stderr

@@ -11,13 +11,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from cli_helpers import assert_refused, command, write_box
+from cli_helpers import FLAT_SENSOR, assert_refused, command, hear_ctrl_c, write_box
 
 psutil = pytest.importorskip("psutil")  # distributed brings it
 pytest.importorskip("pandas")
 pytest.importorskip("pyarrow")
 
-SENSOR = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
 PLAN = """\
 sensor = "flat.toml"
 object = ["pin", "head"]
@@ -33,14 +32,15 @@ FILES = {"sweep.csv", "sweep.md", "sweep.json", "sweep.parquet", "error-time.png
 @pytest.fixture
 def plan(tmp_path: Path) -> Path:
     """The file of a plan, in the folder where commands run."""
-    (tmp_path / "flat.toml").write_text(SENSOR)
+    (tmp_path / "flat.toml").write_text(FLAT_SENSOR)
     path = tmp_path / "sweep.toml"
     path.write_text(PLAN)
     return path
 
 
+@pytest.mark.usefixtures("drawn_pictures")
 def test_a_plan_is_swept_and_written_and_not_done_again(cli, plan, tmp_path):
-    done = cli("sweep", "sweep.toml", "--workers", 2, "--json")
+    done = cli("sweep", "sweep.toml", "--workers", 1, "--json")
     assert done.exit_code == 0, done.stderr
     report = json.loads(done.stdout)
     assert (report["combinations"], report["evaluated"], report["failed"]) == (4, 4, 0)
@@ -168,12 +168,12 @@ EIGHT = ["sweep", "sweep.toml", "--encoder", "pixel", "-o", "encoder.cells=9,12"
 
 
 def start(tmp_path: Path, store: Path) -> subprocess.Popen[str]:
-    """Start a sweep as in a terminal: a shell's background jobs, these tests among them, would ignore Ctrl-C."""
+    """Start a sweep as in a terminal."""
     line = command(*EIGHT, "--workers", "2")
     return subprocess.Popen(
         line, cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         env={**os.environ, "TACTILE_LOC_STORE": str(store)},
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL), start_new_session=True,
+        preexec_fn=hear_ctrl_c, start_new_session=True,
     )  # fmt: skip
 
 
