@@ -65,6 +65,14 @@ def shipped_touches() -> Iterator[int]:
 
 
 @pytest.fixture(autouse=True, scope="session")
+def unhurried_disk() -> Iterator[None]:
+    """No test pulls the plug: none waits until the disk has what it wrote."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda descriptor: None)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
 def small_pictures() -> Iterator[None]:
     """Pictures of few pixels, their panels left where they are: most tests only ask whether there is one."""
     from matplotlib.layout_engine import ConstrainedLayoutEngine

@@ -30,6 +30,7 @@ from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.locate.live import LiveLocator
+from tactile_loc.store.store import StageStore
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -49,17 +50,18 @@ READERS = {  # by how the file begins
     "[[touch]]": lambda path: read_touch_list(path, of_flange="T_base_flange" in path.read_text()),
     "mount": read_touch_list,
 }
+SURE = ["-o", "temperature=0.05"]  # none is to be fitted
 COARSE = ["--grid", "face", "-o", "grid.spacing_mm=10"]
 SEARCHED = {"grid": {"name": "whole", "directions": 300}, "temperature": 0.05}  # of pages on whole objects
 TINY_TRAINING = [word for o in ("epochs=1", "queries=32", "batch=16", "backbone=small", "channels=4")
                  for word in ("-o", f"encoder.{o}")]  # fmt: skip
 CHEAPER = {
-    "run": COARSE,
-    "build": COARSE,
+    "run": [*COARSE, *SURE],
+    "build": [*COARSE, *SURE],
     "simulate": [*COARSE, "--count", "2"],
-    "evaluate": [*COARSE, "--count", "2"],
+    "evaluate": [*COARSE, *SURE, "--count", "2"],
     "calibrate": ["-o", "steps=20", "-o", "hidden=4"],
-    "mount": ["-o", "temperature=0.001"],
+    "mount": ["-o", "temperature=0.001", "-o", "grid.directions=300"],
     "replay": [*COARSE, "-o", "temperature=0.001"],
     "identify": ["-o", "temperature=0.05", "-o", "grid.directions=300"],
     "live": [*COARSE, "-o", "temperature=0.001", "--port", "0"],
@@ -96,12 +98,13 @@ def test_the_table_of_presses_is_read():
     assert [row["kind"] for row in rows] == ["background", "ball", "ball"]
 
 
-def mounted(folder: Path) -> None:
+def mounted(folder: Path, store: StageStore) -> None:
     """Write a mount, and a list of touches by a sensor so mounted, of a part that stands at the base's origin."""
     X = make_transform(rotation_about([1, 2, 0], 1.0), [0.02, -0.03, 0.1])
     write_mount(folder / "mount" / "mount.toml", MountRecord(T_flange_sensor=X.tolist()))
     lines = []
-    for touch in Localizer.create(folder / "part.stl", units="mm", sensor="gelsight-mini").simulate(8, seed=5):
+    localizer = Localizer.create(folder / "part.stl", units="mm", sensor="gelsight-mini", store=store)
+    for touch in localizer.simulate(8, seed=5):
         write_touch(folder / f"{touch.name}.npz", touch)
         T_base_flange = np.linalg.inv(X @ touch.T_sensor_object)
         lines.append(f'[[touch]]\npath = "{touch.name}.npz"\nT_base_flange = {T_base_flange.tolist()}\n')
@@ -120,7 +123,7 @@ def furnished(tmp_path_factory, store) -> Path:
         write_touch(folder / f"{name}.npz", touch)
     write_touch(folder / "touch.npz", localizer.simulate(1, seed=3)[0])
     (folder / "touches.toml").write_text('[[touch]]\npath = "first.npz"\n\n[[touch]]\npath = "second.npz"\n')
-    mounted(folder)
+    mounted(folder, store)
     (folder / "touches").mkdir()
     write_touch(folder / "touches" / "0.npz", touches[0])
     (frame,) = ImageFolder(folder / "touches", every=True).frames()
