@@ -13,7 +13,7 @@ from press_sets import BALL_M, ball_indentation, gel_under, sensor, write_image
 
 from tactile_loc.calibration.frames import Frame, choose_frames, read_frames, take_frames
 from tactile_loc.calibration.presses import read_presses
-from tactile_loc.calibration.unlabelled import find_presses, write_labels
+from tactile_loc.calibration.unlabelled import FoundPresses, find_presses, write_labels
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.drawing.labels import draw_labels
 from tactile_loc.imaging.optics import OPTICS
@@ -40,10 +40,23 @@ def frames(*more: np.ndarray, untouched: int = 1) -> list[Frame]:
     return [Frame(f"{n:02d}.png", image) for n, image in enumerate(images)]
 
 
-def why_dropped(image: np.ndarray) -> str:
-    found = find_presses(frames(image), 1e3 * BALL_M / MM_PER_PX)
-    assert len(found.used) == len(PRESSES)
-    return found.presses[-1].dropped
+BAD = {  # by the reason for which they are dropped
+    "two balls": pressed((-4e-3, -2e-3), (4e-3, 2e-3)),
+    "cut off at the border": pressed((7.4e-3, 0.0)),
+    "over-exposed": np.clip(GEL + 8 * (PRESSES[1].astype(int) - GEL), 0, 255).astype(np.uint8),
+}
+
+
+@pytest.fixture(scope="module")
+def with_bad_ones() -> FoundPresses:
+    """What is found among the presses, the untouched gel and the bad images."""
+    return find_presses(frames(*BAD.values()), 1e3 * BALL_M / MM_PER_PX)
+
+
+@pytest.fixture(scope="module")
+def never_untouched() -> FoundPresses:
+    """What is found where no image shows the gel untouched."""
+    return find_presses(frames(untouched=0))
 
 
 def test_the_untouched_gel_and_every_ball_are_found():
@@ -55,8 +68,8 @@ def test_the_untouched_gel_and_every_ball_are_found():
     np.testing.assert_allclose(centres, 40 + 1e3 * PLACES / MM_PER_PX, atol=0.6)
 
 
-def test_a_gel_that_no_image_shows_untouched_is_pieced_together():
-    found = find_presses(frames(untouched=0))
+def test_a_gel_that_no_image_shows_untouched_is_pieced_together(never_untouched):
+    found = never_untouched
     assert found.untouched_names == ()
     assert len(found.used) == len(PRESSES)
     assert np.abs(found.untouched.astype(int) - GEL).mean() < 2
@@ -64,23 +77,18 @@ def test_a_gel_that_no_image_shows_untouched_is_pieced_together():
     np.testing.assert_allclose(centres, 40 + 1e3 * PLACES / MM_PER_PX, atol=1.0)
 
 
-@pytest.mark.parametrize(
-    ("image", "reason"),
-    [
-        (pressed((-4e-3, -2e-3), (4e-3, 2e-3)), "two balls"),
-        (pressed((7.4e-3, 0.0)), "cut off at the border"),
-        (np.clip(GEL + 8 * (PRESSES[1].astype(int) - GEL), 0, 255).astype(np.uint8), "over-exposed"),
-    ],
-    ids=["two", "border", "exposed"],
-)
-def test_bad_images_are_dropped_with_the_reason(image, reason):
-    assert why_dropped(image) == reason
+def test_bad_images_are_dropped_with_the_reason(with_bad_ones):
+    assert [press.dropped for press in with_bad_ones.presses[-len(BAD) :]] == list(BAD)
+    assert len(with_bad_ones.used) == len(PRESSES)
 
 
 def test_a_hand_on_the_gel_is_no_ball():
     y, x = np.mgrid[:80, :80]
     shade = 40 * (x > 30) * (y > 20 + x / 4)
-    assert why_dropped(np.clip(GEL + shade[..., None], 0, 255).astype(np.uint8))
+    hand = np.clip(GEL + shade[..., None], 0, 255).astype(np.uint8)
+    found = find_presses(frames(hand), 1e3 * BALL_M / MM_PER_PX)
+    assert len(found.used) == len(PRESSES)
+    assert found.presses[-1].dropped
 
 
 def textured(shift: int) -> np.ndarray:
@@ -91,17 +99,16 @@ def textured(shift: int) -> np.ndarray:
     return dots[10:90, 10 + shift : 90 + shift]
 
 
-@pytest.mark.parametrize("shift", [2, 6])
-def test_a_camera_that_moved_is_seen_by_the_gels_texture(shift):
+def test_a_camera_that_moved_is_seen_by_the_gels_texture():
     def photo(image, by=0):
         return np.clip(image + textured(by), 0, 255).astype(np.uint8)
 
     still = [Frame(f"{n}.png", photo(image)) for n, image in enumerate([*PRESSES, GEL])]
-    moved = Frame("moved.png", photo(PRESSES[0], shift))
-    found = find_presses([*still, moved])
-    assert found.presses[-1].dropped.startswith("camera moved by")
+    moved = [Frame(f"moved by {shift}.png", photo(PRESSES[0], shift)) for shift in (2, 6)]
+    found = find_presses([*still, *moved])
+    assert all(press.dropped.startswith("camera moved by") for press in found.presses[-len(moved) :])
     assert len(found.used) == len(PRESSES)
-    most = [Frame(f"{n}.png", photo(image, shift + n)) for n, image in enumerate(PRESSES)]
+    most = [Frame(f"{n}.png", photo(image, 2 + n)) for n, image in enumerate(PRESSES)]
     with pytest.raises(CalibrationError, match="the camera or the gel moved in"):
         find_presses([Frame("gel.png", photo(GEL)), Frame("gel2.png", photo(GEL)), *most])
 
@@ -124,11 +131,10 @@ def test_two_images_are_too_few():
         find_presses(frames()[:2])
 
 
-def test_the_table_is_read_as_one_written_by_hand_and_is_never_overwritten(tmp_path):
-    given = frames(pressed((-4e-3, -2e-3), (4e-3, 2e-3)))
-    for frame in given:
+def test_the_table_is_read_as_one_written_by_hand_and_is_never_overwritten(with_bad_ones, tmp_path):
+    found = with_bad_ones
+    for frame in frames(*BAD.values()):
         write_image(tmp_path / frame.name, frame.image)
-    found = find_presses(given)
     write_labels(tmp_path, found, 1e3 * BALL_M, MM_PER_PX)
     presses = read_presses(tmp_path, GEOMETRY)
     assert len(presses) == len(PRESSES)
@@ -137,11 +143,10 @@ def test_the_table_is_read_as_one_written_by_hand_and_is_never_overwritten(tmp_p
         write_labels(tmp_path, found, 1e3 * BALL_M, MM_PER_PX)
 
 
-def test_circles_larger_than_the_ball_are_cut_to_it_and_a_missing_gel_is_written(tmp_path):
-    given = frames(untouched=0)
-    for frame in given:
+def test_circles_larger_than_the_ball_are_cut_to_it_and_a_missing_gel_is_written(never_untouched, tmp_path):
+    for frame in frames(untouched=0):
         write_image(tmp_path / frame.name, frame.image)
-    write_labels(tmp_path, find_presses(given), 1.5, MM_PER_PX)
+    write_labels(tmp_path, never_untouched, 1.5, MM_PER_PX)
     with (tmp_path / "presses.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert rows[0]["image"] == "untouched-gel.png"
@@ -149,9 +154,8 @@ def test_circles_larger_than_the_ball_are_cut_to_it_and_a_missing_gel_is_written
     assert len(read_presses(tmp_path, GEOMETRY)) == len(PRESSES)
 
 
-def test_the_sheet_shows_every_press():
-    found = find_presses(frames(pressed((-4e-3, -2e-3), (4e-3, 2e-3))))
-    figure = draw_labels(found, "all")
+def test_the_sheet_shows_every_press(with_bad_ones):
+    figure = draw_labels(with_bad_ones, "all")
     titles = [axes.get_title() for axes in figure.axes]
     assert titles[0] == "untouched gel\n08.png"
     assert sum("radius" in title for title in titles) == len(PRESSES)
