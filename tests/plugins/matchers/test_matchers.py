@@ -49,7 +49,8 @@ def dense_of(bank: np.ndarray) -> DenseMatcher:
 
 
 def test_dense_is_brute_force(random_bank, real_bank):
-    for queries, bank in (random_bank, real_bank):
+    for many, bank in (random_bank, real_bank):
+        queries = many[:20]
         scores = dense_of(bank).scores(queries)
         assert scores.shape == (len(queries), len(bank))
         np.testing.assert_allclose(scores, brute_force(queries, bank), atol=1e-4, rtol=1e-4)
