@@ -13,6 +13,7 @@ import pytest
 from tactile_loc.core import interfaces
 from tactile_loc.core.errors import PluginError
 from tactile_loc.core.registry import SLOTS, ComponentSpec, Registry, hookimpl
+from tactile_loc.testing import ContractError
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "plugin"
@@ -35,6 +36,19 @@ def test_file_is_shown_as_it_is(name):
 
 def test_no_other_file_is_shown():
     assert sorted(re.findall(r"^`([\w/.]+)`\n\n```", PAGE, re.MULTILINE)) == files()
+
+
+def test_a_property_of_your_own_holds_and_can_fail():
+    code = re.search(r"^A property of your own.*?^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    assert code
+    exec(code[1], {})
+    with pytest.raises(ContractError, match=r"nearly right \(with off=Place\("):
+        exec(code[1].replace("2e-3", "1e-9"), {})
+
+
+@pytest.mark.parametrize("slot", SLOTS)
+def test_every_slot_has_checks_and_properties_in_the_tables(slot):
+    assert len(re.findall(rf"^\| {slot} \| ", PAGE, re.MULTILINE)) == 2
 
 
 @pytest.mark.parametrize("slot", SLOTS)

@@ -1,20 +1,26 @@
 """Contract checks: what every component of a slot must do, as functions that a plugin's tests run.
 
-    from tactile_loc.testing import parametrize_with_checks
+    from tactile_loc.testing import parametrize_with_checks, parametrize_with_properties
 
     @parametrize_with_checks([MyRefiner()])
     def test_contract(component, check):
         check(component)
 
+    @parametrize_with_properties([MyRefiner()])
+    def test_property(component, check):
+        check(component)
+
 A check takes the component and raises ContractError, a sentence that says what the contract is and how it was broken.
-Which checks apply follows from the slot and the declared capabilities. An encoder that needs training is passed
-trained, for instance on `tactile_loc.testing.problems.training_problem()`.
+Which checks apply follows from the slot and the declared capabilities. A property is a check of what must hold whatever
+is drawn, frames, orders, symmetric copies, image sizes and mirror images: a few drawn cases are tried, always the same,
+and the sentence names a simple one that fails. Properties need hypothesis: pip install 'tactile-loc[testing]'. An
+encoder that needs training is passed trained, for instance on `tactile_loc.testing.problems.training_problem()`.
 """
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from tactile_loc.core.interfaces import Component
@@ -22,7 +28,9 @@ from tactile_loc.core.registry import SLOTS
 from tactile_loc.testing import contract
 from tactile_loc.testing.contract import Check, ContractError
 
-__all__ = ["Check", "ContractError", "checks_for", "parametrize_with_checks"]
+__all__ = [
+    "Check", "ContractError", "checks_for", "parametrize_with_checks", "parametrize_with_properties", "properties_for",
+]  # fmt: skip
 
 
 def checks_for(component: Component) -> list[Check]:
@@ -30,21 +38,43 @@ def checks_for(component: Component) -> list[Check]:
 
     Raises TypeError for anything that is no component, such as a class instead of an instance.
     """
-    if not isinstance(component, Component):
-        raise TypeError(f"checks are for an instance of a component, not {component!r}")
-    if component.slot not in SLOTS:
-        return contract.checks(component.capabilities)
-    of_slot = importlib.import_module(f"tactile_loc.testing.{component.slot}s")
-    return [*contract.checks(component.capabilities), *of_slot.checks(component.capabilities)]
+    of_slot = _of_slot(component)
+    common = contract.checks(component.capabilities)
+    return common if of_slot is None else [*common, *of_slot.checks(component.capabilities)]
+
+
+def properties_for(component: Component) -> list[Check]:
+    """Return the properties (functions of one component) for the component's slot and declared capabilities.
+
+    A property raises MissingLibraryError without hypothesis. Raises TypeError for anything that is no component.
+    """
+    of_slot = _of_slot(component)
+    return [] if of_slot is None else list(of_slot.properties(component.capabilities))
 
 
 def parametrize_with_checks(components: Iterable[Component]) -> Any:
     """Return the pytest mark that makes one case for every component and check: arguments `component` and `check`."""
+    return _parametrize(components, checks_for)
+
+
+def parametrize_with_properties(components: Iterable[Component]) -> Any:
+    """Return the pytest mark that makes one case for every component and property, named as checks are."""
+    return _parametrize(components, properties_for)
+
+
+def _of_slot(component: Component) -> Any:
+    """The module of the component's slot, None for a slot that there is not."""
+    if not isinstance(component, Component):
+        raise TypeError(f"checks are for an instance of a component, not {component!r}")
+    return importlib.import_module(f"tactile_loc.testing.{component.slot}s") if component.slot in SLOTS else None
+
+
+def _parametrize(components: Iterable[Component], chosen: Callable[[Component], list[Check]]) -> Any:
     import pytest
 
     cases = [
         pytest.param(component, check, id=f"{type(component).__name__}-{check.__name__}")
         for component in components
-        for check in checks_for(component)
+        for check in chosen(component)
     ]
     return pytest.mark.parametrize(("component", "check"), cases)

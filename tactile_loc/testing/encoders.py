@@ -8,12 +8,23 @@ import numpy as np
 
 from tactile_loc.core.geometry import translation
 from tactile_loc.core.interfaces import Capabilities, Encoder, Float32
+from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.sensing import SensorGeometry, contact_depth
 from tactile_loc.testing.contract import Check, Untouched, require, require_close
-from tactile_loc.testing.problems import LOPSIDED_CAMERAS, ReferenceRenderer, block_scene, contact_poses, stepped_block
+from tactile_loc.testing.problems import (
+    LOPSIDED_CAMERAS,
+    ReferenceRenderer,
+    block_scene,
+    contact_poses,
+    mirrored,
+    stepped_block,
+)
+from tactile_loc.testing.properties import Place, hold, one_of, orders, places
 
 CAMERA = LOPSIDED_CAMERAS["orthographic"]
 PRESS_M = CAMERA.max_depth_m
+LIGHT_M = 0.3 * PRESS_M  # what the block's features alone touch
+BESIDE_M = (0.0002, 0.0002, 0.0)
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
@@ -22,6 +33,11 @@ def checks(capabilities: Capabilities) -> list[Check]:
                            check_press_depth_marks_no_contact, check_light_press_finds_its_pose,
                            check_image_size, check_ignores_masked_pixels, check_unseen_pixels]  # fmt: skip
     return [*chosen, check_deterministic] if capabilities.deterministic else chosen
+
+
+def properties(capabilities: Capabilities) -> list[Check]:
+    """Return what holds of any encoder, whatever is drawn: see `tactile_loc.testing.properties`."""
+    return [property_shape_order, property_image_size, property_mirror_image]
 
 
 def check_output(encoder: Encoder) -> None:
@@ -131,14 +147,64 @@ def check_deterministic(encoder: Encoder) -> None:
     require(same, "the same shapes must have the same embeddings, or deterministic=False be declared")
 
 
+def property_shape_order(encoder: Encoder) -> None:
+    """Shapes in another order have their embeddings in that order, to a thousandth of what sets them apart."""
+    shapes = _shapes()
+    plain = encoder.encode(shapes, PRESS_M, CAMERA)
+
+    def claim(order: list[int]) -> None:
+        ordered = encoder.encode(shapes[order], PRESS_M, CAMERA)
+        sentence = "each embedding must be that of its own shape, in any order"
+        require_close(ordered, plain[order], 1e-3 * _spread(plain), sentence)
+
+    hold(claim, order=orders(len(shapes)))
+
+
+def property_image_size(encoder: Encoder) -> None:
+    """Two or three times the image, of any place, finds its pose in a bank of images of the usual size."""
+
+    def claim(times: int, place: Place) -> None:
+        fine = CAMERA.resized(times * CAMERA.width_px, times * CAMERA.height_px)
+        poses = place.pose @ contact_poses(block_scene(), count=4)
+        bank = encoder.encode(_render(poses), PRESS_M, CAMERA)
+        found = _nearest(encoder.encode(_render(poses, fine), PRESS_M, fine), bank)
+        require(_is_order(found), f"an image of another size must find its pose; the nearest rows are {found.tolist()}")
+
+    hold(claim, examples=3, times=one_of([2, 3]), place=places(most_tenths_mm=15))
+
+
+def property_mirror_image(encoder: Encoder) -> None:
+    """A light touch is nearer to the same part, 0.3 mm beside, than to its mirror image at the same pose.
+
+    Light, so that the block's features touch alone: the outline of the whole block is its own mirror image, and an
+    encoder may look at outlines.
+    """
+
+    def claim(place: Place) -> None:
+        poses = place.pose @ contact_poses(block_scene(), count=4)
+        here, beside = (_encode_light(encoder, _render(T)) for T in (poses, translation(BESIDE_M) @ poses))
+        image = _encode_light(encoder, _render(poses, mesh=mirrored(stepped_block())))
+        near, far = (np.linalg.norm(other - here, axis=1) for other in (beside, image))
+        require((near < far).all(), "a part must be nearer to itself, 0.3 mm beside, than to its mirror image; "
+                f"distances are up to {(near / np.maximum(far, 1e-12)).max():.2f} of those")  # fmt: skip
+
+    hold(claim, examples=3, place=places(most_tenths_mm=15))
+
+
+def _encode_light(encoder: Encoder, depth_m: Float32) -> Float32:
+    """Embeddings (N, D) of shapes (N, H, W), metres, cut at a light press."""
+    return encoder.encode(np.minimum(depth_m, np.float32(LIGHT_M)), LIGHT_M, CAMERA)
+
+
 def _shapes(camera: SensorGeometry = CAMERA) -> Float32:
     return _render(contact_poses(block_scene()), camera)
 
 
-def _render(poses: np.ndarray, camera: SensorGeometry = CAMERA) -> Float32:
-    """Full contact depths (N, H, W) in metres of poses that touch the surface of the block scene's sensor."""
+def _render(poses: np.ndarray, camera: SensorGeometry = CAMERA, mesh: TriangleMesh | None = None) -> Float32:
+    """Full contact depths (N, H, W) in metres of the block, or a mesh, at poses that touch the block scene's sensor."""
     there = translation([0.0, 0.0, camera.standoff_m - block_scene().geometry.standoff_m]) @ poses
-    return contact_depth(ReferenceRenderer().render(stepped_block(), there, camera), camera, camera.max_depth_m)
+    drawn = ReferenceRenderer().render(stepped_block() if mesh is None else mesh, there, camera)
+    return contact_depth(drawn, camera, camera.max_depth_m)
 
 
 def _nearest(queries: Float32, bank: Float32) -> np.ndarray:

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError, TactileLocError
 from tactile_loc.core.geometry import invert, make_transform, rotation_about
-from tactile_loc.core.interfaces import Capabilities, Fuser, Prior
-from tactile_loc.core.poses import PoseGrid, Poses
+from tactile_loc.core.interfaces import Capabilities, Fuser, Prior, Scene
+from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.testing.contract import Check, Untouched, require, require_close
-from tactile_loc.testing.problems import small_grid
+from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, plain_object, prism, small_grid, transformed
+from tactile_loc.testing.properties import RigidMotion, hold, motions, orders, whole
 
 TOLERANCE = 1e-9  # of probabilities
 T_BASE_FIRST = make_transform(rotation_about([1, 2, 3], 0.4), [0.3, -0.1, 0.2])
@@ -27,6 +28,11 @@ def checks(capabilities: Capabilities) -> list[Check]:
                            check_posteriors_untouched]  # fmt: skip
     chosen += [check_contact_alone] if capabilities.contact_only else [check_one_touch, check_sensor_poses]
     return [*chosen, check_deterministic] if capabilities.deterministic else chosen
+
+
+def properties(capabilities: Capabilities) -> list[Check]:
+    """Return what holds of any fuser, whatever is drawn: see `tactile_loc.testing.properties`."""
+    return [property_object_frame, property_base_frame, property_touch_order, property_symmetric_copies]
 
 
 def check_contact_alone(fuser: Fuser) -> None:
@@ -90,8 +96,7 @@ def check_order(fuser: Fuser) -> None:
     grid = small_grid()
     first, second = _posterior(grid, seed=1), _posterior(grid, seed=2)
     one, other = (_several(fuser, pair, [np.eye(4)] * 2) for pair in ([first, second], [second, first]))
-    if one is not None and other is not None:
-        _require_equal(one, other.probabilities, "the order of touches must not matter")
+    _require_both(one, other, "the order of touches must not matter")
 
 
 def check_sensor_poses(fuser: Fuser) -> None:
@@ -131,13 +136,7 @@ def check_no_common_pose(fuser: Fuser) -> None:
 
 def check_base_frame(fuser: Fuser) -> None:
     """Where the base frame is does not matter, only where the sensors are to one another."""
-    here = small_grid()
-    touches = [_posterior(here, seed=1), _posterior(_seen_from_second(here), seed=2)]
-    elsewhere = make_transform(rotation_about([3, -1, 2], 2.0), [-0.2, 0.5, 0.1])
-    one = _several(fuser, touches, [T_BASE_FIRST, T_BASE_SECOND])
-    other = _several(fuser, touches, [elsewhere @ T_BASE_FIRST, elsewhere @ T_BASE_SECOND])
-    if one is not None and other is not None:
-        _require_equal(one, other.probabilities, "moving the base frame must not matter")
+    _require_any_base(fuser, make_transform(rotation_about([3, -1, 2], 2.0), [-0.2, 0.5, 0.1]))
 
 
 def check_posteriors_untouched(fuser: Fuser) -> None:
@@ -154,6 +153,75 @@ def check_deterministic(fuser: Fuser) -> None:
     first, again = (fuser.fuse([_posterior(small_grid())], [None], prior) for _ in range(2))
     same = np.array_equal(first.log_p, again.log_p)
     require(same, "the same posteriors must give the same answer, or deterministic=False be declared")
+
+
+def property_object_frame(fuser: Fuser) -> None:
+    """The object moved by X in its own frame, poses T @ inv(X) in every grid: the same probabilities, to TOLERANCE."""
+    here = small_grid()
+    sensors, grids = [T_BASE_FIRST, T_BASE_SECOND], [here, _seen_from_second(here)]
+    plain = _several(fuser, _posteriors(grids), sensors)
+
+    def claim(motion: RigidMotion) -> None:
+        metric = PoseMetric(plain_object("moved block", transformed(here.metric.object.mesh, motion.T)))
+        moved = [PoseGrid(grid.T_sensor_object @ invert(motion.T), metric) for grid in grids]
+        _require_both(_several(fuser, _posteriors(moved), sensors), plain, "the object's own frame must not matter")
+
+    hold(claim, motion=motions())
+
+
+def property_base_frame(fuser: Fuser) -> None:
+    """All sensors moved together in the base frame: the same probabilities, to TOLERANCE."""
+    hold(lambda motion: _require_any_base(fuser, motion.T), motion=motions(most_mm=900))
+
+
+def property_touch_order(fuser: Fuser) -> None:
+    """Touches in another order say the same of each pose, to TOLERANCE, whichever comes first.
+
+    Their grids hold the same poses of the base frame, so that the first one's are the same, and the sensors are
+    wherever they are drawn.
+    """
+    grid = small_grid()
+
+    def claim(order: list[int], second: RigidMotion, third: RigidMotion) -> None:
+        sensors = [np.eye(4), second.T, third.T]
+        touches = _posteriors([PoseGrid(invert(T) @ grid.T_sensor_object, grid.metric) for T in sensors])
+        plain, other = (_several(fuser, [touches[k] for k in o], [sensors[k] for k in o]) for o in ([0, 1, 2], order))
+        _require_both(other, plain, "the order of touches must not matter")
+
+    hold(claim, order=orders(3), second=motions(), third=motions())
+
+
+def property_symmetric_copies(fuser: Fuser) -> None:
+    """Of a symmetric part, poses T @ S in the second touch's grid, S any of its rotations, say what T do.
+
+    The same probabilities, to TOLERANCE, whichever copy of each pose a grid holds.
+    """
+    grid = small_grid(scene=Scene(prism(), CAMERAS["orthographic"], ReferenceRenderer()))
+    elements, sensors = prism().symmetry.elements(), [T_BASE_FIRST, T_BASE_SECOND]
+    there = _seen_from_second(grid)
+    plain = _several(fuser, _posteriors([grid, there]), sensors)
+
+    def claim(seed: int) -> None:
+        S = elements[np.random.default_rng(seed).integers(1, len(elements), len(grid))]
+        copies = PoseGrid(there.T_sensor_object @ S, grid.metric)
+        fused = _several(fuser, _posteriors([grid, copies]), sensors)
+        _require_both(fused, plain, "poses that symmetry makes alike must count as one")
+
+    hold(claim, seed=whole(0, 999))
+
+
+def _require_any_base(fuser: Fuser, T: Poses) -> None:
+    """Raise ContractError unless sensors that are all moved by T (4, 4), metres, have the same answer."""
+    here = small_grid()
+    touches = [_posterior(here, seed=1), _posterior(_seen_from_second(here), seed=2)]
+    one = _several(fuser, touches, [T_BASE_FIRST, T_BASE_SECOND])
+    other = _several(fuser, touches, [T @ T_BASE_FIRST, T @ T_BASE_SECOND])
+    _require_both(one, other, "moving the base frame must not matter")
+
+
+def _posteriors(grids: Sequence[PoseGrid]) -> list[PosePosterior]:
+    """A posterior over each grid, each another."""
+    return [_posterior(grid, seed) for seed, grid in enumerate(grids)]
 
 
 def _posterior(grid: PoseGrid, seed: int = 0) -> PosePosterior:
@@ -173,6 +241,12 @@ def _several(
         return fuser.fuse(posteriors, T_base_sensor)
     except ConfigError:
         return None
+
+
+def _require_both(one: PosePosterior | None, other: PosePosterior | None, sentence: str) -> None:
+    """Raise ContractError unless two answers agree; a fuser for one touch alone has none."""
+    if one is not None and other is not None:
+        _require_equal(one, other.probabilities, sentence)
 
 
 def _require_equal(

@@ -11,16 +11,32 @@ from tactile_loc.core.geometry import is_rigid, translation
 from tactile_loc.core.interfaces import Capabilities, GridSampler
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.places import CAMERA as PATCH_CAMERA
-from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
+from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses, distances_between
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing import contact_depth
-from tactile_loc.testing.contract import Check, Untouched, require, require_array
-from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, block, copied, larger, rod
+from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
+from tactile_loc.testing.problems import (
+    CAMERAS,
+    ReferenceRenderer,
+    block,
+    copied,
+    larger,
+    plain_object,
+    prism,
+    rod,
+    transformed,
+)
+from tactile_loc.testing.properties import hold, one_of, shifts, whole
 
 SPACING_M = 0.008
 DRAWN, SIGMAS = 6000, 4  # random poses, and by how many standard errors their share may be off
 PRESS_M, ROUNDED_M, LEAST_ALIKE = 1e-3, 2e-5, 0.97  # of patches: their steps, and pixels at edges
 NEAR_M, MOST_TURNED_DEG = 2.5e-3, 8.0  # between what touches first and the nearest place
+SAME_M = 1e-8  # poses that are nearer differ by rounding
+SUBGROUPS = ("z6*x2", "z6", "z3", "x2", "z2")  # of the prism's rotations
+LEAST_APART = 0.15  # of the spacing: poses that are as near, up to symmetry, and do not coincide, are duplicates
+LEAST_PLACES, MOST_PLACES = 0.75, 2.0  # of an n-th: directions on the border of what stands for all are kept twice
 LEAST_TOUCHING = 0.3  # share of the poses: bounding boxes overlap more often than objects touch
 
 
@@ -35,6 +51,16 @@ def checks(capabilities: Capabilities) -> list[Check]:
                            check_random_follows_the_seed, check_random_poses_differ, check_object_untouched,
                            check_scale]  # fmt: skip
     return [*chosen, check_deterministic] if capabilities.deterministic else chosen
+
+
+def properties(capabilities: Capabilities) -> list[Check]:
+    """Return what holds of any grid, whatever is drawn: see `tactile_loc.testing.properties`."""
+    chosen: list[Check] = [property_symmetric_copies, property_scale]
+    if capabilities.places:
+        chosen = [property_symmetric_places]
+    if capabilities.deterministic:
+        chosen.append(property_place_origin if capabilities.places else property_object_origin)
+    return chosen
 
 
 def check_poses_are_rigid(sampler: GridSampler) -> None:
@@ -120,10 +146,7 @@ def check_object_untouched(sampler: GridSampler) -> None:
 
 def check_scale(sampler: GridSampler) -> None:
     """Twice the object, sensor and spacing has as many poses, twice as far apart: no length is built in."""
-    small = _sample(sampler)
-    large = sampler.sample(block(2.0), larger(CAMERAS["orthographic"], 2.0), 2 * SPACING_M)
-    alike = abs(len(large) / len(small) - 1) <= 0.05
-    require(alike, f"everything twice as large must have as many poses; there are {len(large)} instead of {len(small)}")
+    _require_any_scale(sampler, 2.0)
 
 
 def check_deterministic(sampler: GridSampler) -> None:
@@ -163,6 +186,84 @@ def check_places_are_in_random_poses(sampler: GridSampler) -> None:
         f"what touches first must be a place: {NEAR_M * 1e3:g} mm around it the nearest direction of one is "
         f"{np.quantile(nearest_deg, 0.9):.0f} degrees off for one pose in ten",
     )
+
+
+def property_object_origin(sampler: GridSampler) -> None:
+    """The mesh shifted by x in its own frame has the poses T @ inv(x), once in contact: the same, to 10 nm.
+
+    Shifted, not turned: the axes of an object's frame may be what names the face that touches.
+    """
+    plain = _touching(_sample(sampler)).T_sensor_object
+
+    def claim(shift_mm: tuple[int, int, int]) -> None:
+        x = translation(1e-3 * np.array(shift_mm))
+        other = plain_object("shifted block", transformed(block().mesh, x))
+        found = _touching(sampler.sample(other, CAMERAS["orthographic"], SPACING_M), other).T_sensor_object @ x
+        require_close(found, plain, SAME_M, "poses must be the same wherever the origin of the object's frame is")
+
+    hold(claim, shift_mm=shifts())
+
+
+def property_symmetric_copies(sampler: GridSampler) -> None:
+    """Of a symmetric part, poses that touch either coincide up to symmetry, and core drops one, or are clearly apart.
+
+    By LEAST_APART of the spacing at least: what is nearer than that and not the same would be searched twice.
+    """
+
+    def claim(symmetry: str, spacing_tenths_mm: int) -> None:
+        spacing_m, obj = 1e-4 * spacing_tenths_mm, _declared(symmetry)
+        poses = _touching(sampler.sample(obj, CAMERAS["orthographic"], spacing_m), obj).T_sensor_object
+        orbits = PoseMetric(obj).embed_orbits(poses)
+        apart_m = np.min([distances_between(orbit, orbits[0]) for orbit in orbits], axis=0)
+        apart_m[(apart_m < ROUNDED_M) | np.eye(len(poses), dtype=bool)] = np.inf
+        require(apart_m.min() >= LEAST_APART * spacing_m, "poses that symmetry makes alike must coincide or be left "
+                f"out; two are {1e3 * apart_m.min():.2g} mm apart at a spacing of {1e3 * spacing_m:g} mm")  # fmt: skip
+
+    hold(claim, symmetry=one_of(SUBGROUPS), spacing_tenths_mm=whole(60, 90))
+
+
+def property_scale(sampler: GridSampler) -> None:
+    """Half to three times the object, sensor and spacing has as many poses, to 5 %: no length is built in."""
+    hold(lambda percent: _require_any_scale(sampler, percent / 100), percent=whole(50, 300))
+
+
+def property_place_origin(sampler: GridSampler) -> None:
+    """The mesh shifted by x in its own frame has the places T @ inv(x), to 10 nm, with the same patches."""
+    plain = sampler.places(block(), Progress())
+
+    def claim(shift_mm: tuple[int, int, int]) -> None:
+        x = translation(1e-3 * np.array(shift_mm))
+        found = sampler.places(plain_object("shifted block", transformed(block().mesh, x)), Progress())
+        sentence = "places must be the same wherever the origin of the object's frame is"
+        require_close(found.T_place_object @ x, plain.T_place_object, SAME_M, sentence)
+        require(np.array_equal(found.patches, plain.patches), sentence)
+
+    hold(claim, examples=2, shift_mm=shifts())
+
+
+def property_symmetric_places(sampler: GridSampler) -> None:
+    """A part of n rotations has about an n-th of the places that it has if none are declared: LEAST to MOST_PLACES."""
+    count = len(sampler.places(_declared("none"), Progress()))
+
+    def claim(symmetry: str) -> None:
+        obj = _declared(symmetry)
+        wanted, found = count / obj.symmetry.order, len(sampler.places(obj, Progress()))
+        right = LEAST_PLACES * wanted <= found <= MOST_PLACES * wanted
+        require(right, f"places that symmetry makes alike must be one; there are {found} instead of {wanted:.0f}")
+
+    hold(claim, examples=2, symmetry=one_of(SUBGROUPS[:3]))
+
+
+def _require_any_scale(sampler: GridSampler, scale: float) -> None:
+    small = _sample(sampler)
+    large = sampler.sample(block(scale), larger(CAMERAS["orthographic"], scale), scale * SPACING_M)
+    alike = abs(len(large) / len(small) - 1) <= 0.05
+    require(alike, f"everything made larger must have as many poses; there are {len(large)} instead of {len(small)}")
+
+
+def _declared(symmetry: str) -> ObjectModel:
+    """The prism, with some of its rotations declared."""
+    return dataclasses.replace(prism(), symmetry=SymmetryGroup.parse(symmetry, prism().mesh.centroid_m))
 
 
 def _kinds(sampler: GridSampler, count: int) -> list[tuple[str, Poses]]:

@@ -7,8 +7,10 @@ import numpy as np
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.interfaces import Capabilities, Float32, Matcher
 from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
+from tactile_loc.testing.properties import hold, orders, signed, whole
 
 ROWS, QUERIES, DIMENSION = 1200, 4, 12
+FEWER_ROWS = 300  # for properties, which index often
 TOLERANCE = 1e-4  # of squared lengths near one
 
 
@@ -18,6 +20,11 @@ def checks(capabilities: Capabilities) -> list[Check]:
                            check_query_order, check_index_replaces, check_single_row, check_weights,
                            check_bank_and_queries_untouched]  # fmt: skip
     return [*chosen, check_deterministic] if capabilities.deterministic else chosen
+
+
+def properties(capabilities: Capabilities) -> list[Check]:
+    """Return what holds of any matcher, whatever is drawn: see `tactile_loc.testing.properties`."""
+    return [property_row_order, property_query_order, property_equal_rows, property_turned_space, property_scale]
 
 
 def check_output(matcher: Matcher) -> None:
@@ -51,9 +58,7 @@ def check_row_order(matcher: Matcher) -> None:
     """Column i belongs to row i: another order of the rows is the same order of the columns."""
     order = np.random.default_rng(3).permutation(ROWS)
     plain, shuffled = _scores(matcher, _bank(), _queries()), _scores(matcher, _bank()[order], _queries())
-    both = np.isfinite(shuffled) & np.isfinite(plain[:, order])
-    require(both.any(), "scores must be in the bank's order")
-    require_close(shuffled[both], plain[:, order][both], TOLERANCE, "scores must be in the bank's order")
+    _require_alike(shuffled, plain[:, order], "scores must be in the bank's order")
 
 
 def check_query_order(matcher: Matcher) -> None:
@@ -118,6 +123,76 @@ def check_deterministic(matcher: Matcher) -> None:
     first, again = (_scores(matcher, _bank(), _queries()) for _ in range(2))
     same = np.array_equal(first, again)
     require(same, "the same bank and queries must give the same scores, or deterministic=False be declared")
+
+
+def property_row_order(matcher: Matcher) -> None:
+    """A bank in another order has scores in that order, where a matcher that looks at some rows looked both times."""
+    plain = _scores(matcher, _some(), _queries())
+
+    def claim(seed: int) -> None:
+        order = np.random.default_rng(seed).permutation(FEWER_ROWS)
+        shuffled = _scores(matcher, _some()[order], _queries())
+        _require_alike(shuffled, plain[:, order], "scores must be in the bank's order")
+
+    hold(claim, seed=whole(0, 999))
+
+
+def property_query_order(matcher: Matcher) -> None:
+    """Queries in another order have scores in that order, to rounding."""
+    plain = _scores(matcher, _some(), _queries())
+
+    def claim(order: list[int]) -> None:
+        _require_alike(matcher.scores(_queries()[order]), plain[order], "scores must be in the queries' order")
+
+    hold(claim, order=orders(QUERIES))
+
+
+def property_equal_rows(matcher: Matcher) -> None:
+    """Equal rows, as symmetric poses have, score the same, to rounding: the order of the bank favours none."""
+
+    def claim(row: int, twin: int) -> None:
+        bank = _some()
+        bank[twin] = bank[row]
+        scores = _scores(matcher, bank, bank[row : row + 1])
+        _require_alike(scores[:, twin], scores[:, row], "equal rows must have equal scores")
+
+    half = FEWER_ROWS // 2
+    hold(claim, row=whole(0, half - 1), twin=whole(half, FEWER_ROWS - 1))
+
+
+def property_turned_space(matcher: Matcher) -> None:
+    """Bank and queries turned together score the same, to rounding: a distance has no directions."""
+    plain = _scores(matcher, _some(), _queries())
+
+    def claim(seed: int) -> None:
+        Q = np.linalg.qr(np.random.default_rng(seed).normal(size=(DIMENSION, DIMENSION)))[0]
+        bank, queries = ((rows @ Q).astype(np.float32) for rows in (_some(), _queries()))
+        _require_alike(_scores(matcher, bank, queries), plain, "a turned space must have the same scores")
+
+    hold(claim, seed=whole(0, 999))
+
+
+def property_scale(matcher: Matcher) -> None:
+    """Bank and queries 2**k times as large score 4**k times as high, to rounding: no length is built in."""
+    plain = _scores(matcher, _some(), _queries())
+
+    def claim(k: int) -> None:
+        scale = np.float32(2.0**k)
+        scores = _scores(matcher, _some() * scale, _queries() * scale) / scale**2
+        _require_alike(scores, plain, "scores must scale with the square of the embeddings' unit")
+
+    hold(claim, k=signed(6).filter(bool))
+
+
+def _some() -> Float32:
+    return _bank()[:FEWER_ROWS]
+
+
+def _require_alike(scores: Float32, truth: Float32, sentence: str) -> None:
+    """Raise ContractError unless scores agree where both times the matcher looked, which is somewhere."""
+    both = np.isfinite(scores) & np.isfinite(truth)
+    require(both.any(), sentence)
+    require_close(scores[both], truth[both], TOLERANCE, sentence)
 
 
 def _scores(matcher: Matcher, bank: Float32, queries: Float32) -> Float32:

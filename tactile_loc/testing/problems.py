@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.geometry import make_transform, rotation_about, transform_points
 from tactile_loc.core.interfaces import Candidate, Float32, RefinedPose, Renderer, Scene, TrainingProblem
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
@@ -111,6 +111,16 @@ def cylinder(radius_m: float, z_m: tuple[float, float], sides: int = 16) -> Tria
 def moved(mesh: TriangleMesh, by_m: tuple[float, float, float]) -> TriangleMesh:
     """Return the mesh shifted by a vector in metres."""
     return TriangleMesh(mesh.vertices_m + np.array(by_m), mesh.faces)
+
+
+def transformed(mesh: TriangleMesh, T: NDArray[np.float64]) -> TriangleMesh:
+    """Return the mesh seen from another frame, T (4, 4), metres: a point p of it is T p there."""
+    return TriangleMesh(transform_points(T, mesh.vertices_m), mesh.faces)
+
+
+def mirrored(mesh: TriangleMesh) -> TriangleMesh:
+    """Return the mesh's mirror image, x to -x; outward normals stay outward."""
+    return TriangleMesh(mesh.vertices_m * [-1.0, 1.0, 1.0], mesh.faces[:, ::-1].copy())
 
 
 def copied(mesh: TriangleMesh) -> TriangleMesh:
@@ -213,15 +223,31 @@ class PressedBlock:
 @lru_cache(maxsize=8)
 def block(scale: float = 1.0) -> ObjectModel:
     """Return the stepped block as an object without symmetry, made larger by a factor."""
-    mesh = scaled(stepped_block(), scale)
-    return ObjectModel("stepped block", mesh, SymmetryGroup.parse("none", mesh.centroid_m))
+    return plain_object("stepped block", scaled(stepped_block(), scale))
+
+
+def plain_object(name: str, mesh: TriangleMesh) -> ObjectModel:
+    """Return a mesh as an object without symmetry."""
+    return ObjectModel(name, mesh, SymmetryGroup.parse("none", mesh.centroid_m))
+
+
+@lru_cache(maxsize=1)
+def prism() -> ObjectModel:
+    """Return a six-sided prism, 10 mm across corners and 8 mm long, with its twelve rotations: `z6*x2`."""
+    mesh = cylinder(0.005, (-0.004, 0.004), sides=6)
+    return ObjectModel("prism", mesh, SymmetryGroup.parse("z6*x2", mesh.centroid_m))
+
+
+@lru_cache(maxsize=1)
+def mirrored_block() -> ObjectModel:
+    """Return the mirror image of the block: another part, which no rotation makes of it."""
+    return plain_object("mirrored block", mirrored(stepped_block()))
 
 
 @lru_cache(maxsize=1)
 def rod() -> ObjectModel:
     """Return a rod of 60 x 8 x 6 mm, declared without symmetry: how much of a sensor it spans depends on its yaw."""
-    mesh = box((-0.030, -0.004, -0.003), (0.030, 0.004, 0.003))
-    return ObjectModel("rod", mesh, SymmetryGroup.parse("none", mesh.centroid_m))
+    return plain_object("rod", box((-0.030, -0.004, -0.003), (0.030, 0.004, 0.003)))
 
 
 def larger(geometry: SensorGeometry, scale: float) -> SensorGeometry:
@@ -242,9 +268,17 @@ def block_scene(camera: str = "orthographic", scale: float = 1.0) -> Scene:
 def pressed_block(camera: str = "orthographic", scale: float = 1.0, press: float = 1.0) -> PressedBlock:
     """Return the block pressed at POSE; `press` is the share (0 to 1) of the deepest press."""
     x, y, yaw = POSE
-    scene = block_scene(camera, scale)
+    return _pressed(block_scene(camera, scale), planar_pose(x * scale, y * scale, yaw), press)
+
+
+def pressed_prism(camera: str = "orthographic") -> PressedBlock:
+    """Return the prism, an end of it, pressed at POSE: twelve poses explain the touch alike."""
+    return _pressed(Scene(prism(), CAMERAS[camera], ReferenceRenderer()), planar_pose(*POSE), 1.0)
+
+
+def _pressed(scene: Scene, T_sensor_object: NDArray[np.float64], press: float) -> PressedBlock:
     scene = scene.pressed(press * scene.geometry.max_depth_m)
-    truth = scene.in_contact(planar_pose(x * scale, y * scale, yaw)[None])[0][0]
+    truth = scene.in_contact(T_sensor_object[None])[0][0]
     return PressedBlock(scene, touch_at(scene, truth, scene.geometry.indentation_m), truth)
 
 

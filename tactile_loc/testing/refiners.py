@@ -7,13 +7,24 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import invert, is_rigid, make_transform, rotation_about, transform_points
-from tactile_loc.core.interfaces import Candidate, Capabilities, RefinedPose, Refiner
-from tactile_loc.core.objects import ObjectModel, TriangleMesh
+from tactile_loc.core.geometry import invert, is_rigid, make_transform, rotation_about
+from tactile_loc.core.interfaces import Candidate, Capabilities, RefinedPose, Refiner, Scene
 from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.symmetry import SymmetryGroup
 from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_array
-from tactile_loc.testing.problems import CAMERAS, OFFSETS, PressedBlock, copied, pressed_block, with_depth
+from tactile_loc.testing.problems import (
+    CAMERAS,
+    OFFSETS,
+    PressedBlock,
+    copied,
+    mirrored_block,
+    plain_object,
+    pressed_block,
+    pressed_prism,
+    prism,
+    transformed,
+    with_depth,
+)
+from tactile_loc.testing.properties import Place, RigidMotion, Strategy, hold, motions, one_of, slides, whole
 
 # Answers to the same question, asked in another way, may differ by this many pixels of the sensing surface.
 TOLERANCE_PX = 0.25
@@ -21,8 +32,10 @@ TOLERANCE_PX = 0.25
 LEFT_OVER = 0.8
 # Answers to the very same question may differ by rounding, and by what that makes of a pixel on the verge of contact.
 ROUNDING_PX = 0.02
-# Another frame of the object, far from its own: rotation vector's axis, angle in radians, and origin in metres.
-OTHER_FRAME = ((1.0, 2.0, 0.5), 1.1, (0.3, -0.2, 0.1))
+# Another frame of the object, far from its own (metres).
+OTHER_FRAME = make_transform(rotation_about((1.0, 2.0, 0.5), 1.1), (0.3, -0.2, 0.1))
+# By so much imprint IoU, 0 to 1, a part explains its own touch better than its mirror image does; ours differ by 0.09.
+LEAST_CHIRAL = 0.05
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
@@ -36,6 +49,11 @@ def checks(capabilities: Capabilities) -> list[Check]:
     if capabilities.refines:
         chosen += [check_failure_is_said, check_offsets_shrink, check_offsets_shrink_after_a_light_press]
     return chosen
+
+
+def properties(capabilities: Capabilities) -> list[Check]:
+    """Return what holds of any refiner, whatever is drawn: see `tactile_loc.testing.properties`."""
+    return [property_object_frame, property_symmetric_copies, property_mirrored_part]
 
 
 def check_output(refiner: Refiner) -> None:
@@ -92,19 +110,9 @@ def check_scale(refiner: Refiner) -> None:
 
 def check_object_frame(refiner: Refiner) -> None:
     """The object's own frame is arbitrary: mesh and candidate given in another have the same answer at the sensor."""
-    axis, angle, origin = OTHER_FRAME
-    X = make_transform(rotation_about(axis, angle), origin)
     for problem in _problems():
-        mesh = problem.scene.object.mesh
-        moved = TriangleMesh(transform_points(X, mesh.vertices_m), mesh.faces)
-        other = ObjectModel("moved block", moved, SymmetryGroup.parse("none", moved.centroid_m))
-        scene = dataclasses.replace(problem.scene, object=other)
         for offset in OFFSETS:
-            candidate = problem.candidate(offset)
-            there = dataclasses.replace(candidate, T_sensor_object=candidate.T_sensor_object @ invert(X))
-            answer = refiner.refine(problem.touch, there, scene).T_sensor_object @ X
-            sentence = "the answer must not depend on the object's own frame"
-            _require_same(answer, _refine(refiner, problem, offset), problem, sentence)
+            _require_any_frame(refiner, problem, offset, OTHER_FRAME)
 
 
 def check_ignores_masked_pixels(refiner: Refiner) -> None:
@@ -206,6 +214,74 @@ def check_offsets_shrink(refiner: Refiner) -> None:
 def check_offsets_shrink_after_a_light_press(refiner: Refiner) -> None:
     """The same for a press of 40 %, which shows less of the object: candidates are cut at the touch's press depth."""
     _require_shrinking(refiner, [pressed_block(camera, press=0.4) for camera in CAMERAS], "a light press")
+
+
+def property_object_frame(refiner: Refiner) -> None:
+    """The mesh moved by X in its own frame, candidates at T @ inv(X): the answer @ X is the same, to TOLERANCE_PX."""
+
+    def claim(motion: RigidMotion, off: Place, camera: str) -> None:
+        _require_any_frame(refiner, pressed_block(camera), off.slide, motion.T)
+
+    hold(claim, motion=motions(), off=slides(), camera=_cameras())
+
+
+def property_symmetric_copies(refiner: Refiner) -> None:
+    """Of a symmetric part, a candidate T @ S, S one of its rotations, has T's answer @ S, to TOLERANCE_PX."""
+
+    def claim(element: int, off: Place, camera: str) -> None:
+        problem, S = pressed_prism(camera), prism().symmetry.elements()[element]
+        candidate = problem.candidate(off.slide)
+        copy = dataclasses.replace(candidate, T_sensor_object=candidate.T_sensor_object @ S)
+        plain, other = (refiner.refine(problem.touch, c, problem.scene) for c in (candidate, copy))
+        sentence = "poses that symmetry makes alike must have alike answers"
+        _require_same(plain.T_sensor_object @ S, other, problem, sentence)
+
+    hold(claim, element=whole(1, len(prism().symmetry.rotations) - 1), off=slides(), camera=_cameras())
+
+
+def property_mirrored_part(refiner: Refiner) -> None:
+    """The part's mirror image, from any yaw, is moved by rotations alone, and explains the touch less than the part.
+
+    Less by LEAST_CHIRAL of imprint IoU: contacts of the two may well overlap, the depths in them do not agree.
+    """
+
+    def claim(yaw_deg: int, camera: str) -> None:
+        problem = pressed_block(camera)
+        other = dataclasses.replace(problem.scene, object=mirrored_block())
+        answer, image = _refine(refiner, problem), _refine_turned(refiner, problem, other, np.radians(yaw_deg))
+        _require_sound(image)
+        right, wrong = (
+            float(scene.imprint_ious(found.T_sensor_object[None], problem.touch)[0])
+            for scene, found in ((problem.scene, answer), (other, image))
+        )
+        require(right - wrong >= LEAST_CHIRAL, "a part must explain its touch better than its mirror image does; "
+                f"imprint IoUs are {right:.2f} and {wrong:.2f}")  # fmt: skip
+
+    hold(claim, yaw_deg=whole(0, 359), camera=_cameras())
+
+
+def _cameras() -> Strategy:
+    return one_of(list(CAMERAS))
+
+
+def _require_any_frame(
+    refiner: Refiner, problem: PressedBlock, offset: tuple[float, float, float], X: NDArray[np.float64]
+) -> None:
+    """Raise ContractError unless the object in another frame, X (4, 4), metres, has the same answer at the sensor."""
+    moved = plain_object("moved block", transformed(problem.scene.object.mesh, X))
+    candidate = problem.candidate(offset)
+    there = dataclasses.replace(candidate, T_sensor_object=candidate.T_sensor_object @ invert(X))
+    answer = refiner.refine(problem.touch, there, dataclasses.replace(problem.scene, object=moved)).T_sensor_object @ X
+    sentence = "the answer must not depend on the object's own frame"
+    _require_same(answer, _refine(refiner, problem, offset), problem, sentence)
+
+
+def _refine_turned(refiner: Refiner, problem: PressedBlock, scene: Scene, yaw_rad: float) -> RefinedPose:
+    """Refine the scene's object, its centroid where that of the true one is, turned by a yaw in its own frame."""
+    R = problem.truth[:3, :3] @ rotation_about([0, 0, 1], yaw_rad)
+    centroid_m = problem.truth[:3, :3] @ problem.scene.object.mesh.centroid_m + problem.truth[:3, 3]
+    start = make_transform(R, centroid_m - R @ scene.object.mesh.centroid_m)
+    return refiner.refine(problem.touch, Candidate(scene.in_contact(start[None])[0][0], 0, 0.0), scene)
 
 
 def _problems() -> list[PressedBlock]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.contact import bring_to_contact
-from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.geometry import invert, make_transform, rotation_about
 from tactile_loc.core.interfaces import Capabilities, Float32, Renderer
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import Poses
@@ -19,18 +21,25 @@ from tactile_loc.testing.problems import (
     ball,
     copied,
     larger,
+    mirrored,
     overhang,
     planar_pose,
     plate,
+    prism,
     scaled,
     stepped_block,
+    transformed,
 )
+from tactile_loc.testing.properties import Place, RigidMotion, Strategy, hold, motions, one_of, orders, places, whole
 
 TOLERANCE_M = 3e-5  # at a pixel: half a cell of a height map, on a slope
 MEAN_TOLERANCE_M = 8e-6
 Depths = NDArray[np.floating]
 
 STRAY = 0.02  # share of pixels that may differ: their centres lie at an edge
+MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])  # x to -x
+TURNED_RAD = np.arange(24) * (np.pi / 12)  # yaws at which a mirror image is compared with the part
+LEAST_CHIRAL = 0.05  # share of pixels by which they differ at each: the block's differ by 8 % and more
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
@@ -43,6 +52,12 @@ def checks(capabilities: Capabilities) -> list[Check]:
     if capabilities.exact_undercuts:
         chosen.append(check_undercuts)
     return chosen
+
+
+def properties(capabilities: Capabilities) -> list[Check]:
+    """Return what holds of any renderer, whatever is drawn: see `tactile_loc.testing.properties`."""
+    return [property_object_frame, property_mirror_image, property_symmetric_copies, property_pose_order,
+            property_image_size]  # fmt: skip
 
 
 def check_output(renderer: Renderer) -> None:
@@ -161,6 +176,93 @@ def check_undercuts(renderer: Renderer) -> None:
     )
 
 
+def property_object_frame(renderer: Renderer) -> None:
+    """The mesh moved by X in its own frame, at T_sensor_object @ inv(X), looks the same: up to pixels at edges."""
+
+    def claim(motion: RigidMotion, place: Place, camera_name: str) -> None:
+        camera = LOPSIDED_CAMERAS[camera_name]
+        T = _contact(stepped_block(), place.pose[None], camera)
+        here = renderer.render(stepped_block(), T, camera)
+        there = renderer.render(transformed(stepped_block(), motion.T), T @ invert(motion.T), camera)
+        _same(there, here, camera, "the object's own frame must not matter")
+
+    hold(claim, motion=motions(), place=places(most_tilt_deg=10), camera_name=_camera_names())
+
+
+def property_mirror_image(renderer: Renderer) -> None:
+    """The mirrored part at the mirrored pose is the mirrored picture, and at no yaw the part's own.
+
+    Up to pixels at edges; the block is chiral, so that at least one pixel in twenty tells it from its mirror image.
+    """
+
+    def claim(place: Place, camera_name: str) -> None:
+        camera = LOPSIDED_CAMERAS[camera_name]
+        T = _contact(stepped_block(), place.pose[None], camera)
+        flipped = dataclasses.replace(camera, cx=camera.width_px - camera.cx)
+        picture = renderer.render(stepped_block(), T, camera)
+        image = renderer.render(mirrored(stepped_block()), MIRROR @ T @ MIRROR, flipped)
+        _same(image[:, :, ::-1], picture, camera, "a mirrored part at a mirrored pose must be the mirrored picture")
+        turned = renderer.render(mirrored(stepped_block()), _turned_mirror_images(T, camera), camera)
+        unlike = min(_share_unlike(one[None], picture, camera) for one in turned)
+        require(unlike >= LEAST_CHIRAL, "a part and its mirror image must look different at every yaw; "
+                f"at one only {100 * unlike:.1f} % of the pixels do, least {100 * LEAST_CHIRAL:g} %")  # fmt: skip
+
+    hold(claim, place=places(most_tilt_deg=10), camera_name=_camera_names())
+
+
+def property_symmetric_copies(renderer: Renderer) -> None:
+    """A symmetric part at T and at T @ S, S one of its rotations, looks the same: up to pixels at edges."""
+
+    def claim(element: int, place: Place, camera_name: str) -> None:
+        camera = LOPSIDED_CAMERAS[camera_name]
+        obj = prism()
+        T = _contact(obj.mesh, place.pose[None], camera)
+        here, there = (renderer.render(obj.mesh, pose, camera) for pose in (T, T @ obj.symmetry.elements()[element]))
+        _same(there, here, camera, "poses that symmetry makes alike must look alike")
+
+    hold(claim, element=whole(1, len(prism().symmetry.rotations) - 1), place=places(most_tilt_deg=10),
+         camera_name=_camera_names())  # fmt: skip
+
+
+def property_pose_order(renderer: Renderer) -> None:
+    """Poses in another order are the same pictures in that order, up to pixels at edges; also by `render_apart`."""
+    camera = LOPSIDED_CAMERAS["pinhole"]
+    T = _contact(stepped_block(), _poses(), camera)
+
+    def claim(order: list[int]) -> None:
+        for draw in (renderer.render, renderer.render_apart):
+            plain, ordered = (draw(stepped_block(), poses, camera) for poses in (T, T[order]))
+            _same(ordered, plain[order], camera, "each picture must be that of its own pose, in any order")
+
+    hold(claim, order=orders(len(T)))
+
+
+def property_image_size(renderer: Renderer) -> None:
+    """A picture k times as large, k odd, has the small one's pixels in the middle of its own: up to those at edges."""
+
+    def claim(times: int, place: Place, camera_name: str) -> None:
+        camera = LOPSIDED_CAMERAS[camera_name]
+        small = camera.resized(27, 19)
+        T = _contact(stepped_block(), place.pose[None], small)
+        fine = renderer.render(stepped_block(), T, small.resized(times * small.width_px, times * small.height_px))
+        middles = fine[:, times // 2 :: times, times // 2 :: times]
+        _same(middles, renderer.render(stepped_block(), T, small), small, "intrinsics must scale with the image's size")
+
+    hold(claim, times=one_of([3, 5]), place=places(most_tilt_deg=10), camera_name=_camera_names())
+
+
+def _camera_names() -> Strategy:
+    return one_of(list(LOPSIDED_CAMERAS))
+
+
+def _turned_mirror_images(T: Poses, camera: SensorGeometry) -> Poses:
+    """Contact poses (K, 4, 4) of the mirrored block, turned by TURNED_RAD, its centroid over that of the block at T."""
+    mesh = mirrored(stepped_block())
+    R = rotation_about([0, 0, 1], TURNED_RAD) @ T[0, :3, :3]
+    centroid_m = T[0, :3, :3] @ stepped_block().centroid_m + T[0, :3, 3]
+    return _contact(mesh, make_transform(R, centroid_m - R @ mesh.centroid_m), camera)
+
+
 def _poses() -> Poses:
     """Poses (3, 4, 4) of the block: two with one rotation, one tilted."""
     tilted = planar_pose(-0.001, 0.0015, 2.0)
@@ -203,6 +305,11 @@ def _compare(depth: Float32, truth: NDArray[np.float64], camera: SensorGeometry,
 
 def _same(depth: Depths, truth: Depths, camera: SensorGeometry, sentence: str, stray: float = STRAY) -> None:
     """Compare contact depths (N, H, W) of two pictures; a few pixels whose centres lie at an edge may differ."""
-    a, b = (contact_depth(d, camera, camera.max_depth_m) for d in (depth, truth))
-    differ = float((np.abs(a - b) > TOLERANCE_M).mean())
+    differ = _share_unlike(depth, truth, camera)
     require(differ <= stray, f"{sentence}; {100 * differ:.1f} % of the pixels differ, allowed {100 * stray:g} %")
+
+
+def _share_unlike(depth: Depths, truth: Depths, camera: SensorGeometry) -> float:
+    """The share of the pixels of two pictures (N, H, W) whose contact depths differ."""
+    a, b = (contact_depth(d, camera, camera.max_depth_m) for d in (depth, truth))
+    return float((np.abs(a - b) > TOLERANCE_M).mean())

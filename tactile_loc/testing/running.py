@@ -10,8 +10,9 @@ from functools import partial
 from pathlib import Path
 
 from tactile_loc.core.interfaces import Capabilities, Component, Encoder
-from tactile_loc.testing import checks_for, contract
+from tactile_loc.testing import checks_for, contract, properties_for
 from tactile_loc.testing.contract import Check, ContractError
+from tactile_loc.testing.properties import require_hypothesis
 
 
 @dataclass(frozen=True)
@@ -29,19 +30,22 @@ class CheckResult:
         return not self.problem
 
 
-def run_checks(component: Component) -> list[CheckResult]:
-    """Run all checks that apply to the component, in their order, and return what came of each.
+def run_checks(component: Component, properties: bool = False) -> list[CheckResult]:
+    """Run all checks that apply to the component, in their order, and properties if asked for; say what came of each.
 
     An encoder that needs training is trained first, on `problems.training_problem()`; that is a result of its own where
     it fails, and no other follows. A check that raises anything but ContractError has failed, and the exception is
-    named. Raises TypeError for anything that is no component, such as a class instead of an instance.
+    named. Raises TypeError for anything that is no component, such as a class instead of an instance, and
+    MissingLibraryError for properties without hypothesis.
     """
-    return list(iter_checks(component))
+    return list(iter_checks(component, properties))
 
 
-def iter_checks(component: Component) -> Iterator[CheckResult]:
+def iter_checks(component: Component, properties: bool = False) -> Iterator[CheckResult]:
     """Yield what `run_checks` returns, each as soon as it is known."""
-    chosen = _checks(component)
+    if properties:
+        require_hypothesis()
+    chosen = _checks(component, properties)
     if isinstance(component, Encoder) and component.capabilities.needs_training:
         trained = _result(train, partial(train, component))
         if not trained.passed:
@@ -58,11 +62,11 @@ def train(encoder: Encoder) -> None:
     encoder.fit(training_problem())
 
 
-def _checks(component: Component) -> list[Check]:
+def _checks(component: Component, properties: bool) -> list[Check]:
     """The checks that apply; those of every slot alone where the capabilities cannot tell more."""
     if isinstance(component, Component) and not isinstance(component.capabilities, Capabilities):
         return contract.checks(Capabilities())
-    return checks_for(component)
+    return [*checks_for(component), *(properties_for(component) if properties else [])]
 
 
 def _result(check: Callable[..., None], run: Callable[[], None]) -> CheckResult:

@@ -12,6 +12,7 @@ from tactile_loc.core.errors import TouchError
 from tactile_loc.core.interfaces import Capabilities, SensorModel
 from tactile_loc.core.sensing import ContactShape, SensorGeometry
 from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_close
+from tactile_loc.testing.properties import hold, whole
 
 
 def checks(capabilities: Capabilities) -> list[Check]:
@@ -19,6 +20,11 @@ def checks(capabilities: Capabilities) -> list[Check]:
     always: list[Check] = [check_geometry, check_contact_shape, check_depths_are_kept, check_observation_untouched,
                            check_refuses_nonsense]  # fmt: skip
     return [*always, check_deterministic] if capabilities.deterministic else always
+
+
+def properties(capabilities: Capabilities) -> list[Check]:
+    """Return what holds of any sensor, whatever is drawn: see `tactile_loc.testing.properties`."""
+    return [property_imprint_stays, property_image_size]
 
 
 def check_geometry(sensor: SensorModel) -> None:
@@ -54,15 +60,7 @@ def check_contact_shape(sensor: SensorModel) -> None:
 
 def check_depths_are_kept(sensor: SensorModel) -> None:
     """Of an observation that is a contact shape already, depths below the press depth stay; the rest is no contact."""
-    depth = dome(sensor.geometry)
-    try:
-        shape = sensor.contact_shape(depth.copy())
-    except TouchError:  # the sensor takes images, and cannot be compared with a known truth here
-        return
-    kept = depth < shape.press_depth_m
-    require_close(shape.depth_m[kept], depth[kept], 1e-7, "depths that are given in metres must be kept")
-    require(not shape.contact[~kept].any(), "a pixel at the press depth or beyond, or NaN, is not in contact")
-    require(shape.contact.any(), "a pixel nearer than the press depth is in contact")
+    _require_kept(sensor, dome(sensor.geometry))
 
 
 def check_observation_untouched(sensor: SensorModel) -> None:
@@ -100,11 +98,51 @@ def check_deterministic(sensor: SensorModel) -> None:
     require(same, "the same observation must give the same contact shape, or deterministic=False be declared")
 
 
+def property_imprint_stays(sensor: SensorModel) -> None:
+    """A lopsided imprint anywhere, of any press, stays in its pixels, at its depths to 0.1 um: nothing is mirrored.
+
+    Of depths that are given in metres; what an image shows is known to nobody here.
+    """
+
+    def claim(column_percent: int, row_percent: int, press_percent: int) -> None:
+        _require_kept(sensor, stamp(sensor.geometry, column_percent, row_percent, press_percent))
+
+    hold(claim, column_percent=whole(0, 60), row_percent=whole(0, 60), press_percent=whole(30, 100))
+
+
+def property_image_size(sensor: SensorModel) -> None:
+    """An observation whose every pixel is repeated is refused by TouchError, or read as what it repeats, to 1 um.
+
+    A sensor may take images of its camera's own size; it must not cut a piece out of one of another.
+    """
+    image, shape = observe(sensor)
+
+    def claim(across: int, down: int) -> None:
+        try:
+            large = sensor.contact_shape(image.repeat(down, axis=0).repeat(across, axis=1))
+        except TouchError:
+            return
+        require_close(large.depth_m, shape.depth_m, 1e-6, "an image of another size must be refused or read as a whole")
+
+    hold(claim, across=whole(2, 4), down=whole(2, 4))
+
+
 def dome(geometry: SensorGeometry) -> NDArray[np.float64]:
     """Return depths (H, W) in metres of a round imprint; NaN, no contact, in the image's corners."""
     v, u = (np.linspace(-1.2, 1.2, n) for n in geometry.shape)
     depth = 0.8 * geometry.max_depth_m * (u[None, :] ** 2 + v[:, None] ** 2)
     return np.where(depth < 0.75 * geometry.max_depth_m, depth, np.nan)
+
+
+def stamp(geometry: SensorGeometry, column: int, row: int, press: int) -> NDArray[np.float64]:
+    """Return depths (H, W) in metres of a wedge that begins at so many percent of width and height; NaN elsewhere.
+
+    It is lopsided: deepest at its left, and wider than high. `press`: the deepest press, percent of the sensor's.
+    """
+    v, u = (100 * (np.arange(n) + 0.5) / n for n in geometry.shape)
+    u, v = u[None, :] - column, v[:, None] - row
+    rise = 0.9e-2 * press * geometry.max_depth_m * u / 40
+    return np.where((u >= 0) & (u < 40) & (v >= 0) & (v < 25), rise, np.nan)
 
 
 def observe(sensor: SensorModel) -> tuple[NDArray[Any], ContactShape]:
@@ -116,6 +154,18 @@ def observe(sensor: SensorModel) -> tuple[NDArray[Any], ContactShape]:
         grey = np.nan_to_num(depth / sensor.geometry.max_depth_m, nan=1.0)
         image = np.repeat((200 * grey).astype(np.uint8)[..., None], 3, axis=-1)
         return image, sensor.contact_shape(image.copy())
+
+
+def _require_kept(sensor: SensorModel, depth_m: NDArray[np.float64]) -> None:
+    """Raise ContractError unless the sensor keeps depths (H, W), metres; one that takes images alone is let off."""
+    try:
+        shape = sensor.contact_shape(depth_m.copy())
+    except TouchError:  # it cannot be compared with a known truth here
+        return
+    kept = depth_m < shape.press_depth_m
+    require_close(shape.depth_m[kept], depth_m[kept], 1e-7, "depths that are given in metres must be kept")
+    require(not shape.contact[~kept].any(), "a pixel at the press depth or beyond, or NaN, is not in contact")
+    require(shape.contact.any(), "a pixel nearer than the press depth is in contact")
 
 
 def _not_refused(what: str, outcome: str) -> ContractError:

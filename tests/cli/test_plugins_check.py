@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,9 +14,10 @@ from tactile_loc_cli.commands.plugins import plugins
 
 from tactile_loc.core import registry
 from tactile_loc.core.registry import ComponentSpec, hookimpl
-from tactile_loc.testing import checks_for
+from tactile_loc.testing import checks_for, properties_for
 
 PARTS = """
+import numpy as np
 from pydantic import Field
 from tactile_loc.core.interfaces import ComponentOptions
 from tactile_loc.plugins.matchers.dense import DenseMatcher
@@ -29,6 +31,10 @@ class Doubled(DenseMatcher):
 class Raising(DenseMatcher):
     def scores(self, queries):
         return {}["key"]
+
+class Uneven(DenseMatcher):
+    def scores(self, queries):
+        return super().scores(queries) - 1e-3 * (queries[:, :1] > 0) * np.arange(len(self._bank), dtype="float32")
 
 class Unmade(DenseMatcher):
     def __init__(self, options=None):
@@ -45,7 +51,7 @@ class Stranger:
     def load(self) -> Any:
         specs = [
             ComponentSpec("matcher", name.lower(), f"strange_parts:{name}", "made up")
-            for name in ("Doubled", "Raising", "Unmade")
+            for name in ("Doubled", "Raising", "Uneven", "Unmade")
         ]
         return SimpleNamespace(tactile_loc_components=hookimpl(lambda: specs))
 
@@ -68,6 +74,28 @@ def test_a_built_in_passes(cli: Cli):
     assert summary == f"{len(checks)} of {len(checks)} checks passed"
 
 
+def test_properties_are_tried_if_asked_for(cli: Cli):
+    done = cli("plugins", "fuser", "product", "--check", "--properties")
+    assert done.exit_code == 0, done.output
+    component = registry.registry().create("fuser", "product")
+    chosen = [*checks_for(component), *properties_for(component)]
+    assert done.stdout.splitlines()[1:-1] == [f"ok      {check.__name__}" for check in chosen]
+
+
+def test_a_property_that_fails_is_one_line_that_names_a_case(cli, strange):
+    done = cli("plugins", "matcher", "uneven", "--check", "--properties")
+    assert done.exit_code == 1
+    lines = [line for line in done.stdout.splitlines() if line.startswith("FAILED  property_equal_rows: ")]
+    assert len(lines) == 1
+    assert "(with row=" in lines[0]
+
+
+def test_properties_without_hypothesis_are_one_sentence(cli, monkeypatch):
+    monkeypatch.setitem(sys.modules, "hypothesis", None)
+    assert_refused(cli("plugins", "fuser", "product", "--check", "--properties"), "pip install 'tactile-loc[testing]'")
+    assert_refused(cli("plugins", "fuser", "product", "--properties"), "--properties is for --check")
+
+
 def test_a_broken_plugin_fails_with_exit_code_1(cli, strange):
     done = cli("plugins", "matcher", "doubled", "--check")
     assert done.exit_code == 1
@@ -82,7 +110,7 @@ def test_a_broken_plugin_fails_with_exit_code_1(cli, strange):
 def test_another_exception_is_named(cli, strange):
     done = cli("plugins", "matcher", "raising", "--check")
     assert done.exit_code == 1
-    assert "FAILED  check_definition: KeyError: 'key' (strange_parts.py, line 14)" in done.stdout
+    assert "FAILED  check_definition: KeyError: 'key' (strange_parts.py, line 15)" in done.stdout
 
 
 def test_options_are_the_components(cli, strange):

@@ -15,8 +15,9 @@ from tactile_loc.core.errors import RenderError
 from tactile_loc.core.interfaces import Component, Encoder, Renderer
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.registry import BUILT_IN, registry
+from tactile_loc.plugins.grids.whole import WholeGrid
 from tactile_loc.plugins.matchers.faiss import FaissMatcher
-from tactile_loc.testing import checks_for, parametrize_with_checks
+from tactile_loc.testing import Check, checks_for, parametrize_with_checks, parametrize_with_properties
 from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, training_problem
 
 ROOT = Path(__file__).parents[2]
@@ -41,8 +42,27 @@ def built_ins() -> Iterator[Component]:
             yield registry().create(*key, OPTIONS.get(key))
 
 
-@parametrize_with_checks([*built_ins(), *VARIANTS])
+def quick(component: Component) -> Component:
+    """The same, or with fewer places: properties list them often."""
+    return WholeGrid(WholeGrid.Options(directions=1000)) if isinstance(component, WholeGrid) else component
+
+
+ALL = [*built_ins(), *VARIANTS]
+QUICK = [quick(component) for component in ALL]
+
+
+@parametrize_with_checks(ALL)
 def test_contract(component, check):
+    try_on(component, check)
+
+
+@parametrize_with_properties(QUICK)
+def test_property(component, check):
+    try_on(component, check)
+
+
+def try_on(component: Component, check: Check) -> None:
+    """Run a check; one of a renderer that cannot run here is skipped, an encoder that learns is trained first."""
     if isinstance(component, Renderer):
         skip_without_opengl(component)
     if component.capabilities.needs_training:

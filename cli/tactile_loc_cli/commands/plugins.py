@@ -27,12 +27,21 @@ Check = Annotated[
     typer.Option("--check", help="Run the contract checks of SLOT NAME instead; exit code 1 if it breaks a contract."),
 ]
 SetOption = Annotated[list[str] | None, set_option("With --check: an option of the component; may be repeated.")]
+Properties = Annotated[
+    bool,
+    typer.Option(
+        "--properties", help="With --check: try its properties too; needs pip install 'tactile-loc[testing]'."
+    ),
+]
 
 
-def plugins(slot: Slot = None, name: Name = None, check: Check = False, option: SetOption = None) -> dict[str, Any]:
+def plugins(
+    slot: Slot = None, name: Name = None, check: Check = False, option: SetOption = None, properties: Properties = False
+) -> dict[str, Any]:
     """List the components of every slot, or the options of one.
 
-    With --check, do to one component what the rest of tactile-loc relies on, and say what is wrong.
+    With --check, do to one component what the rest of tactile-loc relies on, and say what is wrong. With --properties
+    too, try what must hold whatever is drawn: frames, orders, symmetric copies, image sizes, mirror images.
     """
     from tactile_loc.core.errors import ConfigError
     from tactile_loc.core.registry import registry
@@ -41,9 +50,10 @@ def plugins(slot: Slot = None, name: Name = None, check: Check = False, option: 
     if check:
         if slot is None or name is None:
             raise ConfigError("--check is of one component; say which, as tactile-loc plugins refiner icp --check")
-        return _check(found, slot, name, option or [])
-    if option:
-        raise ConfigError("-o is for --check: give both, or none to list the options and their defaults")
+        return _check(found, slot, name, option or [], properties)
+    for given, what in ((option, "-o"), (properties, "--properties")):
+        if given:
+            raise ConfigError(f"{what} is for --check: give both, or none to list the options and their defaults")
     if slot is not None and name is not None:
         return _show_options(found, slot, name)
     return _show_components(found, slot)
@@ -131,7 +141,7 @@ def _say_columns(names: Sequence[str], rows: Sequence[dict[str, Any]]) -> None:
     say_table([names, *([row[name] for name in names] for row in rows)], left=len(names), gap=2, fold=True)
 
 
-def _check(found: Registry, slot: str, name: str, words: list[str]) -> dict[str, Any]:
+def _check(found: Registry, slot: str, name: str, words: list[str], properties: bool) -> dict[str, Any]:
     """Run the contract checks of a component; raises Finding when it breaks any."""
     from tactile_loc.testing.running import iter_checks
 
@@ -139,7 +149,7 @@ def _check(found: Registry, slot: str, name: str, words: list[str]) -> dict[str,
     component = _make(found, slot, name, words)
     say(_heading(about))
     checks = []
-    for result in iter_checks(component):
+    for result in iter_checks(component, properties):
         say(_line(result))
         checks.append({**asdict(result), "passed": result.passed})
     failed = sum(not c["passed"] for c in checks)

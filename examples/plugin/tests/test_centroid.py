@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from tactile_loc_centroid.refiner import CentroidRefiner
 
-from tactile_loc.testing import parametrize_with_checks
+from tactile_loc.testing import parametrize_with_checks, parametrize_with_properties
 from tactile_loc.testing.problems import pressed_block
 
 
 @parametrize_with_checks([CentroidRefiner()])
 def test_contract(component, check):
     """Run one check of `tactile_loc.testing` on one component."""
+    check(component)
+
+
+@parametrize_with_properties([CentroidRefiner()])
+def test_property(component, check):
+    """Run one property of `tactile_loc.testing` on one component."""
     check(component)
 
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from tactile_loc.plugin import SensorGeometry, registry, translation
-from tactile_loc.testing import parametrize_with_checks
+from tactile_loc.testing import parametrize_with_checks, parametrize_with_properties
 
 from tactile_loc_outline.distances import signed_distances
 from tactile_loc_outline.encoder import OutlineEncoder, cosines, low_frequencies
@@ -30,6 +30,11 @@ def pressed(x_mm: float, y_mm: float, wide_mm: float, high_mm: float, geometry: 
 
 @parametrize_with_checks([OutlineEncoder(), with_options(reach_mm=1.0, frequencies=20)])
 def test_contract(component, check):
+    check(component)
+
+
+@parametrize_with_properties([OutlineEncoder(), with_options(reach_mm=1.0, frequencies=20)])
+def test_property(component, check):
     check(component)
 
 

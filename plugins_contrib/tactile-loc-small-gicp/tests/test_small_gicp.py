@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from tactile_loc.plugin import Candidate, Cloud, Registration, contact_cloud, is_rigid, make_transform, rotation_about
-from tactile_loc.testing import parametrize_with_checks
+from tactile_loc.testing import parametrize_with_checks, parametrize_with_properties
 from tactile_loc.testing.problems import CAMERAS, OFFSETS, pressed_block, with_depth
 
 from tactile_loc_small_gicp.refiner import SmallGicpRefiner
@@ -19,6 +19,11 @@ def with_options(**options) -> SmallGicpRefiner:
 
 @parametrize_with_checks([SmallGicpRefiner()])
 def test_contract(component, check):
+    check(component)
+
+
+@parametrize_with_properties([SmallGicpRefiner()])
+def test_property(component, check):
     check(component)
 
 

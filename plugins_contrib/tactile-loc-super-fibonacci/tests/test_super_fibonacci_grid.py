@@ -17,7 +17,7 @@ from tactile_loc.plugin import (
     make_transform,
     registry,
 )
-from tactile_loc.testing import parametrize_with_checks
+from tactile_loc.testing import parametrize_with_checks, parametrize_with_properties
 from tactile_loc.testing.problems import CAMERAS, block
 
 from tactile_loc_super_fibonacci.coverage import least_covering, spread_of
@@ -39,6 +39,12 @@ def brick(symmetry: str = "none", shift_m: tuple[float, float, float] = (0, 0, 0
 @parametrize_with_checks([SuperFibonacciGrid()])
 def test_contract(component, check):
     """Run one check of `tactile_loc.testing` on one component."""
+    check(component)
+
+
+@parametrize_with_properties([SuperFibonacciGrid()])
+def test_property(component, check):
+    """Run one property of `tactile_loc.testing` on one component."""
     check(component)
 
 

@@ -1,0 +1,172 @@
+"""Each property notices a component that breaks it, and names a case; draws are the same whenever it is tried."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import hypothesis
+import numpy as np
+import pytest
+from broken_properties import BROKEN
+from hypothesis import Phase
+
+from tactile_loc.core.errors import MissingLibraryError
+from tactile_loc.core.geometry import is_rigid
+from tactile_loc.core.interfaces import Capabilities
+from tactile_loc.plugins.matchers.dense import DenseMatcher
+from tactile_loc.plugins.refiners.none import NoRefiner
+from tactile_loc.testing import (
+    ContractError,
+    encoders,
+    fusers,
+    grids,
+    matchers,
+    parametrize_with_properties,
+    properties_for,
+    refiners,
+    renderers,
+    sensors,
+)
+from tactile_loc.testing.properties import hold, motions, one_of, orders, places, shifts, signed, slides, whole
+from tactile_loc.testing.running import run_checks
+
+MODULES = (sensors, renderers, grids, encoders, matchers, refiners, fusers)
+
+
+@pytest.fixture
+def unsimplified() -> Iterator[None]:
+    """The first case that fails is told: simplifying takes as many draws again as fit in a second or two."""
+    hypothesis.settings.register_profile("unsimplified", phases=[Phase.generate])
+    hypothesis.settings.load_profile("unsimplified")
+    yield
+    hypothesis.settings.load_profile("default")
+
+
+@pytest.mark.usefixtures("unsimplified")
+@pytest.mark.parametrize(("check", "component"), BROKEN, ids=lambda x: getattr(x, "__name__", type(x).__name__))
+def test_broken_component_is_noticed(check, component):
+    with pytest.raises(ContractError) as caught:
+        check(component)
+    sentence = str(caught.value)
+    assert "\n" not in sentence
+    assert "(with " in sentence
+
+
+def test_every_property_has_a_broken_component():
+    names = {f"{m.__name__}.{name}" for m in MODULES for name in vars(m) if name.startswith("property_")}
+    assert {f"{check.__module__}.{check.__name__}" for check, _ in BROKEN} == names
+
+
+def test_every_property_is_chosen_for_some_capabilities_and_says_what_holds():
+    for module in MODULES:
+        named = {name for name in vars(module) if name.startswith("property_")}
+        chosen = [check for c in (Capabilities(), Capabilities(places=True)) for check in module.properties(c)]
+        assert {check.__name__ for check in chosen} == named
+        assert all(check.__doc__.partition("\n")[0].endswith((".", ":")) for check in chosen)
+
+
+def test_what_is_drawn_is_the_same_every_time_and_the_simplest_comes_first():
+    def drawn() -> list[dict]:
+        seen: list[dict] = []
+        hold(lambda **values: seen.append(values), examples=8, order=orders(4), motion=motions(), place=places(30, 9))
+        return seen
+
+    first = drawn()
+    assert first == drawn()
+    assert len({tuple(one["order"]) for one in first}) > 3
+    assert first[0]["order"] == [3, 2, 1, 0]
+    assert (first[0]["motion"].turn_deg, first[0]["place"].yaw_deg) == (15, 0)
+
+
+def test_draws_leave_no_folder_behind_and_do_not_depend_on_what_is_imported(tmp_path):
+    """In a process of its own, which has imported hardly anything, they are those of this one."""
+    lines = "lambda n, s: print(n, s), examples=9, n=whole(0, 10**6), s=slides()"
+    code = f"from tactile_loc.testing.properties import hold, slides, whole; hold({lines})"
+    alone = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, check=True, text=True)
+    here: list[str] = []
+    hold(lambda n, s: here.append(f"{n} {s}"), examples=9, n=whole(0, 10**6), s=slides())
+    assert alone.stdout.splitlines() == here
+    assert len(here) == 9
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("strategy", "least", "most"),
+    [(whole(3, 7), 3, 7), (signed(2), -2, 2), (one_of([4, 5, 6]), 4, 6), (whole(5, 5), 5, 5)],
+)
+def test_numbers_are_all_drawn_and_none_else(strategy, least, most):
+    seen: list[int] = []
+    hold(lambda n: seen.append(n), examples=200, n=strategy)
+    assert set(seen) == set(range(least, most + 1))
+
+
+def test_orders_are_orders_and_motions_rigid():
+    def claim(order, motion, place, slide, shift):
+        assert sorted(order) == list(range(5))
+        assert is_rigid(motion.T)
+        assert is_rigid(place.pose)
+        assert np.linalg.norm(slide.slide[:2]) < 1.2e-3
+        assert all(20 <= abs(part) <= 150 for part in shift)
+        assert np.trace(motion.T[:3, :3]) < 1 + 2 * np.cos(np.radians(14.9))
+
+    hold(claim, examples=30, order=orders(5), motion=motions(), place=places(20, 8), slide=slides(), shift=shifts())
+
+
+def test_a_simple_case_is_named():
+    def claim(turn_deg, order):
+        if turn_deg > 60 and order[0] != 0:
+            raise ContractError("turned too far")
+
+    with pytest.raises(ContractError) as caught:
+        hold(claim, examples=20, turn_deg=whole(0, 180), order=orders(3))
+    named = re.fullmatch(r"turned too far \(with turn_deg=(\d+), order=\[2, 1, 0\]\)", str(caught.value))
+    assert named, caught.value
+    assert 60 < int(named[1]) < 100
+
+
+def test_what_breaks_a_property_only_now_and_then_is_said_to():
+    calls = iter(range(1000))
+
+    def claim(number):
+        if next(calls) == 0:
+            raise ContractError("first call")
+
+    with pytest.raises(ContractError, match="once and not again"):
+        hold(claim, number=whole(0, 9))
+
+
+def test_another_exception_goes_through():
+    with pytest.raises(ZeroDivisionError):
+        hold(lambda number: 1 / (number - 3), examples=50, number=whole(0, 5))
+
+
+def test_without_hypothesis_one_sentence_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "hypothesis", None)
+    with pytest.raises(MissingLibraryError, match=r"pip install 'tactile-loc\[testing\]'"):
+        properties_for(NoRefiner())[0](NoRefiner())
+    with pytest.raises(MissingLibraryError):
+        run_checks(DenseMatcher(), properties=True)
+    assert all(result.passed for result in run_checks(DenseMatcher()))
+
+
+def test_properties_are_run_after_the_checks_if_asked_for():
+    results = run_checks(DenseMatcher(), properties=True)
+    assert [r.name for r in results if r.name.startswith("property_")] == [
+        check.__name__ for check in properties_for(DenseMatcher())
+    ]
+    assert all(result.passed for result in results)
+
+
+def test_parametrize_makes_a_case_a_property():
+    names, cases = parametrize_with_properties([DenseMatcher(), NoRefiner()]).mark.args
+    assert names == ("component", "check")
+    assert len(cases) == len(properties_for(DenseMatcher())) + len(properties_for(NoRefiner()))
+    assert cases[0].id.startswith("DenseMatcher-property_")
+
+
+def test_a_class_is_refused():
+    with pytest.raises(TypeError, match="instance"):
+        properties_for(DenseMatcher)  # type: ignore[arg-type]
