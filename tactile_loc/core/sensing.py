@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_loc.core.errors import NoContactError, SensorError, TouchError
+from tactile_loc.core.geometry import is_rigid
 
 Depth = NDArray[np.float32]
 
@@ -346,7 +347,8 @@ class Touch:
     deviations of its error along (metres) and about (radians) each axis through the touch; `T_sensor_object`
     (4, 4) the true pose while it was pressed, known only in simulation or experiments. Lengths in metres. `image`
     (H, W, 3) uint8 is the photo that the contact shape was estimated from, if it was.
-    Raises TouchError when the shape does not fit the sensor, has no contact, or nothing but contact.
+    Raises TouchError when the shape does not fit the sensor, has no contact, or nothing but contact, and for a pose
+    that is no rigid transform: a reflection would make another object of the known one, its mirror image.
     """
 
     contact_shape: ContactShape
@@ -381,6 +383,15 @@ class Touch:
         if self.geometry.indentation_m != self.indentation_m or self.geometry.max_depth_m != self.press_depth_m:
             pressed = self.geometry.pressed(self.indentation_m, self.press_depth_m)
             object.__setattr__(self, "geometry", pressed)
+        for pose in ("T_base_sensor", "T_sensor_object"):
+            self._require_rigid(pose)
+
+    def _require_rigid(self, pose: str) -> None:
+        T = getattr(self, pose)
+        if T is not None and (np.shape(T) != (4, 4) or not is_rigid(np.asarray(T, float))):
+            raise TouchError(
+                f"{pose} of {self.name} is no rigid transform; it must be (4, 4), in metres, its rotation no reflection"
+            )
 
     @property
     def press_depth_m(self) -> float:

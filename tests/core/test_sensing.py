@@ -249,6 +249,15 @@ def test_bad_arrays_are_refused(values: object, press_depth_m: float | None, wor
         contact_shape_from_array(values, 2 * MM, press_depth_m)
 
 
+@pytest.mark.parametrize("name", ["T_base_sensor", "T_sensor_object"])
+@pytest.mark.parametrize("T", [np.diag([-1.0, 1, 1, 1]), 2 * np.eye(4), np.eye(3), np.full((4, 4), np.nan)])
+def test_a_touch_is_refused_at_poses_that_are_none(name: str, T: np.ndarray) -> None:
+    shape = ContactShape(np.full(PINHOLE.shape, 2 * MM, np.float32), 2 * MM)
+    shape.depth_m[2:4, 2:5] = 0
+    with pytest.raises(TouchError, match=f"{name} of press 3 is no rigid transform.*no reflection"):
+        Touch(shape, PINHOLE, "press 3", **{name: T})
+
+
 def test_a_touch_must_fit_its_sensor() -> None:
     shape = contact_shape_from_array(slope(), 2 * MM)
     assert Touch(shape, PINHOLE).press_depth_m == shape.press_depth_m

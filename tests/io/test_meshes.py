@@ -65,6 +65,18 @@ def test_all_bodies_of_a_scene_where_they_are(tmp_path):
     )
 
 
+def test_a_mirrored_part_of_a_scene_is_the_mirrored_part_and_its_faces_stay_outward(tmp_path):
+    wedge = trimesh.creation.extrude_triangulation(
+        np.array([[0, 0], [0.03, 0], [0, 0.02]]), np.array([[0, 1, 2]]), 0.01
+    )
+    scene = trimesh.Scene()
+    scene.add_geometry(wedge, transform=np.diag([-1.0, 1.0, 1.0, 1.0]))
+    scene.export(tmp_path / "left.glb")
+    mesh = load_object(tmp_path / "left.glb", "m", "none").mesh
+    np.testing.assert_allclose(mesh.vertices_m.min(axis=0), [-0.03, 0, 0], atol=1e-9)
+    assert trimesh.Trimesh(mesh.vertices_m, mesh.faces).volume == pytest.approx(wedge.volume, rel=1e-5)
+
+
 @pytest.mark.parametrize(("units", "per_metre"), [("m", 1.0), ("mm", 1e3), ("cm", 1e2), ("inch", 1 / 0.0254)])
 def test_declared_units_agree(write_box, units, per_metre):
     obj = load_object(write_box(scale=per_metre), units=units, symmetry="none")
