@@ -18,7 +18,7 @@ from tactile_loc.core.errors import MissingLibraryError
 from tactile_loc.core.geometry import make_transform, rotation_about
 from tactile_loc.testing.contract import ContractError
 
-EXAMPLES = 3  # of each property; the first is the simplest
+EXAMPLES = 5  # of each property; the first is the simplest
 SPARE_BITS = 3  # by which a number's draws are finer than it is, so that all are about as likely
 AXES = tuple(axis for axis in product((0, 1, -2), repeat=3) if any(axis))
 
