@@ -23,7 +23,7 @@ from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.imaging.optics import Optics
 from tactile_loc.io.images import read_colour_image, write_image
 from tactile_loc.io.sensor_files import CALIBRATION, read_sensor_file, write_sensor_file
-from tactile_loc.store.files import read_json, recover_folder, replacing_folder
+from tactile_loc.store.files import is_unfinished, read_json, recover_folder, replacing_folder
 from tactile_loc.store.keys import hash_arrays, hash_file
 
 SCHEMA_VERSION = 1
@@ -157,8 +157,13 @@ def _numbers(values: Iterable[Any]) -> bool:
 
 def require_replaceable(folder: Path) -> None:
     """Check that a calibrated sensor may be written to `folder`. Raises OutputError when it holds something else."""
-    if folder.exists() and not (folder.is_dir() and {path.name for path in folder.iterdir()} <= OURS):
+    if folder.exists() and not (folder.is_dir() and all(map(_is_ours, folder.iterdir()))):
         raise OutputError(f"{folder} holds something else than a calibrated sensor; choose another --out")
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether a calibration, or one that was killed, has written this."""
+    return path.name in OURS or is_unfinished(path)
 
 
 def write_calibration(

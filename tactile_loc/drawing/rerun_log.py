@@ -27,6 +27,7 @@ OBJECT, HYPOTHESES, POSTERIOR, SPREAD = (f"{SENSOR}/{n}" for n in ("object", "hy
 STEEL, GHOST, HIDDEN = (124, 159, 199, 255), (124, 159, 199, 50), (0, 0, 0, 0)
 GEL = (223, 225, 220)
 DEVIATIONS = 2.0  # that the ellipsoid's half axes are
+FLUSH_S = 30.0  # that a frame may take to the disk
 MARK_M = 5e-4  # radius of the most probable pose's mark
 
 
@@ -70,11 +71,11 @@ class Logged:
 class RerunLog:
     """A Rerun file that grows frame by frame; a context. In metres, in the sensor's frame, and that in the base's.
 
-    `scene` says which object and which sensor.
+    `scene` says which object and which sensor. What is added, and its end, raise OutputError when the disk refuses.
     """
 
     def __init__(self, path: Path, scene: Scene) -> None:
-        self._rr = _library()
+        self._rr, self._name, self._refused = _library(), path.name, False
         path.parent.mkdir(parents=True, exist_ok=True)
         self._stream = self._rr.RecordingStream(f"tactile-loc {scene.object.name}")
         self._stream.save(path)
@@ -89,8 +90,10 @@ class RerunLog:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stream.flush()
-        self._stream.disconnect()
+        if error is None:
+            self._flush()
+        if not self._refused:  # Rerun would wait for its writer for ever
+            self._stream.disconnect()
 
     def add(self, frame: Logged) -> None:
         """Add a frame; what it has not is not shown any more."""
@@ -107,7 +110,17 @@ class RerunLog:
         if frame.posterior is not None:
             self._add_posterior(frame.posterior)
         self._log("pose", self._rr.TextDocument(pose_text(frame)))
-        self._stream.flush()
+        self._flush()
+
+    def _flush(self) -> None:
+        """Wait until all is on the disk; Rerun's writer ends at the first refusal, without a reason or a word."""
+        try:
+            self._stream.flush(timeout_sec=FLUSH_S)
+        except RuntimeError as error:
+            self._refused = True
+            raise OutputError(
+                f"{self._name} cannot be written any more ({error}); free some space there, or choose another --rerun"
+            ) from error
 
     def _log(self, path: str, what: Any, static: bool = False) -> None:
         self._stream.log(path, what, static=static)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ConfigError, TactileLocError, TouchError
+from tactile_loc.core.errors import ConfigError, StoreError, TactileLocError, TouchError
 from tactile_loc.core.explained import explained
 from tactile_loc.core.interfaces import IOU_PX, View
 from tactile_loc.core.sensing import Touch
@@ -188,6 +188,8 @@ def _located(model: Localizer, touches: Sequence[Touch]) -> Localization | None:
     """Where an object would be; None where no pose of it makes these touches."""
     try:
         return localize_together([(model, touch) for touch in touches])
+    except StoreError:
+        raise
     except TactileLocError:
         return None
 

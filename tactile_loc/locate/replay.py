@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from tactile_loc.core.errors import FrameError, NoContactError, RecordingError, TactileLocError
+from tactile_loc.core.errors import FrameError, NoContactError, RecordingError, StoreError, TactileLocError
 from tactile_loc.core.frame_tree import FrameTree
 from tactile_loc.core.geometry import covariance_along
 from tactile_loc.core.sensing import Touch
@@ -121,7 +121,7 @@ class Replay:
             touch = self.touch(image_array(image))
             T_base_frame = self._base_from(frame, given["stamp_ns"])
             return _record(given, estimator(touch), T_base_frame)
-        except RecordingError:
+        except (RecordingError, StoreError):  # of no frame's making: they would be refused for good
             raise
         except NoContactError as error:
             return FrameRecord(**given, outcome=Outcome.NO_CONTACT, says=str(error))

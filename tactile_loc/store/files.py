@@ -7,6 +7,7 @@ import fcntl
 import glob
 import json
 import os
+import re
 import shutil
 import tempfile
 import uuid
@@ -17,26 +18,27 @@ from typing import Any
 
 from tactile_loc.core.errors import OutputError
 
+_TEMPORARY = ".tmp-"
+_OS_ERROR = re.compile(r"\(os error (\d+)\)")
+
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`, of the same suffix; when the block ends well, sync it and rename it.
+    """Give a temporary path near `path`, of the same name; when the block ends well, sync it and rename it.
 
-    Whatever goes wrong, an older file at `path` is still whole and nothing is left beside it. Raises OSError.
+    Whatever goes wrong, an older file at `path` is still whole and nothing is left beside it; what a process that was
+    killed has left there is removed by the next replacement. Raises OSError.
     """
-    temporary = _beside(path)
-    try:
+    with _folder_beside(path) as folder:
+        temporary = folder / path.name
         yield temporary
         _sync_file(temporary)
         temporary.replace(path)
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 @contextmanager
 def replacing_folder(path: Path, fresh: bool = False) -> Iterator[Path]:
-    """Give an empty folder beside `path`; when the block ends well, sync all it holds and put it in `path`'s place.
+    """Give an empty folder near `path`; when the block ends well, sync all it holds and put it in `path`'s place.
 
     A process that is killed at any moment leaves the old folder whole or the new one, and what it leaves beside them is
     removed by the next replacement; whatever else goes wrong, nothing is left. Where the file system cannot exchange
@@ -45,11 +47,11 @@ def replacing_folder(path: Path, fresh: bool = False) -> Iterator[Path]:
     """
     path = path.resolve()  # where `path` is a link, what it points to is replaced
     recover_folder(path)
-    temporary = _beside(path)
-    temporary.mkdir(parents=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        with _opened(temporary) as descriptor:
-            _lock(descriptor)
+        with _folder_beside(path) as folder:
+            temporary = folder / path.name
+            temporary.mkdir()
             yield temporary
             _sync_tree(temporary)
             if fresh or not os.path.lexists(path):
@@ -59,7 +61,7 @@ def replacing_folder(path: Path, fresh: bool = False) -> Iterator[Path]:
             sync_folder(path.parent)
     finally:
         recover_folder(path)
-        _remove_leftovers(path, temporary)
+        _remove_aside(path)
 
 
 def recover_folder(path: Path) -> None:
@@ -69,6 +71,11 @@ def recover_folder(path: Path) -> None:
         aside = _aside(path)
         if not os.path.lexists(path) and aside.is_dir():
             aside.rename(path)
+
+
+def is_unfinished(path: Path) -> bool:
+    """Whether by its name something is being written beside its place, or was when a process was killed."""
+    return path.name.startswith(_TEMPORARY)
 
 
 def read_json(path: Path) -> Any:
@@ -138,12 +145,67 @@ def write_json(path: Path, value: Any) -> Path:
     return write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def _beside(path: Path) -> Path:
-    return path.with_name(f".tmp-{uuid.uuid4().hex}-{path.name}")
+@contextmanager
+def _folder_beside(path: Path) -> Iterator[Path]:
+    """Give an empty folder beside `path`, locked as long as the block lasts; at its end what is left of it is removed.
+
+    The folder's name is always the same: so what a killed process left is found again without listing all that there
+    is, which would take long where many files are written into one folder.
+    """
+    folder = path.with_name(f"{_TEMPORARY}new-{path.name}")
+    descriptor = _claimed(folder)
+    while descriptor is None:  # it is there already: another process is at work on it, or was
+        _remove_abandoned(path)
+        folder = path.with_name(f"{_TEMPORARY}{uuid.uuid4().hex}-{path.name}") if folder.exists() else folder
+        descriptor = _claimed(folder)
+    try:
+        with _told_by_number():
+            yield folder
+    finally:
+        with suppress(OSError):
+            delete(folder)
+        os.close(descriptor)
+
+
+@contextmanager
+def _told_by_number() -> Iterator[None]:
+    """Raise as an OSError what libraries in Rust say of the system in words only, as "... (os error 28)"."""
+    try:
+        yield
+    except Exception as error:
+        said = None if isinstance(error, OSError) else _OS_ERROR.search(str(error))
+        if said is None:
+            raise
+        raise OSError(int(said[1]), os.strerror(int(said[1]))) from error
+
+
+def _claimed(folder: Path) -> int | None:
+    """Make a folder and lock it; None if it is there already, or somebody who took it for abandoned was faster."""
+    try:
+        folder.mkdir()
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except (FileExistsError, FileNotFoundError):
+        if folder.parent.is_dir():
+            return None
+        raise
+    with suppress(OSError):  # a file system without locks
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+    if _stands_at(folder, descriptor):
+        return descriptor
+    os.close(descriptor)
+    return None
+
+
+def _stands_at(folder: Path, descriptor: int) -> bool:
+    """Whether an open folder has not been removed, another of its name perhaps made since."""
+    try:
+        return os.path.samestat(folder.stat(), os.fstat(descriptor))
+    except OSError:
+        return False
 
 
 def _aside(path: Path) -> Path:
-    return path.with_name(f".tmp-old-{path.name}")
+    return path.with_name(f"{_TEMPORARY}old-{path.name}")
 
 
 def _swap(new: Path, path: Path) -> None:
@@ -168,22 +230,21 @@ def _exchange(one: Path, other: Path) -> bool:
     return renameat2(here, os.fsencode(one), here, os.fsencode(other), exchange) == 0
 
 
-def _remove_leftovers(path: Path, temporary: Path) -> None:
-    """Remove what this replacement of `path`, and those that were killed, left beside it."""
-    left = {temporary, *_abandoned(path)}
+def _remove_aside(path: Path) -> None:
+    """Remove what was set aside for what stands at `path` now."""
     if os.path.lexists(path):
-        left.add(_aside(path))
-    for folder in left:
         with suppress(OSError):
-            delete(folder)
+            delete(_aside(path))
 
 
-def _abandoned(path: Path) -> Iterator[Path]:
-    """Yield the folders of killed replacements of `path`: nobody holds their locks any more."""
-    for left in path.parent.glob(f".tmp-{'[0-9a-f]' * 32}-{glob.escape(path.name)}"):
-        with suppress(OSError), _opened(left) as descriptor:
-            if _lock(descriptor):
-                yield left
+def _remove_abandoned(path: Path) -> None:
+    """Remove the folders of killed replacements of `path`: nobody holds their locks any more."""
+    name = glob.escape(path.name)
+    for pattern in (f"{_TEMPORARY}new-{name}", f"{_TEMPORARY}{'[0-9a-f]' * 32}-{name}"):
+        for left in path.parent.glob(pattern):
+            with suppress(OSError), _opened(left) as descriptor:
+                if _lock(descriptor) and _stands_at(left, descriptor):
+                    delete(left)  # while it is locked: nobody can begin to use it
 
 
 @contextmanager

@@ -101,6 +101,12 @@ def test_a_folder_that_holds_something_else_is_not_touched(folder, other):
     assert contents(folder) == before
 
 
+def test_what_a_killed_process_left_is_nothing_else(folder):
+    (folder / ".tmp-new-held-out.png").mkdir()
+    read_calibration(write(folder, seed=1))
+    assert not [path for path in folder.iterdir() if files.is_unfinished(path)]
+
+
 def test_a_file_is_not_replaced(tmp_path):
     (tmp_path / "sensor").write_text("mine")
     with pytest.raises(OutputError, match="something else"):

@@ -98,3 +98,13 @@ def test_what_cannot_be_written_is_told_before_anything_is_done(rerun, tmp_path,
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(MissingLibraryError, match=r"pip install 'tactile-loc\[view\]'"):
         require_rerun(tmp_path / "a.rrd")
+
+
+def test_a_full_disk_is_one_sentence(rerun, localizer, tmp_path, monkeypatch):
+    def full(*_: object, **__: object) -> None:
+        raise RuntimeError("File-writer thread shut down prematurely")
+
+    with RerunLog(tmp_path / "a.rrd", localizer.scene) as log, monkeypatch.context() as patch:
+        patch.setattr(log._stream, "flush", full)
+        with pytest.raises(OutputError, match=r"a\.rrd cannot be written any more .* another --rerun"):
+            log.add(Logged(0, 0.0))

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.errors import ConfigError, ObjectError, TouchError
+from tactile_loc.core.errors import ConfigError, ObjectError, StoreError, TouchError
 from tactile_loc.core.geometry import make_transform, rotation_about
 from tactile_loc.core.noise import NOISE
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig
+from tactile_loc.locate import identify as module
 from tactile_loc.locate.identify import KnownAnswer, NullEvidence, fit_null_evidence, identify, shortfall
 from tactile_loc.locate.library import Library
 from tactile_loc.locate.localizer import Localizer, localize_together
@@ -157,6 +158,15 @@ def test_the_null_evidence_is_fitted_to_what_tells_known_from_left_out():
     assert 1.6 < null.together < 6
     left_out = [answer for answer in answers if answer.truth < 0]
     assert all(null.probabilities(answer.shortfalls, answer.touches)[1] > 0.5 for answer in left_out)
+
+
+def test_a_full_store_makes_no_object_unlikely(monkeypatch):
+    def full(*_: object) -> None:
+        raise StoreError("no space left")
+
+    monkeypatch.setattr(module, "localize_together", full)
+    with pytest.raises(StoreError, match="no space left"):
+        module._located(None, [])
 
 
 def test_what_cannot_be_identified_is_refused(models, touches, library):

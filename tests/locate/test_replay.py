@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_loc.core.errors import FrameError, GridError, OutputError, RecordingError
+from tactile_loc.core.errors import FrameError, GridError, OutputError, RecordingError, StoreError
 from tactile_loc.core.geometry import covariance_along, make_transform, rotation_about
 from tactile_loc.core.interfaces import RefinedPose
 from tactile_loc.core.sensing import Touch
@@ -148,6 +148,21 @@ def test_what_was_finished_is_not_done_again(recorded, localizer, tmp_path, loca
     assert found.records == whole.records
     assert out.read_bytes() == (tmp_path / "whole.mcap").read_bytes()
     assert not list(tmp_path.glob("*.journal"))
+
+
+def test_a_full_store_refuses_no_frame_for_good(recorded, localizer, tmp_path):
+    estimates = iter([at_truth])
+
+    def starved(touch: Touch) -> Hypothesis:
+        for estimate in estimates:
+            return estimate(touch)
+        raise StoreError("no space left")
+
+    out, replay = tmp_path / "out.mcap", replay_of(recorded, localizer)
+    with pytest.raises(StoreError, match="no space left"):
+        replay_to(out, replay, 6, "/pose", estimator=starved)
+    found = replay_to(out, replay, 6, "/pose", estimator=at_truth)
+    assert (found.resumed, found.summary.located) == (1, 4)
 
 
 def test_a_journal_cut_anywhere_holds_what_was_whole(recorded, localizer, tmp_path):

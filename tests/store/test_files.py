@@ -61,6 +61,29 @@ def test_other_errors_pass_through_and_leave_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_process_killed_at_any_step_leaves_the_old_file_or_the_new_and_the_next_write_clears_up(tmp_path):
+    path, seen, left = tmp_path / "a.txt", [], 0
+    path.write_text("old")
+    for _ in killed_at_every_step(lambda: write_atomically(path, lambda p: p.write_text("new"))):
+        seen.append(path.read_text())
+        left += len(names(tmp_path)) > 1
+        write_atomically(path, lambda p: p.write_text("old"))
+        assert names(tmp_path) == ["a.txt"]
+    assert set(seen) == {"old", "new"}
+    assert left > 3
+
+
+def test_what_another_process_writes_to_the_same_file_is_left_alone(tmp_path):
+    path = tmp_path / "a.txt"
+    with files.replacing(path) as slow:
+        slow.write_text("slow")
+        for _ in killed_at_every_step(lambda: write_atomically(path, lambda p: p.write_text("fast"))):
+            assert slow.read_text() == "slow"
+        assert path.read_text() == "fast"
+    assert path.read_text() == "slow"
+    assert names(tmp_path) == ["a.txt"]
+
+
 NAMES = ("a.txt", "deep/b.txt")
 
 

@@ -169,6 +169,15 @@ def test_full_device(store: StageStore, tmp_path: Path) -> None:
     assert contents(store.build(KEY, Five()).path) == reference(tmp_path)
 
 
+def test_a_full_device_that_a_library_tells_of_in_words(store: StageStore, tmp_path: Path) -> None:
+    def in_words(_: Path) -> None:
+        raise RuntimeError("Error while serializing: I/O error: No space left on device (os error 28)")
+
+    with pytest.raises(StoreError, match=r"weights\.bin of stage bank .*No space left on device; free some space"):
+        store.build(KEY, lambda ws: ws.save_file("weights.bin", in_words))
+    assert contents(store.build(KEY, Five()).path) == reference(tmp_path)
+
+
 LIMITED = """
 import resource, sys
 from pathlib import Path
