@@ -11,7 +11,7 @@ PYTEST_FLAGS ?= -q -n 2 --dist loadfile --no-loadscope-reorder
 # ROS and others put their own packages, pytest plugins among them, in front of ours.
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help setup demo test lint smoke docs audit sbom fuzz bench bench-compare clean
+.PHONY: help setup demo test lint smoke docs audit sbom fuzz kill bench bench-compare clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -53,6 +53,9 @@ sbom: $(STAMP) ## list what the wheel brings with it, as CycloneDX, in out/sbom.
 
 fuzz: $(STAMP) ## give every reader 2000 damaged inputs, half an hour; the same again goes on where it was stopped
 	@$(VENV)/bin/python scripts/fuzz.py
+
+kill: $(STAMP) ## kill and starve commands, an hour; the same again goes on where it was stopped
+	@$(VENV)/bin/python scripts/kill.py
 
 bench: $(STAMP) ## run all benchmarks, hours, and keep what they print
 	@$(VENV)/bin/python scripts/bench.py keep --all

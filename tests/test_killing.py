@@ -1,0 +1,126 @@
+"""A command killed and begun again, a little of what `make kill` does; and what the killer would find."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from killing import remains
+from killing.commands import FLAT, Done, Place, command
+from killing.kills import kill, undisturbed
+from killing.moments import Life, drawn
+from killing.record import Finding, Record
+
+from tactile_loc.store.files import replacing
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import StageStore
+
+KEY = StageKey("bank", 1, {"mesh": "a"})
+
+
+@pytest.fixture
+def place(tmp_path) -> Place:
+    """A place with something finished in it, and an interrupted build."""
+    (tmp_path / "inputs").mkdir()
+    here = Place(tmp_path / "place")
+    here.root.mkdir()
+    here.make(tmp_path / "inputs")
+    StageStore(here.store).build(KEY, lambda work: work.save_json("numbers", [1, 2]))
+    with pytest.raises(KeyboardInterrupt):
+        StageStore(here.store).build(StageKey("grid", 1, {}), interrupted)
+    (here.work / "found.jsonl").write_text('{"name": "a", "seconds": 1}\n{"name": "b"}\n')
+    return here
+
+
+def interrupted(work) -> None:
+    work.save_json("first", 1)
+    raise KeyboardInterrupt
+
+
+@pytest.mark.slow
+def test_a_build_is_killed_and_begun_again(tmp_path):
+    (tmp_path / "inputs").mkdir()
+    (tmp_path / "inputs" / "flat.toml").write_text(FLAT)
+    (tmp_path / "calm").mkdir()
+    build, record = command("build"), Record(tmp_path / "record.json", 0)
+    calm = undisturbed(build, tmp_path / "calm", tmp_path / "inputs")
+    trials = record.trials("kill", "build")
+    kill(build, 2, trials, Place(tmp_path / "place"), tmp_path / "inputs", calm, lambda _: None)
+    assert trials.counts["killed"] == 2
+    assert record.findings == []
+    assert len(calm.answer) > 10
+
+
+def test_what_is_whole_is_no_finding(place):
+    assert remains.broken(place, ended=True) == []
+    assert {word.split()[0] for word in remains.finished(place)} == {"artifact", "piece", "line"}
+
+
+@pytest.mark.parametrize(
+    ("path", "content", "found"),
+    [
+        ("work/result.json", b'{"a": ', "work/result.json: JSONDecodeError"),
+        ("work/found.jsonl", b'{"a": 1}\n{"a"', "ends in half a line"),
+        ("work/table.csv", b"a,b\n1,", "ends in half a line"),
+        ("work/picture.png", b"\x89PNG\r\n\x1a\n", "work/picture.png"),
+        ("work/touch.npz", b"PK", "work/touch.npz"),
+        (f"store/bank/{KEY.short}/numbers.json", b"[1, 3]", "artifact bank"),
+    ],
+)
+def test_what_is_broken_is_found(place, path, content, found):
+    (place.root / path).write_bytes(content)
+    (said,) = remains.broken(place, ended=True)
+    assert found in said
+
+
+def test_what_was_finished_and_is_gone_is_lost_unless_something_was_made_of_it(place):
+    before = remains.finished(place)
+    StageStore(place.store).build(StageKey("grid", 1, {}), lambda work: work.save_json("whole", 2))
+    assert remains.lost(before, remains.finished(place), place) == []
+    StageStore(place.store).remove(KEY.digest)
+    StageStore(place.store).build(KEY, lambda work: work.save_json("numbers", [1, 2]))
+    (place.work / "found.jsonl").write_text('{"name": "b"}\n')
+    lost = remains.lost(before, remains.finished(place), place)
+    assert [word.split()[0] for word in lost] == ["artifact", "line", "line"]
+
+
+def test_what_is_left_beside_is_told(place):
+    assert remains.leftovers(place) == ["HEX.partial"]
+    with replacing(place.work / "a.txt") as temporary:
+        temporary.touch()
+        (place.temporary / "tmpabc").mkdir()
+        assert remains.leftovers(place) == [".tmp-new-a.txt", "HEX.partial", "tmpabc"]
+
+
+def test_the_answer_is_without_what_depends_on_the_clock(place):
+    before = remains.answer(place)
+    for text, same in (('{"name": "a", "seconds": 2}\n{"name": "b"}\n', True), ('{"name": "b"}\n', False)):
+        (place.work / "found.jsonl").write_text(text)
+        assert (remains.answer(place) == before) == same
+
+
+def test_moments_are_drawn_from_the_seed_and_after_work_has_begun():
+    life = Life(1.0, 3.0, 40)
+    moments = [drawn(life, np.random.default_rng([1, n])) for n in range(50)]
+    assert moments == [drawn(life, np.random.default_rng([1, n])) for n in range(50)]
+    assert all(0.8 <= m.seconds <= 3.0 if m.changes == 0 else 1 <= m.changes <= 40 for m in moments)
+
+
+def test_a_sentence_is_one_line_with_the_exit_code_of_bad_input():
+    assert Done(2, "", "warning: x\nerror: no room\n").is_refusal
+    for done in (Done(1, "", "error: x\n"), Done(2, "", "error: x\nTraceback\n"), Done(2, "", "")):
+        assert not done.is_refusal
+
+
+def test_what_happened_is_kept(tmp_path):
+    record = Record.open(tmp_path / "record.json", 3)
+    trials = record.trials("kill", "build")
+    assert not trials.expect(False, "wrong", Done(1, "", "error"))
+    trials.count("killed")
+    again = Record.open(tmp_path / "record.json", 3)
+    assert again.trials("kill", "build").number == 1
+    assert again.findings == [Finding("kill", "build", 0, "wrong: exit code 1, 'error'")]
+    counts = json.loads((tmp_path / "record.json").read_text())["counts"]
+    assert counts == {"kill build": {"trials": 1, "killed": 1}}
+    assert Record.open(tmp_path / "record.json", 4).counts == {}
