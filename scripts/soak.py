@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from tactile_loc_cli.console import progress
 
 from tactile_loc.core.noise import NOISE
 from tactile_loc.core.registry import registry
@@ -30,7 +31,6 @@ from tactile_loc.evaluation.sequences import Frame, SlidingTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.tracker import Tracker
 from tactile_loc.store.store import StageStore
-from tactile_loc_cli.console import progress
 
 MOST_GROWTH = 0.02
 WARM = 10  # one part of so many is not measured
@@ -55,7 +55,7 @@ class Held:
 
 @dataclass(frozen=True)
 class Soaked:
-    """What came of one kind of work, `count` times: held once warm and at the end, answers that changed, and seconds."""
+    """What came of a work done `count` times: what is held once warm and at the end, and answers that changed."""
 
     name: str
     count: int
