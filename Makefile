@@ -11,7 +11,7 @@ PYTEST_FLAGS ?= -q -n 2 --dist loadfile --no-loadscope-reorder
 # ROS and others put their own packages, pytest plugins among them, in front of ours.
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help setup demo test lint smoke docs audit sbom fuzz kill bench bench-compare clean
+.PHONY: help setup demo test lint smoke docs audit sbom fuzz kill soak bench bench-compare clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -56,6 +56,9 @@ fuzz: $(STAMP) ## give every reader 2000 damaged inputs, half an hour; the same 
 
 kill: $(STAMP) ## kill and starve commands, an hour; the same again goes on where it was stopped
 	@$(VENV)/bin/python scripts/kill.py
+
+soak: $(STAMP) ## locate 50000 touches and track for 2000 seconds in one process, half an hour; nothing may grow
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python scripts/soak.py
 
 bench: $(STAMP) ## run all benchmarks, hours, and keep what they print
 	@$(VENV)/bin/python scripts/bench.py keep --all

@@ -1,0 +1,45 @@
+"""What is done again and again: growth, open files and changed answers are told; a short run of the real thing."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+import soak
+from soak import Held, Soaked, soaked
+
+WARM = Held(1_000_000, 10)
+
+
+@pytest.mark.parametrize(
+    ("end", "changed", "good"),
+    [
+        (Held(1_019_000, 10), 0, True),
+        (Held(1_021_000, 10), 0, False),
+        (Held(1_000_000, 11), 0, False),
+        (WARM, 1, False),
+    ],
+)
+def test_what_grows_or_changes_is_not_good(end, changed, good):
+    assert Soaked("work", 100, WARM, end, changed, 1.0).is_good is good
+
+
+def test_memory_that_is_kept_and_files_that_stay_open_are_seen(tmp_path):
+    kept: list[object] = []
+
+    def leak(number: int) -> bool:
+        kept.append((bytearray(b"x" * 2**22), (tmp_path / f"{number}").open("w")))
+        return number % 2 == 1
+
+    found = soaked("leaks", 60, leak)
+    assert found.growth > soak.MOST_GROWTH
+    assert found.end.files - found.warm.files == 54, "of the last nine tenths"
+    assert found.changed == 30
+
+
+def test_locating_and_tracking_change_nothing(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["soak.py", "--localisations", "6", "--touches", "2", "--seconds", "0.1"])
+    soak.main()
+    rows = [line.split(" | ") for line in capsys.readouterr().out.splitlines()[2:]]
+    assert [row[0] for row in rows] == ["| localisations", "| frames tracked"]
+    assert all(row[-1].startswith("0 ") for row in rows), "answers that changed"
