@@ -12,6 +12,7 @@ from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
 torch = pytest.importorskip("torch")
+save_file = pytest.importorskip("safetensors.torch").save_file
 
 from tactile_loc.plugins.encoders.moco import encoder, recipe, training  # noqa: E402
 from tactile_loc.store.store import StageStore  # noqa: E402
@@ -81,11 +82,14 @@ def build(cli, *words: object):
 
 def test_weights_that_are_not_there_or_damaged_or_of_another_network(cli):
     resnet = ["-o", "encoder.backbone=resnet18", "-o"]
-    assert_refused(build(cli, *resnet, "encoder.pretrained=none.pth"), "none.pth", "hub")
-    torch.save({"stages.0.0.weight": torch.zeros(24, 2, 3, 3)}, "small.pth")
-    assert_refused(build(cli, *resnet, "encoder.pretrained=small.pth"), "small.pth", "does not fit resnet18")
-    Path("cut.pth").write_bytes(Path("small.pth").read_bytes()[:-200])
-    assert_refused(build(cli, *resnet, "encoder.pretrained=cut.pth"), "cut.pth", "damaged")
+    assert_refused(build(cli, *resnet, "encoder.pretrained=none.safetensors"), "no weights file none.safetensors")
+    assert_refused(build(cli, *resnet, "encoder.pretrained=hub"), "hub", "only .safetensors")
+    save_file({"stages.0.0.weight": torch.zeros(24, 2, 3, 3)}, "small.safetensors")
+    assert_refused(
+        build(cli, *resnet, "encoder.pretrained=small.safetensors"), "small.safetensors", "does not fit resnet18"
+    )
+    Path("cut.safetensors").write_bytes(Path("small.safetensors").read_bytes()[:-200])
+    assert_refused(build(cli, *resnet, "encoder.pretrained=cut.safetensors"), "cut.safetensors", "damaged")
 
 
 def test_a_gpu_that_is_not_there(cli, monkeypatch):

@@ -5,11 +5,8 @@ Residual networks have torchvision's parameter names. All are cropped before ave
 
 from __future__ import annotations
 
-import http.client
 import logging
 import os
-import pickle
-import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
@@ -140,21 +137,7 @@ BACKBONES = ("small", *RESNET_DEPTHS)
 
 _LOG = logging.getLogger(__name__)
 _SMALL_WIDTHS = (24, 48, 96, 128)
-_HUB = "https://download.pytorch.org/models"
-# the first ImageNet weights of torchvision (IMAGENET1K_V1): those that contrastive learning has been fine-tuned from
-_HUB_FILES = {"resnet18": "resnet18-f37072fd.pth", "resnet50": "resnet50-0676ba61.pth"}
 _STATISTICS = ("running_mean", "running_var", "num_batches_tracked")
-# what reading a damaged or foreign pickle may raise, depending on where the damage is
-_UNREADABLE = (
-    RuntimeError,
-    ValueError,
-    TypeError,
-    AttributeError,
-    LookupError,
-    EOFError,
-    pickle.UnpicklingError,
-    struct.error,
-)
 
 
 class SmallBackbone(Backbone):
@@ -221,7 +204,7 @@ def _initialise(model: Backbone, generator: torch.Generator) -> None:
 
 
 def load_pretrained(model: Backbone, source: str | Path) -> None:
-    """Fill `model` with weights from `source`: a .pth, .pt or .safetensors file, or "hub" for torchvision's ImageNet.
+    """Fill `model` with weights from `source`, a .safetensors file: a pickle, as torch saves, is never read.
 
     The names are torchvision's, or those of a saved `model.state_dict()`. `fc.*` is ignored; `project.*` may be absent
     and then stays as it is. Where the file's first convolution sees three colours and the model another number of
@@ -232,53 +215,19 @@ def load_pretrained(model: Backbone, source: str | Path) -> None:
     Raises WeightsError when the weights are out of reach, damaged, or of another architecture; the model then is as it
     was before.
     """
-    weights, origin = _from_hub(model.name) if source == "hub" else _from_file(Path(source))
-    fitted = _fitted(model, weights, origin)
+    fitted = _fitted(model, _from_file(Path(source)), str(source))
     model.load_state_dict(fitted, strict=False)
-    _LOG.debug("loaded %d tensors of %s from %s", len(fitted), model.name, origin)
+    _LOG.debug("loaded %d tensors of %s from %s", len(fitted), model.name, source)
 
 
-def _from_hub(name: str) -> tuple[object, str]:
-    """The published weights, downloaded once to torch's cache, and the address they come from."""
-    if name not in _HUB_FILES:
-        raise WeightsError(f"No weights of {name!r} are published: give a file instead of 'hub', or train without one.")
-    address = f"{_HUB}/{_HUB_FILES[name]}"
-    advice = f"download it elsewhere and give the path of the file {_HUB_FILES[name]} instead of 'hub'"
-    try:
-        weights = torch.hub.load_state_dict_from_url(
-            address, map_location="cpu", progress=False, check_hash=True, weights_only=True
-        )
-        return weights, address
-    except (OSError, http.client.HTTPException) as error:
-        raise WeightsError(f"The weights of {name} cannot be had from {address} ({error}): {advice}.") from error
-    except _UNREADABLE as error:
-        cached = Path(torch.hub.get_dir()) / "checkpoints" / _HUB_FILES[name]
+def _from_file(path: Path) -> Mapping[str, torch.Tensor]:
+    if path.suffix != ".safetensors":
         raise WeightsError(
-            f"The weights of {name} from {address} are damaged: delete {cached} if it is there and try again, "
-            f"or {advice}."
-        ) from error
-
-
-def _from_file(path: Path) -> tuple[object, str]:
-    if path.suffix not in (".pth", ".pt", ".safetensors"):
-        raise WeightsError(
-            f"The weights {path} are of an unknown kind: give a .pth, .pt or .safetensors file, or 'hub'."
+            f"The weights {path} are not read, as only .safetensors files are, which can hold no code: save their "
+            "tensors as one (docs/training.md has the command)."
         )
     if not os.path.isfile(path):
-        raise WeightsError(f"There is no weights file {path}: check the path, or give 'hub' to download weights.")
-    try:
-        if path.suffix == ".safetensors":
-            return _from_safetensors(path), str(path)
-        return torch.load(path, map_location="cpu", weights_only=True), str(path)
-    except OSError as error:
-        raise WeightsError(f"The weights file {path} cannot be read: {error.strerror or error}.") from error
-    except _UNREADABLE as error:
-        raise WeightsError(
-            f"The weights file {path} is damaged or holds more than tensors: fetch or save it again."
-        ) from error
-
-
-def _from_safetensors(path: Path) -> Mapping[str, torch.Tensor]:
+        raise WeightsError(f"There is no weights file {path}: check the path.")
     try:
         from safetensors import SafetensorError
         from safetensors.torch import load_file
@@ -286,20 +235,16 @@ def _from_safetensors(path: Path) -> Mapping[str, torch.Tensor]:
         raise MissingLibraryError(f"Reading {path} needs safetensors: install it with pip.") from error
     try:
         return load_file(path)
+    except OSError as error:
+        raise WeightsError(f"The weights file {path} cannot be read: {error.strerror or error}.") from error
     except SafetensorError as error:
-        raise ValueError(str(error)) from error
+        raise WeightsError(f"The weights file {path} is damaged: fetch or save it again.") from error
 
 
-def _fitted(model: Backbone, weights: object, origin: str) -> dict[str, torch.Tensor]:
+def _fitted(model: Backbone, weights: Mapping[str, torch.Tensor], origin: str) -> dict[str, torch.Tensor]:
     """The tensors of `weights` that the model has a place for, after checking that they are all it needs."""
     own = model.state_dict()
     advice = f"give weights of {model.name} under {_naming(model)} names"
-    if not isinstance(weights, Mapping) or not all(
-        isinstance(key, str) and isinstance(value, torch.Tensor) for key, value in weights.items()
-    ):
-        raise WeightsError(
-            f"{origin} holds something else than named tensors, so no weights of {model.name}: {advice}."
-        )
     given = {key: value for key, value in weights.items() if not _ignored(key, own)}
     fitted = {}
     for key, place in own.items():

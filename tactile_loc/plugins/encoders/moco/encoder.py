@@ -63,7 +63,7 @@ class MocoEncoder(Encoder):
         )
         patience: int = Field(default=8, ge=1, description="epochs without a better validation before stopping early")
         seed: int = Field(default=0, ge=0, description="of all that is drawn in training")
-        pretrained: str | None = Field(default=None, description="weights to start from: a file, or hub")
+        pretrained: str | None = Field(default=None, description="weights to start from, a .safetensors file")
         device: Literal["auto", "cpu", "cuda"] = Field(
             default="auto", description="where to compute", json_schema_extra=NEUTRAL
         )
