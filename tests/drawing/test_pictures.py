@@ -84,9 +84,9 @@ def test_few_candidates(localizer, localization, count):
 
 
 def test_pyplot_knows_of_no_figure_and_the_settings_are_as_they_were(localizer, localization, tmp_path):
-    before = dict(plt.rcParams)
+    before, figures = dict(plt.rcParams), plt.get_fignums()
     save_figure(tmp_path / "a.png", draw_result(localization, localizer.scene, "pin"), dpi=40)
-    assert plt.get_fignums() == []
+    assert plt.get_fignums() == figures
     assert dict(plt.rcParams) == before
 
 
