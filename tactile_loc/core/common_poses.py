@@ -19,7 +19,7 @@ from tactile_loc.core.posterior import PosePosterior
 
 Indices = NDArray[np.int64]
 
-SAMPLE = 200  # poses that tell which contact excludes most
+SAMPLE = 200  # poses, at least, that tell which contact excludes most
 
 
 class CommonPosesFuser(Fuser):
@@ -53,16 +53,16 @@ class CommonPosesFuser(Fuser):
         """
         require_fusable(posteriors, T_base_sensor)
         first = posteriors[0].grid
-        log_p = prior_weights(prior, first) + self.evidence(posteriors[0], slice(None))
-        if len(posteriors) > 1:
-            common = common_poses([p.grid for p in posteriors], T_base_sensor, self.options.reach, np.isfinite(log_p))
-            total = log_p[common.first]
-            for posterior, index in zip(posteriors[1:], common.found[1:], strict=True):
-                total = total + self.evidence(posterior, index)
-            if len(total) and not np.isfinite(total).any():
-                raise GridError(_contradiction(len(posteriors), len(total), self.if_contradictory))
-            log_p = np.full(len(first), -np.inf)
-            log_p[common.first] = total
+        weights = prior_weights(prior, first) + self.evidence(posteriors[0], slice(None))
+        known = [np.asarray(T, float) for T in T_base_sensor if T is not None]  # of one touch alone it may be None
+        common = common_poses([p.grid for p in posteriors], known, self.options.reach, np.isfinite(weights))
+        total = weights[common.first]
+        for posterior, index in zip(posteriors[1:], common.found[1:], strict=True):
+            total = total + self.evidence(posterior, index)
+        if len(total) and not np.isfinite(total).any():
+            raise GridError(_contradiction(len(posteriors), len(total), self.if_contradictory))
+        log_p = np.full(len(first), -np.inf)
+        log_p[common.first] = total
         return PosePosterior(first, log_p)
 
 
@@ -100,7 +100,7 @@ def require_fusable(posteriors: Sequence[PosePosterior], T_base_sensor: Sequence
     ours = posteriors[0].grid.metric.object
     for number, posterior in enumerate(posteriors, start=1):
         other = posterior.grid.metric.object
-        if other is not ours and other.mesh.digest != ours.mesh.digest:
+        if other.mesh.digest != ours.mesh.digest:
             raise ConfigError(f"touch {number} is of {other.name}, touch 1 of {ours.name}; fuse touches of one object")
 
 
@@ -133,7 +133,7 @@ def prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.float64]:
 
 
 def common_poses(
-    grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses | None], reach: float, possible: NDArray[np.bool_]
+    grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reach: float, possible: NDArray[np.bool_]
 ) -> CommonPoses:
     """Find those of the first grid's `possible` (N,) poses that touch all sensors; their order is the grid's.
 
@@ -153,15 +153,12 @@ def common_poses(
     return CommonPoses(first, found)
 
 
-def _others(grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses | None], reach: float) -> dict[int, OtherSensor]:
+def _others(grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reach: float) -> dict[int, OtherSensor]:
     """What is to be looked up, by its place among the grids: not the first, nor that grid seen from the same place."""
     others: dict[int, OtherSensor] = {}
-    T_base_first = np.eye(4) if T_base_sensor[0] is None else np.asarray(T_base_sensor[0], float)
-    for number, (grid, T) in enumerate(zip(grids, T_base_sensor, strict=True)):
-        if number == 0 or T is None or (grid is grids[0] and np.array_equal(T, T_base_first)):
-            continue
-        T_sensor_first = invert(np.asarray(T, float)) @ T_base_first
-        others[number] = OtherSensor(grid, T_sensor_first, reach * _spacing_m(grids[0], grid))
+    for number, (grid, T) in enumerate(zip(grids[1:], T_base_sensor[1:], strict=True), start=1):
+        if grid is not grids[0] or not np.array_equal(T, T_base_sensor[0]):
+            others[number] = OtherSensor(grid, invert(T) @ T_base_sensor[0], reach * _spacing_m(grids[0], grid))
     return others
 
 
@@ -176,11 +173,11 @@ def _spacing_m(first: PoseGrid, other: PoseGrid) -> float:
 
 def _order(others: dict[int, OtherSensor], T_first_object: Poses) -> list[int]:
     """The others, each time the one that excludes most of what is left of a few poses: less is left to look up."""
-    if len(others) < 2 or len(T_first_object) <= SAMPLE:
+    if len(T_first_object) <= SAMPLE:
         return list(others)
-    some = T_first_object[np.linspace(0, len(T_first_object) - 1, SAMPLE).astype(int)]
+    some = T_first_object[:: len(T_first_object) // SAMPLE]
     touching = {number: other.lookup(some) >= 0 for number, other in others.items()}
-    left, order = np.ones(SAMPLE, bool), []
+    left, order = np.ones(len(some), bool), []
     while touching:
         order.append(min(touching, key=lambda number: int((touching[number] & left).sum())))
         left = left & touching.pop(order[-1])

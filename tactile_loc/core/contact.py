@@ -121,8 +121,7 @@ def _lowest_of_rotation(triangles, R, members, t, rectangle, result):
         for b in order:
             if floor[b] >= best + bin_m:
                 break
-            x, y, r = middles[b, 0], middles[b, 1], triangles.radii[b]
-            if floor[b] >= best or x + r < x0 or x - r > x1 or y + r < y0 or y - r > y1:
+            if floor[b] >= best or _beside(middles[b], triangles.radii[b], x0, x1, y0, y1):
                 continue
             for f in range(triangles.starts[b], triangles.starts[b + 1]):
                 for c in range(3):
@@ -130,6 +129,12 @@ def _lowest_of_rotation(triangles, R, members, t, rectangle, result):
                 if min(p[0, 2], p[1, 2], p[2, 2]) < best:
                     best = min(best, _lowest_of_triangle(p, x0, x1, y0, y1))
         result[i] = best + t[i, 2]
+
+
+@njit
+def _beside(centre, r, x0, x1, y0, y1):
+    """Whether a sphere is nowhere over a rectangle."""
+    return centre[0] + r < x0 or centre[0] - r > x1 or centre[1] + r < y0 or centre[1] - r > y1
 
 
 @njit
@@ -222,57 +227,47 @@ def _height_at(p, x, y):
 def _lowest_curved(first, last, triangles, T, rectangle, relief, lattice, result):
     """Fill the least heights (N,) over the gel of the poses from first to last."""
     p, centre, highest = np.empty((3, 3)), np.empty(3), relief.max()
+    x0, x1, y0, y1 = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
     for i in range(first, last):
         best = np.inf
         for b in range(len(triangles.radii)):
             place(T[i], triangles.centres[b], centre)
             r = triangles.radii[b]
-            if centre[2] - r - highest >= best or _beside(centre, r, rectangle):
+            if centre[2] - r - highest >= best or _beside(centre, r, x0, x1, y0, y1):
                 continue
             for f in range(triangles.starts[b], triangles.starts[b + 1]):
                 for c in range(3):
                     place(T[i], triangles.corners[f, c], p[c])
                 if min(p[0, 2], p[1, 2], p[2, 2]) - highest < best:
-                    best = min(best, _lowest_inside(p, rectangle, relief, lattice))
+                    best = min(best, _lowest_inside(p, x0, x1, y0, y1, relief, lattice))
         result[i] = best
 
 
 @njit
-def _beside(centre, r, rectangle):
-    """Whether a sphere is nowhere over the rectangle."""
-    beside_x = centre[0] + r < rectangle[0] or centre[0] - r > rectangle[1]
-    return beside_x or centre[1] + r < rectangle[2] or centre[1] - r > rectangle[3]
-
-
-@njit
-def _lowest_inside(p, rectangle, relief, lattice):
+def _lowest_inside(p, x0, x1, y0, y1, relief, lattice):
     """Least height of a triangle (3, 3) over the gel: along its edges, and at points inside."""
     best = np.inf
     for c in range(3):
-        best = min(best, _lowest_along(p[c], p[(c + 1) % 3], rectangle, relief, lattice))
-    low_x, high_x = max(rectangle[0], p[:, 0].min()), min(rectangle[1], p[:, 0].max())
-    low_y, high_y = max(rectangle[2], p[:, 1].min()), min(rectangle[3], p[:, 1].max())
-    ax, ay, bx, by = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[2, 0] - p[0, 0], p[2, 1] - p[0, 1]
-    area = ax * by - ay * bx
-    if area == 0.0 or low_x > high_x or low_y > high_y:
+        best = min(best, _lowest_along(p[c], p[(c + 1) % 3], x0, x1, y0, y1, relief, lattice))
+    low_x, high_x = max(x0, p[:, 0].min()), min(x1, p[:, 0].max())
+    low_y, high_y = max(y0, p[:, 1].min()), min(y1, p[:, 1].max())
+    if low_x > high_x or low_y > high_y:
         return best
     columns, rows = math.ceil((high_x - low_x) / STEP_M), math.ceil((high_y - low_y) / STEP_M)
     for j in range(rows + 1):
         y = low_y + (high_y - low_y) * j / max(rows, 1)
         for i in range(columns + 1):
             x = low_x + (high_x - low_x) * i / max(columns, 1)
-            u = ((x - p[0, 0]) * by - (y - p[0, 1]) * bx) / area
-            v = (ax * (y - p[0, 1]) - ay * (x - p[0, 0])) / area
-            if u >= 0.0 and v >= 0.0 and u + v <= 1.0:
-                z = p[0, 2] + u * (p[1, 2] - p[0, 2]) + v * (p[2, 2] - p[0, 2])
+            z = _height_at(p, x, y)
+            if z < np.inf:
                 best = min(best, z - _relief_at(relief, lattice, x, y))
     return best
 
 
 @njit
-def _lowest_along(a, b, rectangle, relief, lattice):
+def _lowest_along(a, b, x0, x1, y0, y1, relief, lattice):
     """Least height over the gel of the part of a segment a-b over the rectangle; inf when none is."""
-    enter, leave = _over(a, b, rectangle[0], rectangle[1], rectangle[2], rectangle[3])
+    enter, leave = _over(a, b, x0, x1, y0, y1)
     if enter > leave:
         return np.inf
     x, y, z = a[0] + enter * (b[0] - a[0]), a[1] + enter * (b[1] - a[1]), a[2] + enter * (b[2] - a[2])
@@ -290,7 +285,7 @@ def _relief_at(relief, lattice, x, y):
     rows, columns = relief.shape
     c = min(max((x - lattice[0]) / lattice[2], 0.0), columns - 1.0)
     r = min(max((y - lattice[1]) / lattice[3], 0.0), rows - 1.0)
-    i, j = min(int(r), max(rows - 2, 0)), min(int(c), max(columns - 2, 0))
+    i, j = int(r), int(c)
     s, t = r - i, c - j
     below, beside = min(i + 1, rows - 1), min(j + 1, columns - 1)
     above = (1 - t) * relief[i, j] + t * relief[i, beside]

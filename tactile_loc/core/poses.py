@@ -67,8 +67,8 @@ class PoseMetric:
 
         A continuous symmetry is sampled so that neighbouring equivalents are at most `step_m` metres apart.
         """
-        lever = max(float(np.sqrt(np.trace(self.object.mesh.covariance_m2))), 1e-9)
-        S = self.object.symmetry.elements(max_step_rad=float(step_m / lever))
+        lever_m = np.sqrt(np.trace(self.object.mesh.covariance_m2))
+        S = self.object.symmetry.elements(max_step_rad=float(step_m / lever_m))
         return T_sensor_object[None] @ S[:, None]
 
     def nearest_equivalents(self, T_sensor_object: Poses, T_near: Poses, step_m: float = 1e-4) -> Poses:
@@ -178,8 +178,6 @@ class PoseGrid:
     def neighbour_spacing(self, subset: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
         """Return each pose's distance (N,) in metres to its nearest other pose (of `subset` indices, or of all)."""
         points = self.phi if subset is None else self.phi[subset]
-        if len(self) < 2:
-            return np.full(len(points), np.inf)
         distances: NDArray[np.float64] = self._tree.query(self._at_level(points), k=2)[0]
         return distances[:, 1]
 

@@ -63,7 +63,7 @@ def canonical_json(value: JsonValue) -> str:
     Raises:
         StoreError: if the value holds NaN, an infinity, a key that is not a string, or anything JSON does not know.
     """
-    return json.dumps(_plain(value, "The value"), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return json.dumps(_plain(value, "The value"), sort_keys=True, separators=(",", ":"))
 
 
 def hash_arrays(**arrays: NDArray[Any]) -> str:

@@ -157,7 +157,7 @@ class StageStore:
         logger.info("Stage %s is being built.", key)
         start_s = time.monotonic()
         with storing(f"stage {key}", partial):
-            partial.mkdir(parents=True, exist_ok=True)
+            partial.mkdir(exist_ok=True)
         workspace = Workspace(partial, key)
         make(workspace)
         workspace.finish()

@@ -151,7 +151,7 @@ class Workspace:
 
     def _write_pieces(self) -> None:
         with replacing(self.path / _PIECES) as temporary:
-            temporary.write_text(json.dumps(self._pieces, sort_keys=True, indent=1) + "\n")
+            temporary.write_text(json.dumps(self._pieces))
 
 
 class WorkspaceCheckpoints(Checkpoints):

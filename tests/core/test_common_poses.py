@@ -57,6 +57,16 @@ def test_the_error_names_the_contact_that_drops_the_last(grid):
         common_poses(parts(grid, T_base_sensor, keeps), T_base_sensor, 0.3, np.ones(len(grid), bool))
 
 
+def test_who_excludes_most_of_what_is_left_is_asked_next(grid):
+    """The fourth keeps more poses than the third, but none of the few that the second keeps."""
+    x, y = (grid.T_sensor_object[:, k, 3] for k in range(2))
+    keeps = [x > 0.017, y < 0.009, x < 0.017]
+    assert keeps[0].sum() < keeps[1].sum() < keeps[2].sum()
+    T_base_sensor = sensors(4)
+    with pytest.raises(GridError, match=rf"contact 4 drops the last {keeps[0].sum()} of the first grid's 660"):
+        common_poses(parts(grid, T_base_sensor, keeps), T_base_sensor, 0.3, np.ones(len(grid), bool))
+
+
 def test_nothing_possible_is_for_the_caller_to_say(grid):
     common = common_poses([grid, grid], sensors(2), 1.5, np.zeros(len(grid), bool))
     assert common.first.shape == (0,)

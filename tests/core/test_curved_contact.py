@@ -9,8 +9,8 @@ import pytest
 import trimesh
 
 from tactile_loc.core.clouds import contact_cloud
-from tactile_loc.core.contact import bring_to_contact, upright_relief
-from tactile_loc.core.geometry import translation
+from tactile_loc.core.contact import bring_to_contact, lowest_over_relief, lowest_points, upright_relief
+from tactile_loc.core.geometry import make_transform, random_rotations, transform_points, translation
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.registry import registry
 from tactile_loc.core.sensing import ContactShape, SensorGeometry, contact_depth
@@ -118,6 +118,85 @@ def test_a_flat_relief_is_a_flat_gel(ball):
     assert ours == pytest.approx(theirs, abs=1e-8)
     assert flat.band is flat
     assert not flat.is_same_sensor(level)
+
+
+def tilted(slope_x: float, slope_y: float, **more) -> SensorGeometry:
+    """A sensor whose gel is a plane through the middle of its surface, as steep as said."""
+    flat = SensorGeometry("orthographic", 40, 30, 2500.0, 2000.0, 18.0, 16.0, 0.02, 1e-3)
+    x, y = np.meshgrid(*flat.pixel_slopes)
+    return dataclasses.replace(flat, relief_m=slope_x * x + slope_y * y, **more)
+
+
+def splinter() -> TriangleMesh:
+    corners = np.array([[-0.009, 0, 0.001], [0.008, 0.002, -0.001], [0.001, 0.005, 0.002], [0, -0.001, 0.004]])
+    return TriangleMesh(corners, np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]))
+
+
+def egg() -> TriangleMesh:
+    """Of several blocks of triangles."""
+    solid = trimesh.creation.icosphere(1, radius=0.004)
+    return TriangleMesh(np.array(solid.vertices) * [0.7, 2.5, 0.5], np.array(solid.faces))
+
+
+@pytest.mark.parametrize(("mesh", "count"), [(splinter(), 24), (egg(), 8)], ids=["splinter", "egg"])
+def test_over_a_tilted_gel_the_sheared_object_is_lowest(mesh, count):
+    """Heights over a plane are heights of what is sheared by it, whose lowest point over a flat gel is exact."""
+    rng = np.random.default_rng(0)
+    T = make_transform(random_rotations(count, rng), rng.uniform(-0.01, 0.01, (count, 3)))
+    geometry = tilted(0.3, -0.2, rectangle_m=(-0.004, 0.005, -0.005, 0.003))
+    found = lowest_over_relief(mesh, T, geometry)
+    sheared = [transform_points(pose, mesh.vertices_m) @ [[1, 0, -0.3], [0, 1, 0.2], [0, 0, 1.0]] for pose in T]
+    flat = [TriangleMesh(points, mesh.faces) for points in sheared]
+    truth = [lowest_points(one, np.eye(4)[None], geometry.rectangle)[0] for one in flat]
+    assert 3 < np.isfinite(truth).sum() < count
+    np.testing.assert_allclose(found, truth, atol=1e-12)
+
+
+@pytest.mark.parametrize("turns", range(3))
+@pytest.mark.parametrize("sensor", [tilted(0.0, 0.0), dataclasses.replace(tilted(0.0, 0.0), relief_m=None)])
+def test_it_does_not_matter_which_corner_of_a_triangle_is_lowest_or_reaches_in(sensor, turns):
+    """A ceiling above all of the gel, and a splinter that comes in over each of its sides, one corner lower than it."""
+    x0, x1, y0, y1 = sensor.rectangle
+    x, y, far = (x0 + x1) / 2, (y0 + y1) / 2, 0.02
+    ceiling = [[x - far, y - far, 0.0], [x + far, y - far, 0], [x, y + 3 * far, 0]]
+    for across, up in ((far, 0.0), (-far, 0.0), (0.0, far), (0.0, -far)):
+        outside = [[x + across + side * up, y + up + side * across, 0.008] for side in (-0.05, 0.05)]
+        corners = np.roll([[x, y, -0.001], *outside], turns, axis=0)
+        mesh = TriangleMesh(np.array([*ceiling, *corners]), np.array([[0, 1, 2], [3, 4, 5]]))
+        moved, _ = bring_to_contact(mesh, np.eye(4)[None], sensor)
+        assert moved[0, 2, 3] == pytest.approx(sensor.standoff_m + 0.001, abs=1e-12)
+
+
+@pytest.mark.parametrize("top", [(3e-3, 2e-3), (-3e-3, 2e-3), (3e-3, -2e-3), (-3e-3, -2e-3)])
+def test_inside_a_face_the_top_of_the_gel_is_found(top):
+    """A level triangle a few millimetres wide, over the top of a bump that is somewhere on the gel."""
+    flat = SensorGeometry("orthographic", 40, 30, 2500.0, 2000.0, 18.0, 16.0, 0.02, 1e-3)
+    x, y = np.meshgrid(flat.pixel_slopes[0] - top[0], flat.pixel_slopes[1] - top[1])
+    bump = dataclasses.replace(flat, relief_m=-(x**2 + y**2) / (2 * GEL_M))
+    face = TriangleMesh(np.array([[-2e-3, -2e-3, 0], [2e-3, -1e-3, 0], [0, 3e-3, 0]]), np.array([[0, 1, 2]]))
+    assert lowest_over_relief(face, translation([[*top, 0.01]]), bump)[0] == pytest.approx(0.01, abs=3e-6)
+
+
+def test_beyond_its_pixels_the_relief_goes_on_as_at_the_last():
+    geometry = tilted(0.3, -0.2)
+    x, y = geometry.pixel_slopes
+    x0, x1, y0, y1 = geometry.rectangle
+    needle = TriangleMesh(np.array([[0, 0, 0], [1e-6, 0, 0.01], [0, 1e-6, 0.01]]), np.array([[0, 1, 2]]))
+    beyond = [[x0, y[9], 0.0], [x1 - 1e-6, y[9], 0], [x[7], y0, 0], [x[7], y1 - 1e-6, 0], [x[7], y[9], 0]]
+    last = np.array([[x[0], y[9]], [x[-1], y[9]], [x[7], y[0]], [x[7], y[-1]], [x[7], y[9]]])
+    found = lowest_over_relief(needle, translation(beyond), geometry)
+    np.testing.assert_allclose(found, -(last @ [0.3, -0.2]), atol=1e-9)
+
+
+def test_between_pixels_the_relief_is_linear_along_rows_and_columns():
+    relief_m = 1e-3 * np.random.default_rng(1).normal(size=(3, 4))
+    geometry = SensorGeometry("orthographic", 4, 3, 500.0, 400.0, 2.0, 1.5, 0.02, 1e-3, relief_m=relief_m)
+    x, y = geometry.pixel_slopes
+    needle = TriangleMesh(np.array([[0, 0, 0], [0, 0, 0.01], [1e-9, 0, 0.01]]), np.array([[0, 1, 2]]))
+    cells = [(row, column) for row in range(2) for column in range(3)]
+    at = [[0.3 * x[j] + 0.7 * x[j + 1], 0.4 * y[i] + 0.6 * y[i + 1], 0.0] for i, j in cells]
+    expected = [[0.4, 0.6] @ relief_m[i : i + 2, j : j + 2] @ [0.3, 0.7] for i, j in cells]
+    assert lowest_over_relief(needle, translation(at), geometry) == pytest.approx(-np.array(expected), abs=1e-9)
 
 
 def test_the_relief_seen_along_rays_is_found_upright():

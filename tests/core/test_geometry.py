@@ -7,6 +7,10 @@ from scipy.spatial.transform import Rotation
 from tactile_loc.core.geometry import (
     align_to_z,
     axis_angle,
+    axis_times_sine,
+    covariance_along,
+    covariance_at,
+    cross_matrix,
     invert,
     is_rigid,
     make_transform,
@@ -40,6 +44,8 @@ def test_make_transform_broadcasts_either_part():
 def test_invert_undoes(transforms):
     np.testing.assert_allclose(invert(transforms) @ transforms, np.broadcast_to(np.eye(4), (2, 3, 4, 4)), atol=1e-12)
     np.testing.assert_allclose(invert(transforms), np.linalg.inv(transforms), atol=1e-12)
+    np.testing.assert_allclose(invert(transforms[0]), np.linalg.inv(transforms[0]), atol=1e-12)
+    np.testing.assert_allclose(invert(transforms[0, 0]), np.linalg.inv(transforms[0, 0]), atol=1e-12)
 
 
 def test_transform_points_is_the_homogeneous_product(transforms):
@@ -65,6 +71,39 @@ def test_rotation_angle_is_accurate_at_both_ends(angle_rad):
 def test_rotation_angle_does_not_know_a_sign():
     angles = np.array([-1.0, 2.0, 4.0])
     np.testing.assert_allclose(rotation_angle(rotation_about([0, 1, 0], angles)), [1.0, 2.0, 2 * np.pi - 4.0])
+
+
+def test_the_axis_is_as_long_as_the_sine():
+    axis = np.array([2.0, -3.0, 6.0]) / 7
+    angles = np.array([[-1.0, 0.0, 0.3], [2.0, 0.5, np.pi]])
+    np.testing.assert_allclose(
+        axis_times_sine(rotation_about(axis, angles)), np.sin(angles)[..., None] * axis, atol=1e-15
+    )
+
+
+def test_cross_matrices_multiply_like_the_cross_product():
+    v, w = np.random.default_rng(7).normal(size=(2, 4, 5, 3))
+    np.testing.assert_allclose((cross_matrix(v) @ w[..., None])[..., 0], np.cross(v, w), atol=1e-15)
+    np.testing.assert_allclose(cross_matrix(v[0, 0]) @ w[0, 0], np.cross(v[0, 0], w[0, 0]), atol=1e-15)
+
+
+def one_error(shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """The covariance of an error that has one size and either sign."""
+    error = np.concatenate([shift, turn], axis=-1)
+    return error[..., :, None] * error[..., None, :]
+
+
+def test_a_covariance_at_another_point_is_that_of_how_the_point_moves():
+    shift, turn, lever = np.random.default_rng(8).normal(size=(3, 2, 4, 3))
+    there = one_error(shift + np.cross(turn, lever), turn)
+    np.testing.assert_allclose(covariance_at(one_error(shift, turn), lever), there, atol=1e-14)
+    np.testing.assert_allclose(covariance_at(one_error(shift[0, 0], turn[0, 0]), lever[0, 0]), there[0, 0], atol=1e-14)
+
+
+def test_a_covariance_along_other_axes_is_that_of_the_turned_error():
+    shift, turn = np.random.default_rng(9).normal(size=(2, 3))
+    R = rotation_about([1, -2, 0.5], 0.8)
+    np.testing.assert_allclose(covariance_along(one_error(shift, turn), R), one_error(R @ shift, R @ turn), atol=1e-14)
 
 
 @pytest.mark.parametrize("direction", [[0, 0, 1], [0, 0, -2], [1, 0, 0], [1e-9, 0, -1], [-0.3, 0.8, -0.1]])
@@ -128,3 +167,12 @@ def test_axis_and_angle_make_the_rotation(turn):
     angle_deg, axis = axis_angle(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
     assert angle_deg == pytest.approx(np.degrees(turn))
     assert np.abs(axis) == pytest.approx([0, 0, 1])
+
+
+def test_axis_and_angle_of_any_turn_and_of_none():
+    axis = np.array([2.0, -3.0, 6.0]) / 7
+    for turn in (1e-6, 0.5, 3.0):
+        angle_deg, found = axis_angle(rotation_about(axis, turn))
+        assert angle_deg == pytest.approx(np.degrees(turn))
+        np.testing.assert_allclose(found, axis, atol=1e-9)
+    assert axis_angle(np.eye(3))[1].tolist() == [0, 0, 1]

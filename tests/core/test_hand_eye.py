@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from tactile_loc.core.geometry import (
     covariance_at,
@@ -14,6 +15,8 @@ from tactile_loc.core.geometry import (
     translation,
 )
 from tactile_loc.core.hand_eye import (
+    MEDIAN_6,
+    TRUSTED,
     closed_form,
     fit_hand_eye,
     flange_turns,
@@ -21,6 +24,7 @@ from tactile_loc.core.hand_eye import (
     pose_errors,
     predicted,
     screws_agree,
+    typical_variance,
 )
 
 STD = np.array([2e-4] * 3 + [3e-3] * 3)
@@ -98,6 +102,11 @@ def test_a_wrong_touch_has_no_weight_in_a_robust_fit(problem, rng):
     assert robust.chi2.argmax() == 4
 
 
+def test_touches_that_agree_have_their_full_weight_in_a_robust_fit(problem):
+    plain, robust = (fitted(problem, np.zeros((10, 6)), robust=r) for r in (False, True))
+    np.testing.assert_allclose(robust.information, plain.information, rtol=1e-6, atol=1e-3)
+
+
 def test_what_touches_say_nothing_of_leaves_the_rest_as_it_is(problem):
     X, Y, F, S = problem
     loose = np.repeat(np.diag([9e-4, *STD[1:] ** 2])[None], 10, axis=0)  # along x a touch knows nothing
@@ -111,6 +120,28 @@ def test_a_covariance_is_moved_to_another_point(rng):
     errors = STD * rng.normal(size=(20000, 6))
     there = np.concatenate([errors[:, :3] + np.cross(errors[:, 3:], shift), errors[:, 3:]], axis=1)
     np.testing.assert_allclose(covariance_at(COVARIANCE, shift), np.cov(there.T), atol=2e-7)
+
+
+def test_what_is_typical_is_told_by_the_chi_squared_distribution():
+    assert chi2(6).median() == pytest.approx(MEDIAN_6, rel=1e-4)
+    assert chi2(6).ppf(0.999) == pytest.approx(TRUSTED, rel=2e-3)
+    drawn = chi2(6).ppf((np.arange(999) + 0.5) / 999)
+    assert typical_variance(4.6 * drawn) == pytest.approx(4.6, rel=1e-3)
+    assert typical_variance(0.1 * drawn) == 1.0
+
+
+def test_where_flanges_turn_about_one_axis_a_slide_along_it_is_not_known(problem):
+    """X and Y may be shifted along the axis together: eleven numbers are found instead of twelve."""
+    X, Y, F, _ = problem
+    axis = np.array([2.0, -3.0, 6.0]) / 7
+    F = make_transform(F[0, :3, :3] @ rotation_about(axis, np.linspace(-1.5, 1.5, 10)), F[:, :3, 3])
+    found = fit_hand_eye(F, predicted(F, X, Y), np.repeat(COVARIANCE[None], 10, axis=0), X, Y)
+    assert found.freedom == 10 * 6 - 11
+    std_m = np.sqrt(np.linalg.eigvalsh(found.information)[0]) ** -1
+    assert std_m > 1.0, "as good as nothing"
+    values, vectors = np.linalg.eigh(found.information[:3, :3])
+    assert abs(vectors[:, 0] @ X[:3, :3].T @ axis) == pytest.approx(1.0, abs=1e-6)
+    assert values[0] < 1e-6 * values[1]
 
 
 def test_turns_of_flanges_about_one_axis_show():
@@ -128,3 +159,27 @@ def test_one_screw_is_that_of_the_flange_and_of_what_the_sensor_sees(problem, rn
     other = screws_agree(F[:1], F[1:], S[:1], poses(9, 0.03, rng), 1e-2, 1e-3)
     assert agree.all()
     assert not other.any()
+
+
+def screw(axis: list[float], angle_rad: float, slide_m: float) -> np.ndarray:
+    unit = np.array(axis) / np.linalg.norm(axis)
+    return make_transform(rotation_about(axis, angle_rad), slide_m * unit)
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (2, 3)])
+def test_screws_of_other_angles_or_slides_do_not_agree(shape):
+    still, one = np.eye(4), screw([1.0, 2, 3], np.pi / 2, 0.010)
+    for angle_rad, slide_m, expected in (
+        (np.pi / 2, 0.010, True),
+        (np.pi / 2 + 0.009, 0.0109, True),
+        (np.pi / 2 - 0.009, 0.0091, True),
+        (np.pi / 2, 0.0111, False),
+        (np.pi / 2, 0.0089, False),
+        (np.pi / 2 + 0.011, 0.010, False),
+        (np.pi / 2 - 0.011, 0.010, False),
+    ):
+        other = screw([-3.0, 0, 1], angle_rad, slide_m)
+        four = [np.broadcast_to(T, (*shape, 4, 4)) for T in (one, still, still, other)]
+        agree = screws_agree(*four, angle_rad=0.01, slide_m=0.001)
+        assert agree.shape == shape
+        assert (agree == expected).all()

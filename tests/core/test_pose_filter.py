@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry import invert, make_transform, random_rotations
-from tactile_loc.core.hand_eye import moved, pose_errors
+from tactile_loc.core.geometry import invert, make_transform, random_rotations, translation
+from tactile_loc.core.hand_eye import UNIT, moved, pose_errors
 from tactile_loc.core.pose_filter import PoseFilter, SeenPose, motion_errors
 
 GEL = np.array([0.002, -0.001, 0.01])
@@ -53,6 +53,63 @@ def test_a_motions_error_moves_the_object_by_its_lever():
     errors = pose_errors(drawn, T_base_object)
     scale = np.sqrt(np.outer(np.diag(found), np.diag(found)))
     assert np.allclose(np.cov(errors.T) / scale, found / scale, atol=0.04)
+
+
+def test_a_sensor_that_is_off_sees_the_object_where_it_sees_it():
+    """A sensor said to be where it is not: what it sees is where it is, to first order, and so is the covariance."""
+    rng = np.random.default_rng(8)
+    T_base_object, true_T_base_sensor = poses(2, rng)
+    for off in np.concatenate([np.diag(STD), rng.normal(size=(2, 6)) * STD]) * 1e-2:
+        said = true_T_base_sensor @ about(GEL, off)
+        errors = np.concatenate([rng.normal(size=6), off / UNIT])  # what touches err is not where the object is
+        known = np.concatenate([np.zeros(6), errors])
+        T, seen = PoseFilter(T_base_object, errors, np.outer(known, known)).seen_from(said, GEL)
+        truth = invert(true_T_base_sensor) @ T_base_object
+        assert np.allclose(pose_errors(T, truth) / STD, 0, atol=1e-5)
+        moved_by = pose_errors(truth, invert(said) @ T_base_object) / STD
+        assert np.allclose(seen / np.outer(STD, STD), np.outer(moved_by, moved_by), atol=1e-6)
+
+
+def test_the_filter_is_the_least_squares_of_all_touches_at_once():
+    """Shifts alone, of touches by a sensor turned anyhow, whose common errors fade: the equations are linear."""
+    rng, share, count = np.random.default_rng(9), 0.3, 4
+    T_base_object = poses(1, rng)[0]
+    sensors = poses(count, rng)
+    prior, common, own, sensor = (covariance(STD, rng)[:3, :3] for _ in range(4))
+    off = STD[0] * rng.normal(size=(count, 3))  # along the sensors' axes
+    filtered = PoseFilter.known(T_base_object, shifts(prior))
+    for number, (T, shift) in enumerate(zip(sensors, off, strict=True)):
+        seen = translation(shift) @ invert(T) @ T_base_object
+        touch = SeenPose(T, seen, shifts(common), shifts(own, 1e-9), shifts(sensor), GEL)
+        filtered = filtered.touched(touch, share if number else 1.0)
+    alike = (1 - share) ** np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    noise = np.kron(alike, common + sensor) + np.kron(np.eye(count), own)
+    J = np.concatenate([T[:3, :3].T for T in sensors])
+    known = np.linalg.inv(np.linalg.inv(prior) + J.T @ np.linalg.solve(noise, J))
+    expected = known @ J.T @ np.linalg.solve(noise, off.ravel())
+    assert np.allclose(filtered.T_base_object[:3, 3] - T_base_object[:3, 3], expected, rtol=1e-6, atol=1e-12)
+    found = filtered.covariance[:3, :3] * UNIT[0] ** 2
+    assert np.allclose(found / STD[0] ** 2, known / STD[0] ** 2, atol=1e-7)
+
+
+def shifts(covariance_m2: np.ndarray, turn: float = 0.0) -> np.ndarray:
+    """The covariance (6, 6) of a pose that is shifted, and hardly turned."""
+    C = turn * np.eye(6)
+    C[:3, :3] = covariance_m2
+    return C
+
+
+def test_an_object_that_may_have_moved_is_known_less_well_by_that():
+    rng = np.random.default_rng(10)
+    T_base_object, T_base_sensor = poses(2, rng)
+    C, creep = covariance(STD, rng), covariance(STD, rng)
+    later = PoseFilter.known(T_base_object, C).later(creep)
+    for found, expected in zip(
+        later.seen_from(T_base_sensor, GEL),
+        PoseFilter.known(T_base_object, C + creep).seen_from(T_base_sensor, GEL),
+        strict=True,
+    ):
+        assert np.allclose(found, expected, rtol=1e-9, atol=1e-15)
 
 
 def seen_pose(T_base_sensor, T_sensor_object, C, common=0.75) -> SeenPose:

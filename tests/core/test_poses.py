@@ -3,11 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.distance import cdist
 
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry import make_transform, random_rotations, rotation_about, transform_points, translation
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
-from tactile_loc.core.poses import PoseGrid, PoseMetric, remove_equivalent
+from tactile_loc.core.poses import SPACING_SAMPLE, PoseGrid, PoseMetric, distances_between, remove_equivalent
 from tactile_loc.core.symmetry import SymmetryGroup
 from tactile_loc.io.meshes import load_object
 
@@ -54,10 +55,15 @@ def test_a_translation_counts_in_full_and_a_turn_by_its_lever(box):
     assert metric.distance(T, T @ turn) == pytest.approx(2 * np.sin(0.05) * lever_m)
 
 
-def test_a_flat_or_straight_surface_has_a_metric_too():
-    mesh = TriangleMesh(np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.02, 0.0]]), np.array([[0, 1, 2]]))
-    metric = PoseMetric(ObjectModel("sheet", mesh, SymmetryGroup.parse("none", np.zeros(3))))
-    assert np.isfinite(metric.embed(random_poses(4, 6))).all()
+def test_a_flat_surface_has_a_metric_too_however_it_lies():
+    corners = np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.02, 0.0]])
+    T1, T2 = random_poses(4, 6), random_poses(4, 36)
+    for R in random_rotations(20, np.random.default_rng(37)):  # rounding makes some of the least moments negative
+        mesh = TriangleMesh(corners @ R.T, np.array([[0, 1, 2]]))
+        metric = PoseMetric(ObjectModel("sheet", mesh, SymmetryGroup.parse("none", np.zeros(3))))
+        points, weights = quadrature(mesh)
+        squared = ((transform_points(T1, points) - transform_points(T2, points)) ** 2).sum(axis=-1) @ weights
+        np.testing.assert_allclose(metric.distance(T1, T2), np.sqrt(squared))
 
 
 def test_metric_scales_with_the_unit(pin):
@@ -191,6 +197,15 @@ def test_the_mean_spacing_is_that_of_a_lattice(box, cylinder):
     assert PoseGrid(translation(x[:1]), PoseMetric(box)).spacing_m == np.inf
 
 
+def test_the_mean_spacing_of_a_large_grid_regards_all_of_it(box):
+    steps_m = np.repeat([0.001, 0.003, 0.002], SPACING_SAMPLE)
+    x = np.column_stack([np.cumsum(steps_m), 0 * steps_m, 0 * steps_m])
+    assert PoseGrid(translation(x), PoseMetric(box)).spacing_m == pytest.approx(0.002, rel=0.01)
+    two = PoseGrid(translation([[0, 0, 0], [0, 0.004, 0.0]]), PoseMetric(box))
+    assert two.spacing_m == pytest.approx(0.004)
+    assert two.neighbour_spacing() == pytest.approx([0.004, 0.004])
+
+
 def test_neighbour_spacing_is_that_of_a_lattice(box):
     x = np.stack(np.meshgrid(np.arange(5), np.arange(4), [0]), -1).reshape(-1, 3) * 0.003
     grid = PoseGrid(translation(x), PoseMetric(box))
@@ -225,7 +240,7 @@ def test_removal_leaves_no_two_within_the_radius_up_to_symmetry(cylinder):
     kept = T[keep]
     assert 5 < len(kept) < 100
     same = metric.embed(metric.equivalents(T, step_m=radius_m / 10))
-    gaps = np.linalg.norm(same[:, :, None] - metric.embed(kept), axis=-1).min(axis=0)
+    gaps = np.stack([cdist(equivalents, metric.embed(kept)) for equivalents in same]).min(axis=0)
     assert np.sort(gaps[keep], axis=1)[:, 1].min() >= 0.98 * radius_m
     assert gaps.min(axis=1).max() <= 1.01 * radius_m, "and nothing is removed without a twin"
 
@@ -234,6 +249,61 @@ def test_removal_leaves_an_asymmetric_object_alone(box):
     T = np.repeat(random_poses(2, 23), 2, axis=0)
     assert remove_equivalent(T, PoseMetric(box), 0.001).all()
     assert remove_equivalent(T[:0], PoseMetric(box), 0.001).shape == (0,)
+
+
+def test_nothing_is_removed_of_nothing(cylinder):
+    assert remove_equivalent(np.zeros((0, 4, 4)), PoseMetric(cylinder), 0.001).shape == (0,)
+
+
+@pytest.fixture(params=["none", "x2*y2", "zinf*x2"])
+def grid(request, make_box, cylinder) -> PoseGrid:
+    obj = cylinder if "inf" in request.param else make_box(0.03, 0.02, 0.01, symmetry=request.param)
+    return PoseGrid(random_poses(60, 30), PoseMetric(obj))
+
+
+def test_the_nearest_equivalent_looks_the_same_and_is_as_near_as_any(grid):
+    metric, T, T_near = grid.metric, random_poses(7, 31), random_poses(7, 32)
+    found = metric.nearest_equivalents(T, T_near)
+    assert metric.symmetric_distance(found, T).max() < 1e-12
+    least = metric.symmetric_distance(T, T_near)
+    np.testing.assert_allclose(metric.distance(found, T_near) ** 2, least**2, atol=1e-8)
+
+
+def test_all_distances_from_a_pose_are_those_of_the_metric(grid):
+    T = random_poses(1, 33)[0]
+    one_by_one = grid.metric.symmetric_distance(np.broadcast_to(T, (len(grid), 4, 4)), grid.T_sensor_object)
+    np.testing.assert_allclose(grid.distances(T), one_by_one, atol=1e-9)
+
+
+def test_distances_between_points_are_euclidean():
+    a, b = np.random.default_rng(34).normal(size=(2, 9, 5))
+    np.testing.assert_allclose(distances_between(a, b[:4]), cdist(a, b[:4]), rtol=1e-7)
+    assert distances_between(1e3 * a, 1e3 * a).diagonal() == pytest.approx(0, abs=1e-3), "no root of less than nothing"
+
+
+@pytest.mark.parametrize("steps_m", [[0.02], [-0.02], [0.03, -0.01]])
+def test_a_raised_grid_is_that_of_the_raised_poses(grid, steps_m):
+    raised = grid
+    for step_m in steps_m:
+        raised = raised.raised(step_m)
+    up = translation([0, 0, sum(steps_m)])
+    anew = PoseGrid(up @ grid.T_sensor_object, grid.metric)
+    np.testing.assert_allclose(raised.T_sensor_object, anew.T_sensor_object, atol=1e-15)
+    np.testing.assert_allclose(raised.phi, anew.phi, atol=1e-12)
+    queries = random_poses(20, 35)
+    for found, expected in zip(raised.nearest(queries), anew.nearest(queries), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+    np.testing.assert_allclose(raised.distances(queries[0]), anew.distances(queries[0]), atol=1e-9)
+    np.testing.assert_allclose(raised.neighbour_spacing(), anew.neighbour_spacing(), atol=1e-12)
+    assert raised.spacing_m == pytest.approx(anew.spacing_m)
+    assert raised.within(0.02, 5).tolist() == anew.within(0.02, 5).tolist()
+
+
+def test_raising_shares_what_looks_poses_up_and_leaves_the_grid_alone(grid):
+    before = grid.T_sensor_object.copy()
+    assert grid.raised(0.0) is grid
+    assert grid.raised(0.01).raised(0.01)._orbit_tree is grid._orbit_tree
+    assert np.array_equal(grid.T_sensor_object, before)
 
 
 def test_an_empty_grid_is_refused(box):

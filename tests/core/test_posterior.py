@@ -95,8 +95,18 @@ def test_a_tempered_posterior_has_the_powers_of_the_probabilities(grid):
         posterior = PosePosterior(grid, np.log([0.5, 0.2, 0.0, 0.2, 0.1, 0.0]), touches=3)
     found = posterior.tempered(0.5)
     np.testing.assert_allclose(found.probabilities, (root := np.sqrt(posterior.probabilities)) / root.sum())
+    surer = posterior.tempered(2.0).probabilities
+    np.testing.assert_allclose(surer, (square := posterior.probabilities**2) / square.sum())
     assert found.touches == 3
+    assert found.log_train is None
     assert found.entropy > posterior.entropy
+
+
+def test_what_a_tempered_posterior_was_learned_from_is_tempered_too(grid):
+    log_train = np.log([1.0, 2, 3, 4, 5, 6])
+    posterior = PosePosterior(grid, np.zeros(6), log_train)
+    np.testing.assert_allclose(posterior.tempered(0.3).log_train, 0.3 * log_train)
+    assert posterior.tempered(1.0) is posterior
 
 
 def test_modes_can_be_those_of_given_poses(box):
@@ -173,7 +183,9 @@ def test_turned_parts_are_one_mode_however_they_are_turned(cylinder):
     assert len(mode.members) == 5
 
 
-@pytest.mark.parametrize("log_train", [np.zeros(4), np.array([0.0, -np.inf, 0.0]), np.array([0.0, np.nan, 0.0])])
+@pytest.mark.parametrize(
+    "log_train", [np.zeros(2), np.zeros(4), np.array([0.0, -np.inf, 0.0]), np.array([0.0, np.nan, 0.0])]
+)
 def test_a_training_distribution_is_finite_and_one_a_pose(box, log_train):
     grid = PoseGrid(translation([[0.001 * k, 0, 0] for k in range(3)]), PoseMetric(box))
     assert PosePosterior(grid, np.zeros(3)).log_train is None
@@ -184,7 +196,8 @@ def test_a_training_distribution_is_finite_and_one_a_pose(box, log_train):
 def test_probabilities_and_what_is_elsewhere_sum_to_one(box):
     posterior = PosePosterior(line(box, np.arange(4) * 0.01), np.log([0.1, 0.2, 0.3, 0.4]), elsewhere=0.5)
     assert posterior.probabilities == pytest.approx([0.05, 0.1, 0.15, 0.2])
-    assert posterior.entropy > PosePosterior(line(box, np.arange(4) * 0.01), np.log([0.1, 0.2, 0.3, 0.4])).entropy * 0.5
+    all_five = np.array([0.05, 0.1, 0.15, 0.2, 0.5])
+    assert posterior.entropy == pytest.approx(-(all_five * np.log(all_five)).sum())
     assert len(posterior.sample(10, np.random.default_rng(0))) == 10
     assert posterior.credible_set(0.4).tolist() == [3, 2, 1]
     assert posterior.tempered(0.5).elsewhere == 0.5

@@ -84,6 +84,17 @@ def test_damaged_is_removed_and_built_again(
     assert five.computed == [0, 1, 2, 3, 4]
 
 
+def test_what_cannot_be_read_is_damaged(store: StageStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    artifact = store.build(KEY, Five())
+
+    def refuse(path: Path) -> str:
+        raise StoreError(f"Cannot read {path}: Input/output error")
+
+    monkeypatch.setattr(artifact_module, "hash_file", refuse)
+    with pytest.raises(DamagedError, match=r"\.(npy|json) cannot be read$"):
+        artifact.verify()
+
+
 def test_build_replaces_the_damaged(store: StageStore) -> None:
     truth = contents(store.build(KEY, Five()).path)
     truncate(folder_of(store))
@@ -141,3 +152,12 @@ def test_a_manifest_that_is_none(tmp_path, text):
     (tmp_path / MANIFEST).write_text(text)
     with pytest.raises(DamagedError):
         read_artifact(tmp_path)
+
+
+def test_a_manifest_of_another_format_is_not_read(store: StageStore) -> None:
+    path = store.build(KEY, Five()).path
+    manifest = {**json.loads((path / MANIFEST).read_text()), "format": 2}
+    del manifest["sha256"]
+    (path / MANIFEST).write_text(json.dumps({**manifest, "sha256": artifact_module._seal(manifest)}))
+    with pytest.raises(DamagedError, match="of another format"):
+        read_artifact(path)

@@ -7,7 +7,14 @@ from kill_steps import killed_at_every_step
 
 from tactile_loc.core.errors import OutputError
 from tactile_loc.store import files
-from tactile_loc.store.files import recover_folder, replacing_folder, require_writable, write_atomically
+from tactile_loc.store.files import (
+    read_json,
+    recover_folder,
+    replacing_folder,
+    require_writable,
+    write_atomically,
+    write_json,
+)
 
 
 def test_a_folder_that_can_be_made_is_fine_and_not_made(tmp_path):
@@ -49,6 +56,15 @@ def test_a_write_that_fails_halfway_leaves_the_old_file(tmp_path):
         write_atomically(path, halfway)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_json_is_written_for_people_too_and_comes_back(tmp_path):
+    value = {"name": "µm", "poses": [1.5, None]}
+    path = write_json(tmp_path / "new" / "a.json", value)
+    assert read_json(path) == value
+    lines = path.read_text(encoding="utf-8").split("\n")
+    assert len(lines) > 4
+    assert lines[-1] == ""
 
 
 def test_other_errors_pass_through_and_leave_nothing(tmp_path):

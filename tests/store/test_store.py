@@ -199,6 +199,28 @@ def test_entries_and_remove(store: StageStore) -> None:
     assert (store.root / "grid" / "mine").is_dir()
 
 
+def test_what_has_no_manifest_or_was_not_moved_into_place_is_not_complete(store: StageStore) -> None:
+    without = store.build(KEY, Five()).path
+    (without / "manifest.json").unlink()
+    (entry,) = store.entries()
+    assert not entry.complete
+    assert entry.nbytes > 0
+    partial = store.build(StageKey("grid", 1, {}), Five()).path
+    partial.rename(partial.with_suffix(".partial"))
+    assert [entry.complete for entry in store.entries()] == [False, False]
+
+
+def test_what_cannot_be_removed_is_named(store: StageStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = store.build(KEY, Five()).path
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("shutil.rmtree", refuse)
+    with pytest.raises(StoreError, match=f"Cannot remove {folder}: Permission denied; remove it by hand"):
+        store.remove(KEY.digest)
+
+
 def test_default_root(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("TACTILE_LOC_STORE", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)

@@ -12,8 +12,9 @@ from store_helpers import KEY, Five, contents, flip, folder_of, reference, run_p
 
 from tactile_loc.core.errors import StoreError
 from tactile_loc.store.artifact import Artifact
+from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
-from tactile_loc.store.workspace import Workspace
+from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
 
 @pytest.fixture
@@ -82,6 +83,46 @@ def test_a_checkpoint_may_be_replaced(store: StageStore) -> None:
     assert ran == [0, 1, 2, 3, 4]
     assert artifact.names == ("weights.npy",)
     np.testing.assert_array_equal(artifact.array("weights"), [5, 10])
+
+
+def test_a_training_that_is_over_takes_its_checkpoint_up_and_leaves_it_out(store: StageStore) -> None:
+    def interrupted(workspace: Workspace) -> None:
+        checkpoints = WorkspaceCheckpoints(workspace)
+        assert checkpoints.load() is None
+        checkpoints.save(lambda path: path.write_text("epoch 5"))
+        raise KeyboardInterrupt
+
+    def resumed(workspace: Workspace) -> None:
+        checkpoint = WorkspaceCheckpoints(workspace).load()
+        assert checkpoint is not None
+        workspace.save_json("state", checkpoint.read_text())
+
+    def uninterrupted(workspace: Workspace) -> None:
+        WorkspaceCheckpoints(workspace).save(lambda path: path.write_text("epoch 5"))
+        workspace.save_json("state", "epoch 5")
+
+    with pytest.raises(KeyboardInterrupt):
+        store.build(KEY, interrupted)
+    other = StageKey("bank", 2, {})
+    for artifact in (store.build(KEY, resumed), store.build(other, uninterrupted)):
+        assert artifact.json("state") == "epoch 5"
+        assert artifact.names == ("state.json",)
+
+
+def test_what_an_interrupted_build_saved_and_the_next_one_asks_for_is_kept(store: StageStore) -> None:
+    def interrupted(workspace: Workspace) -> None:
+        workspace.save_file("notes.txt", lambda path: path.write_text("mine"))
+        workspace.save_array("poses", np.arange(3), packed=True)
+        raise KeyboardInterrupt
+
+    def resumed(workspace: Workspace) -> None:
+        assert workspace.load_file("notes.txt") is not None
+        np.testing.assert_array_equal(workspace.load("poses"), np.arange(3))
+        assert workspace.load_file("none.txt") is workspace.load("none") is None
+
+    with pytest.raises(KeyboardInterrupt):
+        store.build(KEY, interrupted)
+    assert store.build(KEY, resumed).names == ("notes.txt", "poses.npz")
 
 
 def test_a_kill_between_record_and_rename_keeps_the_earlier_checkpoint(

@@ -32,6 +32,6 @@ class ProductFuser(CommonPosesFuser):
         if posterior.log_train is not None:
             log_train = PosePosterior(posterior.grid, posterior.log_train).log_p[index]
         ratio: NDArray[np.float64] = posterior.log_p[index] - log_train
-        if self.options.doubt == 0:
+        if not self.options.doubt:
             return ratio
         return np.logaddexp(np.log1p(-self.options.doubt) + ratio, np.log(self.options.doubt))

@@ -25,6 +25,7 @@ def test_what_touches_all_sensors_is_equally_probable(box):
     fused = KinematicFuser(KinematicFuser.Options(reach=0.4)).fuse(touches, T_BASE)
     np.testing.assert_allclose(fused.probabilities, [0, 1 / 3, 1 / 3, 1 / 3], atol=1e-12)
     assert fused.grid is touches[0].grid
+    assert KinematicFuser.capabilities.contact_only
 
 
 def test_the_prior_weighs_them(box):

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from tactile_loc.core.errors import ConfigError, GridError
 from tactile_loc.core.geometry import invert, make_transform, rotation_about, translation
@@ -46,6 +47,16 @@ def test_a_prior_may_exclude(posterior):
 def test_a_prior_that_is_no_log_weight_a_pose_is_refused(posterior, weights):
     with pytest.raises(ConfigError, match=r"the prior returned .* for 4 poses"):
         ProductFuser().fuse([posterior], [None], lambda T: weights)
+
+
+def test_without_doubt_no_logarithm_of_nothing_is_taken(box):
+    with np.errstate(all="raise"):
+        ProductFuser().fuse(toys(box, 2), T_BASE[:2])
+
+
+def test_one_touch_needs_no_sensor_pose(posterior):
+    for T in (None, T_BASE[1], np.full((4, 4), np.nan)):
+        assert np.array_equal(ProductFuser().fuse([posterior], [T]).log_p, posterior.log_p)
 
 
 def test_it_leaves_its_input_alone(posterior):
@@ -172,6 +183,14 @@ def test_very_small_probabilities_neither_vanish_nor_overflow(box):
     assert fused.log_p[1] == pytest.approx(-4000)
 
 
+def test_one_grid_seen_from_elsewhere_is_looked_up(box):
+    """A sensor that has moved on by a step: a pose is where the one before it was."""
+    first = toy(box, [0, 1, 2], [0.2, 0.3, 0.5])
+    T_moved = T_BASE[0] @ translation([STEP_M, 0, 0])
+    fused = ProductFuser(ProductFuser.Options(reach=0.1)).fuse([first, first], [T_BASE[0], T_moved])
+    np.testing.assert_allclose(fused.probabilities, np.array([0, 0.3 * 0.2, 0.5 * 0.3]) / 0.21, atol=1e-9)
+
+
 def test_no_common_pose_names_the_contact(box):
     touches = [toy(box, [0, 1, 2], [1.0] * 3), toy(box, [1, 2], [1.0] * 2, 1), toy(box, [0, 9, 11], [1.0] * 3, 2)]
     with pytest.raises(GridError, match=r"no pose touches all 3 sensors: contact 3 drops the last 2 .* 3 poses; check"):
@@ -207,6 +226,19 @@ def test_a_pose_that_touches_nothing_is_dropped_for_all_doubt(box):
 def test_several_touches_need_the_pose_of_each_sensor(posterior, T, sentence):
     with pytest.raises(ConfigError, match=sentence):
         ProductFuser().fuse([posterior] * 2, T)
+
+
+@pytest.mark.parametrize("options", [{"doubt": -0.01}, {"doubt": 1.0}, {"reach": 0.0}])
+def test_impossible_options_are_refused(options):
+    with pytest.raises(ValidationError, match=next(iter(options))):
+        ProductFuser.Options(**options)
+
+
+def test_an_object_loaded_again_is_the_same_object(make_box):
+    touches = [toy(make_box(0.03, 0.02, 0.012), [0, 1], [0.3, 0.7], sensor) for sensor in (0, 1)]
+    np.testing.assert_allclose(
+        ProductFuser().fuse(touches, T_BASE[:2]).probabilities, np.array([0.09, 0.49]) / 0.58, atol=1e-9
+    )
 
 
 def test_there_must_be_a_touch_and_one_object(posterior, cylinder):
