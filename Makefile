@@ -5,13 +5,14 @@
 PYTHON ?=
 VENV := .venv
 STAMP := $(VENV)/.installed
+MUTATE := $(VENV)/.mutate
 RUN := $(VENV)/bin/python -m
 PYTEST_FLAGS ?= -q -n 2 --dist loadfile --no-loadscope-reorder
 
 # ROS and others put their own packages, pytest plugins among them, in front of ours.
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help setup demo test lint smoke docs audit sbom fuzz kill soak bench bench-compare clean
+.PHONY: help setup demo test lint smoke docs audit sbom fuzz kill soak mutate bench bench-compare clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -60,6 +61,9 @@ kill: $(STAMP) ## kill and starve commands, an hour; the same again goes on wher
 soak: $(STAMP) ## locate 50000 touches and track for 2000 seconds in one process, half an hour; nothing may grow
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python scripts/soak.py
 
+mutate: $(MUTATE) ## change the numerical core in 700 places, an hour, and see whether tests notice; the same again goes on
+	@$(VENV)/bin/python scripts/mutate.py
+
 bench: $(STAMP) ## run all benchmarks, hours, and keep what they print
 	@$(VENV)/bin/python scripts/bench.py keep --all
 
@@ -69,6 +73,11 @@ bench-compare: $(STAMP) ## tell what benchmarks print otherwise than in the vers
 clean: ## remove .venv, out, build and the tools' caches
 	@echo "clean: removing .venv, out, build, dist and caches"
 	@rm -rf .venv out build dist .mypy_cache .ruff_cache .pytest_cache *.egg-info
+
+$(MUTATE): $(STAMP)
+	@echo "mutate: installing cosmic-ray"
+	@$(RUN) pip install -qq --disable-pip-version-check -c constraints.txt -e '.[mutate]'
+	@touch $@
 
 # A virtual environment holds its own path: one that was copied or moved here is made anew.
 ifneq "$(shell cat $(STAMP) 2>/dev/null)" "$(CURDIR)"

@@ -55,7 +55,7 @@ def installed_closure(root: str, extras: frozenset[str]) -> dict[str, str]:
 
 
 def test_constraints_pin_everything_that_is_installed():
-    closure = installed_closure(PROJECT, frozenset({"dev"}))
+    closure = installed_closure(PROJECT, frozenset({"dev", "mutate"}))
     installed = {name: Version(version).public for name, version in closure.items()}
     assert {"numpy", "open3d-cpu", "pytest", "kiwisolver"} <= installed.keys()  # runtime, dev and transitive ones
     pins = constraints()
@@ -72,7 +72,8 @@ def test_constraints_are_sorted_exact_pins_with_normalised_names():
 
 def test_every_direct_dependency_is_pinned_to_a_version_that_it_allows():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    declared = [Requirement(text) for text in project["dependencies"] + project["optional-dependencies"]["dev"]]
+    extras = project["optional-dependencies"]
+    declared = [Requirement(text) for text in project["dependencies"] + extras["dev"] + extras["mutate"]]
     here = [r for r in declared if r.marker is None or r.marker.evaluate()]
     pins = constraints()
     refused = [str(r) for r in here if not r.specifier.contains(pins.get(canonicalize_name(r.name), "0"))]

@@ -1,0 +1,1 @@
+"""Mutants of the numerical core: which there are, and which the tests notice."""

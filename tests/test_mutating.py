@@ -1,0 +1,83 @@
+"""Which mutants count, and which are drawn: of those that say nothing of the tests there are none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from mutating.mutants import counts, sample, uncounted
+from mutating.targets import TARGETS
+
+ROOT = Path(__file__).parents[1]
+
+SOURCE = '''
+if TYPE_CHECKING:
+    LIMIT = 111
+
+@njit
+def area(a: Literal[112], b: Literal[113] | None = 1) -> Literal[114]:
+    """Of 115."""
+    total: Literal[116] = a * 2
+    log.info("µ %d", 117)
+    if total > 3:
+        raise ValueError(f"{total + 118} is too much")
+    try:
+        return total - 4, f"{119}"
+    except (error.Other, ValueError):
+        return 5, ""
+'''
+
+
+@dataclass
+class Mutant:
+    operator_name: str
+    occurrence: int
+    start_pos: tuple[int, int]
+    end_pos: tuple[int, int]
+
+
+def at(text: str, operator: str = "core/NumberReplacer") -> Mutant:
+    """A mutant of what stands once in the source."""
+    start = SOURCE.index(text)
+    return Mutant(operator, 0, place(start), place(start + len(text)))
+
+
+def place(offset: int) -> tuple[int, int]:
+    before = SOURCE[:offset]
+    return before.count("\n") + 1, len(before) - before.rfind("\n") - 1
+
+
+@pytest.mark.parametrize("text", ["= 1)", "* 2", "> 3", "- 4", "ValueError)", "return 5"])
+def test_what_the_code_does_counts(text):
+    assert counts(at(text), uncounted(SOURCE))
+
+
+@pytest.mark.parametrize("text", ["@njit\n", "error.Other", *map(str, range(111, 120))])
+def test_what_no_test_could_notice_does_not(text):
+    assert not counts(at(text), uncounted(SOURCE))
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"), [("Mul_Div", True), ("Mul_LShift", False), ("BitAnd_BitOr", True), ("BitOr_Add", False)]
+)
+def test_numbers_stay_numbers_and_bits_bits(change, expected):
+    assert counts(at("* 2", f"core/ReplaceBinaryOperator_{change}"), uncounted(SOURCE)) is expected
+
+
+def test_a_sample_is_its_seeds_whatever_the_order():
+    mutants = [(file, Mutant("operator", n, (1, 0), (1, 1))) for file in "ab" for n in range(50)]
+
+    def drawn(of: list, seed: int) -> list:
+        return [(of[i][0], of[i][1].occurrence) for i in sample(of, 20, seed)]
+
+    assert drawn(mutants, 3) == drawn(mutants[::-1], 3)
+    assert drawn(mutants, 3) != drawn(mutants, 4)
+    assert len(set(drawn(mutants, 3))) == 20
+    assert len(sample(mutants, 1000, 0)) == 100
+
+
+@pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
+def test_files_and_tests_of_a_target_are_there(target):
+    assert all((ROOT / "tactile_loc" / file).is_file() for file in target.files)
+    assert all((ROOT / test).exists() for test in target.tests if test.startswith("tests/"))
