@@ -72,7 +72,7 @@ def kill(command: Command, wanted: int, trials: Trials, place: Place, inputs: Pa
     place.root.mkdir(parents=True, exist_ok=True)
     place.make(inputs)
     before: set[str] = set()
-    streak = 0
+    streak, stored = 0, True
     while trials.counts["killed"] < wanted or streak:
         draw = draw_of(trials)
         enough = trials.counts["killed"] >= wanted
@@ -88,27 +88,33 @@ def kill(command: Command, wanted: int, trials: Trials, place: Place, inputs: Pa
             before, streak = after, streak + 1
             advance(1)
         else:
-            judge_end(done, place, calm, trials)
+            judge_end(done, place, calm, trials, stored)
             trials.count("let finish" if let else "faster")
-            _prepare(place, inputs, draw)
+            stored = _prepare(place, inputs, draw)
             before, streak = set(), 0
 
 
-def judge_end(done: Done, place: Place, calm: Undisturbed, trials: Trials) -> None:
-    """Judge a command that was let finish: as the undisturbed one, with nothing beside it."""
+def judge_end(done: Done, place: Place, calm: Undisturbed, trials: Trials, stored: bool = True) -> None:
+    """Judge a command that was let finish: as the undisturbed one, with nothing beside it.
+
+    Unless all had to be `stored`: results that were there already need no stage.
+    """
     if not trials.expect(done.code == 0, "it does not go on", done):
         return
     trials.find(*remains.broken(place, ended=True))
     answer = remains.answer(place)
-    other = sorted(key for key in calm.answer.keys() | answer if calm.answer.get(key) != answer.get(key))
+    asked = {
+        key: one for key, one in calm.answer.items() if stored or key in answer or not remains.is_stage(key)
+    }  # fmt: skip
+    other = sorted(key for key in asked.keys() | answer if asked.get(key) != answer.get(key))
     trials.expect(not other, f"another answer: {', '.join(other)}")
     left = [name for name in remains.leftovers(place) if name not in calm.leftovers]
     trials.expect(not left, f"left behind: {', '.join(left)}")
     trials.expect(remains.locks(place) <= calm.locks, "more locks than stages")
 
 
-def _prepare(place: Place, inputs: Path, draw: np.random.Generator) -> None:
-    """Begin anew: with nothing, with the old results alone, or with the store alone."""
+def _prepare(place: Place, inputs: Path, draw: np.random.Generator) -> bool:
+    """Begin anew: with nothing, the old results alone, or the store alone; return whether all is to be stored."""
     what = draw.integers(3)
     if what == 0:
         place.make(inputs)
@@ -117,3 +123,4 @@ def _prepare(place: Place, inputs: Path, draw: np.random.Generator) -> None:
     else:
         shutil.rmtree(place.work)
         shutil.copytree(inputs, place.work)
+    return bool(what != 1)

@@ -21,6 +21,7 @@ from tactile_loc.store.artifact import read_artifact
 from tactile_loc.store.keys import hash_file
 from tactile_loc.store.store import Entry, StageStore
 
+STAGE = "store: "  # before the names of stages in what commands answer
 BESIDE = ".tmp-"  # with which all begins that is written beside its place
 LINES = (".jsonl", ".journal")
 JOURNALS = "sweep-builds"
@@ -96,11 +97,16 @@ def answer(place: Place) -> dict[str, str]:
         if entry.complete:
             records = read_artifact(entry.path).files.items()
             kept = sorted((name, one.sha256) for name, one in records if not CLOCKED.search(name.partition(".")[0]))
-            found[f"{entry.stage}/{entry.digest}"] = _digest(json.dumps(kept))
+            found[f"{STAGE}{entry.stage}/{entry.digest}"] = _digest(json.dumps(kept))
     for path in _files(place):
         if path.suffix not in DRAWN and path.parent.name != "rows" and place.store not in path.parents:
             found[str(path.relative_to(place.work))] = _digest(_content(path))
     return found
+
+
+def is_stage(name: str) -> bool:
+    """Whether a result's name in `answer` is that of a stored stage, and no file's."""
+    return name.startswith(STAGE)
 
 
 def _is_left(path: Path) -> bool:
