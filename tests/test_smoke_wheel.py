@@ -81,9 +81,10 @@ def test_without_an_environment_it_says_what_to_do(tmp_path):
     assert "run make setup first" in done.stderr
 
 
-def test_continuous_integration_tests_tries_the_wheel_and_builds_the_documentation():
+def test_continuous_integration_tests_tries_the_wheel_builds_the_documentation_and_fuzzes():
     lines = (ROOT / ".ci" / "run").read_text().splitlines()
-    assert lines[-3:] == ["make test", "make smoke", "make docs"]
+    assert lines[-4:-1] == ["make test", "make smoke", "make docs"]
+    assert lines[-1].startswith(".venv/bin/python scripts/fuzz.py --inputs 100 ")
     makefile = (ROOT / "Makefile").read_text()
     assert "scripts/smoke-wheel.sh $(VENV)/bin/python" in makefile
     assert "scripts/system-packages.sh --tests" in makefile
