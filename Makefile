@@ -55,13 +55,13 @@ sbom: $(STAMP) ## list what the wheel brings with it, as CycloneDX, in out/sbom.
 fuzz: $(STAMP) ## give every reader 2000 damaged inputs, half an hour; the same again goes on where it was stopped
 	@$(VENV)/bin/python scripts/fuzz.py
 
-kill: $(STAMP) ## kill and starve commands, an hour; the same again goes on where it was stopped
+kill: $(STAMP) ## kill and starve commands, hours; the same again goes on where it was stopped
 	@$(VENV)/bin/python scripts/kill.py
 
-soak: $(STAMP) ## locate 50000 touches and track for 2000 seconds in one process, half an hour; nothing may grow
+soak: $(STAMP) ## locate 50000 touches and track for 2000 seconds in one process, an hour; nothing may grow
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python scripts/soak.py
 
-mutate: $(MUTATE) ## change the numerical core in 700 places, an hour, and see whether tests notice; the same again goes on
+mutate: $(MUTATE) ## change the numerical core in 700 places, hours, and see whether tests notice; the same again goes on
 	@$(VENV)/bin/python scripts/mutate.py
 
 bench: $(STAMP) ## run all benchmarks, hours, and keep what they print

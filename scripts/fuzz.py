@@ -28,6 +28,7 @@ sys.path[:0] = PATHS
 
 from fuzzing.readers import READERS, Reader, reader  # noqa: E402
 from fuzzing.trial import READ, REFUSED, SECONDS, make_input  # noqa: E402
+from kept import kept_of, write_kept  # noqa: E402
 
 Job = tuple[str, str, int, int]
 
@@ -62,13 +63,8 @@ class State:
     @classmethod
     def open(cls, path: Path, seed: int) -> State:
         """Read what was done with this seed; nothing, if it was another."""
-        try:
-            kept = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return cls(path, seed)
-        if kept["seed"] != seed:
-            return cls(path, seed)
-        return cls(path, seed, {name: Progress(**values) for name, values in kept["readers"].items()})
+        readers = kept_of(path, seed).get("readers", {})
+        return cls(path, seed, {name: Progress(**values) for name, values in readers.items()})
 
     def of(self, name: str) -> Progress:
         """Return the progress of a reader."""
@@ -76,11 +72,7 @@ class State:
 
     def save(self) -> None:
         """Write the file, whole."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = self.path.with_suffix(".tmp")
-        kept = {"seed": self.seed, "readers": {name: asdict(one) for name, one in self.readers.items()}}
-        temporary.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
-        temporary.replace(self.path)
+        write_kept(self.path, self.seed, readers={name: asdict(one) for name, one in self.readers.items()})
 
 
 def fuzz(chosen: Sequence[Reader], state: State, inputs: int, commands: int, out: Path) -> None:
@@ -216,9 +208,10 @@ def main(words: list[str] | None = None) -> int:
     chosen = [one for one in READERS if one.name in (given.readers or KNOWN)]
     if unknown := sorted(set(given.readers) - set(KNOWN)):
         parser.error(f"there is no reader {unknown[0]!r}; there are {', '.join(KNOWN)}")
-    state = State.open(given.out / "state.json", given.seed)
+    out = given.out.absolute()  # commands run in folders of their own
+    state = State.open(out / "state.json", given.seed)
     for one in chosen:
-        fuzz([one], state, given.inputs, given.commands, given.out)
+        fuzz([one], state, given.inputs, given.commands, out)
         _say(one.name, state.of(one.name))
     return int(any(state.of(one.name).findings for one in chosen))
 

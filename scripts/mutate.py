@@ -156,7 +156,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if unknown:
         parser.error(f"there is no target {', '.join(unknown)}; there are {', '.join(known)}")
     chosen = [known[name] for name in options.targets or known]
-    print(mutate(chosen, options.mutants, options.seed, options.out))
+    print(mutate(chosen, options.mutants, options.seed, options.out.absolute()))
 
 
 if __name__ == "__main__":

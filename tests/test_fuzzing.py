@@ -104,6 +104,12 @@ def test_a_process_that_dies_is_a_finding_and_the_next_input_follows(tmp_path, m
     assert fuzz.State.open(tmp_path / "state.json", 4).readers == {}, "another seed begins anew"
 
 
+def test_a_folder_that_is_named_from_here_serves_commands_that_run_elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert fuzz.main(["sensor", "--inputs", "0", "--commands", "1", "--out", "kept"]) == 0
+    assert fuzz.State.open(tmp_path / "kept/state.json", 0).of("sensor").commands == 1
+
+
 def test_a_number_and_a_seed_make_the_same_input_again(tmp_path):
     chosen = dataclasses.replace(reader("touch-npz"), fuzzed=("*",))
     whole = tmp_path / "whole"

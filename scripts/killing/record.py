@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+
+from kept import kept_of, write_kept
 
 from killing.commands import Done
 
@@ -33,22 +33,13 @@ class Record:
     @classmethod
     def open(cls, path: Path, seed: int) -> Record:
         """Read what happened with this seed; nothing, if it was another."""
-        try:
-            kept = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return cls(path, seed)
-        if kept["seed"] != seed:
-            return cls(path, seed)
-        counts = {name: Counter(values) for name, values in kept["counts"].items()}
-        return cls(path, seed, counts, [Finding(**one) for one in kept["findings"]])
+        kept = kept_of(path, seed)
+        counts = {name: Counter(values) for name, values in kept.get("counts", {}).items()}
+        return cls(path, seed, counts, [Finding(**one) for one in kept.get("findings", [])])
 
     def save(self) -> None:
         """Write the file, whole."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        kept: dict[str, Any] = {"seed": self.seed, "counts": self.counts, "findings": [vars(f) for f in self.findings]}
-        temporary = self.path.with_suffix(".tmp")
-        temporary.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
-        temporary.replace(self.path)
+        write_kept(self.path, self.seed, counts=self.counts, findings=[vars(one) for one in self.findings])
 
     def trials(self, kind: str, name: str) -> Trials:
         """Return the trials of a kind with something."""

@@ -285,7 +285,6 @@ class Tracker:
     def _slip(self, touch: Touch, is_key: bool) -> bool:
         """Look where the likeliest modes may have slipped to; return whether one of these poses is the pose now."""
         view = View(touch, self.localizer.scene.of_touch(touch))
-        best = self._modes[0].evidence
         slipped = self._slipped(view)
         poses, covariances = self._first_refiner.followed([view], np.stack([m.T_sensor_object for m in slipped]))
         T_base_sensor = np.asarray(touch.T_base_sensor)
@@ -296,9 +295,9 @@ class Tracker:
                 creep = motion_errors(np.diag(SLIP**2), T_base_gel, mode.known.T_base_object)
                 known = mode.known.later(creep).touched(self._seen(touch, T, covariance), 1.0)
                 new.append(self._at(replace(mode, known=known, evidence=SLIPS), T_base_sensor))
-        before = self._modes
-        tracked = [replace(mode, evidence=STAYS + mode.evidence - best) for mode in before]
-        if self._decided(tracked, new, [touch]) and not self._contradicted(is_key):
+        before, tracked = self._modes, self._staying([touch])
+        self._modes = self._distinct([*tracked, *self._weighed(new, [touch])])
+        if self._modes[0] not in tracked and not self._contradicted(is_key):
             return True
         self._modes = before  # the touch is at fault, or the object is far away
         return False
@@ -333,20 +332,19 @@ class Tracker:
                 known = PoseFilter.of_touch(self._seen(keys[0], hypothesis.T_sensor_object, covariance))
                 new.append(_Mode(known, *known.seen_from(np.asarray(touch.T_base_sensor), self._gel_m)))
         self._alike = 1.0
-        best = max((mode.evidence for mode in self._modes), default=0.0)
-        tracked = [replace(mode, evidence=STAYS + mode.evidence - best) for mode in self._modes]
-        lost = self._decided(tracked, new, keys)
+        tracked = self._staying(keys)
+        self._modes = self._distinct([*tracked, *self._weighed(new, keys)])
+        lost = self._modes[0] not in tracked
         if not lost and len(keys) == 1:  # the touch is at fault, not the track
-            self._modes = self._distinct(self._weighed(tracked, keys))
+            self._modes = self._distinct(tracked)
         else:
             self._elsewhere = found.posterior.elsewhere
         return lost
 
-    def _decided(self, tracked: Sequence[_Mode], new: Sequence[_Mode], keys: Sequence[Touch]) -> bool:
-        """Weigh modes by key touches and keep the likeliest; return whether a new one is the likeliest of all."""
-        tracked, new = (self._weighed(modes, keys) for modes in (tracked, new))
-        self._modes = self._distinct([*tracked, *new])
-        return not any(self._modes[0] is mode for mode in tracked)
+    def _staying(self, keys: Sequence[Touch]) -> list[_Mode]:
+        """The modes that there are, weighed by key touches, with what speaks for their staying."""
+        best = max((mode.evidence for mode in self._modes), default=0.0)
+        return self._weighed([replace(mode, evidence=STAYS + mode.evidence - best) for mode in self._modes], keys)
 
     def _weighed(self, modes: Sequence[_Mode], keys: Sequence[Touch]) -> list[_Mode]:
         """Modes with the evidence of all key touches added, and how well they explain the last one."""
