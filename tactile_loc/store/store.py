@@ -52,8 +52,8 @@ class StageStore:
     Nothing is created before the first build. `built` lists the keys that this instance built, in order.
     """
 
-    def __init__(self, root: Path | None = None) -> None:
-        self.root = default_root() if root is None else root.expanduser().absolute()
+    def __init__(self, root: Path | str | None = None) -> None:
+        self.root = default_root() if root is None else Path(root).expanduser().absolute()
         self.built: list[StageKey] = []
         self._verified: dict[str, tuple[tuple[int, int], ...]] = {}
 
