@@ -17,7 +17,7 @@ from PIL import Image
 from killing.commands import Place
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.io.recordings import Recording
-from tactile_loc.store.artifact import read_artifact
+from tactile_loc.store.artifact import MANIFEST, read_artifact
 from tactile_loc.store.keys import hash_file
 from tactile_loc.store.store import Entry, StageStore
 
@@ -46,8 +46,9 @@ def finished(place: Place) -> set[str]:
     """Return what is finished, each with what shows that it was not done again."""
     found = set()
     for entry in _entries(place):
-        if entry.complete:
-            found.add(f"artifact {entry.stage}/{entry.digest} of {(entry.path / 'manifest.json').stat().st_mtime_ns}")
+        manifest = entry.path / MANIFEST
+        if manifest.is_file():  # of one that is not complete yet, too: only its name is missing
+            found.add(f"artifact {entry.stage}/{entry.digest} of {manifest.stat().st_mtime_ns}")
         else:
             found |= {f"piece {entry.stage}/{entry.digest}/{name}" for name in _pieces(entry.path)}
     for path in _files(place):

@@ -159,8 +159,10 @@ class StageStore:
         with storing(f"stage {key}", partial):
             partial.mkdir(exist_ok=True)
         workspace = Workspace(partial, key)
-        make(workspace)
-        workspace.finish()
+        if not workspace.is_finished():
+            make(workspace)
+            workspace.finish()
+        workspace.tidy()
         with storing(f"stage {key}", folder):
             os.rename(partial, folder)
             self.built.append(key)

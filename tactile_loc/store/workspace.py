@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import StoreError
 from tactile_loc.core.interfaces import Checkpoints
-from tactile_loc.store.artifact import MANIFEST, FileRecord, write_manifest
+from tactile_loc.store.artifact import MANIFEST, DamagedError, FileRecord, read_artifact, write_manifest
 from tactile_loc.store.files import delete, read_json, replacing, sync_folder
 from tactile_loc.store.keys import StageKey, hash_file
 from tactile_loc.store.packed import read_packed, write_packed
@@ -121,14 +121,26 @@ class Workspace:
         self._mark(file_name, keep)
 
     def finish(self) -> None:
-        """Delete what is not part of the artifact and write its manifest. Called by the store when `make` returns."""
+        """Write the artifact's manifest. Called by the store when `make` returns."""
         with storing(f"the manifest of stage {self._key}", self.path):
             files = {name: self._record(name) for name in self._kept}
             with replacing(self.path / MANIFEST) as temporary:
                 write_manifest(temporary, self._key, files)
-            # Only now: had the disk refused the manifest, all pieces would have to remain.
-            for path in list(self.path.iterdir()):
-                if path.name not in (MANIFEST, *files):
+
+    def is_finished(self) -> bool:
+        """Tell whether the artifact is whole, now or by an earlier build that was interrupted just before its end."""
+        try:
+            artifact = read_artifact(self.path)
+            artifact.verify()
+        except DamagedError:
+            return False
+        return artifact.key == self._key
+
+    def tidy(self) -> None:
+        """Delete what is not part of the finished artifact: before, the disk could still have refused its manifest."""
+        with storing(f"the manifest of stage {self._key}", self.path):
+            for path in set(self.path.iterdir()) - {self.path / name for name in read_artifact(self.path).files}:
+                if path.name != MANIFEST:
                     delete(path)
             sync_folder(self.path)
 

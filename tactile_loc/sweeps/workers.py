@@ -3,7 +3,6 @@ that dies had to another one."""
 
 from __future__ import annotations
 
-import faulthandler
 import logging
 import os
 import re
@@ -30,6 +29,7 @@ from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
+from tactile_loc.sweeps import detached
 from tactile_loc.sweeps.combination import combination_key, describe_components
 
 ERRORS = tuple(f"{line}_{what}" for line in LINES for what in ("median_mm", "mean_mm", "median_share"))
@@ -306,11 +306,11 @@ def _local_cluster(local: LocalWorkers) -> Iterator[str]:
     from distributed import LocalCluster
 
     settings = {"distributed.scheduler.allowed-failures": LOCAL_FAILURES, "distributed.scheduler.worker-ttl": None}
-    begin = f"from {__name__} import detach; detach({str(local.log.absolute())!r})"
     with _log_file(local.log) as handler, _dask_log(handler), _environment(local.threads), dask.config.set(settings):
         try:
             cluster = LocalCluster(
-                n_workers=local.workers, threads_per_worker=1, processes=True, memory_limit=0, preload=[begin],
+                n_workers=local.workers, threads_per_worker=1, processes=True, memory_limit=0,
+                preload=[detached.__name__], env={detached.LOG: str(local.log.absolute())},
                 dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False}, silence_logs=False,
             )  # fmt: skip
         except (OSError, RuntimeError) as error:
@@ -319,16 +319,6 @@ def _local_cluster(local: LocalWorkers) -> Iterator[str]:
             yield cluster.scheduler_address
         finally:
             _end(cluster)
-
-
-def detach(path: str) -> None:
-    """Begin a local worker: its output goes to the file `path`, and it ends with the sweep, not by Ctrl-C."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    for stream in (1, 2):
-        os.dup2(file, stream)
-    os.close(file)
-    faulthandler.enable()
 
 
 def _end(cluster: Any) -> None:

@@ -95,7 +95,7 @@ def test_two_processes_build_the_same_object_at_once(tmp_path, uninterrupted):
         process.stdin.flush()
     outputs = [ended(process, 0) for process in processes]
     assert contents(store) == uninterrupted
-    for stage in ("grid", "shapes", "bank"):
+    for stage in ("grid", "shapes"):  # of banks there are several: either may build some
         words = sorted(line for stdout, _ in outputs for line in stdout.splitlines() if line.startswith(f"{stage}: "))
         assert [w for w in words if "poses" not in w] == [f"{stage}: built", f"{stage}: reused"]
 

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kill_steps import killed_at_every_step
 from store_helpers import KEY, Five, contents, flip, folder_of, reference, run_python
 
 from tactile_loc.core.errors import StoreError
-from tactile_loc.store.artifact import Artifact
+from tactile_loc.store.artifact import MANIFEST, Artifact
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
@@ -145,6 +146,26 @@ def test_a_kill_between_record_and_rename_keeps_the_earlier_checkpoint(
     monkeypatch.undo()
     artifact = store.build(KEY, lambda workspace: workspace.array("x", lambda: np.array([3])))
     np.testing.assert_array_equal(artifact.array("x"), [1])
+
+
+def test_a_build_killed_at_any_step_of_its_end_is_not_done_again(store: StageStore, tmp_path: Path) -> None:
+    def make(workspace: Workspace) -> None:
+        with (tmp_path / "made.txt").open("a") as file:
+            file.write("x")
+        for name in ("a", "b"):
+            workspace.save_array(name, np.arange(3), keep=name == "b")
+
+    ended = 0
+    for _ in killed_at_every_step(lambda: store.build(KEY, make)):
+        finished = [*store.root.glob(f"*/*/{MANIFEST}")]
+        made = len((tmp_path / "made.txt").read_text()) if (tmp_path / "made.txt").exists() else 0
+        artifact = store.build(KEY, make)
+        assert artifact.names == ("b.npy",)
+        assert sorted(path.name for path in artifact.path.iterdir()) == ["b.npy", MANIFEST]
+        ended += len(finished)
+        assert len((tmp_path / "made.txt").read_text()) == made + (not finished)
+        store.remove(KEY.digest)
+    assert ended > 4
 
 
 KILLED = """
