@@ -139,6 +139,26 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
     return path
 
 
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Have others who ask for the same folder wait until the block ends: files that belong together stay together.
+
+    The folder is made if needed, and nothing is put there. Where the file system has no locks, nobody waits. Raises
+    OutputError when there can be no such folder.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise OutputError(f"{folder} cannot be written to ({error.strerror or error}); choose another --out") from error
+    try:
+        with suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
 def write_json(path: Path, value: Any) -> Path:
     """Write JSON values for people to read too, atomically, and return the path. Raises OutputError."""
     text = json.dumps(value, indent=1) + "\n"

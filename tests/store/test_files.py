@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -8,6 +10,7 @@ from kill_steps import killed_at_every_step
 from tactile_loc.core.errors import OutputError
 from tactile_loc.store import files
 from tactile_loc.store.files import (
+    alone_in,
     read_json,
     recover_folder,
     replacing_folder,
@@ -98,6 +101,28 @@ def test_what_another_process_writes_to_the_same_file_is_left_alone(tmp_path):
         assert path.read_text() == "fast"
     assert path.read_text() == "slow"
     assert names(tmp_path) == ["a.txt"]
+
+
+def test_who_writes_files_that_belong_together_is_alone_in_their_folder(tmp_path):
+    folder, seen = tmp_path / "new" / "folder", []
+
+    def write(number):
+        with alone_in(folder):
+            for name in "ab":
+                (folder / name).write_text(str(number))
+                time.sleep(0.005)
+            seen.append({(folder / name).read_text() for name in "ab"})
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(write, range(8)))
+    assert sorted(map(sorted, seen)) == [[str(number)] for number in range(8)]
+    assert sorted(names(folder)) == ["a", "b"]
+
+
+def test_there_is_no_folder_where_a_file_stands(tmp_path):
+    (tmp_path / "a").touch()
+    with pytest.raises(OutputError, match="choose another --out"), alone_in(tmp_path / "a"):
+        pass
 
 
 NAMES = ("a.txt", "deep/b.txt")

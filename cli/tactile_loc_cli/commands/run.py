@@ -205,6 +205,7 @@ def _report(
     from tactile_loc.drawing.pictures import draw_result, save_figure
     from tactile_loc.locate.result_files import NAME, gather, write_arrays
     from tactile_loc.locate.result_json import contradictions, pose_errors_m, result_record, write_result
+    from tactile_loc.store.files import alone_in
     from tactile_loc_cli.results import say_result, title
 
     observations = [pair for pair in observations if any(pair[1] is touch for touch in localization.touches)]
@@ -216,15 +217,17 @@ def _report(
     if localization.outliers:
         logger.warning("--drop-outliers locates the object without what contradicts the other touches")
     figure = draw_result(localization, localizer.scene, title(record), pose_errors_m(localizer.object, localization))
-    written = [
-        write_result(out / "result.json", record),
-        write_arrays(out / NAME, gather(observations, localization), record),
-        save_figure(out / "result.png", figure),
-    ]
-    if page:
-        from tactile_loc.reports import find_source, write_report
+    arrays = gather(observations, localization)
+    with alone_in(out):
+        written = [
+            write_result(out / "result.json", record),
+            write_arrays(out / NAME, arrays, record),
+            save_figure(out / "result.png", figure),
+        ]
+        if page:
+            from tactile_loc.reports import find_source, write_report
 
-        written.append(write_report(find_source(out / "result.json")))
+            written.append(write_report(find_source(out / "result.json")))
     if rerun is not None:
         from tactile_loc.drawing.rerun_files import write_localization
 
