@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -73,14 +74,21 @@ def photographed(indentation_m: np.ndarray, geometry: SensorGeometry) -> np.ndar
 class BallSet(LabelledPresses):
     """Presses of one ball: images (N, H, W, 3), visible circles (N, 3) of x, y, radius in pixels, and the truth.
 
-    `indentation_m` (N, H, W) is the ball's, metres, deeper than the label by how deep the visible circle lies.
+    `indentation_m` (N, H, W) is the ball's, metres, deeper than the label by how deep the visible circle lies. All
+    three are drawn when one of them is first asked for.
     """
 
     geometry: SensorGeometry
     background: np.ndarray
-    images: np.ndarray
-    circles: np.ndarray
-    indentation_m: np.ndarray
+    draw: Callable[[], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+    @cached_property
+    def _drawn(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self.draw()
+
+    images = property(lambda self: self._drawn[0])
+    circles = property(lambda self: self._drawn[1])
+    indentation_m = property(lambda self: self._drawn[2])
 
     def __len__(self) -> int:
         return len(self.images)
@@ -112,21 +120,30 @@ class BallSet(LabelledPresses):
 def magnified(balls: BallSet, times: int) -> BallSet:
     """The presses as a camera of so many times the pixels a side takes them."""
     geometry = balls.geometry.resized(times * balls.geometry.width_px, times * balls.geometry.height_px)
-    larger = [np.asarray(a).repeat(times, axis=-3).repeat(times, axis=-2) for a in (balls.background, balls.images)]
-    indentation = balls.indentation_m.repeat(times, axis=-2).repeat(times, axis=-1)
-    return BallSet(geometry, *larger, times * balls.circles, indentation)
+
+    def larger(pixels: np.ndarray, rows: int) -> np.ndarray:
+        return pixels.repeat(times, axis=rows).repeat(times, axis=rows + 1)
+
+    return BallSet(
+        geometry, larger(balls.background, 0),
+        lambda: (larger(balls.images, 1), times * balls.circles, larger(balls.indentation_m, 1)),
+    )  # fmt: skip
 
 
 def ball_set(count: int = 12, px: int = 64, seed: int = 0) -> BallSet:
     """Presses at random places of the middle half of the field, 0.3 to 0.9 mm deep."""
-    rng, geometry = np.random.default_rng(seed), sensor(px)
-    x, y = rng.uniform(-4e-3, 4e-3, (2, count))
-    press = rng.uniform(3e-4, 9e-4, count)
-    indentation = np.stack([ball_indentation(geometry, *p) for p in zip(x, y, press, strict=True)])
-    (kx, ky), radius = geometry.scale_at_surface, visible_radius(press)
-    circles = np.stack([x * kx + geometry.cx, y * ky + geometry.cy, radius * kx], axis=1)
-    unpressed = background(geometry, OPTICS["gelslim"])
-    return BallSet(geometry, unpressed, photographed(indentation, geometry), circles, indentation)
+    geometry = sensor(px)
+
+    def draw() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        rng = np.random.default_rng(seed)
+        x, y = rng.uniform(-4e-3, 4e-3, (2, count))
+        press = rng.uniform(3e-4, 9e-4, count)
+        indentation = np.stack([ball_indentation(geometry, *p) for p in zip(x, y, press, strict=True)])
+        (kx, ky), radius = geometry.scale_at_surface, visible_radius(press)
+        circles = np.stack([x * kx + geometry.cx, y * ky + geometry.cy, radius * kx], axis=1)
+        return photographed(indentation, geometry), circles, indentation
+
+    return BallSet(geometry, background(geometry, OPTICS["gelslim"]), draw)
 
 
 def write_calibrated(folder: Path, learned_from: BallSet | None = None, **options: object) -> Path:

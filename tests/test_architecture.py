@@ -39,7 +39,12 @@ def loaded(path: Path) -> ModuleType:
 
 
 rooms = loaded(ROOT / "docs" / "rooms.py")
-OURS = [found for found in rooms.imports() if rooms.is_ours(found.imported)]
+
+
+@pytest.fixture(scope="module")
+def ours() -> list:
+    """The imports of our own modules."""
+    return [found for found in rooms.imports() if rooms.is_ours(found.imported)]
 
 
 def test_every_room_has_a_place():
@@ -53,19 +58,19 @@ def test_every_import_is_seen_also_late_ones_and_those_for_type_checkers(tmp_pat
     assert seen == {(2, "tactile_loc.io.toml"), (4, "tactile_loc.core.poses"), (4, "numpy")}
 
 
-def test_arrows_point_down():
+def test_arrows_point_down(ours):
     """A room imports only rooms of lower layers."""
 
     def climbs(found) -> bool:
         start, end = rooms.room(found.importer), rooms.room(found.imported)
         return start != end and rooms.LAYER_OF[end] >= rooms.LAYER_OF[start]
 
-    assert "\n".join(str(found) for found in OURS if climbs(found)) == ""
+    assert "\n".join(str(found) for found in ours if climbs(found)) == ""
 
 
-def test_no_file_imports_in_a_circle():
+def test_no_file_imports_in_a_circle(ours):
     direct: dict[str, set[str]] = {module: set() for module in rooms.modules()}
-    for found in OURS:
+    for found in ours:
         direct[found.importer].add(found.imported)
 
     def reached(module: str) -> set[str]:
@@ -77,7 +82,7 @@ def test_no_file_imports_in_a_circle():
         return found
 
     circular = {module for module in direct if module in reached(module)}
-    links = [f for f in OURS if f.importer in circular and f.importer in {*reached(f.imported), f.imported}]
+    links = [f for f in ours if f.importer in circular and f.importer in {*reached(f.imported), f.imported}]
     assert "\n".join(map(str, links)) == ""
 
 
@@ -98,9 +103,9 @@ def test_core_reads_and_writes_no_file():
 
 
 @pytest.mark.parametrize("slot", SLOTS)
-def test_built_in_components_use_the_front_door_and_no_plugin_imports_another(slot):
+def test_built_in_components_use_the_front_door_and_no_plugin_imports_another(slot, ours):
     start = f"tactile_loc.plugins.{slot}."
-    here = [found for found in OURS if found.importer.startswith(start)]
+    here = [found for found in ours if found.importer.startswith(start)]
     assert here
     for found in here:
         own = start + found.importer.removeprefix(start).partition(".")[0]
