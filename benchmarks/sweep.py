@@ -42,6 +42,7 @@ FACTORS = {
 }
 SMALL = {"object": 1, "renderer": 1, "encoder": 2, "refiner": 2}
 QUIET = {"dashboard_address": "127.0.0.1:0", "scheduler_kwargs": {"dashboard": False}}
+WAYS = ("local", "local-killed", "dask", "dask-killed")
 KILL_AFTER = 0.25  # of the rows
 
 
@@ -113,19 +114,23 @@ def lasting(swept: Sweep) -> list[dict[str, Any]]:
     return [{name: value for name, value in row.items() if name not in MOMENTARY} for row in swept.rows]
 
 
-def runs(arguments: argparse.Namespace) -> Iterator[tuple[list[dict[str, Any]], dict[str, Any]]]:
-    """Run the sweep in all ways that were asked for."""
+@contextmanager
+def workers_for(way: str, arguments: argparse.Namespace) -> Iterator[tuple[Workers, Callable[[], list[int]]]]:
+    """Workers of one of WAYS, and how to find their processes."""
     from distributed import LocalCluster
 
-    local = LocalWorkers(arguments.workers, 1, arguments.out / "workers.log")
-    if not arguments.only_killed:
-        yield measure("local", arguments, local, None)
-    yield measure("local-killed", arguments, local, local_workers)
+    if way.startswith("local"):
+        yield LocalWorkers(arguments.workers, 1, arguments.out / "workers.log"), local_workers
+        return
     with LocalCluster(n_workers=arguments.workers, processes=True, threads_per_worker=1, **QUIET) as cluster:
-        dask = DaskWorkers(cluster.scheduler_address)
-        if not arguments.only_killed:
-            yield measure("dask", arguments, dask, None)
-        yield measure("dask-killed", arguments, dask, lambda: [nanny.pid for nanny in cluster.workers.values()])
+        yield DaskWorkers(cluster.scheduler_address), lambda: [nanny.pid for nanny in cluster.workers.values()]
+
+
+def runs(arguments: argparse.Namespace) -> Iterator[tuple[list[dict[str, Any]], dict[str, Any]]]:
+    """Run the sweep in all ways that were asked for."""
+    for way in arguments.ways:
+        with workers_for(way, arguments) as (workers, victims):
+            yield measure(way, arguments, workers, victims if way.endswith("-killed") else None)
 
 
 def is_whole(found: dict[str, Any], table: list[dict[str, Any]], first: list[dict[str, Any]]) -> bool:
@@ -142,7 +147,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=2, help="touches a combination")
     parser.add_argument("--spacing-mm", type=float, default=8.0)
     parser.add_argument("--small", action="store_true", help="two encoders and two refiners, one of the others")
-    parser.add_argument("--only-killed", action="store_true", help="leave out the runs in which no worker is killed")
+    parser.add_argument("--ways", nargs="+", choices=WAYS, default=WAYS, help="of these alone; by default all")
     arguments = parser.parse_args()
     arguments.out = arguments.out.absolute()
     arguments.out.mkdir(parents=True, exist_ok=True)

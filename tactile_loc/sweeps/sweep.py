@@ -18,7 +18,7 @@ from tactile_loc.store.files import read_json, require_writable, write_atomicall
 from tactile_loc.sweeps.combination import Combination, combine, in_running_order
 from tactile_loc.sweeps.plan import Plan, choice_labels, varying
 from tactile_loc.sweeps.table import Row, require_tables, rows_of, table_of
-from tactile_loc.sweeps.workers import Job, Outcome, Outcomes
+from tactile_loc.sweeps.workers import BuildJournal, Job, Outcome, Outcomes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -126,6 +126,8 @@ def run_sweep(
     require_writable(out)
     kept = FinishedRows(out)
     outcomes = finished(combinations, kept)
+    for key in outcomes:  # a sweep that was killed may have kept a row and no more
+        BuildJournal.forget(store, key)
     missing = [one for one in in_running_order(combinations) if one.key not in outcomes]
     if missing:
         outcomes |= _run(missing, objects, store, workers, kept, progress or Progress(), len(outcomes))
@@ -150,6 +152,7 @@ def _run(
         advance(before)
         for outcome in running:
             kept.write(by_key[outcome.key], outcome)
+            BuildJournal.forget(store, outcome.key)
             outcomes[outcome.key] = outcome
             _show(progress, advance, by_key[outcome.key], outcomes)
     return outcomes

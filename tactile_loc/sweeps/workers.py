@@ -77,17 +77,17 @@ class Outcome:
 
 
 class BuildJournal(list[StageKey]):
-    """The keys that a store's instance builds, noted in a file as well, until the combination is finished.
+    """The keys that a store's instance builds for a job, noted in a file of the store as well, until `forget`.
 
     A file that cannot be written is no reason to fail: only what a killed process has built is then forgotten.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, store: Path, key: str) -> None:
         super().__init__()
-        self._path = path
+        self._path = _journal(store, key)
         self._earlier: list[str] = []
         with suppress(OSError, UnicodeDecodeError):
-            self._earlier = path.read_text(encoding="utf-8").splitlines()
+            self._earlier = self._path.read_text(encoding="utf-8").splitlines()
 
     def append(self, key: StageKey) -> None:
         """Note that a stage was built."""
@@ -97,18 +97,27 @@ class BuildJournal(list[StageKey]):
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(f"{key}\n")
 
-    def finish(self) -> tuple[str, ...]:
-        """Return the names of all stages, "stage digest", those of killed processes first, and remove the file."""
-        with suppress(OSError):
-            self._path.unlink(missing_ok=True)
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of all stages, "stage digest", those of killed processes first."""
         return tuple(dict.fromkeys([*self._earlier, *map(str, self)]))
+
+    @staticmethod
+    def forget(store: Path, key: str) -> None:
+        """Remove a job's file: its outcome is kept elsewhere, and no worker can take it along by dying."""
+        with suppress(OSError):
+            _journal(store, key).unlink(missing_ok=True)
+
+
+def _journal(store: Path, key: str) -> Path:
+    return store / JOURNALS / f"{key}.txt"
 
 
 def evaluate_job(job: Job, obj: ObjectModel) -> Outcome:
     """Evaluate a combination on its object; whatever goes wrong is in the outcome."""
     with _ALONE:
         store = StageStore(job.store)
-        store.built = built = BuildJournal(job.store / JOURNALS / f"{job.key}.txt")
+        store.built = built = BuildJournal(job.store, job.key)
         measured, error, trace = None, "", ""
         try:
             measured = _measured(job, obj, store)
@@ -116,7 +125,7 @@ def evaluate_job(job: Job, obj: ObjectModel) -> Outcome:
             error = str(raised)
         except Exception as raised:  # noqa: BLE001 - a stranger's component may raise anything
             error, trace = f"{type(raised).__name__}: {raised}", traceback.format_exc()
-        return Outcome(job.key, measured, built.finish(), " ".join(error.split()), trace)
+        return Outcome(job.key, measured, built.names, " ".join(error.split()), trace)
 
 
 def _measured(job: Job, obj: ObjectModel, store: StageStore) -> dict[str, Any]:

@@ -18,10 +18,9 @@ from tactile_loc.core.errors import PluginError
 from tactile_loc.core.registry import registry
 from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
-from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.combination import combine
 from tactile_loc.sweeps.plan import Plan
-from tactile_loc.sweeps.sweep import Sweep, run_sweep
+from tactile_loc.sweeps.sweep import FinishedRows, Sweep, run_sweep
 from tactile_loc.sweeps.workers import (
     COVERAGES,
     ERRORS,
@@ -54,7 +53,6 @@ def folder(tmp_path_factory) -> Path:
 
 
 BOTH = ("pin", "head")
-STORED = {"grid": 2, "shapes": 2, "bank": 2, "evaluation": 4}  # of two refiners that end, on both
 
 
 def sweep(
@@ -66,11 +64,6 @@ def sweep(
 
 def errors(swept: Sweep) -> dict[tuple[str, str], str]:
     return {(row["object"], row["refiner"]): row["error"] for row in swept.rows}
-
-
-def stored(store: Path) -> dict[str, int]:
-    """How many artifacts of each stage are complete."""
-    return dict(Counter(entry.stage for entry in StageStore(store).entries() if entry.complete))
 
 
 def test_a_combination_that_fails_is_a_row_and_tried_again(tiny, folder, tmp_path):
@@ -96,7 +89,7 @@ def test_a_local_worker_that_is_killed_costs_only_time(tiny, folder, tmp_path):
     assert set(errors(swept).values()) == {""}
     built = Counter(name for row in swept.rows for name in json.loads(row["built"]))
     assert set(built.values()) == {1}
-    assert stored(tmp_path / "store") == STORED
+    assert (swept.built["grid"], swept.built["shapes"], swept.built["evaluation"]) == (2, 2, 4)
 
 
 @pytest.mark.slow
@@ -111,15 +104,20 @@ def test_what_kills_its_worker_every_time_is_a_row_that_says_so(tiny, folder, tm
 
 
 def test_what_a_killed_worker_has_built_is_still_counted(tiny, tmp_path):
-    combinations, objects = combine(Plan.from_values({**tiny, "object": "pin", "refiner": "raising", "count": 1}))
+    plan = Plan.from_values({**tiny, "object": "pin", "refiner": "none", "count": 1})
+    combinations, objects = combine(plan)
     (one,) = combinations
-    journal = tmp_path / JOURNALS / f"{one.key}.txt"
+    journal = tmp_path / "store" / JOURNALS / f"{one.key}.txt"
     journal.parent.mkdir(parents=True)
     journal.write_text("grid 0123456789abcdef\n")
-    outcome = evaluate_job(Job(one.key, one.config, 1, tmp_path), objects["pin"])
+    job = Job(one.key, one.config, 1, tmp_path / "store")
+    outcome = evaluate_job(job, objects["pin"])
     assert outcome.built[0] == "grid 0123456789abcdef"
     assert outcome.built[1].startswith("grid ")
-    assert not journal.exists()
+    assert evaluate_job(job, objects["pin"]).built == outcome.built, "as where its worker died before it was asked"
+    FinishedRows(tmp_path / "out").write(one, outcome)
+    run_sweep(plan, tmp_path / "out", tmp_path / "store", LocalWorkers(1, 1, tmp_path / "workers.log"))
+    assert list(journal.parent.iterdir()) == []
 
 
 def test_a_worker_with_other_versions_refuses(tiny, tmp_path):
@@ -151,8 +149,8 @@ def test_a_dask_worker_that_is_killed_costs_only_time(tiny, tmp_path, cluster):
     assert errors(swept)["pin", "lethal"] == errors(swept)["head", "lethal"] == ""
     assert errors(swept)["pin", "raising"] == "ValueError: nothing works at all"
     built = Counter(name for row in swept.rows for name in json.loads(row["built"]))
-    assert set(built.values()) == {1}, "what a worker had finished when it died may be missing; nothing is built twice"
-    assert stored(tmp_path / "store") == STORED
+    assert set(built.values()) == {1}
+    assert (swept.built["grid"], swept.built["shapes"], swept.built["evaluation"]) == (2, 2, 4)
 
 
 def test_what_kills_dask_workers_every_time_takes_nobody_with_it(tiny, folder, tmp_path, cluster, monkeypatch):
