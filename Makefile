@@ -9,8 +9,9 @@ MUTATE := $(VENV)/.mutate
 RUN := $(VENV)/bin/python -m
 PYTEST_FLAGS ?= -q -n 2 --dist loadfile --no-loadscope-reorder
 
-# ROS and others put their own packages, pytest plugins among them, in front of ours.
-unexport PYTHONPATH PYTHONHOME
+# ROS and others put their own packages, pytest plugins among them, in front of ours. And what is started hundreds of
+# times, as by the tests, is compiled once.
+unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup demo test lint smoke docs audit sbom fuzz kill soak mutate bench bench-compare clean
 .DEFAULT_GOAL := help
