@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from tactile_loc.locate.replay import FrameRecord, Outcome, Replay
 from tactile_loc.locate.result_json import resolved
 from tactile_loc.store.keys import StageKey
-from tactile_loc.store.line_files import open_locked
+from tactile_loc.store.line_files import add_line, open_locked
 
 VERSION = 1  # of what a frame comes to: raised when a replay would find another answer
 
@@ -27,18 +27,16 @@ class Journal:
     def __init__(self, file: IO[bytes], key: str) -> None:
         self._file = file
         lines = file.read().splitlines(keepends=True)
-        head = json.dumps({"replay": key}).encode() + b"\n"
-        self.stale = bool(lines) and lines[0] != head
+        head = json.dumps({"replay": key})
+        self.stale = bool(lines) and lines[0] != head.encode() + b"\n"
         self.records = [] if self.stale else list(_whole(lines[1:]))
         file.truncate(0 if self.stale else sum(map(len, lines[: 1 + len(self.records)])))
         if self.stale or not lines:
-            file.write(head)
-            file.flush()
+            add_line(file, head)
 
     def append(self, record: FrameRecord) -> None:
-        """Add a finished frame; a process that is killed after this has not lost it."""
-        self._file.write(record.model_dump_json().encode() + b"\n")
-        self._file.flush()
+        """Add a finished frame; a process that is killed after this has not lost it. Raises OutputError."""
+        add_line(self._file, record.model_dump_json())
         self.records.append(record)
 
 

@@ -29,6 +29,22 @@ def open_locked(path: Path) -> IO[bytes]:
     return file
 
 
+def add_line(file: IO[bytes], line: str) -> None:
+    """Add a line to a file of `open_locked`, all of it or nothing. Raises OutputError when the disk refuses."""
+    descriptor, text = file.fileno(), line.encode() + b"\n"
+    size = os.fstat(descriptor).st_size
+    try:
+        written = os.write(descriptor, text)
+        while written < len(text):
+            written += os.write(descriptor, text[written:])
+    except OSError as error:
+        os.ftruncate(descriptor, size)
+        raise OutputError(
+            f"{file.name} cannot be written any more ({error.strerror}); its lines so far are whole; free some "
+            "space, or choose another --out"
+        ) from error
+
+
 class JsonLines:
     """A file of JSON values, one a line, that is open for more; a context. What is in it already stays.
 
@@ -51,18 +67,7 @@ class JsonLines:
 
     def append(self, line: str) -> None:
         """Add a value, as JSON without line breaks, all of it or nothing. Raises OutputError when the disk refuses."""
-        size = os.fstat(self._descriptor).st_size
-        text = line.encode() + b"\n"
-        try:
-            written = os.write(self._descriptor, text)
-            while written < len(text):
-                written += os.write(self._descriptor, text[written:])
-        except OSError as error:
-            os.ftruncate(self._descriptor, size)
-            raise OutputError(
-                f"{self.path} cannot be written any more ({error.strerror}); its lines so far are whole; free some "
-                "space, or choose another --out"
-            ) from error
+        add_line(self._file, line)
 
     def _end_last_line(self) -> None:
         """Give the last line its end; remove it if it is no JSON."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -177,6 +179,25 @@ def test_a_journal_cut_anywhere_holds_what_was_whole(recorded, localizer, tmp_pa
             assert found.records == kept.records[: len(found.records)]
             assert len(found.records) == max(0, data[:length].count(b"\n") - 1)
         assert not found.records or data.startswith(path.read_bytes())
+
+
+def test_a_full_disk_leaves_a_journal_of_whole_lines(recorded, localizer, tmp_path, monkeypatch):
+    replay, path, write = replay_of(recorded, localizer), tmp_path / "out.mcap.journal", os.write
+
+    def full(descriptor: int, text: bytes) -> int:
+        if len(text) > 9:
+            return write(descriptor, text[:-9])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with journal(path, replay) as kept, monkeypatch.context() as patch:
+        first, second, *_ = replay.frames(at_truth)
+        kept.append(first)
+        before = path.read_bytes()
+        patch.setattr(os, "write", full)
+        with pytest.raises(OutputError, match="No space left on device"):
+            kept.append(second)
+        assert path.read_bytes() == before
+        assert kept.records == [first]
 
 
 def test_the_journal_of_another_replay_is_not_used(recorded, localizer, tmp_path, caplog):
