@@ -13,7 +13,7 @@ PYTEST_FLAGS ?= -q -n 2 --dist loadfile --no-loadscope-reorder
 # times, as by the tests, is compiled once.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo test lint smoke docs audit sbom fuzz kill soak mutate bench bench-compare clean
+.PHONY: help setup demo test pytest lint smoke docs audit sbom fuzz kill soak mutate bench bench-compare clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -27,8 +27,11 @@ demo: $(STAMP) ## locate a shipped object from one shipped touch, and draw it in
 	@$(VENV)/bin/tactile-loc run --seed 7 --out out/demo
 	@for picture in out/demo/*.png; do if [ -e "$$picture" ]; then echo "demo: the picture is $$picture"; fi; done
 
-test: lint ## lint, check the types and run the tests
+test: $(STAMP) ## lint, check the types and run the tests
 	@PYTHON="$(PYTHON)" scripts/system-packages.sh --tests
+	@$(MAKE) --no-print-directory --jobs 2 lint pytest
+
+pytest: $(STAMP)
 	@echo "test: pytest"
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN) pytest $(PYTEST_FLAGS)
 

@@ -193,16 +193,12 @@ def wait_for(process: subprocess.Popen[str], reached: Callable[[], bool]) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("whom", ["the command", "everybody"])
-def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(cli, plan, tmp_path, whom):
+def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(cli, plan, tmp_path):
     process = start(tmp_path, tmp_path / "store")
     out = tmp_path / "sweep"
     wait_for(process, lambda: len(finished(out)) >= 2)
     workers = workers_of(process)
-    if whom == "the command":
-        process.send_signal(signal.SIGINT)
-    else:
-        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    os.killpg(process.pid, signal.SIGINT)  # everybody, as a terminal does
     _, stderr = process.communicate(timeout=HANGING_S)
     assert process.returncode == 130, stderr
     assert stderr == "interrupted: what was finished is kept, run the same command again to resume\n"
@@ -211,8 +207,6 @@ def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(cli, plan, tmp_pat
     before = finished(out)
     assert 2 <= len(before) < 8
     assert not (out / "sweep.csv").exists()
-    if whom == "the command":
-        return
     resumed = cli(*EIGHT, "--workers", 1, "--store", tmp_path / "store")
     assert resumed.exit_code == 0, resumed.stderr
     assert f"8 combinations: {8 - len(before)} evaluated now, {len(before)} before" in resumed.stdout
