@@ -46,8 +46,8 @@ def test_a_build_is_killed_and_begun_again(tmp_path):
     build, record = command("build"), Record(tmp_path / "record.json", 0)
     calm = undisturbed(build, tmp_path / "calm", tmp_path / "inputs")
     trials = record.trials("kill", "build")
-    kill(build, 2, trials, Place(tmp_path / "place"), tmp_path / "inputs", calm, lambda _: None)
-    assert trials.counts["killed"] == 2
+    kill(build, 1, trials, Place(tmp_path / "place"), tmp_path / "inputs", calm, lambda _: None)
+    assert trials.counts["killed"] == 1
     assert record.findings == []
     assert len(calm.answer) > 10
 

@@ -40,6 +40,7 @@ def test_memory_that_is_kept_and_files_that_stay_open_are_seen(tmp_path, monkeyp
 
 
 def test_locating_and_tracking_change_nothing(monkeypatch, capsys):
+    monkeypatch.setattr(soak, "SLIDE", 30)
     monkeypatch.setattr(sys, "argv", ["soak.py", "--localisations", "6", "--touches", "2", "--seconds", "0.1"])
     soak.main()
     rows = [line.split(" | ") for line in capsys.readouterr().out.splitlines()[2:]]
