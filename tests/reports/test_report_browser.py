@@ -129,8 +129,11 @@ def test_a_run_is_drawn_and_another_candidate_moves_the_object(show, run_folder)
     assert [card.get_attribute("aria-selected") for card in cards[:2]] == ["false", "true"]
 
 
-def test_the_page_of_a_run_answers(show, run_folder):
-    browser = show(run_folder)
+def test_names_are_text_and_the_page_of_a_run_answers(show, unfriendly_run):
+    browser = show(unfriendly_run)
+    assert UNFRIENDLY.strip() in find(browser, "h1").get_attribute("textContent")
+    assert browser.execute_script("return document.scripts.length") == 5  # the data, plotly, and three of ours
+    assert min(plots(browser).values()) > 0
     assert_to_scale(browser)
     assert_chosen_by_card_and_key(browser)
     assert_dark_theme_draws_anew(browser)
@@ -166,13 +169,6 @@ def assert_dark_theme_draws_anew(browser: Any) -> None:
     find(browser, "#theme").click()
     after = browser.execute_script(script)
     assert all(a != b for a, b in zip(before, after, strict=True))
-
-
-def test_names_are_text_in_the_browser(show, unfriendly_run):
-    browser = show(unfriendly_run)
-    assert UNFRIENDLY.strip() in find(browser, "h1").get_attribute("textContent")
-    assert browser.execute_script("return document.scripts.length") == 5  # the data, plotly, and three of ours
-    assert min(plots(browser).values()) > 0
 
 
 def test_an_evaluation_is_drawn_and_its_choices_work(show, evaluation_folder):
