@@ -59,7 +59,7 @@ sbom: $(STAMP) ## list what the wheel brings with it, as CycloneDX, in out/sbom.
 fuzz: $(STAMP) ## give every reader 2000 damaged inputs, half an hour; the same again goes on where it was stopped
 	@$(VENV)/bin/python scripts/fuzz.py
 
-kill: $(STAMP) ## kill and starve commands, hours; the same again goes on where it was stopped
+kill: $(STAMP) ## kill and starve commands, half an hour; the same again goes on where it was stopped
 	@$(VENV)/bin/python scripts/kill.py
 
 soak: $(STAMP) ## locate 50000 touches and track for 2000 seconds in one process, an hour; nothing may grow
