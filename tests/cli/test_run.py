@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import re
 from pathlib import Path
 
@@ -16,20 +18,36 @@ from typer.testing import CliRunner
 
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.io.meshes import load_object
+from tactile_loc.locate import result_files
 from tactile_loc.plugins.grids.face import resting_normal
 
 ROOT = Path(__file__).parents[2]
 
 
+def is_locked(folder: Path) -> bool:
+    """Whether somebody else would have to wait for a folder."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
+
+
 @pytest.fixture(scope="module")
 def result(store: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
     """What `run` finds on a tiny grid, and what it says and writes."""
-    folder = tmp_path_factory.mktemp("run")
+    folder, write, alone = tmp_path_factory.mktemp("run"), result_files.write_arrays, []
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
+        patch.setattr(
+            result_files, "write_arrays", lambda *given: alone.append(is_locked(given[0].parent)) or write(*given)
+        )
         done = CliRunner().invoke(app, ["run", *TINY, "--out", "out", "--store", str(store)])
     assert done.exit_code == 0, done.stderr
-    said = {"stdout": done.stdout, "stderr": done.stderr, "folder": folder / "out"}
+    said = {"stdout": done.stdout, "stderr": done.stderr, "folder": folder / "out", "alone": alone}
     return {**said, **json.loads((folder / "out/result.json").read_text())}
 
 
@@ -73,6 +91,11 @@ def test_it_says_which_side_of_the_object_was_searched(cli, result):
     chosen = cli("run", "--object", "pin", *TINY, "-o", "grid.face=+y", "--out", "chosen")
     assert chosen.exit_code == 0, chosen.stderr
     assert "side searched" not in chosen.stdout
+
+
+def test_files_that_belong_together_are_written_while_others_wait(result):
+    assert result["alone"] == [True]
+    assert not is_locked(result["folder"])
 
 
 def test_the_picture_is_a_whole_png(result):
