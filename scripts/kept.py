@@ -20,5 +20,4 @@ def kept_of(path: Path, seed: int) -> dict[str, Any]:
 
 def write_kept(path: Path, seed: int, **values: Any) -> None:
     """Write what is kept of a seed, whole. Raises OutputError."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_json(path, {"seed": seed, **values})
