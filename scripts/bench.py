@@ -31,7 +31,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-import figures
+import pages
 from results import NUMBER, RESULTS, ROOT, Kept, Table, latest, tables, versions
 
 BENCHMARKS = ROOT / "benchmarks"
@@ -306,7 +306,7 @@ def main() -> int:
     if chosen.command == "compare":
         return compare()
     if chosen.command == "bind":
-        figures.bind(chosen.name)
+        pages.bind(chosen.name)
     elif chosen.command == "keep" and chosen.all:
         failed = keep_all()
     elif chosen.command == "keep" and chosen.name:
@@ -335,9 +335,9 @@ def renew() -> None:
     """Write what comes of what is kept into the documentation, and tell what of it is to be looked over."""
     PAGE.write_text(page(), encoding="utf-8")
     draw(FIGURE)
-    for path in figures.renew():
+    for path in pages.renew():
         print(f"bench: wrote {path}")
-    for problem in figures.problems():
+    for problem in pages.problems():
         print(f"bench: {problem}")
 
 

@@ -14,11 +14,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import groupby
-from pathlib import Path
 
-from results import RESULTS, ROOT, Kept, latest
+from results import Kept
 
 MARKED = "docs/benchmarks.md"  # the page on which every table is of a run
 WHOLE = ("README.md", "docs/index.md", MARKED)  # of the others, what follows a marker, and what is quoted
@@ -187,48 +186,3 @@ def checked(page: str, text: str, results: Results, quotes: Sequence[Quote]) -> 
         elif new_ones and run != NOBODYS and page in WHOLE:
             problems.append(f"{page} has figures of no results; quote them in scripts/quotes.py:{''.join(new_ones)}")
     return problems
-
-
-def pages() -> dict[str, list[Quote]]:
-    """Return the pages with figures and what of them is quoted."""
-    from quotes import QUOTES
-
-    named = ["README.md", *(f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md")))]
-    return {page: [quote for quote in QUOTES if quote.page == page] for page in named}
-
-
-def problems() -> list[str]:
-    """Return what is not true of the documentation's figures."""
-    results = Results(latest())
-    return [
-        problem
-        for page, quotes in pages().items()
-        for problem in checked(page, (ROOT / page).read_text(encoding="utf-8"), results, quotes)
-    ]
-
-
-def renew() -> list[Path]:
-    """Write what comes of the results into the documentation; return the pages that changed."""
-    results, changed = Results(latest()), []
-    for page, quotes in pages().items():
-        path = ROOT / page
-        text = path.read_text(encoding="utf-8")
-        new, _ = renewed(page, text, results, quotes)
-        if new != text:
-            path.write_text(new, encoding="utf-8")
-            changed.append(path)
-    return changed
-
-
-def bind(run: str, folder: Path = RESULTS) -> None:
-    """Keep with a run what the documentation says of it. Raises SystemExit for a run that is not kept."""
-    results = latest(folder)
-    if run not in results:
-        raise SystemExit(f"bench: there is no run {run}; there are {', '.join(results)}")
-    told = [
-        one.text
-        for page, quotes in pages().items()
-        for one in sentences(page, (ROOT / page).read_text(encoding="utf-8"), quotes)
-        if one.run == run
-    ]
-    replace(results[run], beside=told).write(folder)

@@ -25,7 +25,7 @@ from tactile_loc_cli.console import progress
 
 from tactile_loc.core.noise import NOISE
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import Frame, SlidingTouches
 from tactile_loc.locate.localizer import Localizer

@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 
 import figures
+import pages
 import pytest
 from figures import Quote, Results, checked, sentences, unmarked, with_tables, written
 from quotes import QUOTES
@@ -39,7 +40,7 @@ def told(text, run=None, page=figures.MARKED):
 
 
 def test_every_figure_of_the_documentation_is_that_of_its_results():
-    assert figures.problems() == []
+    assert pages.problems() == []
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/contacts.md", "docs/quickstart.md"])
@@ -102,12 +103,12 @@ def test_what_was_looked_over_is_bound(tmp_path, monkeypatch):
     page.parent.mkdir()
     page.write_text(PAGE)
     kept(beside=[]).write(tmp_path)
-    monkeypatch.setattr(figures, "ROOT", tmp_path)
-    monkeypatch.setattr(figures, "pages", lambda: {figures.MARKED: [TIMES]})
-    figures.bind("slides", tmp_path)
+    monkeypatch.setattr(pages, "ROOT", tmp_path)
+    monkeypatch.setattr(pages, "pages", lambda: {figures.MARKED: [TIMES]})
+    pages.bind("slides", tmp_path)
     assert latest(tmp_path)["slides"].beside == BESIDE
     with pytest.raises(SystemExit, match="there is no run others; there are slides"):
-        figures.bind("others", tmp_path)
+        pages.bind("others", tmp_path)
 
 
 def test_some_columns_of_a_table_can_be_shown():

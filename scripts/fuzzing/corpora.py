@@ -10,6 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.workspace import Workspace
+
+STAGE = StageKey("fuzzed", 1, {"of": "nothing"})
 SENSOR = """camera = "orthographic"
 image_size_px = [48, 40]
 mm_per_px = [0.4, 0.4]
@@ -227,9 +231,15 @@ def weights(folder: Path) -> None:
     save_file(network.state_dict(), folder / "encoder.safetensors")
 
 
+def make_stage(work: Workspace) -> None:
+    """Build an artifact of each kind of file."""
+    work.save_array("mapped", np.arange(30.0))
+    work.save_array("packed", np.arange(40), packed=True)
+    work.save_json("sizes", [3, 4])
+
+
 def artifact(folder: Path) -> None:
     """Write a store that holds one artifact, of each kind of file."""
-    from fuzzing.readers import STAGE, make_stage
     from tactile_loc.store.store import StageStore
 
     StageStore(folder).build(STAGE, make_stage)

@@ -11,14 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fuzzing import corpora
-from tactile_loc.store.keys import StageKey
-from tactile_loc.store.workspace import Workspace
 
 if TYPE_CHECKING:
     from tactile_loc.core.objects import ObjectModel
     from tactile_loc.io.recordings import Message
 
-STAGE = StageKey("fuzzed", 1, {"of": "nothing"})
 PART = ("--object", "pin", "--grid", "face", "-o", "grid.spacing_mm=8")
 
 
@@ -186,20 +183,13 @@ def _weights(folder: Path) -> None:
     MocoEncoder(MocoEncoder.Options(channels=8)).load_weights(folder / "encoder.safetensors")
 
 
-def make_stage(work: Workspace) -> None:
-    """Build an artifact of each kind of file."""
-    work.save_array("mapped", np.arange(30.0))
-    work.save_array("packed", np.arange(40), packed=True)
-    work.save_json("sizes", [3, 4])
-
-
 def _artifact(folder: Path) -> None:
     """Whatever was damaged, what the store returns is what was built."""
     from tactile_loc.store.store import StageStore
 
     store = StageStore(folder)
     store.entries()
-    found = store.build(STAGE, make_stage)
+    found = store.build(corpora.STAGE, corpora.make_stage)
     mapped, packed = found.array("mapped"), found.array("packed")
     same = np.array_equal(mapped, np.arange(30.0)) and np.array_equal(packed, np.arange(40))
     if not (same and found.json("sizes") == [3, 4]):
