@@ -36,7 +36,7 @@ from tactile_loc.core.noise import NOISE, TouchNoise
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
 from tactile_loc.evaluation.robot_touches import RobotTouches

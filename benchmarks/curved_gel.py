@@ -19,7 +19,7 @@ from contacts import Located, located
 
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.store.store import StageStore

@@ -27,7 +27,7 @@ from contacts import LEVELS
 
 from tactile_loc.core.noise import NOISE, TouchNoise
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.identify import LOCATED, KnownAnswer, NullEvidence, fit_null_evidence, identify

@@ -28,8 +28,8 @@ from tactile_loc.core.interfaces import Renderer, Scene
 from tactile_loc.core.noise import TouchNoise
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import Touch
 from tactile_loc.core.simulation import PressNoise
+from tactile_loc.core.touch import Touch
 from tactile_loc.evaluation.outside import UnseenNoise, decimated, scanned
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together

@@ -36,7 +36,7 @@ from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.metrics import symmetric_adds
 from tactile_loc.evaluation.protocol import SURFACE_POINTS

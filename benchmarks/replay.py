@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.noise import NOISE
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
 from tactile_loc.evaluation.slides import BASE, IMAGE_TOPIC, T_BASE_OBJECT, Slide, random_slide, write_slide
 from tactile_loc.io.recordings import Recording

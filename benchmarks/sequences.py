@@ -33,7 +33,7 @@ from tactile_loc.core.hand_eye import moved
 from tactile_loc.core.noise import NOISE
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.metrics import pose_differences
 from tactile_loc.evaluation.posterior_metrics import normalised_error_squared

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry import invert
 from tactile_loc.core.noise import NOISE
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import ContactShape, Touch
+from tactile_loc.core.touch import ContactShape, Touch
 from tactile_loc.drawing.next_touch import draw_next_touch
 from tactile_loc.drawing.pictures import (
     draw_contact_shape,

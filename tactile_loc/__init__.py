@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from tactile_loc.core.priors import GaussianPrior as GaussianPrior
     from tactile_loc.core.priors import PosteriorPrior as PosteriorPrior
     from tactile_loc.core.priors import RegionPrior as RegionPrior
-    from tactile_loc.core.sensing import ContactShape as ContactShape
     from tactile_loc.core.sensing import SensorGeometry as SensorGeometry
-    from tactile_loc.core.sensing import Touch as Touch
+    from tactile_loc.core.touch import ContactShape as ContactShape
+    from tactile_loc.core.touch import Touch as Touch
     from tactile_loc.io.approach_files import Approach as Approach
     from tactile_loc.io.approach_files import read_approaches as read_approaches
     from tactile_loc.io.config import RunConfig as RunConfig

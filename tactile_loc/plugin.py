@@ -46,10 +46,10 @@ if TYPE_CHECKING:
     from tactile_loc.core.posterior import PosePosterior as PosePosterior
     from tactile_loc.core.progress import Progress as Progress
     from tactile_loc.core.progress import rank as rank
-    from tactile_loc.core.sensing import ContactShape as ContactShape
+    from tactile_loc.core.touch import ContactShape as ContactShape
     from tactile_loc.core.sensing import SensorGeometry as SensorGeometry
     from tactile_loc.core.sensing import Drawing as Drawing
-    from tactile_loc.core.sensing import Touch as Touch
+    from tactile_loc.core.touch import Touch as Touch
     from tactile_loc.core.sensing import as_drawn as as_drawn
     from tactile_loc.core.symmetry import SymmetryGroup as SymmetryGroup
 
@@ -89,8 +89,8 @@ if TYPE_CHECKING:
     from tactile_loc.core.contact import bring_to_contact as bring_to_contact
     from tactile_loc.core.contact import group_rotations as group_rotations
     from tactile_loc.core.depth_sensor import DepthSensor as DepthSensor
-    from tactile_loc.core.sensing import contact_depth as contact_depth
-    from tactile_loc.core.sensing import contact_shape_from_array as contact_shape_from_array
+    from tactile_loc.core.touch import contact_depth as contact_depth
+    from tactile_loc.core.touch import contact_shape_from_array as contact_shape_from_array
     from tactile_loc.core.surface_field import NearestTriangles as NearestTriangles
     from tactile_loc.core.surface_field import SurfaceField as SurfaceField
     from tactile_loc.core.surface_field import closest_on_triangle as closest_on_triangle

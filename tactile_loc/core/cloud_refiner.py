@@ -13,7 +13,8 @@ from pydantic import Field
 
 from tactile_loc.core.clouds import contact_cloud
 from tactile_loc.core.interfaces import Candidate, Capabilities, ComponentOptions, RefinedPose, Refiner, Scene
-from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import ContactShape, Touch
 
 ROUGHLY = 0.02  # overlaps are counted in pixels: a loss this small is none
 MILLI = 1e3  # clouds are registered in mm: the thresholds of registration suit numbers near one

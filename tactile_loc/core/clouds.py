@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.sensing import ContactShape, SensorGeometry
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import ContactShape
 
 Points = NDArray[np.float64]
 OUTLINE_PX = 1.5  # standard deviation of the smoothing across which an outline's direction is measured

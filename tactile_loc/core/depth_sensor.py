@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.interfaces import ComponentOptions, SensorModel
-from tactile_loc.core.sensing import ContactShape, SensorGeometry, contact_shape_from_array
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import ContactShape, contact_shape_from_array
 
 
 class DepthSensor(SensorModel):

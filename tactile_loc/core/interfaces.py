@@ -24,7 +24,8 @@ from tactile_loc.core.places import Places
 from tactile_loc.core.poses import PoseGrid, Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing import ContactShape, Drawing, SensorGeometry, Touch, as_drawn, contact_depth
+from tactile_loc.core.sensing import Drawing, SensorGeometry, as_drawn
+from tactile_loc.core.touch import ContactShape, Touch, contact_depth
 
 Float32 = NDArray[np.float32]
 

@@ -10,7 +10,7 @@ from tactile_loc.core.grids import random_contact_poses
 from tactile_loc.core.interfaces import Float32, GridSampler, Scene
 from tactile_loc.core.noise import TouchNoise
 from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import ContactShape, Touch
+from tactile_loc.core.touch import ContactShape, Touch
 
 MOST_ROUNDS = 200  # of drawing what is missing
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from tactile_loc.core.compiled import in_threads, njit
 from tactile_loc.core.geometry import align_to_z
 from tactile_loc.core.places import PATCH_PX, PITCH_M, Float32
-from tactile_loc.core.sensing import SensorGeometry, Touch
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import Touch
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
 

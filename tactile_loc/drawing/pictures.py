@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from tactile_loc.core.formatting import millimetres, percent
 from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.noise import NOISE
-from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import ContactShape, Touch
 from tactile_loc.drawing.pose_panel import EDGE, STEEL, TRUTH, draw_pose
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization

@@ -12,7 +12,7 @@ import numpy as np
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.geometry import covariance_along, invert
 from tactile_loc.core.interfaces import Scene
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.drawing.rerun_log import Logged, RerunLog
 from tactile_loc.locate.live import Estimate, FrameState
 from tactile_loc.locate.replay import FrameRecord, FrameView, Replay

@@ -17,7 +17,8 @@ from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.pose_words import pose_words
 from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.sensing import SensorGeometry, Touch
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import Touch
 from tactile_loc.locate.live import Estimate
 from tactile_loc.locate.result_files import drawn_mesh, most_probable
 from tactile_loc.store.files import require_writable

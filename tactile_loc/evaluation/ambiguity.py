@@ -27,8 +27,9 @@ from tactile_loc.core.interfaces import Candidate, Refiner, Scene
 from tactile_loc.core.noise import NOISE, Gel, TouchNoise
 from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.core.simulation import PressNoise
+from tactile_loc.core.touch import ContactShape, Touch
 from tactile_loc.evaluation.simulated_touches import true_pose
 from tactile_loc.locate.localizer import Localizer
 

@@ -17,7 +17,7 @@ from tactile_loc.core.poses import PoseGrid, Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.evaluation.ambiguity import AMBIGUOUS, ambiguity_ratios, judging_noise
 from tactile_loc.evaluation.metrics import add_s, mssd, symmetric_adds
 from tactile_loc.evaluation.posterior_metrics import posterior_metrics

@@ -18,7 +18,8 @@ from tactile_loc.core.interfaces import Renderer, Scene
 from tactile_loc.core.noise import TouchNoise
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import ContactShape, Touch
 from tactile_loc.io.approach_files import Approach
 
 INSIDE = 0.8  # of the sensing rectangle's sides, about its centre: where the object's lowest point is

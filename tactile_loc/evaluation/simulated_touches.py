@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.noise import noise_level
-from tactile_loc.core.sensing import ContactShape, Touch
 from tactile_loc.core.simulation import draw_touches
+from tactile_loc.core.touch import ContactShape, Touch
 from tactile_loc.locate.localizer import Localizer
 
 log = logging.getLogger(__name__)

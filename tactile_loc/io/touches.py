@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import OutputError, TouchError
 from tactile_loc.core.geometry import is_rigid
-from tactile_loc.core.sensing import ContactShape, Touch, contact_shape_from_array
+from tactile_loc.core.touch import ContactShape, Touch, contact_shape_from_array
 from tactile_loc.io.arrays import load_npy, load_npz
 from tactile_loc.io.images import (
     FORMATS,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import ConfigError, StoreError, TactileLocError, TouchError
 from tactile_loc.core.explained import explained
 from tactile_loc.core.interfaces import IOU_PX, View
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.locate.hypotheses import explained_where_seen
 from tactile_loc.locate.library import Glance, Library
 from tactile_loc.locate.localizer import Localizer, localize_together, view_of

@@ -20,7 +20,7 @@ from tactile_loc.core.interfaces import Matcher
 from tactile_loc.core.places import CAMERA
 from tactile_loc.core.poses import Poses
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.locate.localizer import Localizer, view_of
 from tactile_loc.locate.search import PlaceSearch, rough_iou
 from tactile_loc.store.keys import StageKey

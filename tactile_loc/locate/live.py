@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.errors import NoContactError, TactileLocError
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.io.frame_sources import SourceFrame
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Hypothesis

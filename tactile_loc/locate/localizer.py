@@ -19,7 +19,7 @@ from tactile_loc.core.posterior import Mode, PosePosterior
 from tactile_loc.core.priors import SeenFrom, tempered, touches_behind
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.agreement import agreed, best_alone
 from tactile_loc.locate.coverage import PoseSet

@@ -30,7 +30,7 @@ from tactile_loc.core.hand_eye import (
 from tactile_loc.core.interfaces import View
 from tactile_loc.core.poses import PoseMetric, Poses
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.io.mount_files import Mount, MountRecord, MountTouchRecord
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.mount_guess import MountGuess, guess_mounts

@@ -20,8 +20,8 @@ from tactile_loc.core.poses import PoseGrid
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import Touch
 from tactile_loc.core.simulation import simulate_touches
+from tactile_loc.core.touch import Touch
 from tactile_loc.io.config import RunConfig, SlotConfig
 from tactile_loc.io.meshes import Units
 from tactile_loc.io.touches import read_touch

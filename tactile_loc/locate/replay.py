@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from tactile_loc.core.errors import FrameError, NoContactError, RecordingError, StoreError, TactileLocError
 from tactile_loc.core.frame_tree import FrameTree
 from tactile_loc.core.geometry import covariance_along
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.io.mount_files import Covariance
 from tactile_loc.io.recordings import Message, Recording
 from tactile_loc.io.ros_messages import image_array, stamp_ns

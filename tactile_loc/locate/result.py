@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.interfaces import RefinedPose
 from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.locate.coverage import PoseSet
 
 

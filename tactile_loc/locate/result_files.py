@@ -21,7 +21,8 @@ from tactile_loc.core.errors import ResultError, TactileLocError
 from tactile_loc.core.geometry import invert
 from tactile_loc.core.objects import TriangleMesh, check_surface
 from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import ContactShape, Touch
 from tactile_loc.io.arrays import load_npz
 from tactile_loc.io.meshes import simplified
 from tactile_loc.locate import result_json

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.registry import SLOTS, registry, validate_options
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.io.config import RunConfig, TouchConfig
 from tactile_loc.io.mount_files import Covariance
 from tactile_loc.io.toml import Matrix

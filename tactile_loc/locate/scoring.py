@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.interfaces import Encoder, Matcher
 from tactile_loc.core.progress import StageTimes
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 
 Scores = NDArray[np.float32]
 

@@ -23,7 +23,7 @@ from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
 from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.priors import SeenFrom
 from tactile_loc.core.progress import Progress, StageTimes
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.locate.hypotheses import apart, explained
 from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.scoring import GridScores, Scores

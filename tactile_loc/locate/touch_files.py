@@ -14,7 +14,7 @@ import numpy as np
 
 from tactile_loc.core.errors import TactileLocError, TouchError
 from tactile_loc.core.geometry import axis_angle
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.io.config import SlotConfig, kind_of_sensor
 from tactile_loc.io.images import IMAGE_SUFFIXES
 from tactile_loc.io.mount_files import Mount

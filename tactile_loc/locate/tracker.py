@@ -24,7 +24,7 @@ from tactile_loc.core.interfaces import View
 from tactile_loc.core.pose_filter import PoseFilter, SeenPose, motion_errors
 from tactile_loc.core.poses import PoseMetric
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.locate.localizer import Localizer, localize_together
 
 Floats = NDArray[np.float64]

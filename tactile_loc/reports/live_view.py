@@ -11,7 +11,8 @@ from tactile_loc.core.formatting import percent
 from tactile_loc.core.geometry import transform_points
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.pose_words import pose_words
-from tactile_loc.core.sensing import ContactShape, SensorGeometry
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import ContactShape
 from tactile_loc.locate.live import LiveRecord, LiveResult
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result_files import drawn_mesh

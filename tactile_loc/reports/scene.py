@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry import invert, transform_points
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import ContactShape, SensorGeometry
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import ContactShape
 from tactile_loc.drawing.pictures import extent_mm
 from tactile_loc.drawing.pose_panel import GEL_MM, RIM_MM
 from tactile_loc.drawing.raytracing import CREASE_DEG, View, box

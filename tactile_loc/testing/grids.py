@@ -13,8 +13,8 @@ from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.places import CAMERA as PATCH_CAMERA
 from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses, distances_between
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing import contact_depth
 from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.core.touch import contact_depth
 from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
 from tactile_loc.testing.problems import (
     CAMERAS,

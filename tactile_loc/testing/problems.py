@@ -16,8 +16,9 @@ from tactile_loc.core.interfaces import Candidate, Float32, RefinedPose, Rendere
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.core.touch import ContactShape, Touch
 
 Array = NDArray[np.float64]
 

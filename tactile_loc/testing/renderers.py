@@ -12,7 +12,8 @@ from tactile_loc.core.geometry import invert, make_transform, rotation_about
 from tactile_loc.core.interfaces import Capabilities, Float32, Renderer
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry, contact_depth
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import contact_depth
 from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
 from tactile_loc.testing.problems import (
     CAMERAS,

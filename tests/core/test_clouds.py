@@ -8,7 +8,8 @@ import trimesh
 
 from tactile_loc.core.clouds import contact_cloud
 from tactile_loc.core.geometry import translation
-from tactile_loc.core.sensing import ContactShape, SensorGeometry, contact_depth
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import ContactShape, contact_depth
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 
 RADIUS_M = 0.008

@@ -13,7 +13,8 @@ from tactile_loc.core.contact import bring_to_contact, lowest_over_relief, lowes
 from tactile_loc.core.geometry import make_transform, random_rotations, transform_points, translation
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import ContactShape, SensorGeometry, contact_depth
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import ContactShape, contact_depth
 
 GEL_M, BALL_M, PRESS_M = 35e-3, 4e-3, 5e-4
 FACET_M = 2e-6  # of the ball

@@ -17,7 +17,8 @@ from tactile_loc_cli.options import Noise
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry import is_rigid, rotation_about
 from tactile_loc.core.noise import NOISE, TouchNoise, noise_level
-from tactile_loc.core.sensing import ContactShape, SensorGeometry
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import ContactShape
 from tactile_loc.io.config import TouchConfig
 
 PRESS_M = 0.002

@@ -6,7 +6,8 @@ import pytest
 from tactile_loc.core.geometry import translation
 from tactile_loc.core.places import BELOW, CAMERA, FAR, HIGHEST_M, PATCH_PX, STEP_M, Places, as_patches
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch, contact_depth
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import ContactShape, Touch, contact_depth
 from tactile_loc.core.turned_patches import turned_patches
 from tactile_loc.plugins.grids.whole import WholeGrid
 from tactile_loc.testing.problems import ReferenceRenderer, block

@@ -9,7 +9,7 @@ import trimesh
 from tactile_loc.core.explained import OUTLINE_SHARE
 from tactile_loc.core.geometry import make_transform, rotation_about, translation
 from tactile_loc.core.interfaces import Scene
-from tactile_loc.core.sensing import ContactShape, Touch
+from tactile_loc.core.touch import ContactShape, Touch
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, pressed_block, with_depth
 

@@ -12,7 +12,8 @@ from PIL import Image
 from tactile_loc.core.errors import OutputError
 from tactile_loc.core.formatting import percent
 from tactile_loc.core.noise import NOISE
-from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import ContactShape, Touch
 from tactile_loc.drawing.pictures import (
     MOST_TOUCHES,
     draw_contact_shape,

@@ -9,7 +9,8 @@ import trimesh
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry import invert, rotation_angle
 from tactile_loc.core.noise import NOISE
-from tactile_loc.core.sensing import SensorGeometry, Touch
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.testing.problems import ReferenceRenderer
 

@@ -9,7 +9,7 @@ from tactile_loc.core.contact import lowest_points
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry import make_transform, rotation_about
 from tactile_loc.core.noise import NOISE
-from tactile_loc.core.sensing import contact_shape_from_array
+from tactile_loc.core.touch import contact_shape_from_array
 from tactile_loc.evaluation.slides import FLANGE, GEL, Photos, Slide, slide, write_slide
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.io.recordings import Recording

@@ -10,8 +10,8 @@ from tactile_loc.core.interfaces import RefinedPose, View
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.poses import PoseGrid, PoseMetric
 from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.sensing import Touch
 from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.core.touch import Touch
 from tactile_loc.locate.hypotheses import SHARPNESS, best_apart, explained_where_seen, merge_hypotheses, weighed
 from tactile_loc.locate.result import Hypothesis
 from tactile_loc.testing.problems import box

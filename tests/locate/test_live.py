@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import TouchError
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.io.frame_sources import ImageFolder, SourceFrame
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.live import FrameState, LiveLocator, LiveRecord, LiveSummary

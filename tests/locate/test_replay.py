@@ -13,7 +13,7 @@ import pytest
 from tactile_loc.core.errors import FrameError, GridError, OutputError, RecordingError, StoreError
 from tactile_loc.core.geometry import covariance_along, make_transform, rotation_about
 from tactile_loc.core.interfaces import RefinedPose
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.io.recordings import Recording, RecordingWriter, image_topic, write_recording
 from tactile_loc.io.ros_messages import IMAGE, TF, pose_of, stamp_ns
 from tactile_loc.io.ros_types import image_message, transform_message

@@ -14,7 +14,8 @@ from tactile_loc.core.geometry import make_transform
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.poses import PoseGrid, PoseMetric
 from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.sensing import ContactShape, SensorGeometry
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import ContactShape
 from tactile_loc.locate.result_files import (
     ResultArrays,
     TouchArrays,

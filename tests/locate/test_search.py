@@ -16,7 +16,7 @@ from tactile_loc.core.posterior import PosePosterior
 from tactile_loc.core.priors import GaussianPrior, SeenFrom
 from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.core.turned_patches import anchor
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together

@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 from report_helpers import UNFRIENDLY, write_sweep
 
-from tactile_loc.core.sensing import Touch
+from tactile_loc.core.touch import Touch
 from tactile_loc.io.frame_sources import SourceFrame
 from tactile_loc.locate.live import Estimate, FrameState, LiveRecord, LiveResult
 from tactile_loc.locate.localizer import Localizer

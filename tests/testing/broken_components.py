@@ -13,7 +13,7 @@ from tactile_loc.core.interfaces import Capabilities, ComponentOptions, RefinedP
 from tactile_loc.core.lattices import centroid_range
 from tactile_loc.core.objects import TriangleMesh
 from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.sensing import ContactShape
+from tactile_loc.core.touch import ContactShape
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.fusers.kinematic import KinematicFuser
 from tactile_loc.plugins.fusers.product import ProductFuser

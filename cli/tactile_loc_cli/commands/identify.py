@@ -10,7 +10,7 @@ from tactile_loc_cli.console import progress, say
 from tactile_loc_cli.failures import Finding
 
 if TYPE_CHECKING:
-    from tactile_loc.core.sensing import Touch
+    from tactile_loc.core.touch import Touch
     from tactile_loc.locate.localizer import Localizer
 
 DEFAULT_OUT = Path("tactile-loc-identify")

@@ -13,8 +13,8 @@ from tactile_loc_cli import options
 from tactile_loc_cli.console import progress, say
 
 if TYPE_CHECKING:
-    from tactile_loc.core import sensing
     from tactile_loc.core.interfaces import Prior
+    from tactile_loc.core.touch import Touch
     from tactile_loc.io.config import RunConfig
     from tactile_loc.locate.localizer import Localizer, Observation
     from tactile_loc.locate.result import Localization
@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 DEFAULT_OUT = Path("tactile-loc-result")
 DRAWN = 8  # touches are simulated, and the one with the most contact is shown
 
-Touch = Annotated[
+TouchPath = Annotated[
     str | None,
     typer.Option(
         "--touch",
@@ -63,7 +63,7 @@ def run(
     object: options.Object = None,
     units: options.MeshUnits = None,
     symmetry: options.Symmetry = None,
-    touch: Touch = None,
+    touch: TouchPath = None,
     touch_unit: options.TouchUnitOption = None,
     press_depth: options.PressDepth = None,
     noise: options.TouchNoise = None,
@@ -167,7 +167,7 @@ def _require_neither(prior: Path | None, report: bool, rerun: Path | None) -> No
         raise ConfigError("--report is of one result; leave it out with a folder of touches, or locate one of them")
 
 
-def _prior(localizer: Localizer, touch: sensing.Touch, path: Path | None) -> Prior | None:
+def _prior(localizer: Localizer, touch: Touch, path: Path | None) -> Prior | None:
     """The prior in the first touch's sensor frame."""
     from tactile_loc.io.prior_files import read_prior
 
@@ -184,7 +184,7 @@ def _observations(localizer: Localizer) -> list[Observation]:
     return [(localizer, _touch(localizer))]
 
 
-def _touch(localizer: Localizer) -> sensing.Touch:
+def _touch(localizer: Localizer) -> Touch:
     """The touch that was asked for, or a simulated one."""
     asked, press_m = localizer.config.touch, options.press_depth_m(localizer.config)
     if asked.path is not None:

@@ -13,7 +13,8 @@ from tactile_loc_cli.console import say
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tactile_loc.core.sensing import SensorGeometry, Touch
+    from tactile_loc.core.sensing import SensorGeometry
+    from tactile_loc.core.touch import Touch
     from tactile_loc.imaging.optics import Optics
     from tactile_loc.locate.localizer import Localizer
 

@@ -10,9 +10,10 @@ from tactile_loc.core.geometry import is_rigid, make_transform, rotation_about, 
 from tactile_loc.core.interfaces import Candidate, Scene
 from tactile_loc.core.objects import ObjectModel, TriangleMesh
 from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.core.simulation import simulate_touches
 from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.core.touch import ContactShape, Touch
 from tactile_loc.io.meshes import load_object
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.plugins.refiners.icp import IcpRefiner

@@ -17,7 +17,8 @@ from tactile_loc.core.geometry import (
 )
 from tactile_loc.core.interfaces import Candidate, Scene, View
 from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.sensing import ContactShape, SensorGeometry, Touch
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import ContactShape, Touch
 from tactile_loc.plugins.refiners.joint.refiner import JointRefiner
 from tactile_loc.plugins.refiners.joint.twists import adjoint, exponential, logarithm
 from tactile_loc.testing.problems import ReferenceRenderer, stepped_block

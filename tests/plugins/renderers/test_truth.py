@@ -10,7 +10,8 @@ import pytest
 from tactile_loc.core.contact import bring_to_contact
 from tactile_loc.core.geometry import make_transform, random_rotations, rotation_about
 from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.sensing import SensorGeometry, contact_depth
+from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.touch import contact_depth
 
 NANOMETRES_100 = 1e-7
 
