@@ -176,7 +176,7 @@ def _folder_beside(path: Path) -> Iterator[Path]:
     descriptor = _claimed(folder)
     while descriptor is None:  # it is there already: another process is at work on it, or was
         _remove_abandoned(path)
-        folder = path.with_name(f"{_TEMPORARY}{uuid.uuid4().hex}-{path.name}") if folder.exists() else folder
+        folder = path.with_name(f"{_TEMPORARY}{uuid.uuid4().hex}-{path.name}") if os.path.lexists(folder) else folder
         descriptor = _claimed(folder)
     try:
         with _told_by_number():
@@ -203,11 +203,12 @@ def _claimed(folder: Path) -> int | None:
     """Make a folder and lock it; None if it is there already, or somebody who took it for abandoned was faster."""
     try:
         folder.mkdir()
+    except FileExistsError:
+        return None
+    try:
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except (FileExistsError, FileNotFoundError):
-        if folder.parent.is_dir():
-            return None
-        raise
+    except FileNotFoundError:
+        return None
     with suppress(OSError):  # a file system without locks
         fcntl.flock(descriptor, fcntl.LOCK_EX)
     if _stands_at(folder, descriptor):

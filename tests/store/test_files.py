@@ -61,6 +61,16 @@ def test_a_write_that_fails_halfway_leaves_the_old_file(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_folder_that_takes_no_files_is_told():
+    with pytest.raises(OutputError, match=r"/proc/a\.txt cannot be written"):
+        write_atomically(Path("/proc/a.txt"), lambda temporary: temporary.write_text("x"))
+
+
+def test_a_link_to_nothing_in_the_way_of_a_temporary_folder_is_passed_by(tmp_path):
+    (tmp_path / ".tmp-new-a.txt").symlink_to(tmp_path / "nowhere")
+    assert write_atomically(tmp_path / "a.txt", lambda temporary: temporary.write_text("x")).read_text() == "x"
+
+
 def test_json_is_written_for_people_too_and_comes_back(tmp_path):
     value = {"name": "µm", "poses": [1.5, None]}
     path = write_json(tmp_path / "new" / "a.json", value)
