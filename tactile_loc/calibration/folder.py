@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tactile_loc.calibration.estimator import GelEstimator, estimator_class, estimator_options
 from tactile_loc.calibration.health import Health, health, require_healthy
 from tactile_loc.calibration.labels import Image
-from tactile_loc.calibration.reading import read_zero, require_image
+from tactile_loc.calibration.reading import press_depth_m, read_zero, require_image
 from tactile_loc.core.errors import CalibrationError, OutputError, SensorError, TouchError, named
 from tactile_loc.core.sensing import SensorGeometry
 from tactile_loc.imaging.optics import Optics
@@ -50,6 +50,11 @@ class Calibration:
     def noise_m(self) -> float:
         """How deep the untouched gel seems to be pressed, metres, by error: standard deviation."""
         return float(self.record["noise_m"])
+
+    @cached_property
+    def false_press_m(self) -> float:
+        """How deep the untouched gel seems to be pressed in its own image, metres: as a touch would be, by error."""
+        return max(0.0, press_depth_m(self.estimator.read(self.untouched)[0], self.geometry))
 
     @property
     def camera_px(self) -> tuple[int, int]:

@@ -21,6 +21,7 @@ SMOOTHING_M = 1e-4  # of slope and curvature: standard deviation
 TIP_M = 3e-4  # the press depth is that of the deepest area of this size, squared
 LEAST_M = 5e-5  # no sensor tells a lighter press from none
 ABOVE_NOISE = 4.0  # noise floors that a press stands out by
+ABOVE_FALSE = 1.5  # times what the untouched gel seems to be pressed
 BLACK, WHITE = 8, 253  # counts of 255
 STRANGE = 22  # counts by which half the image may differ from the untouched gel's; presses do by 2 to 19
 
@@ -84,10 +85,12 @@ def press_depth_m(indentation_m: NDArray[np.float32], geometry: SensorGeometry) 
 
 
 def contact_shape(
-    indentation_m: NDArray[np.float32], geometry: SensorGeometry, noise_m: float, sees_skirt: bool = True
-) -> ContactShape:
+    indentation_m: NDArray[np.float32], geometry: SensorGeometry, noise_m: float, sees_skirt: bool = True,
+    false_press_m: float = 0.0,
+) -> ContactShape:  # fmt: skip
     """Return the contact shape of an indentation (H, W), metres, whose noise is `noise_m`.
 
+    Untouched, the gel seems to be pressed by `false_press_m` metres.
     The object is where the gel is, except at the skirt, where the gel hangs from the contact's edge to its untouched
     surface: `in_contact` tells them apart. The shape is cut at a lighter press, which leaves as much contact: a steep
     edge is then where it is, and a ball's imprint as wide as at that press; how deep the object really was is its
@@ -95,7 +98,7 @@ def contact_shape(
     (`sees_skirt` False) is cut where it stands out of the noise. Raises TouchError when the gel is not pressed in.
     """
     press = press_depth_m(indentation_m, geometry)
-    least = max(LEAST_M, ABOVE_NOISE * noise_m)
+    least = max(LEAST_M, ABOVE_NOISE * noise_m, ABOVE_FALSE * false_press_m)
     if press < least:
         raise NoContactError(
             f"no contact: nowhere is the gel pressed in by {1e3 * least:.2g} mm, the least that stands out here "

@@ -13,7 +13,7 @@ from tactile_loc.core.formatting import millimetres, percent
 from tactile_loc.core.geometry import axis_angle
 from tactile_loc.io.toml import toml_text
 from tactile_loc.locate.result_files import NAME, ResultArrays, TouchArrays, read_arrays, read_record
-from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord, TouchRecord, contradictions
+from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord, TouchRecord, doubts
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.distribution import SurfaceDistribution, side_map, surface_distribution, yaw_histogram
 from tactile_loc.reports.page import Page, Section
@@ -36,7 +36,7 @@ def page_of_result(record: ResultRecord, arrays: ResultArrays) -> Page:
     """Return the page of a result that has been read."""
     data = run_data(record, arrays)
     truth = record.touch.T_sensor_object is not None
-    notes = [*record.object.notes, *contradictions(record)]
+    notes = [*record.object.notes, *doubts(record)]
     sections = [
         Section("summary", "", {"numbers": list(_numbers(record)), "notes": notes}),
         Section("candidates", "Candidates", {"header": _header(record), "rows": _rows(record), "truth": truth}),

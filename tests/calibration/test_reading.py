@@ -126,6 +126,13 @@ def test_noise_raises_what_counts_as_contact():
         contact_shape(light, GEOMETRY, 2e-4 / ABOVE_NOISE)
 
 
+def test_a_press_is_deeper_than_what_the_untouched_gel_seems_to_be():
+    light = ball_indentation(GEOMETRY, press_m=1.5e-4)
+    assert contact_shape(light, GEOMETRY, 0.0, false_press_m=6e-5).contact.any()
+    with pytest.raises(TouchError, match=r"no contact.* 0\.17 mm"):
+        contact_shape(light, GEOMETRY, 0.0, false_press_m=1.1e-4)
+
+
 def test_an_indentation_of_the_contact_alone_is_all_of_it():
     ball = ball_indentation(GEOMETRY, press_m=PRESS_M)
     shape = contact_shape(ball, GEOMETRY, 1e-5, sees_skirt=False)

@@ -16,6 +16,7 @@ from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.result_json import (
     SCHEMA_VERSION,
     ResultRecord,
+    doubts,
     pose_errors_m,
     resolved,
     result_record,
@@ -118,6 +119,23 @@ def test_versions_and_time(record):
 def test_object(record, localizer):
     assert record.object.symmetry == "z2"
     assert record.object.size_m == pytest.approx(localizer.object.mesh.extents_m)
+
+
+@pytest.mark.parametrize(("iou", "doubted"), [(0.49, True), (0.5, False)])
+def test_one_touch_of_which_little_is_explained_is_doubted(record, iou, doubted):
+    said = doubts(explained_by(record, iou))
+    assert len(said) == doubted
+    assert all("49 %" in sentence and record.touch.name in sentence for sentence in said)
+
+
+def test_a_pose_that_was_not_refined_is_not_doubted(record):
+    grid_pose = record.hypotheses[0].T_sensor_object_grid
+    assert doubts(explained_by(record, 0.1, T_sensor_object=grid_pose)) == []
+
+
+def explained_by(record, iou, **changes):
+    best = record.hypotheses[0].model_copy(update={"imprint_iou": iou, **changes})
+    return record.model_copy(update={"hypotheses": [best]})
 
 
 def test_no_place_to_write(record, tmp_path):

@@ -204,7 +204,7 @@ def _report(
     """Show the result, write it (result.json, .npz, .png and, if asked for, the page), and return it and the paths."""
     from tactile_loc.drawing.pictures import draw_result, save_figure
     from tactile_loc.locate.result_files import NAME, gather, write_arrays
-    from tactile_loc.locate.result_json import contradictions, pose_errors_m, result_record, write_result
+    from tactile_loc.locate.result_json import doubts, pose_errors_m, result_record, write_result
     from tactile_loc.store.files import alone_in
     from tactile_loc_cli.results import say_result, title
 
@@ -212,7 +212,7 @@ def _report(
     localizer = observations[0][0]
     record = result_record(localizer, localization, seconds)
     say_result(record)
-    for sentence in contradictions(record):
+    for sentence in doubts(record):
         logger.warning("%s", sentence)
     if localization.outliers:
         logger.warning("--drop-outliers locates the object without what contradicts the other touches")

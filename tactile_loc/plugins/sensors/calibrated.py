@@ -35,8 +35,8 @@ class CalibratedSensor(DepthSensor):
         image = np.asarray(image)
         if image.ndim == 2 and image.dtype != np.uint8:
             return super().contact_shape(image)
-        sees_skirt = self.calibration.estimator.sees_skirt
-        return contact_shape(self.indentation(image), self.geometry, self.calibration.noise_m, sees_skirt)
+        seen, known = self.indentation(image), self.calibration
+        return contact_shape(seen, self.geometry, known.noise_m, known.estimator.sees_skirt, known.false_press_m)
 
     def indentation(self, image: NDArray[Any]) -> NDArray[np.float32]:
         """Return how far the gel is pressed in (H, W), metres. Raises TouchError for an image that is not of this."""

@@ -23,7 +23,7 @@ from press_sets import (  # noqa: E402
 )
 
 from tactile_loc.calibration.reading import SKIRT  # noqa: E402
-from tactile_loc.core.errors import CalibrationError, ConfigError, TouchError, WeightsError  # noqa: E402
+from tactile_loc.core.errors import CalibrationError, ConfigError, NoContactError, TouchError, WeightsError  # noqa: E402
 from tactile_loc.core.registry import registry  # noqa: E402
 from tactile_loc.core.touch import ContactShape, Touch  # noqa: E402
 from tactile_loc.imaging.optics import OPTICS  # noqa: E402
@@ -66,6 +66,15 @@ def test_it_keeps_the_contract(sensor):
     assert len(checks) > 8
     for check in checks:
         check(sensor)
+
+
+def test_its_own_untouched_gel_is_no_contact_however_wrong_it_is_read(folder):
+    sensor = registry().create("sensor", "calibrated", {"path": str(folder)})
+    estimator, wrong = sensor.calibration.estimator, ball_indentation(BALLS.geometry, press_m=2e-4)
+    read = estimator.read
+    estimator.read = lambda image: (read(image)[0] + wrong, read(image)[1])
+    with pytest.raises(NoContactError, match="the least that stands out here"):
+        sensor.contact_shape(BALLS.background)
 
 
 def test_an_image_becomes_the_balls_contact_shape(sensor, photo):
