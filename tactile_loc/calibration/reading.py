@@ -21,7 +21,8 @@ SMOOTHING_M = 1e-4  # of slope and curvature: standard deviation
 TIP_M = 3e-4  # the press depth is that of the deepest area of this size, squared
 LEAST_M = 5e-5  # no sensor tells a lighter press from none
 ABOVE_NOISE = 4.0  # noise floors that a press stands out by
-ABOVE_FALSE = 1.5  # times what the untouched gel seems to be pressed
+ABOVE_FALSE = 1.5  # times what the untouched gel seems to be pressed, by error
+MOST_FALSE_M = 1e-4  # more of that is no reason to refuse a press: what the gel looks like is then known badly
 BLACK, WHITE = 8, 253  # counts of 255
 STRANGE = 22  # counts by which half the image may differ from the untouched gel's; presses do by 2 to 19
 
@@ -98,7 +99,7 @@ def contact_shape(
     (`sees_skirt` False) is cut where it stands out of the noise. Raises TouchError when the gel is not pressed in.
     """
     press = press_depth_m(indentation_m, geometry)
-    least = max(LEAST_M, ABOVE_NOISE * noise_m, ABOVE_FALSE * false_press_m)
+    least = max(LEAST_M, ABOVE_NOISE * noise_m, min(ABOVE_FALSE * false_press_m, MOST_FALSE_M))
     if press < least:
         raise NoContactError(
             f"no contact: nowhere is the gel pressed in by {1e3 * least:.2g} mm, the least that stands out here "

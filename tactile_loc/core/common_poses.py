@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.errors import ConfigError, GridError
-from tactile_loc.core.geometry import invert, is_rigid
+from tactile_loc.core.errors import ConfigError, GridError, quoted
+from tactile_loc.core.geometry import invert, require_rigid
 from tactile_loc.core.interfaces import ComponentOptions, Fuser, Prior
 from tactile_loc.core.poses import PoseGrid, Poses
 from tactile_loc.core.posterior import PosePosterior
@@ -112,8 +112,7 @@ def require_sensor_poses(T_base_sensor: Sequence[Poses | None]) -> None:
                 f"touch {number} of {len(T_base_sensor)} does not say where its sensor was; several touches can only "
                 "be fused with the T_base_sensor of each"
             )
-        if np.shape(T) != (4, 4) or not is_rigid(np.asarray(T, float)):
-            raise ConfigError(f"T_base_sensor of touch {number} is no rigid transform; it must be (4, 4), in metres")
+        require_rigid(T, f"T_base_sensor of touch {number}")
 
 
 def prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.float64]:
@@ -123,6 +122,10 @@ def prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.float64]:
     """
     if prior is None:
         return np.zeros(len(grid))
+    if not callable(prior):
+        raise ConfigError(
+            f"{quoted(prior)} is no prior; give a function of poses (N, 4, 4) to log-weights, such as a GaussianPrior"
+        )
     weights = np.asarray(prior(grid.T_sensor_object), float)
     if weights.shape != (len(grid),) or not (weights < np.inf).all():
         raise ConfigError(

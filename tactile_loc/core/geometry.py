@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_loc.core.errors import ConfigError, TactileLocError
+
 Array = NDArray[np.float64]
 
 
@@ -131,3 +133,40 @@ def is_rigid(T: Array, tolerance: float = 1e-6) -> bool:
     orthogonal = np.allclose(R @ np.swapaxes(R, -1, -2), np.eye(3), atol=tolerance)
     last_row = np.allclose(T[..., 3, :], [0.0, 0.0, 0.0, 1.0], atol=tolerance)
     return bool(np.isfinite(T).all() and orthogonal and last_row and (np.linalg.det(R) > 0).all())
+
+
+def require_rigid(T: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
+    """Return one rigid transform (4, 4) as float64. Raises `error`, which says that `what` is none."""
+    found = _numbers(T)
+    if found is None or found.shape != (4, 4) or not is_rigid(found):
+        raise error(
+            f"{what} is no rigid transform; it must be (4, 4), in metres, last row 0 0 0 1, its rotation no reflection"
+        )
+    return found
+
+
+def require_covariance(values: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
+    """Return the covariance (6, 6) of a pose's error as float64. Raises `error`, which says that `what` is none."""
+    found = _numbers(values)
+    if found is None or found.shape != (6, 6) or not _is_covariance(found):
+        raise error(
+            f"{what} is no covariance; it must be (6, 6), symmetric and nowhere negative, first x, y, z in m, then a "
+            "rotation vector in rad"
+        )
+    return found
+
+
+def _is_covariance(values: Array, tolerance: float = 1e-9) -> bool:
+    if not np.isfinite(values).all():
+        return False
+    allowed = tolerance * max(1e-12, float(np.abs(values).max()))
+    return bool(np.abs(values - values.T).max() <= allowed and np.linalg.eigvalsh(values).min() >= -allowed)
+
+
+def _numbers(values: ArrayLike) -> Array | None:
+    """The values as float64, None where they are no numbers."""
+    try:
+        found = np.asarray(values)
+    except ValueError:  # rows of different lengths
+        return None
+    return found.astype(np.float64) if found.dtype.kind in "fiu" else None

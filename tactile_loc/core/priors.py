@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.geometry import align_to_z, is_rigid, make_transform
+from tactile_loc.core.geometry import align_to_z, make_transform, require_rigid
 from tactile_loc.core.interfaces import Prior
 from tactile_loc.core.poses import PoseGrid, Poses
 from tactile_loc.core.posterior import PosePosterior
@@ -66,7 +66,7 @@ class SeenFrom(PosePrior):
     T_base_sensor: Poses
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "T_base_sensor", _rigid(self.T_base_sensor, "T_base_sensor of a prior"))
+        object.__setattr__(self, "T_base_sensor", require_rigid(self.T_base_sensor, "T_base_sensor of a prior"))
 
     def __call__(self, T_sensor_object: Poses) -> Array:
         """Return the log-weights (N,) of T_base_object."""
@@ -119,7 +119,7 @@ class GaussianPrior(PosePrior):
     symmetry: SymmetryGroup | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "T", _rigid(self.T, "the pose of a Gaussian prior"))
+        object.__setattr__(self, "T", require_rigid(self.T, "the pose of a Gaussian prior"))
         for name in ("translation_std_m", "rotation_std_rad"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} of a Gaussian prior is {getattr(self, name)}; it must be positive")
@@ -155,7 +155,7 @@ class RegionPrior(PosePrior):
         if not (self.low_m < self.high_m).all():
             raise ConfigError(f"the region {self.low_m} to {self.high_m} (metres) is empty; low must be below high")
         if self.T_box is not None:
-            object.__setattr__(self, "T_box", _rigid(self.T_box, "T_box of a region prior"))
+            object.__setattr__(self, "T_box", require_rigid(self.T_box, "T_box of a region prior"))
 
     @classmethod
     def half_space(cls, normal: ArrayLike, border_m: ArrayLike, point_m: ArrayLike) -> RegionPrior:
@@ -198,7 +198,7 @@ class PosteriorPrior(PosePrior):
     power: float = 1.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "T_new_old", _rigid(self.T_new_old, "T_new_old of a posterior prior"))
+        object.__setattr__(self, "T_new_old", require_rigid(self.T_new_old, "T_new_old of a posterior prior"))
         if not 0 <= self.std_m < np.inf:
             raise ConfigError(f"std_m of a posterior prior is {self.std_m}; it must be zero or a positive length")
         if not 0 <= self.floor < 1:
@@ -270,13 +270,6 @@ def touches_behind(prior: Prior | None) -> int:
 def tempered(prior: Prior, power: Callable[[int], float]) -> Prior:
     """Return a prior, what it learned from N touches raised to `power(N)`; one that does not say stays as it is."""
     return prior.tempered(power) if isinstance(prior, PosePrior) else prior
-
-
-def _rigid(T: ArrayLike, what: str) -> Array:
-    found = np.array(T, dtype=np.float64)
-    if found.shape != (4, 4) or not is_rigid(found):
-        raise ConfigError(f"{what} is no rigid transform; it must be (4, 4), in metres, last row 0 0 0 1")
-    return found
 
 
 def _numbers(values: ArrayLike, what: str) -> Array:

@@ -176,13 +176,13 @@ def validate_options(model: Any, values: Mapping[str, Any], owner: str) -> Any:
     except ValidationError as error:
         problem = error.errors()[0]
         key = ".".join(map(str, problem["loc"])) or "options"
-        allowed = ", ".join(f"{k} ({_type_name(f.annotation)})" for k, f in model.model_fields.items()) or "none at all"
         if problem["type"] == "extra_forbidden":
-            near = did_you_mean(key, model.model_fields)
+            fields = model.model_fields
+            allowed = ", ".join(f"{k} ({_type_name(f.annotation)})" for k, f in fields.items()) or "none at all"
+            near = did_you_mean(key, fields)
             raise ConfigError(f"the {owner} has no option {key!r}.{near} Its options: {allowed}") from error
         raise ConfigError(
-            f"the {owner} cannot take {key} = {quoted(problem['input'])}: {problem['msg'].lower()}. "
-            f"Its options: {allowed}"
+            f"the {owner} cannot take {key} = {quoted(problem['input'])}: {problem['msg'].lower()}"
         ) from error
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_loc.core.errors import NoContactError, TouchError
-from tactile_loc.core.geometry import is_rigid
+from tactile_loc.core.geometry import require_rigid
 from tactile_loc.core.sensing import Depth, SensorGeometry
 
 
@@ -108,14 +108,9 @@ class Touch:
             pressed = self.geometry.pressed(self.indentation_m, self.press_depth_m)
             object.__setattr__(self, "geometry", pressed)
         for pose in ("T_base_sensor", "T_sensor_object"):
-            self._require_rigid(pose)
-
-    def _require_rigid(self, pose: str) -> None:
-        T = getattr(self, pose)
-        if T is not None and (np.shape(T) != (4, 4) or not is_rigid(np.asarray(T, float))):
-            raise TouchError(
-                f"{pose} of {self.name} is no rigid transform; it must be (4, 4), in metres, its rotation no reflection"
-            )
+            if getattr(self, pose) is not None:
+                T = require_rigid(getattr(self, pose), f"{pose} of {self.name}", TouchError)
+                object.__setattr__(self, pose, T)
 
     @property
     def press_depth_m(self) -> float:

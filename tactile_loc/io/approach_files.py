@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.geometry import require_rigid
 from tactile_loc.io.toml import MATRIX, Matrix, PoseKeys, Positive, explain, listed_tables, pose_from_keys, read_toml
 
 Pose = NDArray[np.float64]
@@ -23,7 +24,8 @@ class Approach:
     """A touch that could be made: the sensor starts at `T_base_sensor` (4, 4), and moves along its z until contact.
 
     Then it presses by `press_m`; None: as deep as the touch before. If it meets nothing within `travel_m` it stops.
-    `cost`, of any unit, is above 0; infinite where it cannot be reached. Lengths in metres.
+    `cost`, of any unit, is above 0; infinite where it cannot be reached. Lengths in metres. Raises ConfigError for a
+    start that is no rigid transform.
     """
 
     T_base_sensor: Pose
@@ -31,6 +33,10 @@ class Approach:
     travel_m: float = TRAVEL_M
     cost: float = 1.0
     name: str = ""
+
+    def __post_init__(self) -> None:
+        named = f"T_base_sensor of {self.name or 'an approach'}"
+        object.__setattr__(self, "T_base_sensor", require_rigid(self.T_base_sensor, named))
 
 
 class _ApproachTable(PoseKeys):

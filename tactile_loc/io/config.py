@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.noise import NoiseLevel
@@ -35,6 +36,8 @@ class SlotConfig(_Strict):
             return {"name": value}
         if isinstance(value, dict) and "options" not in value:
             return {"name": value.get("name"), "options": {k: v for k, v in value.items() if k != "name"}}
+        if not isinstance(value, dict | SlotConfig):
+            raise PydanticCustomError("slot", "input should be a component's name, or a table of it and its options")
         return value
 
 

@@ -38,6 +38,8 @@ class Surface(NamedTuple):
 def read_surface(path: Path) -> Surface:
     """Read and merge the triangles of a mesh file. Raises ObjectError when there is none, or nothing in it."""
     if not os.path.isfile(path):
+        if os.path.isdir(path):
+            raise ObjectError(f"{path} is a folder; give one mesh file")
         near = did_you_mean(str(path), DEMO_OBJECTS)
         raise ObjectError(
             f"there is no mesh file at {path}; check the path.{near} Demo objects: {', '.join(DEMO_OBJECTS)}"

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import OutputError, TouchError
-from tactile_loc.core.geometry import is_rigid
+from tactile_loc.core.geometry import require_rigid
 from tactile_loc.core.touch import ContactShape, Touch, contact_shape_from_array
 from tactile_loc.io.arrays import load_npy, load_npz
 from tactile_loc.io.images import (
@@ -105,12 +105,7 @@ def _number(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> float 
 def _pose(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> NDArray[np.float64] | None:
     if name not in arrays:
         return None
-    T = arrays[name]
-    if T.shape != (4, 4) or T.dtype.kind not in "fiu" or not is_rigid(T.astype(np.float64)):
-        raise TouchError(
-            f"{name} in {path} is no rigid transform; it must be (4, 4), rotation and metres, last row 0 0 0 1"
-        )
-    return T.astype(np.float64)
+    return require_rigid(arrays[name], f"{name} in {path}", TouchError)
 
 
 def _read_png(path: Path) -> FileContents:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.geometry import transform_points
 from tactile_loc.core.interfaces import Candidate, Refiner, View
+from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.touch import Touch
 from tactile_loc.locate.hypotheses import LISTED, apart
 from tactile_loc.locate.result import Agreement, Hypothesis
 
@@ -75,6 +80,31 @@ def best_alone(view: View, posterior: PosePosterior, refiner: Refiner, radius_m:
     alone = View(view.touch, view.scene)
     refined = refiner.refine_together([alone], [Candidate(T, -1, 0.0) for T in poses])
     return float(alone.imprint_ious(np.concatenate([poses, [r.T_sensor_object for r in refined]])).max())
+
+
+def require_within_reach(touches: Sequence[Touch], obj: ObjectModel) -> None:
+    """Raise TouchError when no two of several touches are near enough to be of one object: a unit is wrong, or a frame.
+
+    Where some are, one farther off is for `agreed` to name. Touches of unknown sensor poses are left to others.
+    """
+    gels = [_gel_in_base(touch) for touch in touches if touch.T_base_sensor is not None]
+    pairs = list(combinations(gels, 2))
+    if not pairs or len(gels) < len(touches):
+        return
+    size_m = float(np.linalg.norm(obj.mesh.extents_m))
+    apart_m = [float(np.linalg.norm(a - b)) - reach_a - reach_b for (a, reach_a), (b, reach_b) in pairs]
+    if min(apart_m) > size_m:
+        raise TouchError(
+            f"the sensors are at least {1e3 * min(apart_m):,.0f} mm apart, and {obj.name} is {1e3 * size_m:.0f} mm "
+            "long: no pose touches two of them; T_base_sensor is in metres, from the sensor to one base"
+        )
+
+
+def _gel_in_base(touch: Touch) -> tuple[NDArray[np.float64], float]:
+    """The middle (3,) of a touch's gel in the base frame, and how far its corners are from it; metres."""
+    x0, x1, y0, y1 = touch.geometry.rectangle
+    middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2, touch.geometry.surface_m])
+    return transform_points(np.asarray(touch.T_base_sensor), middle[None])[0], float(np.hypot(x1 - x0, y1 - y0) / 2)
 
 
 def _tried(outliers: tuple[int, ...], hypotheses: Hypotheses, best: NDArray[np.float64]) -> _Trial:

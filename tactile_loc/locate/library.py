@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ConfigError, ObjectError
+from tactile_loc.core.errors import ConfigError, ObjectError, quoted
 from tactile_loc.core.geometry import invert, make_transform
 from tactile_loc.core.interfaces import Matcher
 from tactile_loc.core.places import CAMERA
@@ -69,6 +69,9 @@ class Library:
     def __init__(self, models: Sequence[Localizer]) -> None:
         if not models:
             raise ObjectError("there is no object to identify; give one at least")
+        others = [model for model in models if not isinstance(model, Localizer)]
+        if others:
+            raise ObjectError(f"{quoted(others[0])} is no Localizer; make one of each object with Localizer.create")
         self.models = tuple(sorted(models, key=lambda model: model.object.name))
         self.names = [model.object.name for model in self.models]
         twice = sorted({name for name in self.names if self.names.count(name) > 1})

@@ -21,7 +21,7 @@ from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.registry import registry
 from tactile_loc.core.touch import Touch
 from tactile_loc.io.config import RunConfig
-from tactile_loc.locate.agreement import agreed, best_alone
+from tactile_loc.locate.agreement import agreed, best_alone, require_within_reach
 from tactile_loc.locate.coverage import PoseSet
 from tactile_loc.locate.hypotheses import REFINED, best_apart, find_hypotheses, likeliest, proposed
 from tactile_loc.locate.posteriors import TouchPosteriors
@@ -150,6 +150,7 @@ def localize_together(
     `drop_outliers`, it is `left_out`, and the answer is that of the others alone, in the first one's frame of them.
     """
     _require_one_object(observations)
+    require_within_reach([touch for _, touch in observations], observations[0][0].object)
     times = StageTimes()
     first, left = observations[0], list(range(len(observations)))
     while True:
@@ -206,7 +207,9 @@ def _located(
     known = _beside(observations, prior)
     posterior = _fused(observations, alone, known, times)
     poses = None if coverage is None else PoseSet.of(posterior, first.conformal_sets(posterior.touches), coverage)
-    top = top or first.config.top
+    top = first.config.top if top is None else top
+    if top < 1:
+        raise ConfigError(f"{top} hypotheses cannot be listed; `top` must be 1 or more")
     views = [view_of(touch, localizer, t) for localizer, t in observations]
     radius_m = PROPOSAL_RADIUS * first.mode_radius_m
     with times.stage("modes"):
@@ -290,6 +293,8 @@ def view_of(first: Touch, localizer: Localizer, touch: Touch) -> View:
 def _require_one_object(observations: Sequence[Observation]) -> None:
     if not observations:
         raise TouchError("there is no touch to localise; give one at least")
+    for localizer, touch in observations:
+        localizer.require_own(touch)
     objects = {localizer.object.mesh.digest for localizer, _ in observations}
     if len(objects) > 1:
         names = ", ".join(dict.fromkeys(localizer.object.name for localizer, _ in observations))

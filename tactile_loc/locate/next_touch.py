@@ -123,11 +123,12 @@ class NextTouch:
 
 
 def next_touch(
-    found: Localization | PoseModes, approaches: Sequence[Approach], cost: Cost | None = None,
+    found: Localization | PoseModes, approaches: Sequence[Approach | Float64], cost: Cost | None = None,
     renderer: Renderer | None = None,
 ) -> NextTouch:  # fmt: skip
     """Rate approaches by the doubt between the modes of `found` that is to be expected after each.
 
+    An approach may be given as the pose (4, 4) alone at which the sensor starts, metres.
     A press that meets nothing, or shows nothing but a flat face, counts as one that tells nothing, for it cannot be
     located. Where a sensor is stopped tells, too: the travel up to contact differs between modes. `cost` replaces the
     approaches' own, infinite: out of reach. Poses are in the frame of the touch's `T_base_sensor`, or, if that is
@@ -136,20 +137,21 @@ def next_touch(
     """
     modes = found if isinstance(found, PoseModes) else PoseModes.of(found)
     scene = Scene(modes.object, modes.geometry, renderer or registry().create("renderer", "heightmap", {}))
-    if not approaches:
+    if not len(approaches):
         raise ConfigError("there is no approach to choose from; give at least one")
-    costs = np.array([approach.cost if cost is None else cost(approach) for approach in approaches], float)
-    _require_usable(approaches, costs, modes)
-    seen = foreseen(scene, modes, approaches)
+    made = [a if isinstance(a, Approach) else Approach(a, name=str(k)) for k, a in enumerate(approaches, 1)]
+    costs = np.array([approach.cost if cost is None else cost(approach) for approach in made], float)
+    _require_usable(made, costs, modes)
+    seen = foreseen(scene, modes, made)
     reasons = _out_of_reach(seen, modes, costs)
     left = [k for k, reason in enumerate(reasons) if not reason]
-    outside = tuple((approaches[k], reason) for k, reason in enumerate(reasons) if reason)
+    outside = tuple((made[k], reason) for k, reason in enumerate(reasons) if reason)
     if not left:
-        raise ConfigError(f"none of the {len(approaches)} approaches is within reach; the first {reasons[0]}")
-    expected = _expected_entropy(scene, [approaches[k] for k in left], _some(seen, left), modes, costs[left])
+        raise ConfigError(f"none of the {len(made)} approaches is within reach; the first {reasons[0]}")
+    expected = _expected_entropy(scene, [made[k] for k in left], _some(seen, left), modes, costs[left])
     rated = [
         RatedApproach(
-            approaches[k], max(0.0, modes.entropy - float(after)), float(after),
+            made[k], max(0.0, modes.entropy - float(after)), float(after),
             float(modes.probabilities[seen.meets[k]].sum()), np.where(seen.meets[k], seen.travel_m[k], np.nan),
             float(costs[k]),
         )

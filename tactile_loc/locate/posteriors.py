@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from tactile_loc.core.errors import GridError, TouchError
+from tactile_loc.core.errors import ConfigError, GridError, TouchError, quoted
 from tactile_loc.core.geometry import invert
 from tactile_loc.core.interfaces import Matcher, Prior, Scene, View
 from tactile_loc.core.noise import noise_level
@@ -78,16 +78,16 @@ class TouchPosteriors:
     @classmethod
     def create(
         cls, object: str | Path = "hook", *, units: Units = "auto", symmetry: str = "auto",
-        store: StageStore | None = None, progress: Progress | None = None, **settings: Any,
+        store: StageStore | str | Path | None = None, progress: Progress | None = None, **settings: Any,
     ) -> Self:  # fmt: skip
-        """Load an object (a mesh file or a demo object's name) and make its localizer.
+        """Load an object (a mesh file or a demo object's name) and make its localizer; `store` may be a folder.
 
         `settings` are RunConfig's: slots by name (`refiner="icp"`) or with options
         (`grid={"name": "face", "spacing_mm": 3}`), `top`, `seed`, ... Raises TactileLocError for bad input.
         """
         chosen = {"path": str(object), "units": units, "symmetry": symmetry}
         config = RunConfig.from_dict({"object": chosen, **settings}, "Localizer.create")
-        store = store or StageStore()
+        store = store if isinstance(store, StageStore) else StageStore(store)
         return cls(config, stored_object(object, units, symmetry, store), store, progress)
 
     def _component(self, slot: str) -> Any:
@@ -110,8 +110,10 @@ class TouchPosteriors:
     ) -> list[Touch]:
         """Make touches at random poses of the continuous set that the grid covers, with their true poses; metres.
 
-        `noise` is none, mild or strong. Raises ConfigError for another.
+        `noise` is none, mild or strong. Raises ConfigError for another, or a count or a seed below 0.
         """
+        if min(count, seed) < 0:
+            raise ConfigError(f"{count} touches of seed {seed} cannot be simulated; give whole numbers from 0 on")
         rng = np.random.default_rng(seed)
         return simulate_touches(self.sampler, self.scene, count, rng, press_depth_m, noise_level(noise))
 
@@ -333,7 +335,9 @@ class TouchPosteriors:
         return self.model.grid.raised(self.scene.geometry.max_depth_m - touch.indentation_m)
 
     def require_own(self, touch: Touch) -> None:
-        """Raise TouchError when another sensor took the touch."""
+        """Raise TouchError when another sensor took the touch, or it is none."""
+        if not isinstance(touch, Touch):
+            raise TouchError(f"{quoted(touch)} is no touch; `Localizer.read_touch` reads a file, `simulate` makes one")
         ours = self.scene.geometry
         if touch.geometry is not ours and not touch.geometry.is_same_sensor(ours):
             raise TouchError(

@@ -18,8 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.errors import GridError, TouchError
-from tactile_loc.core.geometry import covariance_along, invert, is_rigid, make_transform, rotation_angle, translation
+from tactile_loc.core.errors import ConfigError, GridError, TouchError
+from tactile_loc.core.geometry import (
+    covariance_along,
+    invert,
+    make_transform,
+    require_covariance,
+    require_rigid,
+    rotation_angle,
+    translation,
+)
 from tactile_loc.core.interfaces import View
 from tactile_loc.core.pose_filter import PoseFilter, SeenPose, motion_errors
 from tactile_loc.core.poses import PoseMetric
@@ -52,10 +60,19 @@ SLIPPED = 64  # poses that an object may have slipped to, which are tried
 @dataclass(frozen=True, eq=False)
 class Motion:
     """How the sensor moved since the frame before: `T_previous_sensor` (4, 4), metres, and the covariance (6, 6) of its
-    error: x, y, z of the new sensor frame's origin and a rotation vector, along the previous sensor's axes."""
+    error: x, y, z of the new sensor frame's origin and a rotation vector, along the previous sensor's axes.
+
+    Raises TouchError for what is no such pose or covariance.
+    """
 
     T_previous_sensor: Floats
     covariance: Floats
+
+    def __post_init__(self) -> None:
+        T = require_rigid(self.T_previous_sensor, "the sensor's motion", TouchError)
+        covariance = require_covariance(self.covariance, "that of the sensor's motion", TouchError)
+        object.__setattr__(self, "T_previous_sensor", T)
+        object.__setattr__(self, "covariance", covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,9 +124,12 @@ class Tracker:
 
     The object stays where it is, but for a creep of `creep_m` metres along and `creep_rad` radians about each axis in
     a second, standard deviations; it may jump. Sensor poses are as exact as touches say (`Touch.T_base_sensor_std_m`).
+    Raises ConfigError for a creep that is negative or no number.
     """
 
     def __init__(self, localizer: Localizer, creep_m: float = 1e-4, creep_rad: float = 2e-3) -> None:
+        if not (0 <= creep_m < math.inf and 0 <= creep_rad < math.inf):
+            raise ConfigError(f"an object cannot creep by {creep_m} m and {creep_rad} rad; give numbers from 0 on")
         self.localizer = localizer
         self._creep = np.diag(np.square([creep_m] * 3 + [creep_rad] * 3))
         self._refiner: Any = registry().create("refiner", "joint", NEARBY)
@@ -127,9 +147,11 @@ class Tracker:
         """Begin anew with the object at T_base_object (4, 4), metres, known with a covariance (6, 6), as RefinedPose's.
 
         Without it the first touch is searched for in the whole object. The base is that of the sensors' poses, or the
-        first frame's sensor where their motions are told.
+        first frame's sensor where their motions are told. Raises TouchError for what is no such pose or covariance.
         """
-        known = PoseFilter.known(np.asarray(T_base_object, float), np.asarray(covariance, float))
+        T = require_rigid(T_base_object, "T_base_object", TouchError)
+        covariance = require_covariance(covariance, "that of T_base_object", TouchError)
+        known = PoseFilter.known(T, covariance)
         self._modes, self._keys, self._elsewhere = [_Mode(known, known.T_base_object, covariance)], [], 0.0
         self._time_s, self._T_base_sensor, self._usual, self._alike = -math.inf, None, 0.0, 0.0
 
@@ -219,10 +241,10 @@ class Tracker:
             )
         self._relative = relative
         if told is not None:
-            return _rigid(told, time_s), None
+            return require_rigid(told, f"the sensor's pose at {time_s:g} s", TouchError), None
         if before is None or motion is None:
             return np.eye(4), None
-        T = before @ _rigid(motion.T_previous_sensor, time_s)
+        T = before @ motion.T_previous_sensor
         return T, covariance_along(motion.covariance, before[:3, :3])
 
     def _predicted(self, mode: _Mode, T: Floats, passed_s: float, added: Floats | None) -> _Mode:
@@ -364,10 +386,3 @@ class Tracker:
         covariances = np.array([mode.covariance for mode in self._modes]).reshape(-1, 6, 6)
         p = self._probabilities() if self._modes else np.empty(0)
         return TrackedPose(self._time_s, state, T, covariances, p, imprint_iou, searched)
-
-
-def _rigid(T: Floats, time_s: float) -> Floats:
-    found = np.array(T, float)
-    if found.shape != (4, 4) or not is_rigid(found):
-        raise TouchError(f"the sensor's pose at {time_s:g} s is no rigid transform; it must be (4, 4), in metres")
-    return found

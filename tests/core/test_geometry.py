@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.geometry import (
     align_to_z,
     axis_angle,
@@ -16,6 +17,8 @@ from tactile_loc.core.geometry import (
     make_transform,
     quaternion_to_rotation,
     random_rotations,
+    require_covariance,
+    require_rigid,
     rotation_about,
     rotation_angle,
     rotation_to_quaternion,
@@ -176,3 +179,37 @@ def test_axis_and_angle_of_any_turn_and_of_none():
         assert angle_deg == pytest.approx(np.degrees(turn))
         np.testing.assert_allclose(found, axis, atol=1e-9)
     assert axis_angle(np.eye(3))[1].tolist() == [0, 0, 1]
+
+
+@pytest.mark.parametrize(
+    "T", [np.eye(3), np.diag([-1.0, 1, 1, 1]), np.full((4, 4), np.nan), np.eye(4)[None], "pose", [[1, 0], [0]], None]
+)
+def test_what_is_no_rigid_transform_is_refused(T):
+    with pytest.raises(ConfigError, match=r"^the pose is no rigid transform.*\(4, 4\), in metres"):
+        require_rigid(T, "the pose")
+    with pytest.raises(TouchError, match="no rigid transform"):
+        require_rigid(T, "the pose", TouchError)
+
+
+def test_a_rigid_transform_may_be_a_list_of_whole_numbers():
+    found = require_rigid(np.eye(4, dtype=int).tolist(), "the pose")
+    assert found.dtype == np.float64
+    np.testing.assert_array_equal(found, np.eye(4))
+
+
+NEGATIVE = np.diag([1.0, 1, 1, 1, 1, -1e-3])
+LOPSIDED = np.eye(6) + np.eye(6, k=1)
+
+
+@pytest.mark.parametrize("values", [np.eye(3), np.ones(6), 1.0, NEGATIVE, LOPSIDED, np.full((6, 6), np.nan), "wide"])
+def test_what_is_no_covariance_is_refused(values):
+    with pytest.raises(ConfigError, match=r"^the pose's is no covariance.*\(6, 6\)"):
+        require_covariance(values, "the pose's")
+
+
+def test_a_covariance_may_be_of_hundredths_of_a_micrometre_or_nothing():
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(6, 6)) * 1e-8
+    np.testing.assert_array_equal(require_covariance(A @ A.T, "it"), A @ A.T)
+    np.testing.assert_array_equal(require_covariance(np.zeros((6, 6)), "it"), np.zeros((6, 6)))
+    assert require_covariance(np.diag([1, 1, 1, 0, 0, 0]), "it").dtype == np.float64

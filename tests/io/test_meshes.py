@@ -148,7 +148,7 @@ def test_a_missing_file_is_said_with_near_names(tmp_path):
         load_object(tmp_path / "none.stl")
     with pytest.raises(ObjectError, match=r"no mesh file at elbow.* Did you mean 'elbow_pipe'\?.*damping_pin"):
         load_object("elbow_pip")
-    with pytest.raises(ObjectError, match="no mesh file"):
+    with pytest.raises(ObjectError, match="is a folder; give one mesh file"):
         load_object(tmp_path)
 
 

@@ -172,6 +172,8 @@ def test_a_full_store_makes_no_object_unlikely(monkeypatch):
 def test_what_cannot_be_identified_is_refused(models, touches, library):
     with pytest.raises(ObjectError, match="there is no object to identify"):
         identify(touches["plate"], [])
+    with pytest.raises(ObjectError, match="'pin' is no Localizer; make one of each"):
+        Library(["pin", "hook"])
     with pytest.raises(ObjectError, match="two objects are called plate"):
         identify(touches["plate"], [models[0], models[0]])
     with pytest.raises(TouchError, match="there is no touch to identify"):

@@ -296,7 +296,29 @@ def test_a_touch_without_contact_cannot_be_made(pin):
         Touch(ContactShape(np.full(g.shape, 0.002, np.float32), 0.002), g)
 
 
+def test_what_is_no_touch_prior_or_number_is_refused(coarse, tmp_path):
+    with pytest.raises(TouchError, match=r"'touch.npz' is no touch; `Localizer.read_touch` reads a file"):
+        coarse.localize("touch.npz")
+    (touch,) = coarse.simulate(1, seed=10)
+    with pytest.raises(ConfigError, match=r"'prior.toml' is no prior"):
+        coarse.localize(touch, "prior.toml")
+    with pytest.raises(ConfigError, match="0 hypotheses cannot be listed"):
+        coarse.localize(touch, top=0)
+    for count, seed in ((-1, 0), (1, -1)):
+        with pytest.raises(ConfigError, match="cannot be simulated"):
+            coarse.simulate(count, seed)
+
+
+def test_the_store_may_be_a_folder(tmp_path):
+    assert Localizer.create("pin", store=tmp_path / "a").store.root == tmp_path / "a"
+    assert Localizer.create("pin", store=str(tmp_path / "b")).store.root == tmp_path / "b"
+
+
 def test_bad_settings_are_refused():
+    with pytest.raises(ConfigError, match="sensor = 3: input should be a component's name"):
+        Localizer.create("pin", sensor=3)
+    with pytest.raises(ConfigError, match=r"top = -1: input should be greater than or equal to 1$"):
+        Localizer.create("pin", top=-1)
     with pytest.raises(ConfigError, match=r"Localizer\.create.*'refinr'"):
         Localizer.create("pin", refinr="icp")
     with pytest.raises(ConfigError, match="grid 'face' has no option 'spacing'"):

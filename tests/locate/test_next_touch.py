@@ -163,10 +163,20 @@ def test_groups_are_of_those_alike_directly_or_by_others():
     assert groups_of(np.eye(3, dtype=bool)) == ()
 
 
+def test_an_approach_may_be_the_pose_alone_at_which_it_starts(knobbed):
+    modes, given = modes_of(knobbed, np.eye(4), HALF_TURN), [edge_of([0, 0, -1]), edge_of([-1, 0, 0])]
+    alone = next_touch(modes, [approach.T_base_sensor for approach in given])
+    named = next_touch(modes, given)
+    assert [r.information for r in alone.ranked] == [r.information for r in named.ranked]
+    assert {r.approach.name for r in alone.ranked} <= {"1", "2"}
+
+
 def test_what_cannot_be_chosen_from_is_refused(knobbed):
     modes = modes_of(knobbed, np.eye(4))
     with pytest.raises(ConfigError, match="no approach to choose from"):
         next_touch(modes, [])
+    with pytest.raises(ConfigError, match="T_base_sensor of 2 is no rigid transform"):
+        next_touch(modes, [np.eye(4), 2 * np.eye(4)])
     with pytest.raises(ConfigError, match="costs 0; a cost must be above 0"):
         next_touch(modes, [towards([0, 0, 1], cost=0.0)])
     with pytest.raises(ConfigError, match="approach 2 presses by 20 mm"):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import TactileLocError, TouchError
-from tactile_loc.core.geometry import invert, make_transform, rotation_about
+from tactile_loc.core.geometry import invert, make_transform, rotation_about, translation
+from tactile_loc.locate.agreement import require_within_reach
 from tactile_loc.locate.localizer import Localizer, localize_together
 
 T_BASE_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.4, -0.2, 0.3])
@@ -95,5 +96,21 @@ def test_what_cannot_be_fused_is_refused(localizer, touches, store):
     with pytest.raises(TouchError, match=r"several objects \(pin, head\)"):
         localize_together([(localizer, touches[0]), (hook, touches[1])])
     far = dataclasses.replace(touches[1], T_base_sensor=make_transform(np.eye(3), [5.0, 0, 0]))
-    with pytest.raises(TactileLocError):
+    with pytest.raises(TouchError, match=r"sensors are at least [45],\d{3} mm apart, and pin is \d+ mm"):
         together(localizer, [touches[0], far])
+
+
+def test_touches_are_near_enough_if_two_of_them_are(localizer, touches):
+    size_m = float(np.linalg.norm(localizer.object.mesh.extents_m))
+    x0, x1, y0, y1 = touches[0].geometry.rectangle
+    reach_m = size_m + float(np.hypot(x1 - x0, y1 - y0))
+
+    def placed_at(*x_m):
+        return [dataclasses.replace(touches[0], T_base_sensor=translation([x, 0, 0])) for x in x_m]
+
+    require_within_reach(placed_at(0, 0.99 * reach_m), localizer.object)
+    require_within_reach(placed_at(0, 5, 0.01), localizer.object)
+    require_within_reach(placed_at(0), localizer.object)
+    for x_m in ((0, 1.01 * reach_m), (0, 5, 10)):
+        with pytest.raises(TouchError, match="no pose touches two of them"):
+            require_within_reach(placed_at(*x_m), localizer.object)

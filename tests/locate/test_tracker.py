@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactile_loc.core.errors import TouchError
+from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.geometry import invert, make_transform, rotation_about, translation
 from tactile_loc.core.hand_eye import moved, pose_errors
 from tactile_loc.core.noise import NOISE
@@ -173,6 +173,21 @@ def test_bad_input_is_one_sentence(pin, slide):
     with pytest.raises(TouchError, match="another sensor"):
         tracker.update(1.1, replace(touch, geometry=replace(touch.geometry, fx=2 * touch.geometry.fx)))
     assert tracker.update(1.2, touch, T).state == "tracking", "a refused frame changes nothing"
+
+
+def test_what_is_no_pose_or_covariance_or_creep_is_refused(pin):
+    for T, covariance, words in (
+        (np.eye(3), np.eye(6), "T_base_object is no rigid"), (np.eye(4), -np.eye(6), "T_base_object is no covariance")
+    ):  # fmt: skip
+        with pytest.raises(TouchError, match=words):
+            Tracker(pin).start(T, covariance)
+    with pytest.raises(TouchError, match="motion is no rigid transform"):
+        Motion(2 * np.eye(4), np.eye(6))
+    with pytest.raises(TouchError, match="motion is no covariance"):
+        Motion(np.eye(4), np.eye(3))
+    for creep in (-1e-3, np.nan, np.inf):
+        with pytest.raises(ConfigError, match="cannot creep"):
+            Tracker(pin, creep_m=creep)
 
 
 def test_a_sensor_that_told_motions_must_go_on_telling_them(pin, sure):
