@@ -53,7 +53,13 @@ class CommonPosesFuser(Fuser):
         """
         require_fusable(posteriors, T_base_sensor)
         first = posteriors[0].grid
-        weights = prior_weights(prior, first) + self.evidence(posteriors[0], slice(None))
+        known_before = prior_weights(prior, first)
+        if len(first) and np.isneginf(known_before).all():
+            raise GridError(
+                f"the prior excludes each of the {len(first):,} poses that the touch may be of; check its unit and its "
+                "frame, or widen it"
+            )
+        weights = known_before + self.evidence(posteriors[0], slice(None))
         known = [np.asarray(T, float) for T in T_base_sensor if T is not None]  # of one touch alone it may be None
         common = common_poses([p.grid for p in posteriors], known, self.options.reach, np.isfinite(weights))
         total = weights[common.first]

@@ -38,7 +38,7 @@ NAME = "result.npz"
 SCHEMA_VERSION = 1
 MOST_POSES = 20_000
 MOST_FACES = 50_000
-AGAIN = "run tactile-loc again, which writes both files"
+AGAIN = "run tactile-loc again with this touch, not a folder of them, which writes both files"
 
 
 @dataclass(frozen=True, eq=False)

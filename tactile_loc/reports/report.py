@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from tactile_loc.core.errors import ResultError
+from tactile_loc.core.errors import OutputError, ResultError
 from tactile_loc.reports.page import Page, damage_named, render
 from tactile_loc.store.files import write_atomically
 
@@ -59,6 +59,8 @@ def write_report(source: Source, out: Path | None = None) -> Path:
     Raises ResultError when the result cannot be read, OutputError when the report cannot be written.
     """
     path = source.folder / DEFAULT_NAME if out is None else out
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise OutputError(f"a report is written as .html, not as {path.name}; choose another --out")
     with damage_named(source.path):
         html = render(page_of(source))
     return write_atomically(path, lambda temporary: temporary.write_bytes(html.encode(errors="backslashreplace")))

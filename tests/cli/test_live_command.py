@@ -62,6 +62,16 @@ def test_every_frame_of_a_folder_is_a_line(cli, touches):
     assert len(records("found.jsonl")) == 10  # appended
 
 
+def test_frames_that_are_all_refused_are_an_error(cli, touches):
+    Path("in").mkdir()
+    shutil.copy(touches / "touch-strange.npz", "in")
+    done = cli("live", "in", *LOCATED, "--once", "--no-view", "--out", "found.jsonl")
+    assert done.exit_code == 2
+    assert "1 frames, 0 located, 0 without contact, 1 refused" in done.stdout
+    assert "can be located; the first reason: touch-strange.npz" in done.stderr
+    assert [record["state"] for record in records("found.jsonl")] == ["refused"]
+
+
 def test_a_folder_that_vanishes_ends_it_and_what_was_written_stays(cli, touches, monkeypatch):
     shutil.copytree(touches, "in")
     monkeypatch.setattr(frame_sources.time, "sleep", lambda _: shutil.rmtree("in"))

@@ -150,4 +150,5 @@ def test_what_cannot_be_replayed_is_one_sentence(cli, slide):
     ):
         assert_refused(cli("replay", *words, *LOCATED), mentioned)
     assert_refused(cli("simulate", *HEAD, "--recording", "slide.bag"), "a recording is written as .mcap")
+    assert_refused(cli("simulate", *HEAD, "--recording", "slide.mcap", "--out", "here"), "leave --out away")
     assert sorted(path.name for path in Path().iterdir()) == ["grey.mcap", "tf.mcap", "yuv.mcap"]

@@ -82,3 +82,5 @@ def test_a_place_that_refuses_is_one_sentence(cli):
     assert cli("run", *PIN, "--out", "out").exit_code == 0
     Path("file").touch()
     assert_refused(cli("report", "out", "--out", "file/page.html"), "file/page.html", "cannot be written")
+    assert_refused(cli("report", "out", "--out", "page.pdf"), "written as .html, not as page.pdf")
+    assert not Path("page.pdf").exists()

@@ -54,6 +54,13 @@ def test_it_finds_what_each_touch_alone_finds(cli, folder):
     assert not Path("all/touch-0001/result.png").exists()
 
 
+def test_photos_beside_contact_shapes_are_told_of(cli, folder):
+    (folder / "touch-0001.png").write_bytes(b"")
+    done = cli("run", *PIN, "--touch", folder, "--out", "out")
+    assert done.exit_code == 0, done.stderr
+    assert "contact shapes were located; for their photos, give --touch 'touches/touch-*.png'" in done.stderr
+
+
 def test_a_pattern_chooses_files(cli, folder):
     assert cli("run", *PIN, "--touch", folder / "touch-*.npz", "--out", "out").exit_code == 0
     assert [row["touch"] for row in rows(Path("out"))] == ["touch-0000.npz", "touch-0001.npz"]

@@ -63,6 +63,13 @@ def test_without_asking_there_are_no_images_and_the_touches_are_the_same(cli):
             assert np.array_equal(a["depth"], b["depth"])
 
 
+def test_older_touches_in_the_folder_are_told_of(cli):
+    assert "older" not in simulate(cli, "--out", "out").stderr
+    done = cli("simulate", "--count", 1, "--seed", 4, "--out", "out")
+    assert "out holds 1 older touches, too, from touch-0001.npz on" in done.stderr
+    assert len(list(Path("out").glob("*.npz"))) == 2
+
+
 def test_one_seed_gives_the_same_images(cli):
     for out in ("a", "b"):
         simulate(cli, "--images", "--out", out)

@@ -100,6 +100,7 @@ def live(
     What is found is shown on a local web page, and each result is a line of JSON. Where frames come faster than they
     are located, the newest counts, and the others are dropped. Ends when a video does, or with Ctrl-C.
     """
+    from tactile_loc.core.errors import TouchError
     from tactile_loc.io.frame_sources import open_source
     from tactile_loc.locate.live import LiveLocator, LiveSummary
     from tactile_loc.locate.tracker import Tracker
@@ -122,6 +123,8 @@ def live(
     summary = LiveSummary.of(locator, opened.dropped)
     written = [str(path) for path in (out, rerun) if path is not None]
     _say(summary, opened.about, written)
+    if summary.frames and summary.refused == summary.frames:
+        raise TouchError(f"no frame of {opened.about} can be located; the first reason: {summary.reasons[0][0]}")
     return {**asdict(summary), "written": written}
 
 

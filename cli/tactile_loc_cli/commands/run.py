@@ -254,6 +254,9 @@ def _run_folder(localizer: Localizer, folder: Path, out: Path, pictures: bool) -
                 _write(localizer, localization, out / one.path.stem, pictures)
             found.append(one)
             advance(1)
+    photos = [file.with_suffix(".png") for file in files if file.suffix == ".npz"]
+    if any(photo.is_file() for photo in photos):
+        logger.warning("contact shapes were located; for their photos, give --touch '%s'", folder / "touch-*.png")
     written = write_table(out / "results.csv", found)
     problems = [one.problem for one in found if one.best is None]
     located = len(found) - len(problems)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from tactile_loc.core.touch import Touch
     from tactile_loc.imaging.optics import Optics
     from tactile_loc.locate.localizer import Localizer
+
+logger = logging.getLogger(__name__)
 
 DEFAULT_OUT = Path("tactile-loc-touches")
 BATCH = 16  # images rendered at once
@@ -65,6 +68,7 @@ def simulate(
 
     Random contact poses of those that the grid covers, as contact shapes (npz) that `run --touch` reads.
     """
+    from tactile_loc.core.errors import ConfigError
     from tactile_loc.store.files import require_writable
 
     settings = options.run_config(
@@ -74,6 +78,8 @@ def simulate(
         )
     )  # fmt: skip
     seen_by = _optics(optics or settings.sensor.name, optics is not None) if images or optics is not None else None
+    if recording is not None and out != DEFAULT_OUT:
+        raise ConfigError(f"--recording writes one file and nothing into {out}; leave --out away")
     require_writable(out if recording is None else recording.parent)
     localizer = options.open_localizer(settings, None)
     if recording is not None:
@@ -87,6 +93,7 @@ def simulate(
     )
     say(f"written: {len(touches)} touches, {written} in {out}")
     names = [touch.name for touch in touches]
+    _warn_of_others(out, names)
     pictures = [] if seen_by is None else [str(out / f"{name}.png") for name in names]
     return {"folder": str(out), "touches": [str(out / f"{name}.npz") for name in names], "images": pictures, **record}
 
@@ -134,6 +141,15 @@ def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, A
     title = f"{name} on {sensor}, simulated" + (f" with {noise} noise" if noise != "none" else "")
     save_figure(out / "touches.png", draw_touches(touches, title))
     return record
+
+
+def _warn_of_others(out: Path, names: list[str]) -> None:
+    """Say which touches in the folder are not of this simulation."""
+    others = sorted(path.name for path in out.glob("*.npz") if path.stem not in names)
+    if others:
+        logger.warning(
+            "%s holds %d older touches, too, from %s on, whose poses are not in poses.json", out, len(others), others[0]
+        )
 
 
 def _optics(name: str, asked: bool) -> Optics:

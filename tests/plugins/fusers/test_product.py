@@ -39,7 +39,10 @@ def test_the_priors_scale_does_not_matter(posterior):
 def test_a_prior_may_exclude(posterior):
     fused = ProductFuser().fuse([posterior], [None], lambda T: np.where(T[:, 0, 3] < 0.0015, 0.0, -np.inf))
     np.testing.assert_allclose(fused.probabilities, [1 / 3, 2 / 3, 0, 0])
-    with pytest.raises(GridError, match="no pose of the grid explains the touch"):
+
+
+def test_a_prior_that_excludes_everything_is_told(posterior):
+    with pytest.raises(GridError, match="the prior excludes each of the 4 poses"):
         ProductFuser().fuse([posterior], [None], lambda T: np.full(len(T), -np.inf))
 
 
