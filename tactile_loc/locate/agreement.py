@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import TouchError
+from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry import transform_points
 from tactile_loc.core.interfaces import Candidate, Refiner, View
 from tactile_loc.core.objects import ObjectModel
@@ -83,7 +83,7 @@ def best_alone(view: View, posterior: PosePosterior, refiner: Refiner, radius_m:
 
 
 def require_within_reach(touches: Sequence[Touch], obj: ObjectModel) -> None:
-    """Raise TouchError when no two of several touches are near enough to be of one object: a unit is wrong, or a frame.
+    """Raise GridError when no two of several touches are near enough to be of one object: a unit is wrong, or a frame.
 
     Where some are, one farther off is for `agreed` to name. Touches of unknown sensor poses are left to others.
     """
@@ -94,7 +94,7 @@ def require_within_reach(touches: Sequence[Touch], obj: ObjectModel) -> None:
     size_m = float(np.linalg.norm(obj.mesh.extents_m))
     apart_m = [float(np.linalg.norm(a - b)) - reach_a - reach_b for (a, reach_a), (b, reach_b) in pairs]
     if min(apart_m) > size_m:
-        raise TouchError(
+        raise GridError(
             f"the sensors are at least {1e3 * min(apart_m):,.0f} mm apart, and {obj.name} is {1e3 * size_m:.0f} mm "
             "long: no pose touches two of them; T_base_sensor is in metres, from the sensor to one base"
         )

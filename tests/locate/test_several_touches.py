@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tactile_loc.core.errors import TactileLocError, TouchError
+from tactile_loc.core.errors import GridError, TactileLocError, TouchError
 from tactile_loc.core.geometry import invert, make_transform, rotation_about, translation
 from tactile_loc.locate.agreement import require_within_reach
 from tactile_loc.locate.localizer import Localizer, localize_together
@@ -96,7 +96,7 @@ def test_what_cannot_be_fused_is_refused(localizer, touches, store):
     with pytest.raises(TouchError, match=r"several objects \(pin, head\)"):
         localize_together([(localizer, touches[0]), (hook, touches[1])])
     far = dataclasses.replace(touches[1], T_base_sensor=make_transform(np.eye(3), [5.0, 0, 0]))
-    with pytest.raises(TouchError, match=r"sensors are at least [45],\d{3} mm apart, and pin is \d+ mm"):
+    with pytest.raises(GridError, match=r"sensors are at least [45],\d{3} mm apart, and pin is \d+ mm"):
         together(localizer, [touches[0], far])
 
 
@@ -112,5 +112,5 @@ def test_touches_are_near_enough_if_two_of_them_are(localizer, touches):
     require_within_reach(placed_at(0, 5, 0.01), localizer.object)
     require_within_reach(placed_at(0), localizer.object)
     for x_m in ((0, 1.01 * reach_m), (0, 5, 10)):
-        with pytest.raises(TouchError, match="no pose touches two of them"):
+        with pytest.raises(GridError, match="no pose touches two of them"):
             require_within_reach(placed_at(*x_m), localizer.object)
