@@ -72,7 +72,7 @@ def test_the_same_seed_is_the_same_sequence_and_noise_stays_on_the_gel(box):
     first, again = (sliding.example(3, np.random.default_rng(3)) for _ in range(2))
     for a, b in zip(first, again, strict=True):
         assert np.array_equal(a.touch.contact_shape.depth_m, b.touch.contact_shape.depth_m)
-    assert first[0].touch.T_base_sensor is first[0].T_base_sensor
+    np.testing.assert_array_equal(first[0].touch.T_base_sensor, first[0].T_base_sensor)
 
 
 def test_sensor_poses_are_off_by_as_much_as_told(box):
