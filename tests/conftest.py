@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -28,6 +29,7 @@ from tactile_loc.testing.problems import LOPSIDED_CAMERAS
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+STORE = Path(__file__).parent / "store"
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 
 # Several processes test at once, and small problems: the libraries' threads would only wait for one another.
@@ -38,9 +40,16 @@ MakeObject = Callable[..., ObjectModel]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with slow tests come first: what comes last must not keep one process at work alone."""
+    """Tests of the store come first, for they fork, which takes long once a process has grown; then files with slow
+    tests: what comes last must not keep one process at work alone."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    items.sort(key=lambda item: (item.path.parent != STORE, item.path not in slow))
+
+
+def pytest_collection_finish() -> None:
+    """What is there to stay need not be looked through for what could go."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
