@@ -106,6 +106,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.lattices import plane_lattice as plane_lattice
     from tactile_loc.core.lattices import random_places as random_places
     from tactile_loc.core.lattices import reachable_translations as reachable_translations
+    from tactile_loc.core.lattices import require_spacing as require_spacing
     from tactile_loc.core.lattices import shifted_lattice as shifted_lattice
 
     from tactile_loc.core.places import PATCH_PX as PATCH_PX

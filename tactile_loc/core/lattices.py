@@ -76,6 +76,12 @@ def shifted_lattice(low_m: Float, high_m: Float, pitch_m: float, number: int) ->
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
+def require_spacing(spacing_m: float) -> None:
+    """Raise GridError unless a grid can have this spacing, in metres: it is a micrometre or more."""
+    if not SMALLEST_SPACING_M <= spacing_m < np.inf:
+        raise GridError(f"the grid's spacing is {spacing_m * 1e3:g} mm; give one of at least 0.001 mm")
+
+
 def _require_pitch(pitch_m: float) -> None:
     if not (np.isfinite(pitch_m) and pitch_m > 0):
         raise GridError(f"a lattice needs a positive pitch, not {pitch_m * 1e3:g} mm; give a spacing above zero")
@@ -125,8 +131,7 @@ class AllRotationsGrid(GridSampler):
         The centroid is on a square lattice of that pitch, at z = 0. Raises GridError when the spacing is below a
         micrometre, or when there would be more than `max_poses`, before any are made.
         """
-        if not (np.isfinite(spacing_m) and spacing_m >= SMALLEST_SPACING_M):
-            raise GridError(f"the grid's spacing is {spacing_m * 1e3:g} mm; give one of at least 0.001 mm")
+        require_spacing(spacing_m)
         self._refuse_too_many(self.least_poses(obj, geometry, spacing_m), obj, geometry, spacing_m)
         R = self.rotations(obj, spacing_m)
         low, high = centroid_range(obj, R, geometry)

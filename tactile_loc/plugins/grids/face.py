@@ -19,9 +19,11 @@ from tactile_loc.plugin import (
     SymmetryGroup,
     TriangleMesh,
     align_to_z,
+    lattice_shape,
     make_transform,
     random_places,
     reachable_translations,
+    require_spacing,
     rotation_about,
     shifted_lattice,
 )
@@ -51,6 +53,7 @@ class FaceGrid(GridSampler):
         tilt_steps: int = Field(
             default=3, ge=2, le=15, description="tilts an axis: the middles of so many parts of -tilt to +tilt"
         )
+        max_poses: int = Field(default=2_000_000, ge=1, description="refuse a grid of more poses than this")
 
     @property
     def spacing_is_mean(self) -> bool:
@@ -58,18 +61,31 @@ class FaceGrid(GridSampler):
         return self.options.tilt_deg == 0.0
 
     def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
-        """Return the lattice (N, 4, 4) whose steps in x, y and yaw each move the surface by `spacing_m` metres RMS."""
+        """Return the lattice (N, 4, 4) whose steps in x, y and yaw each move the surface by `spacing_m` metres RMS.
+
+        Raises GridError when the spacing is below a micrometre, or when there would be more than `max_poses`, before so
+        many are made.
+        """
+        require_spacing(spacing_m)
         R_face = self._face_rotation(obj)
         lever_m = float(np.sqrt(np.diag(R_face @ obj.mesh.covariance_m2 @ R_face.T)[:2].sum()))
         fold = turns_alike(obj.symmetry, -R_face[2])
         # Of each turn that looks the same a whole number of steps: then equivalent poses coincide and can be removed.
         period = 1 if fold == math.inf else max(1, round(2 * np.pi * lever_m / (spacing_m * fold)))
         turns = period if fold == math.inf else period * int(fold)
-        poses = [
-            _over_plane(obj, geometry, R, spacing_m, number % period)
-            for number in range(turns)
-            for R in self._rotations(R_face, np.array([number * 2 * np.pi / turns]))
-        ]
+        poses: list[Poses] = []
+        count = 0
+        for number in range(turns):
+            for R in self._rotations(R_face, np.array([number * 2 * np.pi / turns])):
+                low, high = reachable_translations(obj.mesh.vertices_m @ R.T, geometry.rectangle)
+                count += int(lattice_shape(low, high, spacing_m).prod())
+                if count > self.options.max_poses:
+                    raise GridError(
+                        f"the face grid of {obj.name} at a spacing of {spacing_m * 1e3:.3g} mm needs more poses than "
+                        f"the limit of {self.options.max_poses:,}; take a greater spacing, or raise max_poses"
+                    )
+                t_xy = shifted_lattice(low, high, spacing_m, number % period)
+                poses.append(make_transform(R, np.column_stack([t_xy, np.zeros(len(t_xy))])))
         return np.concatenate(poses)
 
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
@@ -143,15 +159,3 @@ def _tilted(
     """Rotations (N, 3, 3): the face turned by yaw (N,), then tilted about the sensor's x and y axes (N,), radians."""
     tilt = rotation_about([1, 0, 0], about_x_rad) @ rotation_about([0, 1, 0], about_y_rad)
     return tilt @ rotation_about([0, 0, 1], yaw_rad) @ R_face
-
-
-def _over_plane(
-    obj: ObjectModel, geometry: SensorGeometry, R: NDArray[np.float64], pitch_m: float, number: int
-) -> Poses:
-    """Translations (K, 4, 4) of the `number`-th lattice at which the object turned by R (3, 3) can be over the sensor.
-
-    That is, over the sensing rectangle.
-    """
-    low, high = reachable_translations(obj.mesh.vertices_m @ R.T, geometry.rectangle)
-    t_xy = shifted_lattice(low, high, pitch_m, number)
-    return make_transform(R, np.column_stack([t_xy, np.zeros(len(t_xy))]))

@@ -64,6 +64,18 @@ def test_a_flat_object_has_no_resting_face(pinhole):
     assert len(face("+z").sample(obj, pinhole, 0.01)) > 0
 
 
+def test_too_many_poses_are_refused_before_they_are_made(pinhole, box):
+    count = len(face("+z").sample(box, pinhole, 0.01))
+    assert len(face("+z", max_poses=2 * count).sample(box, pinhole, 0.01)) == count
+    with pytest.raises(GridError, match=r"face grid of box at a spacing of 10 mm needs more poses than the limit of 1"):
+        face("+z", max_poses=count // 2).sample(box, pinhole, 0.01)
+    with pytest.raises(GridError, match=r"a spacing of 0\.001 mm needs more poses than the limit of 2,000,000"):
+        face("+z").sample(box, pinhole, 1e-6)
+    for spacing_m in (1e-7, 1e-310, 0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(GridError, match=r"give one of at least 0\.001 mm"):
+            face("+z").sample(box, pinhole, spacing_m)
+
+
 def test_an_unknown_face_is_refused(pinhole, box):
     with pytest.raises(GridError, match=r"no face 'top'; give one of \+x, -x"):
         face("top").sample(box, pinhole, 0.01)
