@@ -156,7 +156,7 @@ def require_covariance(values: ArrayLike, what: str, error: type[TactileLocError
     return found
 
 
-def _is_covariance(values: Array, tolerance: float = 1e-9) -> bool:
+def _is_covariance(values: Array, tolerance: float = 1e-6) -> bool:
     if not np.isfinite(values).all():
         return False
     allowed = tolerance * max(1e-12, float(np.abs(values).max()))

@@ -213,3 +213,6 @@ def test_a_covariance_may_be_of_hundredths_of_a_micrometre_or_nothing():
     np.testing.assert_array_equal(require_covariance(A @ A.T, "it"), A @ A.T)
     np.testing.assert_array_equal(require_covariance(np.zeros((6, 6)), "it"), np.zeros((6, 6)))
     assert require_covariance(np.diag([1, 1, 1, 0, 0, 0]), "it").dtype == np.float64
+    half = (A @ A.T).astype(np.float32)
+    half[0, 1] *= np.float32(1) + np.finfo(np.float32).eps
+    assert require_covariance(half, "it")[0, 1] == half[0, 1], "what single precision rounds is symmetric enough"
