@@ -182,7 +182,17 @@ def test_axis_and_angle_of_any_turn_and_of_none():
 
 
 @pytest.mark.parametrize(
-    "T", [np.eye(3), np.diag([-1.0, 1, 1, 1]), np.full((4, 4), np.nan), np.eye(4)[None], "pose", [[1, 0], [0]], None]
+    "T",
+    [
+        np.eye(3),
+        np.eye(5),
+        np.diag([-1.0, 1, 1, 1]),
+        np.full((4, 4), np.nan),
+        np.eye(4)[None],
+        "pose",
+        [[1, 0], [0]],
+        None,
+    ],
 )
 def test_what_is_no_rigid_transform_is_refused(T):
     with pytest.raises(ConfigError, match=r"^the pose is no rigid transform.*\(4, 4\), in metres"):

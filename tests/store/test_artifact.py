@@ -154,9 +154,10 @@ def test_a_manifest_that_is_none(tmp_path, text):
         read_artifact(tmp_path)
 
 
-def test_a_manifest_of_another_format_is_not_read(store: StageStore) -> None:
+@pytest.mark.parametrize("format", [0, 2])
+def test_a_manifest_of_another_format_is_not_read(store: StageStore, format: int) -> None:
     path = store.build(KEY, Five()).path
-    manifest = {**json.loads((path / MANIFEST).read_text()), "format": 2}
+    manifest = {**json.loads((path / MANIFEST).read_text()), "format": format}
     del manifest["sha256"]
     (path / MANIFEST).write_text(json.dumps({**manifest, "sha256": artifact_module._seal(manifest)}))
     with pytest.raises(DamagedError, match="of another format"):

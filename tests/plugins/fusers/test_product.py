@@ -133,6 +133,9 @@ def test_reach_is_in_spacings_of_the_coarser_grid(box):
     assert np.isfinite(seen.log_p).sum() == 13, "0.55 of two steps: up to 3"
     seen = reach.fuse([toy(box, [0, 2.9, 5.8], [1.0] * 3), toy(box, every_quarter, [1.0] * 16, 1)], T_BASE[:2])
     assert np.isfinite(seen.log_p).tolist() == [True, True, False], "0.55 of 2.9 steps: up to 5.3"
+    fine, half, coarse = every_quarter, every_quarter[:9], [0, 2, 4]
+    each = [toy(box, places, [1.0] * len(places), k) for k, places in enumerate((fine, half, coarse))]
+    assert np.isfinite(reach.fuse(each, T_BASE).log_p).sum() == 9, "0.55 of a quarter, however coarse the third is"
 
 
 def test_where_the_base_is_does_not_matter(box):
@@ -224,6 +227,7 @@ def test_a_pose_that_touches_nothing_is_dropped_for_all_doubt(box):
         ([np.eye(4), 2 * np.eye(4)], "T_base_sensor of touch 2 is no rigid transform"),
         ([np.eye(4), np.eye(3)], "T_base_sensor of touch 2 is no rigid transform"),
         ([np.eye(4)], "2 posteriors and 1 poses"),
+        ([np.eye(4)] * 3, "2 posteriors and 3 poses"),
     ],
 )
 def test_several_touches_need_the_pose_of_each_sensor(posterior, T, sentence):
