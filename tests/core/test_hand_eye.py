@@ -151,6 +151,7 @@ def test_turns_of_flanges_about_one_axis_show():
     assert most > 0.5
     assert second < 1e-7
     assert abs(axes[0] @ axis) == pytest.approx(1.0)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
 
 
 def test_one_screw_is_that_of_the_flange_and_of_what_the_sensor_sees(problem, rng):
