@@ -73,6 +73,18 @@ def recover_folder(path: Path) -> None:
             aside.rename(path)
 
 
+def remove_abandoned(folder: Path, names: str = "*") -> None:
+    """Remove from a folder what killed processes were writing there, or had just written, of the names of a pattern.
+
+    Nobody holds the locks of that any more; what others are at work on stays.
+    """
+    for pattern in (f"{_TEMPORARY}new-{names}", f"{_TEMPORARY}{'[0-9a-f]' * 32}-{names}"):
+        for left in folder.glob(pattern):
+            with suppress(OSError), _opened(left) as descriptor:
+                if _lock(descriptor) and _stands_at(left, descriptor):
+                    delete(left)  # while it is locked: nobody can begin to use it
+
+
 def is_unfinished(path: Path) -> bool:
     """Whether by its name something is being written beside its place, or was when a process was killed."""
     return path.name.startswith(_TEMPORARY)
@@ -175,7 +187,7 @@ def _folder_beside(path: Path) -> Iterator[Path]:
     folder = path.with_name(f"{_TEMPORARY}new-{path.name}")
     descriptor = _claimed(folder)
     while descriptor is None:  # it is there already: another process is at work on it, or was
-        _remove_abandoned(path)
+        remove_abandoned(path.parent, glob.escape(path.name))
         folder = path.with_name(f"{_TEMPORARY}{uuid.uuid4().hex}-{path.name}") if os.path.lexists(folder) else folder
         descriptor = _claimed(folder)
     try:
@@ -256,16 +268,6 @@ def _remove_aside(path: Path) -> None:
     if os.path.lexists(path):
         with suppress(OSError):
             delete(_aside(path))
-
-
-def _remove_abandoned(path: Path) -> None:
-    """Remove the folders of killed replacements of `path`: nobody holds their locks any more."""
-    name = glob.escape(path.name)
-    for pattern in (f"{_TEMPORARY}new-{name}", f"{_TEMPORARY}{'[0-9a-f]' * 32}-{name}"):
-        for left in path.parent.glob(pattern):
-            with suppress(OSError), _opened(left) as descriptor:
-                if _lock(descriptor) and _stands_at(left, descriptor):
-                    delete(left)  # while it is locked: nobody can begin to use it
 
 
 @contextmanager

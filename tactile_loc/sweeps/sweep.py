@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 from tactile_loc.core.objects import ObjectModel
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.registry import SLOTS
-from tactile_loc.store.files import read_json, require_writable, write_atomically, write_json
+from tactile_loc.store.files import read_json, remove_abandoned, require_writable, write_atomically, write_json
 from tactile_loc.sweeps.combination import Combination, combine, in_running_order
 from tactile_loc.sweeps.plan import Plan, choice_labels, varying
 from tactile_loc.sweeps.table import Row, require_tables, rows_of, table_of
@@ -61,6 +61,11 @@ class FinishedRows:
         values = {name: value for name, value in asdict(outcome).items() if name != "trace"}
         record = {**values, "object": combination.object, "configuration": combination.describe()}
         write_json(self._row(outcome.key), record)
+
+    def tidy(self) -> None:
+        """Remove what a sweep that was killed was writing here."""
+        for name in ("rows", "errors"):
+            remove_abandoned(self.out / name)
 
     def _row(self, key: str) -> Path:
         return self.out / "rows" / f"{key}.json"
@@ -125,6 +130,7 @@ def run_sweep(
     combinations, objects = combine(plan)
     require_writable(out)
     kept = FinishedRows(out)
+    kept.tidy()
     outcomes = finished(combinations, kept)
     for key in outcomes:  # a sweep that was killed may have kept a row and no more
         BuildJournal.forget(store, key)

@@ -13,6 +13,7 @@ from tactile_loc.store.files import (
     alone_in,
     read_json,
     recover_folder,
+    remove_abandoned,
     replacing_folder,
     require_writable,
     write_atomically,
@@ -111,6 +112,22 @@ def test_what_another_process_writes_to_the_same_file_is_left_alone(tmp_path):
         assert path.read_text() == "fast"
     assert path.read_text() == "slow"
     assert names(tmp_path) == ["a.txt"]
+
+
+def test_what_killed_processes_left_in_a_folder_goes_and_nothing_else(tmp_path):
+    (tmp_path / ".tmp-new-a.txt").mkdir()
+    (tmp_path / f".tmp-{'0' * 32}-b.txt").mkdir()
+    (tmp_path / f".tmp-{'0' * 32}-b.txt" / "b.txt").touch()
+    (tmp_path / ".tmp-old-c").mkdir()  # a folder that was set aside: the only whole one, perhaps
+    (tmp_path / "d.txt").touch()
+
+    def while_writing(temporary):
+        remove_abandoned(tmp_path)
+        temporary.write_text("x")
+
+    write_atomically(tmp_path / "e.txt", while_writing)
+    assert sorted(names(tmp_path)) == [".tmp-old-c", "d.txt", "e.txt"]
+    remove_abandoned(tmp_path / "none")
 
 
 def test_who_writes_files_that_belong_together_is_alone_in_their_folder(tmp_path):

@@ -117,6 +117,15 @@ def test_a_row_is_what_the_protocol_says(locally, tmp_path):
     assert row["total_ms"] >= row["match_ms"] > 0
 
 
+def test_what_a_killed_sweep_was_writing_goes(plan, locally, folder):
+    before = sorted(path.name for path in (folder / "local/rows").iterdir())
+    for left in (folder / "local/rows" / f".tmp-new-{before[0]}", folder / "local/errors/.tmp-new-x.txt"):
+        left.mkdir(parents=True)
+    run_sweep(plan, folder / "local", folder / "elsewhere", Nobody())
+    assert sorted(path.name for path in (folder / "local/rows").iterdir()) == before
+    assert not list((folder / "local/errors").iterdir())
+
+
 def test_the_same_sweep_does_nothing_again(plan, locally, folder):
     again = run_sweep(plan, folder / "local", folder / "elsewhere", Nobody())
     assert again.rows == locally.rows
