@@ -54,6 +54,14 @@ def test_it_finds_what_each_touch_alone_finds(cli, folder):
     assert not Path("all/touch-0001/result.png").exists()
 
 
+def test_touches_of_which_little_is_explained_are_named(cli, folder, monkeypatch):
+    monkeypatch.setattr("tactile_loc.locate.result_json.DOUBTFUL", 1.01)
+    done = cli("run", *PIN, "--touch", folder, "--out", "out")
+    assert "2 best poses explain less than 101 %" in done.stderr
+    assert "right: touch-0000.npz, touch-0001.npz" in done.stderr
+    assert "explain less" not in cli("run", *PIN, "--touch", folder, "--out", "out", "--refiner", "none").stderr
+
+
 def test_photos_beside_contact_shapes_are_told_of(cli, folder):
     (folder / "touch-0001.png").write_bytes(b"")
     done = cli("run", *PIN, "--touch", folder, "--out", "out")

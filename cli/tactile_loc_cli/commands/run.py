@@ -264,9 +264,23 @@ def _run_folder(localizer: Localizer, folder: Path, out: Path, pictures: bool) -
     say(f"located: {located} of {len(found)}; written: {written}, and a folder a touch")
     for problem in problems:
         logger.warning("%s", problem)
+    _warn_of_little_explained(localizer, found)
     if not located:
         raise TouchError(f"no touch of {folder} can be located; the first: {problems[0]}")
     return {"located": located, "touches": [_as_json(one, out) for one in found], "written": [str(written)]}
+
+
+def _warn_of_little_explained(localizer: Localizer, found: list[LocatedFile]) -> None:
+    """Say of which touches the best pose explains so little that it is hardly right; unrefined ones explain less."""
+    from tactile_loc.locate.result_json import DOUBTFUL
+
+    little = [one.path.name for one in found if one.best is not None and one.best.imprint_iou < DOUBTFUL]
+    if little and localizer.refiner.capabilities.refines:
+        names = ", ".join(little[:5]) + (", ..." if len(little) > 5 else "")
+        logger.warning(
+            "%d best poses explain less than %.0f %%, and hardly one of such is right: %s",
+            len(little), 100 * DOUBTFUL, names,
+        )  # fmt: skip
 
 
 def _write(localizer: Localizer, localization: Localization, folder: Path, picture: bool) -> None:
