@@ -156,6 +156,12 @@ class SensorGeometry:
         return self.view if self.rectangle_m is None else self.rectangle_m
 
     @cached_property
+    def gel_middle_m(self) -> NDArray[np.float64]:
+        """The middle (3,) of the sensing rectangle on the undeformed surface, metres of the sensor frame."""
+        x0, x1, y0, y1 = self.rectangle
+        return np.array([(x0 + x1) / 2, (y0 + y1) / 2, self.surface_m])
+
+    @cached_property
     def pixel_slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Per column (W,) and per row (H,): x/z and y/z of a pinhole's rays, or x and y in metres (orthographic)."""
         u = np.arange(self.width_px, dtype=np.float64) + 0.5

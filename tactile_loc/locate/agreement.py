@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,24 +86,22 @@ def require_within_reach(touches: Sequence[Touch], obj: ObjectModel) -> None:
 
     Where some are, one farther off is for `agreed` to name. Touches of unknown sensor poses are left to others.
     """
-    gels = [_gel_in_base(touch) for touch in touches if touch.T_base_sensor is not None]
-    pairs = list(combinations(gels, 2))
-    if not pairs or len(gels) < len(touches):
+    if len(touches) < 2 or any(touch.T_base_sensor is None for touch in touches):
         return
+    gels = [touch.geometry for touch in touches]
+    middles_m = np.stack([
+        transform_points(np.asarray(touch.T_base_sensor), gel.gel_middle_m[None])[0]
+        for touch, gel in zip(touches, gels, strict=True)
+    ])  # fmt: skip
+    radii_m = np.array([np.hypot(x1 - x0, y1 - y0) / 2 for x0, x1, y0, y1 in (gel.rectangle for gel in gels)])
+    a, b = np.triu_indices(len(touches), 1)
+    apart_m = float((np.linalg.norm(middles_m[a] - middles_m[b], axis=1) - radii_m[a] - radii_m[b]).min())
     size_m = float(np.linalg.norm(obj.mesh.extents_m))
-    apart_m = [float(np.linalg.norm(a - b)) - reach_a - reach_b for (a, reach_a), (b, reach_b) in pairs]
-    if min(apart_m) > size_m:
+    if apart_m > size_m:
         raise GridError(
-            f"the sensors are at least {1e3 * min(apart_m):,.0f} mm apart, and {obj.name} is {1e3 * size_m:.0f} mm "
+            f"the sensors are at least {1e3 * apart_m:,.0f} mm apart, and {obj.name} is {1e3 * size_m:.0f} mm "
             "long: no pose touches two of them; T_base_sensor is in metres, from the sensor to one base"
         )
-
-
-def _gel_in_base(touch: Touch) -> tuple[NDArray[np.float64], float]:
-    """The middle (3,) of a touch's gel in the base frame, and how far its corners are from it; metres."""
-    x0, x1, y0, y1 = touch.geometry.rectangle
-    middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2, touch.geometry.surface_m])
-    return transform_points(np.asarray(touch.T_base_sensor), middle[None])[0], float(np.hypot(x1 - x0, y1 - y0) / 2)
 
 
 def _tried(outliers: tuple[int, ...], hypotheses: Hypotheses, best: NDArray[np.float64]) -> _Trial:

@@ -253,8 +253,6 @@ def _each(observations: Sequence[Observation], times: StageTimes, prior: Prior |
         raise ConfigError("some touches are searched for in the whole object and others in a grid of listed poses; "
                           "give all their localizers the grid whole, or none")  # fmt: skip
     require_sensor_poses([touch.T_base_sensor for _, touch in observations])
-    for localizer, touch in observations:
-        localizer.require_own(touch)
     first = observations[0][1]
     views = [view_of(first, localizer, touch) for localizer, touch in observations]
     found = found_together(views, searches, times, prior)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
+import logging
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -23,6 +24,8 @@ from tactile_loc.locate.localizer import Localizer, Observation
 from tactile_loc.locate.mount import FlangeTouches
 from tactile_loc.locate.result import Hypothesis, Localization
 from tactile_loc.store.files import write_atomically
+
+log = logging.getLogger(__name__)
 
 SUFFIXES = {".npz", ".npy", *IMAGE_SUFFIXES}
 COLUMNS = (
@@ -79,6 +82,8 @@ def find_touches(folder: Path) -> list[Path]:
         # of what `simulate` wrote, the contact shapes: the images show the same touches, and a sheet of all of them
         simulated = list(folder.glob("*.npz")) if (folder / "poses.json").is_file() else []
         candidates = simulated or folder.iterdir()
+        if any(path.with_suffix(".png").is_file() for path in simulated):
+            log.warning("contact shapes were located; for their photos, give --touch '%s'", folder / "touch-*.png")
     else:
         candidates = folder.parent.glob(folder.name)
     files = sorted(path for path in candidates if path.suffix.lower() in SUFFIXES and path.is_file())

@@ -70,7 +70,7 @@ class Motion:
 
     def __post_init__(self) -> None:
         T = require_rigid(self.T_previous_sensor, "the sensor's motion", TouchError)
-        covariance = require_covariance(self.covariance, "that of the sensor's motion", TouchError)
+        covariance = require_covariance(self.covariance, "the covariance of the sensor's motion", TouchError)
         object.__setattr__(self, "T_previous_sensor", T)
         object.__setattr__(self, "covariance", covariance)
 
@@ -150,7 +150,7 @@ class Tracker:
         first frame's sensor where their motions are told. Raises TouchError for what is no such pose or covariance.
         """
         T = require_rigid(T_base_object, "T_base_object", TouchError)
-        covariance = require_covariance(covariance, "that of T_base_object", TouchError)
+        covariance = require_covariance(covariance, "the covariance of T_base_object", TouchError)
         known = PoseFilter.known(T, covariance)
         self._modes, self._keys, self._elsewhere = [_Mode(known, known.T_base_object, covariance)], [], 0.0
         self._time_s, self._T_base_sensor, self._usual, self._alike = -math.inf, None, 0.0, 0.0
@@ -200,10 +200,7 @@ class Tracker:
 
     @property
     def _gel_m(self) -> Floats:
-        """The middle (3,) of the gel, metres, in the sensor's frame."""
-        geometry = self.localizer.scene.geometry
-        x0, x1, y0, y1 = geometry.rectangle
-        return np.array([(x0 + x1) / 2, (y0 + y1) / 2, geometry.surface_m])
+        return self.localizer.scene.geometry.gel_middle_m
 
     def _motion_m(self, T_base_first: Any, T_base_second: Any) -> float:
         """How far the gel moved between sensor poses (4, 4), metres; a turn moves what is LEVER_M away."""

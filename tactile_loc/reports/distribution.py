@@ -50,14 +50,8 @@ def touched_points(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorG
     """Return the vertex (N,) that is nearest to the sensor's centre at each pose (N, 4, 4), metres."""
     from scipy.spatial import cKDTree
 
-    centres_m = transform_points(invert(T_sensor_object), sensor_centre(geometry)[None])[:, 0]
+    centres_m = transform_points(invert(T_sensor_object), geometry.gel_middle_m[None])[:, 0]
     return np.asarray(cKDTree(mesh.vertices_m).query(centres_m)[1], np.int64)
-
-
-def sensor_centre(geometry: SensorGeometry) -> Array:
-    """Return the centre (3,) of the sensing rectangle on the undeformed gel, metres of the sensor frame."""
-    x0, x1, y0, y1 = geometry.rectangle
-    return np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), geometry.surface_m])
 
 
 def surface_distribution(

@@ -85,6 +85,9 @@ def test_a_rectangle_may_reach_beyond_the_view_where_objects_touch_unseen() -> N
     geometry = dataclasses.replace(ORTHOGRAPHIC, rectangle_m=(-0.2 * MM, 5 * MM, -5 * MM, 0.25 * MM))
     np.testing.assert_allclose(geometry.rectangle, [-0.2 * MM, 5 * MM, -5 * MM, 0.25 * MM])
     np.testing.assert_allclose(geometry.every(3).rectangle, geometry.rectangle)
+    pressed = geometry.pressed(0.1 * MM, 0.1 * MM)
+    for g in (geometry, pressed):
+        np.testing.assert_allclose(g.gel_middle_m, [2.4 * MM, -2.375 * MM, geometry.surface_m])
 
 
 def test_pixels_off_the_rectangle_or_masked_are_not_observed() -> None:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from tactile_loc.io.config import RunConfig
     from tactile_loc.locate.localizer import Localizer, Observation
     from tactile_loc.locate.result import Localization
+    from tactile_loc.locate.result_json import ResultRecord
     from tactile_loc.locate.touch_files import LocatedFile
 
 logger = logging.getLogger(__name__)
@@ -243,20 +244,20 @@ def _run_folder(localizer: Localizer, folder: Path, out: Path, pictures: bool) -
     the paths. Raises TouchError when the folder holds no touch or none can be located.
     """
     from tactile_loc.core.errors import TouchError
+    from tactile_loc.locate.result_json import doubts
     from tactile_loc.locate.touch_files import find_touches, localize_files, write_table
     from tactile_loc_cli.results import say_located
 
     files = find_touches(folder)
     found: list[LocatedFile] = []
+    doubtful: list[str] = []
     with progress().task(f"locating the touches of {folder}", len(files)) as advance:
         for one, localization in localize_files(localizer, files, options.press_depth_m(localizer.config)):
             if localization is not None:
-                _write(localizer, localization, out / one.path.stem, pictures)
+                record = _write(localizer, localization, out / one.path.stem, pictures)
+                doubtful += [one.path.name] if doubts(record) else []
             found.append(one)
             advance(1)
-    photos = [file.with_suffix(".png") for file in files if file.suffix == ".npz"]
-    if any(photo.is_file() for photo in photos):
-        logger.warning("contact shapes were located; for their photos, give --touch '%s'", folder / "touch-*.png")
     written = write_table(out / "results.csv", found)
     problems = [one.problem for one in found if one.best is None]
     located = len(found) - len(problems)
@@ -264,26 +265,26 @@ def _run_folder(localizer: Localizer, folder: Path, out: Path, pictures: bool) -
     say(f"located: {located} of {len(found)}; written: {written}, and a folder a touch")
     for problem in problems:
         logger.warning("%s", problem)
-    _warn_of_little_explained(localizer, found)
+    _warn_of_doubtful(doubtful)
     if not located:
         raise TouchError(f"no touch of {folder} can be located; the first: {problems[0]}")
     return {"located": located, "touches": [_as_json(one, out) for one in found], "written": [str(written)]}
 
 
-def _warn_of_little_explained(localizer: Localizer, found: list[LocatedFile]) -> None:
-    """Say of which touches the best pose explains so little that it is hardly right; unrefined ones explain less."""
+def _warn_of_doubtful(names: list[str]) -> None:
+    """Say of which touches the best pose is hardly right."""
     from tactile_loc.locate.result_json import DOUBTFUL
 
-    little = [one.path.name for one in found if one.best is not None and one.best.imprint_iou < DOUBTFUL]
-    if little and localizer.refiner.capabilities.refines:
-        names = ", ".join(little[:5]) + (", ..." if len(little) > 5 else "")
+    if names:
+        some = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
         logger.warning(
             "%d best poses explain less than %.0f %%, and hardly one of such is right: %s",
-            len(little), 100 * DOUBTFUL, names,
+            len(names), 100 * DOUBTFUL, some,
         )  # fmt: skip
 
 
-def _write(localizer: Localizer, localization: Localization, folder: Path, picture: bool) -> None:
+def _write(localizer: Localizer, localization: Localization, folder: Path, picture: bool) -> ResultRecord:
+    """Write one touch's result, and return it."""
     from tactile_loc.drawing.pictures import draw_result, save_figure
     from tactile_loc.locate.result_json import result_record, write_result
     from tactile_loc_cli.results import title
@@ -292,6 +293,7 @@ def _write(localizer: Localizer, localization: Localization, folder: Path, pictu
     write_result(folder / "result.json", record)
     if picture:
         save_figure(folder / "result.png", draw_result(localization, localizer.scene, title(record)))
+    return record
 
 
 def _as_json(located: LocatedFile, out: Path) -> dict[str, Any]:

@@ -79,11 +79,7 @@ class FaceGrid(GridSampler):
             for R in self._rotations(R_face, np.array([number * 2 * np.pi / turns])):
                 low, high = reachable_translations(obj.mesh.vertices_m @ R.T, geometry.rectangle)
                 count += int(lattice_shape(low, high, spacing_m).prod())
-                if count > self.options.max_poses:
-                    raise GridError(
-                        f"the face grid of {obj.name} at a spacing of {spacing_m * 1e3:.3g} mm needs more poses than "
-                        f"the limit of {self.options.max_poses:,}; take a greater spacing, or raise max_poses"
-                    )
+                self._refuse_too_many(count, obj, spacing_m)
                 t_xy = shifted_lattice(low, high, spacing_m, number % period)
                 poses.append(make_transform(R, np.column_stack([t_xy, np.zeros(len(t_xy))])))
         return np.concatenate(poses)
@@ -97,6 +93,13 @@ class FaceGrid(GridSampler):
             return _tilted(R_face, rng.uniform(0, 2 * np.pi, n), *rng.uniform(-limit, limit, (2, n)))
 
         return random_places(obj, geometry, count, rng, rotations)
+
+    def _refuse_too_many(self, count: int, obj: ObjectModel, spacing_m: float) -> None:
+        if count > self.options.max_poses:
+            raise GridError(
+                f"the face grid of {obj.name} at a spacing of {spacing_m * 1e3:.3g} mm needs more poses than the limit "
+                f"of {self.options.max_poses:,}; take a greater spacing, or raise max_poses"
+            )
 
     def _rotations(self, R_face: NDArray[np.float64], yaw_rad: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         steps = self.options.tilt_steps  # each tilt stands for an equal part of those that `random` draws

@@ -64,8 +64,7 @@ def _middle_mm(touch: Seen, points_mm: Floats) -> Floats:
     """The middle (3,) of the contact, mm; of the gel where thinning left none of it."""
     if len(points_mm):
         return np.asarray(points_mm.mean(axis=0))
-    x0, x1, y0, y1 = touch.geometry.rectangle
-    return np.array([(x0 + x1) / 2, (y0 + y1) / 2, touch.geometry.surface_m]) * MILLI
+    return touch.geometry.gel_middle_m * MILLI
 
 
 def _image_mm(touch: Seen) -> NDArray[np.float32]:
