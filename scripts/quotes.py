@@ -191,7 +191,7 @@ def places(r: Results) -> list[float]:
 
 def null_evidence() -> list[float]:
     """By how many nats "none of these" falls short, of one touch and of each of several."""
-    from tactile_loc.locate.identify import NullEvidence
+    from tactile_loc.tasks.identify import NullEvidence
 
     return [NullEvidence().alone, NullEvidence().together]
 

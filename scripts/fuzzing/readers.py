@@ -13,7 +13,7 @@ import numpy as np
 from fuzzing import corpora
 
 if TYPE_CHECKING:
-    from tactile_loc.core.objects import ObjectModel
+    from tactile_loc.core.objects.mesh import ObjectModel
     from tactile_loc.io.recordings import Message
 
 PART = ("--object", "pin", "--grid", "face", "-o", "grid.spacing_mm=8")
@@ -67,7 +67,7 @@ def _object(folder: Path) -> None:
 
 
 def _sensor_of(folder: Path):
-    from tactile_loc.core.registry import registry
+    from tactile_loc.core.slots.registry import registry
 
     return registry().create("sensor", "file", {"path": str(folder / "sensor.toml")})
 
@@ -89,7 +89,7 @@ def _touch(name: str, unit: str | None) -> Callable[[Path], None]:
 
 
 def _require_rigid(*poses: np.ndarray | None) -> None:
-    from tactile_loc.core.geometry import is_rigid
+    from tactile_loc.core.geometry.rigid import is_rigid
 
     if not all(T is None or (np.isfinite(T).all() and is_rigid(T)) for T in poses):
         raise AssertionError("a pose was accepted that is none")
@@ -137,7 +137,7 @@ def _mount(folder: Path) -> None:
 
 
 def _configuration(folder: Path) -> None:
-    from tactile_loc.core.registry import registry
+    from tactile_loc.core.slots.registry import registry
     from tactile_loc.io.config import RunConfig
 
     config = RunConfig.from_toml(folder / "run.toml")
@@ -169,7 +169,7 @@ def _presses(folder: Path) -> None:
 
 
 def _calibration(folder: Path) -> None:
-    from tactile_loc.core.registry import registry
+    from tactile_loc.core.slots.registry import registry
     from tactile_loc.io.touches import read_touch
 
     sensor = registry().create("sensor", "calibrated", {"path": str(folder / "sensor")})
@@ -204,8 +204,8 @@ def _report(folder: Path) -> None:
 
 def _next_touch(folder: Path) -> None:
     from tactile_loc.io.approach_files import read_approaches
-    from tactile_loc.locate.next_touch import next_touch
-    from tactile_loc.locate.next_touch_files import next_touch_record, read_modes
+    from tactile_loc.tasks.next_touch import next_touch
+    from tactile_loc.tasks.next_touch_files import next_touch_record, read_modes
 
     modes, T_base_sensor = read_modes(folder / "result.json")
     next_touch_record(next_touch(modes, read_approaches(folder / "approaches.toml", T_base_sensor)[:1]))

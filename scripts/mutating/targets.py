@@ -34,14 +34,14 @@ TARGETS = (
     _core("geometry", "geometry"),
     Target(
         "contact",
-        ("core/contact.py",),
+        ("core/sensing/contact.py",),
         ("tests/core/test_contact.py", "tests/core/test_curved_contact.py", NOUNS, "-k", f"not ({SLOW})"),
     ),
     _core("poses", "poses"),
     _core("posterior", "posterior"),
     Target(
         "fusing",
-        ("core/common_poses.py", "plugins/fusers/product.py", "plugins/fusers/kinematic.py"),
+        ("core/slots/common_poses.py", "plugins/fusers/product.py", "plugins/fusers/kinematic.py"),
         ("tests/core/test_common_poses.py", "tests/plugins/fusers", NOUNS),
     ),
     _core("covariance", "objects", "hand_eye", "pose_filter"),
