@@ -105,9 +105,9 @@ def test_bad_lists_and_priors_are_one_sentence(cli, listed):
     assert not Path("out").exists()
 
 
-def test_a_touch_that_contradicts_the_others_is_named_and_can_be_left_out(cli, one_moved, monkeypatch):
-    monkeypatch.setattr("tactile_loc.locate.localizer.REFINED", 8)  # hypotheses are enough for an easy example
-    Path("run.toml").write_text("temperature = 1e-3\n")  # which need not be fitted then
+def test_a_touch_that_contradicts_the_others_is_named_and_can_be_left_out(cli, one_moved):
+    # a temperature need not be fitted then, and eight hypotheses are enough for an easy example
+    Path("run.toml").write_text("temperature = 1e-3\nhypotheses.refined_together = 8\n")
     several = ["run", *OBJECT, "--config", "run.toml", "--touch", "touches.toml", "--report"]
     done = cli(*several, "--out", "all")
     assert done.exit_code == 0, done.stderr

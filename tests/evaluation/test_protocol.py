@@ -76,7 +76,7 @@ def test_closest_is_the_nearest_of_the_whole_grid(evaluation, localizer):
     points_m = protocol.surface_points(localizer.object)
     for number in range(COUNT):
         touch = SimulatedTouches("strong", 3).touch(localizer, number)
-        grid = localizer.grid_of(touch).T_sensor_object
+        grid = localizer.listed.grid_of(touch).T_sensor_object
         every = symmetric_adds(localizer.object, points_m, grid, touch.T_sensor_object)
         assert evaluation.errors("closest")[number] == pytest.approx(every.min(), rel=1e-6)
 

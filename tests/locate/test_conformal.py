@@ -81,7 +81,7 @@ def test_what_a_search_may_not_have_found_is_in_a_set_that_needs_it(grid):
 def test_a_localisation_lists_all_modes_of_the_set(store):
     localizer = Localizer.create("pin", store=store, **COARSE)
     touch = localizer.simulate(1, seed=3, noise="strong")[0]
-    sets = localizer.conformal_sets(1)
+    sets = localizer.probabilities.conformal_sets(1)
     assert len(sets.scores) == module.EXAMPLES
     assert all(0 <= score <= 1 for score in sets.scores)
     assert all(0 <= entropy <= np.log(localizer.model.size) for entropy in sets.entropies)
@@ -98,9 +98,9 @@ def test_examples_are_held_out_once_and_for_each_number_of_touches(tmp_path, mon
     store = StageStore(tmp_path)
     monkeypatch.setattr(module, "EXAMPLES", 4)
     localizer = Localizer.create("pin", store=store, temperature=0.01, **COARSE)
-    one, two = localizer.conformal_sets(1), localizer.conformal_sets(2)
+    one, two = localizer.probabilities.conformal_sets(1), localizer.probabilities.conformal_sets(2)
     assert one != two
-    assert localizer.conformal_sets(9) == localizer.conformal_sets(module.MOST_TOUCHES)
+    assert localizer.probabilities.conformal_sets(9) == localizer.probabilities.conformal_sets(module.MOST_TOUCHES)
     again = Localizer.create("pin", store=store, temperature=0.01, **COARSE)
     monkeypatch.setattr(Localizer, "simulate", None)
-    assert again.conformal_sets(1) == one
+    assert again.probabilities.conformal_sets(1) == one

@@ -210,9 +210,9 @@ def test_a_touch_from_a_file_is_the_same_touch(pin, touches, tmp_path):
 
 
 def test_banks_are_kept_by_press_depth(coarse):
-    assert coarse.matcher(0.001) is coarse.matcher(0.00109), "in steps of 0.1 mm"
-    assert coarse.matcher(0.001) is coarse.matcher(0.001 - 1e-12), "rounding does not count"
-    assert coarse.matcher(0.001) is not coarse.matcher(0.00112)
+    assert coarse.listed.matcher(0.001) is coarse.listed.matcher(0.00109), "in steps of 0.1 mm"
+    assert coarse.listed.matcher(0.001) is coarse.listed.matcher(0.001 - 1e-12), "rounding does not count"
+    assert coarse.listed.matcher(0.001) is not coarse.listed.matcher(0.00112)
 
 
 def test_touch_and_bank_are_cut_at_the_same_press(coarse):
@@ -246,7 +246,7 @@ def test_an_encoder_that_does_not_follow_the_press_is_told_what_it_gets(coarse, 
     localizer.encoder = Fixed(localizer.encoder.options)
     (touch,) = localizer.simulate(1, seed=7, press_depth_m=0.001)
     localizer.posterior(touch)
-    assert localizer.matcher(0.001) is localizer.matcher(0.002), "one bank for all presses"
+    assert localizer.listed.matcher(0.001) is localizer.listed.matcher(0.002), "one bank for all presses"
     assert told[-1] == pytest.approx(0.001)
     assert set(told[:-1]) <= {0.002}
 
@@ -340,11 +340,11 @@ def test_a_hotter_temperature_is_less_certain(store, coarse):
 
 
 def test_only_the_matchers_used_last_are_kept_in_memory(coarse):
-    kept = coarse.matcher(0.002)
+    kept = coarse.listed.matcher(0.002)
     for step in range(1, MOST_MATCHERS + 3):
-        coarse.matcher(step * 1e-4)
-        assert coarse.matcher(0.002) is kept
-    assert len(coarse.grid_scores._matchers) == MOST_MATCHERS
+        coarse.listed.matcher(step * 1e-4)
+        assert coarse.listed.matcher(0.002) is kept
+    assert len(coarse.listed.banks._matchers) == MOST_MATCHERS
 
 
 def test_what_was_refined_has_a_covariance(pin, touches):

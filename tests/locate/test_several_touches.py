@@ -82,7 +82,9 @@ def test_sensors_of_different_kinds_go_together(localizer, touches, store):
     other = Localizer.create("pin", store=store, sensor="gelsight-mini", grid={"name": "face", "spacing_mm": 6})
     small = placed(other.simulate(1, seed=6)[0])
     found = localize_together([(localizer, touches[0]), (other, small)])
-    np.testing.assert_array_equal(found.posterior.grid.T_sensor_object, localizer.grid_of(touches[0]).T_sensor_object)
+    np.testing.assert_array_equal(
+        found.posterior.grid.T_sensor_object, localizer.listed.grid_of(touches[0]).T_sensor_object
+    )
     assert np.isfinite(found.posterior.log_p).any()
 
 

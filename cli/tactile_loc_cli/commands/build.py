@@ -43,8 +43,8 @@ def build(
     start = time.perf_counter()
     press_m = _press_depth_m(localizer)
     if localizer.search is None:
-        localizer.matcher(press_m)
-    _ = localizer.temperature_scaling  # fitted now, not at the first touch
+        localizer.listed.matcher(press_m)
+    _ = localizer.probabilities.temperature_scaling  # fitted now, not at the first touch
     return _report(localizer, time.perf_counter() - start)
 
 
