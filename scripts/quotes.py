@@ -10,16 +10,38 @@ from statistics import geometric_mean, mean, median
 
 from results import Results
 
+from tactile_loc.locate.identify import NullEvidence
+
 Values = Callable[[Results], Sequence[float]]
 
 DRAWN = ("same mesh", "scanned, 0.05 mm", "scanned, 0.1 mm", "decimated, 0.1 mm", "unseen noise")
 PARTS_APART = ("pin", "damping pin", "cotter")
 EXAMPLES = 15  # of each row of the table of outliers
+ONE_FACE = ("ten refined hypotheses of one", "the most probable pose of these")  # rows of times
+PAPER = (
+    ("pin", "best-1", "0.11"), ("damping pin", "best-1", "0.16"), ("head", "best-1", "0.18"),
+    ("elbow pipe", "best-1", "0.87"), ("elbow pipe", "best-10", "0.26"), ("elbow pipe", "best-50", "0.08"),
+)  # fmt: skip
 
 
 def ends(values: Sequence[float]) -> list[float]:
     """Return the least and the greatest value."""
     return [min(values), max(values)]
+
+
+def ratios(above: Sequence[float], below: Sequence[float]) -> list[float]:
+    """Return the ratios of numbers one by one."""
+    return [a / b for a, b in zip(above, below, strict=True)]
+
+
+def beside_the_paper(name: str, line: str) -> Values:
+    """Return what computes a row of normalised medians: of pixels, and of the learned encoder."""
+    return lambda r: [r.at("encoders", 1, line, name, encoder)[1] for encoder in ("pixel", "moco")]
+
+
+def presses(column: str, way: int) -> Values:
+    """Return what computes the errors of random (0) or spread (1) presses as multiples of those of all presses."""
+    return lambda r: ratios(r.column("few_presses", 1, column)[way::2], r.column("few_presses", 1, "all"))
 
 
 def range_of(run: str, number: int, column: str) -> Values:
@@ -58,17 +80,6 @@ def one_touch(r: Results) -> list[float]:
     return ends(sorted(r.column("single_touch", 1, "chosen"))[:7])
 
 
-def per_touch_ms(r: Results) -> list[float]:
-    """Return the range of the time that encoding, matching and refining one pose take together."""
-    table = r["single_touch"].table(1)
-    return ends([sum(table.numbers("ms: encode, match, refine", row[0])) for row in table.rows])
-
-
-def over_closest(r: Results, *names: str) -> list[float]:
-    """Return the error of the best of ten poses as a multiple of the closest pose's, of one touch."""
-    return [r.at("single_touch", 1, "best-10", n)[0] / r.at("single_touch", 1, "closest", n)[0] for n in names]
-
-
 def encoded(r: Results, encoder: str, column: str) -> list[float]:
     """Return a column of an encoder's rows, object by object."""
     table = r["encoders"].table(1)
@@ -77,19 +88,13 @@ def encoded(r: Results, encoder: str, column: str) -> list[float]:
 
 def learned(r: Results) -> list[float]:
     """Return on how many objects the learned encoder is nearer than pixels, of how many, and the mean error ratio."""
-    ratios = [a / b for a, b in zip(encoded(r, "moco", "best-1"), encoded(r, "pixel", "best-1"), strict=True)]
-    return [sum(ratio < 1 for ratio in ratios), len(ratios), geometric_mean(ratios)]
+    found = ratios(encoded(r, "moco", "best-1"), encoded(r, "pixel", "best-1"))
+    return [sum(ratio < 1 for ratio in found), len(found), geometric_mean(found)]
 
 
 def learned_over_closest(r: Results) -> list[float]:
     """Return the last but one and the last ratio of the learned encoder's best of ten to the closest pose."""
-    both = zip(encoded(r, "moco", "best-10"), encoded(r, "moco", "closest"), strict=True)
-    return sorted(ten / closest for ten, closest in both)[-2:]
-
-
-def beside_the_paper(name: str, line: str) -> Values:
-    """Return what computes a row of normalised medians: of pixels, and of the learned encoder."""
-    return lambda r: [r.at("encoders", 1, line, name, encoder)[1] for encoder in ("pixel", "moco")]
+    return sorted(ratios(encoded(r, "moco", "best-10"), encoded(r, "moco", "closest")))[-2:]
 
 
 def seven_contacts(r: Results) -> list[float]:
@@ -97,7 +102,7 @@ def seven_contacts(r: Results) -> list[float]:
     table = r["evaluate-contacts"].table(1)
     lines = ("kinematic", "best-1")
     alone, best = ([table.numbers("7", *row[:4]) for row in table.rows if row[3] == line] for line in lines)
-    return [*ends([a[1] for a in alone]), *ends([a[0] / b[0] for a, b in zip(alone, best, strict=True)])]
+    return [*ends([a[1] for a in alone]), *ends(ratios([a[0] for a in alone], [b[0] for b in best]))]
 
 
 def second_contact(r: Results) -> list[float]:
@@ -135,49 +140,13 @@ def more_touches(r: Results) -> list[float]:
     return [cells[4][0] - 1, cells[7][0] - 1, cells[3][2], cells[6][2]]
 
 
-def spread_presses(column: str, way: int) -> Values:
-    """Return what computes the errors of random (0) or spread (1) presses as multiples of those of all presses."""
-
-    def values(r: Results) -> list[float]:
-        some, every = r.column("few_presses", 1, column), r.column("few_presses", 1, "all")
-        return [one / all_of_them for one, all_of_them in zip(some[way::2], every, strict=True)]
-
-    return values
-
-
 def worse_found(r: Results) -> list[float]:
     """Return by how much found labels of the last two sets are worse than those by hand, %."""
     found, hand = (
         [r.at("found_labels", 2, column, name)[0] for name in ("160 x 120", "FOTS")]
         for column in ("found on hand", "hand on hand")
     )
-    return [100 * (one / other - 1) for one, other in zip(found, hand, strict=True)]
-
-
-def alone_over_tracked(r: Results) -> list[float]:
-    """Return the range of the ratio of locating a frame alone to tracking it, in time."""
-    times = r.column("sequences", 1, "time, ms (99 %)")
-    return ends([alone / tracker for tracker, alone in zip(times[::3], times[1::3], strict=True)])
-
-
-def one_face_ms(r: Results) -> list[float]:
-    """Return the ranges of the time of one face: with ten poses refined, and with one."""
-    starts = ("ten refined hypotheses of one", "the most probable pose of these")
-    rows = [row[0] for row in r["first-second"].table(1).rows if row[0].startswith(starts)]
-    return [value for row in rows for value in r.at("first-second", 1, "time", row)]
-
-
-def places(r: Results) -> list[float]:
-    """Return the range of the number of places of a part, rounded."""
-    least, most = ends(r.column("search-parts", 1, "places"))
-    return [round(least, -2), round(most, -3)]
-
-
-def null_evidence(r: Results) -> list[float]:
-    """Return by how many nats "none of these" falls short, of one touch and of each of several."""
-    from tactile_loc.locate.identify import NullEvidence
-
-    return [NullEvidence().alone, NullEvidence().together]
+    return [100 * (ratio - 1) for ratio in ratios(list(found), list(hand))]
 
 
 SETTINGS = {
@@ -207,22 +176,29 @@ QUOTES: dict[str, dict[str, Values]] = {
         "its probabilities are fitted in {} to {} s, once": range_of("search", 1, "fit, s"),
         "one touch takes {} to {} s (medians)":
             lambda r: [ms / 1000 for ms in ends(r.column("search", 1, "median, ms"))],
-        "{} to {} ms of one face, {} to {} ms with one pose refined": one_face_ms,
+        "{} to {} ms of one face, {} to {} ms with one pose refined":
+            lambda r: [value for row, *_ in r["first-second"].table(1).rows if row.startswith(ONE_FACE)
+                       for value in r.at("first-second", 1, "time", row)],
         "draws {} to {} contact shapes a second": lambda r: renderer(r, -3, 0),
         "{} to {} times as many as OpenGL": lambda r: renderer(r, 0, 1),
     },
     "docs/contacts.md": {"the median error falls from {} to {} mm with the second contact": second_contact},
     "docs/method.md": {
-        "{} (a round part) to {} places do for": places,
+        "{} (a round part) to {} places do for":
+            lambda r: [round(end(r.column("search-parts", 1, "places")), n) for end, n in ((min, -2), (max, -3))],
     },
-    "docs/next-touch.md": {"falls short by so many nats: {} of one touch, {} of each of several": null_evidence},
+    "docs/next-touch.md": {"falls short by so many nats: {} of one touch, {} of each of several":
+                           lambda r: [NullEvidence().alone, NullEvidence().together]},
     "docs/quickstart.md": {"{} MB for the hook": lambda r: r.at("search", 1, "MB", "hook")},
     "docs/benchmarks.md": {
         "Every model is built in {} to {} s": range_of("single_touch", 1, "build s"),
-        "encoding, matching and refining one pose take {} to {} ms": per_touch_ms,
+        "encoding, matching and refining one pose take {} to {} ms":
+            lambda r: ends([sum(r.at("single_touch", 1, "ms: encode, match, refine", row[0]))
+                            for row in r["single_touch"].table(1).rows]),
         "explains the touch best is at {} to {} mm on seven of the nine": one_touch,
         "The ten most probable come within {} and {} times closest":
-            lambda r: over_closest(r, "AutoMate 00308_plug", "pulley (MBRFA30)"),
+            lambda r: [r.at("single_touch", 1, "best-10", name)[0] / r.at("single_touch", 1, "closest", name)[0]
+                       for name in ("AutoMate 00308_plug", "pulley (MBRFA30)")],
         "most probable pose is nearer on {} of {} objects, in geometric mean at {} times the error": learned,
         "within {} times the nearest grid pose's error on nine, {} times on the ambiguous 00308": learned_over_closest,
         "Training takes {} to {} s an object": range_of("encoders", 1, "training"),
@@ -250,14 +226,15 @@ QUOTES: dict[str, dict[str, Values]] = {
         "noise": lambda r: outside(r, 3, *DRAWN),
         "but for the 50 % sets of one touch, which hold {} %":
             lambda r: r.at("credible_sets", 1, "fused: 50, 80, 95 %", "1")[:1],
-        "Five presses that are spread come to {}, {}, {} and {} times the error of all": spread_presses("5", 1),
-        "ten to {}, {}, {} and {}; five at random": spread_presses("10", 1),
-        "five at random to {}, {}, {} and {}": spread_presses("5", 0),
+        "Five presses that are spread come to {}, {}, {} and {} times the error of all": presses("5", 1),
+        "ten to {}, {}, {} and {}; five at random": presses("10", 1),
+        "five at random to {}, {}, {} and {}": presses("5", 0),
         "On the others they are worse by {} and {} % as long": worse_found,
         "The press depth is off by {} to {} mm on average": range_of("simulated_images", 1, "press off, mm"),
         "the 95 % sets hold the truth of {} to {} % of the touches": range_of("evaluate", 2, "95 %"),
         "half of the probability holds the truth of {} to {} % of the touches": range_of("evaluate", 2, "50 %"),
-        "Located alone, a frame takes {} to {} times as long as tracking it": alone_over_tracked,
+        "Located alone, a frame takes {} to {} times as long as tracking it":
+            lambda r: ends(ratios(*(r.column("sequences", 1, "time, ms (99 %)")[k::3] for k in (1, 0)))),
     },
     "docs/evaluation.md": {
         "Contact alone stays at {} to {} of a random pose's error with seven contacts; best-1 is {} to {} times nearer":
@@ -268,11 +245,6 @@ QUOTES: dict[str, dict[str, Values]] = {
         "the learned encoder's first pose is at {} mm in the median over the objects, pixels' at {}":
             lambda r: [median(encoded(r, encoder, "reg-1")) for encoder in ("moco", "pixel")],
         "A training took {} to {} s": range_of("encoders", 1, "training"),
-        "| pin, best-1 | 0.11 | {} | {} |": beside_the_paper("pin", "best-1"),
-        "| damping pin, best-1 | 0.16 | {} | {} |": beside_the_paper("damping pin", "best-1"),
-        "| head, best-1 | 0.18 | {} | {} |": beside_the_paper("head", "best-1"),
-        "| elbow pipe, best-1 | 0.87 | {} | {} |": beside_the_paper("elbow pipe", "best-1"),
-        "| elbow pipe, best-10 | 0.26 | {} | {} |": beside_the_paper("elbow pipe", "best-10"),
-        "| elbow pipe, best-50 | 0.08 | {} | {} |": beside_the_paper("elbow pipe", "best-50"),
+        **{f"| {name}, {line} | {paper} | {{}} | {{}} |": beside_the_paper(name, line) for name, line, paper in PAPER},
     },
 }  # fmt: skip

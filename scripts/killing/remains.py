@@ -7,6 +7,7 @@ import hashlib
 import json
 import re
 import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from tactile_loc.store.store import Entry, StageStore
 STAGE = "store: "  # before the names of stages in an answer
 BESIDE = ".tmp-"  # before the names of files that are written beside their place
 LINES = (".jsonl", ".journal")
+UNREADABLE = (OSError, ValueError, LookupError, EOFError, SyntaxError, zipfile.BadZipFile, zlib.error, TactileLocError)
 CLOCKED = re.compile(
     r"result_sha256|seconds|created|versions|duration|time_s|^built$|_ms$|^time_|_s$|distributions|^(key|source|path)$"
 )  # what depends on the clock, on how often a command was begun, or on the folder it was begun in
@@ -32,11 +34,13 @@ DRAWN = (".png", ".html", ".md", ".parquet", ".log", ".toml")  # pictures and pa
 
 def broken(place: Place, ended: bool) -> list[str]:
     """Return what cannot be read. Of a command that `ended`, half lines are broken, too."""
-    found = [f"artifact {entry.stage}: {error}" for entry in _entries(place) if (error := _damage(entry))]
+    found = [
+        f"artifact {entry.stage}: {error}" for entry in StageStore(place.store).entries() if (error := _damage(entry))
+    ]
     for path in _files(place):
         try:
-            _read(path, ended)
-        except (OSError, ValueError, KeyError, SyntaxError, zipfile.BadZipFile, TactileLocError) as error:
+            _content(path, ended)
+        except UNREADABLE as error:
             found.append(f"{path.relative_to(place.root)}: {type(error).__name__}: {error}")
     return found
 
@@ -44,12 +48,14 @@ def broken(place: Place, ended: bool) -> list[str]:
 def finished(place: Place) -> set[str]:
     """Return what is finished, each with what would change if it was done again."""
     found = set()
-    for entry in _entries(place):
+    for entry in StageStore(place.store).entries():
         manifest = entry.path / MANIFEST
         if manifest.is_file():  # even of an artifact that lacks only its name
             found.add(f"artifact {entry.stage}/{entry.digest} of {manifest.stat().st_mtime_ns}")
-        else:
-            found |= {f"piece {entry.stage}/{entry.digest}/{name}" for name in _pieces(entry.path)}
+        elif (entry.path / ".pieces.json").is_file():  # of which the next build takes those that are whole
+            for name, sums in json.loads((entry.path / ".pieces.json").read_text(encoding="utf-8")).items():
+                if (entry.path / name).is_file() and hash_file(entry.path / name) in sums:
+                    found.add(f"piece {entry.stage}/{entry.digest}/{name}")
     for path in _files(place):
         if path.suffix in LINES:
             found |= {f"line {path.name} {number} {_digest(line)}" for number, line in enumerate(_lines(path))}
@@ -85,13 +91,13 @@ def leftovers(place: Place) -> list[str]:
 
 def locks(place: Place) -> int:
     """Return how many lock files there are."""
-    return sum(1 for _ in place.store.glob("*/*.lock"))
+    return len(list(place.store.glob("*/*.lock")))
 
 
 def answer(place: Place) -> dict[str, str]:
     """Return a digest of each result by its name, without what depends on the clock."""
     found = {}
-    for entry in _entries(place):
+    for entry in StageStore(place.store).entries():
         if entry.complete:
             records = read_artifact(entry.path).files.items()
             kept = sorted((name, one.sha256) for name, one in records if not CLOCKED.search(name.partition(".")[0]))
@@ -102,18 +108,9 @@ def answer(place: Place) -> dict[str, str]:
     return found
 
 
-def is_stage(name: str) -> bool:
-    """Whether a result's name in `answer` is that of a stored stage."""
-    return name.startswith(STAGE)
-
-
 def _is_left(path: Path) -> bool:
     """Whether the name says that it serves only a command that goes on."""
     return path.name.startswith(BESIDE) or path.suffix in (".partial", ".journal")
-
-
-def _entries(place: Place) -> list[Entry]:
-    return StageStore(place.store).entries()
 
 
 def _damage(entry: Entry) -> str:
@@ -126,15 +123,6 @@ def _damage(entry: Entry) -> str:
     except TactileLocError as error:
         return str(error)
     return ""
-
-
-def _pieces(partial: Path) -> list[str]:
-    """Return the pieces of an interrupted build that the next one takes."""
-    try:
-        known = json.loads((partial / ".pieces.json").read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return []
-    return [name for name, sums in known.items() if (partial / name).is_file() and hash_file(partial / name) in sums]
 
 
 def _files(place: Place) -> Iterator[Path]:
@@ -151,41 +139,28 @@ def _lines(path: Path) -> list[bytes]:
     return [line for line in path.read_bytes().splitlines(keepends=True) if line.endswith(b"\n")]
 
 
-def _read(path: Path, ended: bool) -> None:
-    """Read a file by its suffix. Raises ValueError and others where it is not whole."""
-    half = not (b"\n" + path.read_bytes()).endswith(b"\n")
-    if path.suffix == ".json":
-        json.loads(path.read_text(encoding="utf-8"))
-    elif path.suffix in LINES:
-        for line in _lines(path):
-            json.loads(line)
-        if ended and half:
-            raise ValueError("ends in half a line")
-    elif path.suffix == ".png":
-        with Image.open(path) as picture:
-            picture.load()
-    elif path.suffix in (".npz", ".npy"):
-        np.load(path, allow_pickle=False)
-    elif path.suffix == ".mcap":
-        if damage := Recording(path).contents().damage:
-            raise ValueError(damage)
-    elif path.suffix in (".csv", ".md", ".html") and half:
+def _content(path: Path, ended: bool = True) -> str:
+    """Return what a file says, without what depends on the clock. Raises ValueError and others if it is not whole."""
+    text = path.read_bytes()
+    if path.suffix in (".csv", ".md", ".html", *(LINES if ended else ())) and not (b"\n" + text).endswith(b"\n"):
         raise ValueError("ends in half a line")
-
-
-def _content(path: Path) -> str:
-    """Return what a result says, without what depends on the clock."""
     if path.suffix == ".json":
-        return json.dumps(_timeless(json.loads(path.read_text(encoding="utf-8"))))
-    if path.suffix == ".jsonl":  # each run appends; the last line of a frame counts
+        return json.dumps(_timeless(json.loads(text)))
+    if path.suffix in LINES:  # each run appends to .jsonl; the last line of a frame counts
         records = [_timeless(json.loads(line)) for line in _lines(path)]
-        return json.dumps({record["name"]: record for record in records})
+        return json.dumps({record["name"]: record for record in records} if path.suffix == ".jsonl" else records)
     if path.suffix == ".csv":
-        return json.dumps(_timeless(list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))))
+        return json.dumps(_timeless(list(csv.DictReader(text.decode().splitlines()))))
     if path.suffix == ".npz":
         with np.load(path, allow_pickle=False) as file:
             return json.dumps(_timeless({name: _digest(file[name].tobytes()) for name in sorted(file)}))
-    return path.read_bytes().hex()
+    if path.suffix == ".npy":
+        np.load(path, allow_pickle=False)
+    elif path.suffix == ".png":
+        Image.open(path).load()
+    elif path.suffix == ".mcap" and (damage := Recording(path).contents().damage):
+        raise ValueError(damage)
+    return text.hex()
 
 
 def _timeless(value: Any) -> Any:
