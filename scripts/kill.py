@@ -17,8 +17,7 @@ sys.path[:0] = [str(ROOT / name) for name in ("scripts", ".", "cli")]
 
 from killing.clocks import CASES, clock  # noqa: E402
 from killing.commands import COMMANDS, make_inputs  # noqa: E402
-from killing.kinds import at_once, full, kill, read_only  # noqa: E402
-from killing.trials import Plan  # noqa: E402
+from killing.trials import Plan, at_once, full, kill, read_only  # noqa: E402
 from record import Record  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn  # noqa: E402

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from killing import remains
 from killing.commands import FLAT, Life, Moment, Place
-from killing.kinds import kill
-from killing.trials import Plan
+from killing.trials import Plan, Trials, kill
 from record import Done, Record
 
 from tactile_loc.store.files import replacing
@@ -42,7 +41,7 @@ def test_a_build_is_killed_and_begun_again(tmp_path):
     (tmp_path / "inputs" / "flat.toml").write_text(FLAT)
     plan = Plan(tmp_path, tmp_path / "inputs", Record(tmp_path / "record.json", 0), ["build"], {"kill": 1})
     assert sum(kill(plan)) == 1
-    assert plan.trials("kill", "build").counts["killed"] == 1
+    assert Trials(plan, "kill", "build").counts["killed"] == 1
     assert plan.record.findings == []
     assert len(plan.calm("build").answer) > 10
     assert list(kill(plan)) == [1], "nothing is left to do"
@@ -115,11 +114,11 @@ def test_what_happened_is_kept(tmp_path):
     def plan(seed: int) -> Plan:
         return Plan(tmp_path, tmp_path, Record.open(path, seed), ["build"], {"kill": 1})
 
-    trials = plan(3).trials("kill", "build")
+    trials = Trials(plan(3), "kill", "build")
     assert not trials.expect(False, "wrong", Done(1, "", "error"))
     trials.count("killed")
     again = plan(3)
-    assert again.trials("kill", "build").number == 1
+    assert Trials(again, "kill", "build").number == 1
     told = {"kind": "kill", "name": "build", "number": 0, "what": "wrong: exit code 1, 'error'"}
     assert again.record.findings == [told]
     assert json.loads(path.read_text())["counts"] == {"kill build": {"trials": 1, "killed": 1}}

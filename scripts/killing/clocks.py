@@ -138,7 +138,7 @@ CASES: dict[str, Callable[[Trials, Place], object]] = {
 def clock(plan: Plan) -> Iterator[int]:
     """Do each case once."""
     for name in list(CASES)[: plan.wanted["clock"]]:
-        trials = plan.trials("clock", name)
+        trials = Trials(plan, "clock", name)
         if not trials.number and FAKETIME is None and name.startswith("the clock"):
             trials.count("left out: faketime is not installed")
         elif not trials.number:

@@ -68,34 +68,18 @@ class Moment:
         return cls(float(draw.uniform(0, AFTER_S)), 1 + int(life.changes * draw.random() ** 2))
 
 
-@dataclass(frozen=True)
 class Place:
-    """Where a command runs. Its folder, its store and its output may be on disks of their own."""
+    """Where a command runs: its folder, its store, its temporary files, and the folder of its output."""
 
-    root: Path
-    elsewhere: Path | None = None  # the store, if it is not in the root
-    said: Path | None = None  # the folder of the output, if it is not the root
-
-    @property
-    def work(self) -> Path:
-        """The folder in which the command runs."""
-        return self.root / "work"
-
-    @property
-    def store(self) -> Path:
-        """The folder of the store."""
-        return self.elsewhere or self.root / "store"
-
-    @property
-    def temporary(self) -> Path:
-        """The folder of temporary files."""
-        return self.root / "tmp"
+    def __init__(self, root: Path, store: Path | None = None, said: Path | None = None) -> None:
+        self.root, self.work, self.temporary = root, root / "work", root / "tmp"
+        self.store, self.said = store or root / "store", said or root
 
     def make(self, inputs: Path) -> Place:
         """Make it anew, with nothing but the inputs in it, and return it."""
         for folder in (self.work, self.store, self.temporary):
             shutil.rmtree(folder, ignore_errors=True)
-        for folder in (self.root, self.said or self.root):
+        for folder in (self.root, self.said):
             folder.mkdir(parents=True, exist_ok=True)
         shutil.copytree(inputs, self.work)
         self.temporary.mkdir()
@@ -108,8 +92,7 @@ class Place:
 
     def outputs(self) -> tuple[Path, Path]:
         """Return the files of the command's output and of its errors."""
-        folder = self.said or self.root
-        return folder / "out.txt", folder / "err.txt"
+        return self.said / "out.txt", self.said / "err.txt"
 
     def begin(self, line: str, prefix: tuple[str, ...] = (), **more: str) -> subprocess.Popen[str]:
         """Start a command in a group of processes of its own. `prefix` stands before it, `more` are variables."""
