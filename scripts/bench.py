@@ -152,7 +152,7 @@ def keep(name: str, arguments: list[str], folder: Path = RESULTS, run: str = "")
     found = tables(_printed(script, arguments, environment))
     if not found:
         raise SystemExit(f"bench: {name} printed no table; nothing is kept")
-    known = {one.metadata["Name"].lower(): one.version for one in metadata.distributions()}
+    known = {(one.metadata["Name"] or "").lower(): one.version for one in metadata.distributions()}
     kept = Kept(
         name, [given.rpartition("/")[2] for given in arguments],
         metadata.version("tactile-loc"), f"{datetime.now(UTC):%Y-%m-%d}", round(time.perf_counter() - start, 1),

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 from PIL import Image
+from press_sets import ball_set, write_calibrated, write_table
+from report_helpers import sweep_rows, write_run, write_sweep
 
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.recordings import RecordingWriter, write_recording
@@ -22,40 +24,29 @@ from tactile_loc.store.workspace import Workspace
 WHOLE = Path(__file__).parent / "whole"
 STAGE = StageKey("fuzzed", 1, {"of": "nothing"})
 IMAGES = np.random.default_rng(0).integers(0, 256, (3, 6, 8, 3), np.uint8)
-PRIORS = ("gaussian", "region", "half-space")
 
 
-def texts(*names: str) -> Callable[[Path], None]:
-    """Return what copies TOML files into a folder."""
-
-    def write(folder: Path) -> None:
-        for name in names:
-            shutil.copy(WHOLE / f"{name}.toml", folder)
-
-    return write
+def texts(names: str, folder: Path) -> None:
+    """Copy TOML files into a folder."""
+    for name in names.split():
+        shutil.copy(WHOLE / f"{name}.toml", folder)
 
 
-def mesh(suffix: str, **options: object) -> Callable[[Path], None]:
-    """Return what writes a wedge on a plate, 24 faces without symmetry, in mm."""
-
-    def write(folder: Path) -> None:
-        import trimesh
-
-        plate = trimesh.creation.box((30.0, 20.0, 4.0))
-        wedge = trimesh.convex.convex_hull([[0, 0, 2], [9, 0, 2], [0, 5, 2], [0, 0, 8], [9, 0, 3], [0, 5, 5]])
-        exported = trimesh.util.concatenate([plate, wedge]).export(file_type=suffix, **options)
-        if not isinstance(exported, dict):
-            exported = {f"model.{suffix.removesuffix('_ascii')}": exported}
-        for name, content in exported.items():  # a glTF has its buffers beside it
-            content = content.encode() if isinstance(content, str) else content
-            (folder / name.replace("model", "part")).write_bytes(content)
-
-    return write
+def mesh(suffix: str, folder: Path, **options: object) -> None:
+    """Write a wedge on a plate, 24 faces without symmetry, in mm."""
+    plate = trimesh.creation.box((30.0, 20.0, 4.0))
+    wedge = trimesh.convex.convex_hull([[0, 0, 2], [9, 0, 2], [0, 5, 2], [0, 0, 8], [9, 0, 3], [0, 5, 5]])
+    exported = trimesh.util.concatenate([plate, wedge]).export(file_type=suffix, **options)
+    if not isinstance(exported, dict):
+        exported = {f"model.{suffix.removesuffix('_ascii')}": exported}
+    for name, content in exported.items():  # a glTF has its buffers beside it
+        content = content.encode() if isinstance(content, str) else content
+        (folder / name.replace("model", "part")).write_bytes(content)
 
 
 def sensor(folder: Path) -> None:
     """Write a sensor, its mask and its surface."""
-    texts("sensor")(folder)
+    texts("sensor", folder)
     mask = np.full((40, 48), 255, np.uint8)
     mask[:3] = 0
     Image.fromarray(mask).save(folder / "mask.png")
@@ -77,13 +68,11 @@ def touches(folder: Path) -> None:
 def touch_list(folder: Path) -> None:
     """Write a list of touches, and all that it names."""
     touches(folder)
-    texts("touches", "mount")(folder)
+    texts("touches mount", folder)
 
 
 def calibration(folder: Path) -> None:
     """Write a calibrated sensor that has learned nothing, and images for it to read."""
-    from press_sets import write_calibrated
-
     write_calibrated(folder / "sensor")
     image = np.array(Image.open(folder / "sensor" / "background.png"))
     image[20:30, 20:30] += 9
@@ -94,9 +83,7 @@ def calibration(folder: Path) -> None:
 
 def presses(folder: Path) -> None:
     """Write labelled presses of a ball, one of a mesh, and the sensor."""
-    from press_sets import ball_set, write_table
-
-    mesh("stl")(folder)
+    mesh("stl", folder)
     balls = ball_set(3, px=32)
     balls.write(folder)
     pressed = {"image": "0000.png", "kind": "mesh", "mesh": "part.stl", "units": "mm", "press_mm": 0.5}
@@ -128,8 +115,6 @@ def artifact(folder: Path) -> None:
 
 def result(folder: Path) -> None:
     """Locate a simulated touch, and write the result and some approaches."""
-    from report_helpers import write_run
-
     sensor(folder)
     settings = {"grid": {"name": "face", "spacing_mm": 8}, "shape_px": 32, "top": 3, "temperature": 0.1}
     settings["sensor"] = {"name": "file", "path": str(folder / "sensor.toml")}
@@ -140,23 +125,8 @@ def result(folder: Path) -> None:
     (folder / "approaches.toml").write_text(some.replace("T_base_sensor", "T_sensor_next"), encoding="utf-8")
 
 
-def evaluation(folder: Path) -> None:
-    """Write the files of an evaluation."""
-    from report_helpers import write_evaluation
-
-    write_evaluation(folder, touches=5)
-
-
-def contacts(folder: Path) -> None:
-    """Write the files of an evaluation from several contacts."""
-    from report_helpers import write_contacts
-
-    write_contacts(folder)
-
-
 def sweep(folder: Path) -> None:
     """Write the table of a sweep."""
-    from report_helpers import sweep_rows, write_sweep
 
     def configured(row: dict[str, Any]) -> dict[str, Any]:
         grid = {"name": "face", "spacing_mm": row["grid.spacing_mm"]}
@@ -179,11 +149,10 @@ def mcap(folder: Path) -> None:
 
 def bag1(folder: Path) -> None:
     """Write a bag of ROS 1."""
-    from rosbags.rosbag1 import Writer
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags import rosbag1, typesys
 
-    store = get_typestore(Stores.ROS1_NOETIC)
-    with Writer(folder / "drive.bag") as writer:
+    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
+    with rosbag1.Writer(folder / "drive.bag") as writer:
         connection = writer.add_connection("/gel/image", IMAGE, typestore=store)
         for k, image in enumerate(IMAGES):
             message = image_message(image, "rgb8", k, "gel")
@@ -194,11 +163,10 @@ def bag1(folder: Path) -> None:
 
 def bag2(folder: Path) -> None:
     """Write the folder of a bag of ROS 2."""
-    from rosbags.rosbag2 import Writer
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags import rosbag2, typesys
 
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    with Writer(folder / "drive", version=9) as writer:
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    with rosbag2.Writer(folder / "drive", version=9) as writer:
         connection = writer.add_connection("/gel/image", IMAGE, typestore=store)
         for k, image in enumerate(IMAGES):
             writer.write(connection, k, store.serialize_cdr(image_message(image, "rgb8", k, "gel"), IMAGE))

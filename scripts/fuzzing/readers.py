@@ -8,6 +8,7 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
+from report_helpers import write_contacts, write_evaluation
 
 from fuzzing import corpora
 from tactile_loc.calibration.frames import read_frames
@@ -102,11 +103,6 @@ def _require_rigid(*poses: np.ndarray | None) -> None:
     assert all(T is None or (np.isfinite(T).all() and is_rigid(T)) for T in poses), "a pose was accepted that is none"
 
 
-def _touch_list(folder: Path) -> None:
-    for listed in read_touch_list(folder / "touches.toml"):
-        _require_rigid(listed.T_base_sensor, listed.T_base_flange)
-
-
 @cache
 def _pin() -> ObjectModel:
     return load_object("pin")
@@ -115,10 +111,6 @@ def _pin() -> ObjectModel:
 def _prior(path: Path) -> None:
     prior = read_prior(path, _pin()).seen_from(np.eye(4))
     assert not np.isnan(prior(np.stack([np.eye(4)] * 3))).any(), "a prior was accepted whose value is no number"
-
-
-def _priors(folder: Path) -> None:
-    _every(partial(_prior, path) for path in sorted(folder.iterdir()))
 
 
 def _mount(folder: Path) -> None:
@@ -131,14 +123,6 @@ def _configuration(folder: Path) -> None:
     config = RunConfig.from_toml(folder / "run.toml")
     for slot, chosen in ((slot, getattr(config, slot)) for slot in SLOTS):
         registry().create(slot, chosen.name, chosen.options)
-
-
-def _plan(folder: Path) -> None:
-    choice_labels(Plan.from_toml(folder / "plan.toml"))
-
-
-def _approaches(folder: Path) -> None:
-    _require_rigid(*(one.T_base_sensor for one in read_approaches(folder / "approaches.toml", np.eye(4))))
 
 
 def _presses(folder: Path) -> None:
@@ -168,13 +152,17 @@ def _artifact(folder: Path) -> None:
     assert found.json("sizes") == [3, 4], "a damaged artifact was read"
 
 
-def _report(folder: Path) -> None:
+def _approaches(folder: Path, T_base_sensor: np.ndarray | None):
+    return read_approaches(folder / "approaches.toml", T_base_sensor)
+
+
+def _reported(folder: Path) -> None:
     write_report(find_source(folder), folder / "page.html")
 
 
 def _next_touch(folder: Path) -> None:
     modes, T_base_sensor = read_modes(folder / "result.json")
-    next_touch_record(next_touch(modes, read_approaches(folder / "approaches.toml", T_base_sensor)[:1]))
+    next_touch_record(next_touch(modes, _approaches(folder, T_base_sensor)[:1]))
 
 
 def _compared(folder: Path) -> None:
@@ -197,18 +185,10 @@ def _image(message: Message) -> None:
     image_array(image)
 
 
-def _video(folder: Path) -> None:
-    read_frames(folder / "film.gif")
-
-
-def _public_sets(folder: Path) -> None:
-    _every(partial(convert, folder / name, folder / "out" / kind, kind, 4.0, 0.1) for kind, name in SETS.items())
-
-
 def _mesh(kind: str) -> Reader:
     part = f"FOLDER/part.{kind.removesuffix('_ascii')}"
     line = f"run --object {part} --units mm --grid face -o grid.spacing_mm=15 {KEPT}"
-    return Reader(f"mesh-{kind}", corpora.mesh(kind), _object, line)
+    return Reader(f"mesh-{kind}", partial(corpora.mesh, kind), _object, line)
 
 
 def _touch_reader(suffix: str, unit: str | None) -> Reader:
@@ -224,35 +204,45 @@ def _recorded(name: str, write: Callable[[Path], None], recording: str) -> Reade
 
 _ALL = (
     *map(_mesh, ("stl", "stl_ascii", "obj", "ply")),
-    Reader("mesh-ply_ascii", corpora.mesh("ply", encoding="ascii"), _object),
+    Reader("mesh-ply_ascii", partial(corpora.mesh, "ply", encoding="ascii"), _object),
     *map(_mesh, ("off", "glb", "gltf")),
     _touch_reader("npz", None),
     _touch_reader("npy", "mm"),
     _touch_reader("png", "um"),
-    Reader("touch-list", corpora.touch_list, _touch_list, f"{RUN} --touch FOLDER/touches.toml", ("*.toml",)),
+    Reader("touch-list", corpora.touch_list,
+           lambda folder: _require_rigid(*(T for one in read_touch_list(folder / "touches.toml")
+                                           for T in (one.T_base_sensor, one.T_base_flange))),
+           f"{RUN} --touch FOLDER/touches.toml", ("*.toml",)),
     Reader("sensor", corpora.sensor, _sensor, f"{RUN} --sensor FOLDER/sensor.toml"),
-    Reader("prior", corpora.texts(*corpora.PRIORS), _priors, f"{RUN} --prior FOLDER/gaussian.toml"),
-    Reader("mount", corpora.texts("mount"), _mount),
-    Reader("configuration", corpora.texts("run"), _configuration, f"run --config FOLDER/run.toml {KEPT}",
+    Reader("prior", partial(corpora.texts, "gaussian region half-space"),
+           lambda folder: _every(partial(_prior, path) for path in sorted(folder.iterdir())),
+           f"{RUN} --prior FOLDER/gaussian.toml"),
+    Reader("mount", partial(corpora.texts, "mount"), _mount),
+    Reader("configuration", partial(corpora.texts, "run"), _configuration, f"run --config FOLDER/run.toml {KEPT}",
            names_file=False),
-    Reader("plan", corpora.texts("plan"), _plan, f"sweep FOLDER/plan.toml --dry-run {KEPT}"),
-    Reader("approaches", corpora.texts("approaches"), _approaches),
+    Reader("plan", partial(corpora.texts, "plan"),
+           lambda folder: choice_labels(Plan.from_toml(folder / "plan.toml")),
+           f"sweep FOLDER/plan.toml --dry-run {KEPT}"),
+    Reader("approaches", partial(corpora.texts, "approaches"),
+           lambda folder: _require_rigid(*(one.T_base_sensor for one in _approaches(folder, np.eye(4))))),
     Reader("presses", corpora.presses, _presses,
            "calibrate FOLDER --sensor FOLDER/sensor.toml --out FOLDER/out -o steps=5",
            ("presses.csv", "sensor.toml", "0000.png", "part.stl")),
-    Reader("public-sets", corpora.public_sets, _public_sets),
+    Reader("public-sets", corpora.public_sets,
+           lambda folder: _every(partial(convert, folder / name, folder / "out" / kind, kind, 4.0, 0.1)
+                                 for kind, name in SETS.items())),
     Reader("calibration", corpora.calibration, _calibration, f"{RUN} --sensor FOLDER/sensor --touch FOLDER/photo.png"),
     Reader("weights", corpora.weights, _weights),
     Reader("artifact", corpora.artifact, _artifact, "", ("fuzzed/*/*",)),
-    Reader("result", corpora.result, _report, REPORT, ("result.*",)),
+    Reader("result", corpora.result, _reported, REPORT, ("result.*",)),
     Reader("next-touch", corpora.result, _next_touch, NEXT, ("result.*", "approaches.toml"), False),
-    Reader("evaluation", corpora.evaluation, _report, REPORT),
-    Reader("contacts", corpora.contacts, _report, REPORT),
-    Reader("sweep", corpora.sweep, _report, REPORT),
+    Reader("evaluation", partial(write_evaluation, touches=5), _reported, REPORT),
+    Reader("contacts", write_contacts, _reported, REPORT),
+    Reader("sweep", corpora.sweep, _reported, REPORT),
     Reader("sweeps-compared", corpora.sweep, _compared, "sweep --compare FOLDER --out FOLDER"),
     _recorded("mcap", corpora.mcap, "drive.mcap"),
     _recorded("bag-ros1", corpora.bag1, "drive.bag"),
     _recorded("bag-ros2", corpora.bag2, "drive"),
-    Reader("video", corpora.video, _video, "", ("film.gif",)),
+    Reader("video", corpora.video, lambda folder: read_frames(folder / "film.gif"), "", ("film.gif",)),
 )  # fmt: skip
 READERS = {one.name: one for one in _ALL}
