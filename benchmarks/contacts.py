@@ -31,12 +31,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.geometry import invert, make_transform, rotation_about
-from tactile_loc.core.noise import NOISE, TouchNoise
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.registry import registry
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.noise import NOISE, TouchNoise
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
 from tactile_loc.evaluation.robot_touches import RobotTouches

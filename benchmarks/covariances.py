@@ -19,11 +19,12 @@ from contacts import LEVELS
 from joint import near
 from scipy.stats import chi2
 
-from tactile_loc.core.geometry import invert
-from tactile_loc.core.interfaces import Candidate, Scene, View
-from tactile_loc.core.noise import NOISE
-from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.registry import registry
+from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.simulation.noise import NOISE
+from tactile_loc.core.slots.refiner import Candidate
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.meshes import load_object

@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.geometry import invert
-from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.locate.coverage import PoseSet
+from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.localizer import Localizer, posterior_together
 from tactile_loc.store.store import StageStore
 

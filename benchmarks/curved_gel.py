@@ -18,8 +18,8 @@ import numpy as np
 from contacts import Located, located
 
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.registry import registry
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.store.store import StageStore

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from single_touch import spacing_for
 
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.registry import registry
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.figures import draw_violins

@@ -22,8 +22,8 @@ from tactile_loc.calibration.estimator import CalibrationProblem
 from tactile_loc.calibration.labels import Chosen
 from tactile_loc.calibration.photometric import PhotometricEstimator
 from tactile_loc.calibration.presses import PressFolder
-from tactile_loc.core.interfaces import Checkpoints
 from tactile_loc.core.progress import Progress
+from tactile_loc.core.slots.encoder import Checkpoints
 
 COUNTS = (1, 2, 5, 10, 20)
 

@@ -28,8 +28,8 @@ from tactile_loc.calibration.labels import STEEPEST, Chosen
 from tactile_loc.calibration.photometric import PhotometricEstimator
 from tactile_loc.calibration.presses import PressFolder
 from tactile_loc.calibration.unlabelled import FoundPresses, find_presses
-from tactile_loc.core.interfaces import Checkpoints
 from tactile_loc.core.progress import Progress
+from tactile_loc.core.slots.encoder import Checkpoints
 
 Array = NDArray[np.float64]
 COLUMNS = ("center_x_px", "center_y_px", "radius_px")

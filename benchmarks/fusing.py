@@ -18,7 +18,7 @@ import numpy as np
 from single_touch import spacing_for
 
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.geometry import invert
+from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer

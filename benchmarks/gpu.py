@@ -23,7 +23,7 @@ import torch
 from single_touch import spacing_for
 from torch import nn
 
-from tactile_loc.core.interfaces import TrainingProblem
+from tactile_loc.core.slots.encoder import TrainingProblem
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.plugins.encoders.moco.backbones import make_backbone

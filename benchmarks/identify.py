@@ -25,15 +25,15 @@ from typing import Any
 import numpy as np
 from contacts import LEVELS
 
-from tactile_loc.core.noise import NOISE, TouchNoise
-from tactile_loc.core.registry import registry
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.noise import NOISE, TouchNoise
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.locate.identify import LOCATED, KnownAnswer, NullEvidence, fit_null_evidence, identify
-from tactile_loc.locate.library import Library
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
+from tactile_loc.tasks.identify import LOCATED, KnownAnswer, NullEvidence, fit_null_evidence, identify
+from tactile_loc.tasks.library import Library
 
 TEMPERATURE = 0.05  # that it need not be fitted: objects are weighed by their evidence
 FALSE_ALARMS = 0.05

@@ -15,10 +15,11 @@ import time
 import numpy as np
 from contacts import LEVELS
 
-from tactile_loc.core.geometry import invert, make_transform, rotation_about
-from tactile_loc.core.interfaces import Candidate, Scene, View
-from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.registry import registry
+from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.slots.refiner import Candidate
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.meshes import load_object
 

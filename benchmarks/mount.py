@@ -20,15 +20,15 @@ import numpy as np
 from scipy.stats import chi2
 
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.geometry import invert, make_transform, random_rotations, rotation_about
-from tactile_loc.core.hand_eye import pose_errors
-from tactile_loc.core.interfaces import Scene
-from tactile_loc.core.noise import NOISE
-from tactile_loc.core.registry import registry
-from tactile_loc.core.simulation import simulate_touches
+from tactile_loc.core.geometry.hand_eye import pose_errors
+from tactile_loc.core.geometry.rigid import invert, make_transform, random_rotations, rotation_about
+from tactile_loc.core.simulation.noise import NOISE
+from tactile_loc.core.simulation.touch_simulation import simulate_touches
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.mount import FlangeTouches, find_mount
 from tactile_loc.store.store import StageStore
+from tactile_loc.tasks.mount import FlangeTouches, find_mount
 
 MOUNT_STD_M, BASE_STD_M = 0.05, 0.3
 MOVED_MM, MOVED_DEG = 5.0, 10.0

@@ -27,20 +27,18 @@ import numpy as np
 from contacts import LEVELS
 
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.geometry import (
-    rotation_angle,
-)
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.registry import registry
+from tactile_loc.core.geometry.rigid import rotation_angle
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.robot_touches import RobotTouches, approaches_around
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.next_touch import next_touch
-from tactile_loc.locate.pose_modes import MOST_MODES, PoseModes
 from tactile_loc.locate.result import Localization
 from tactile_loc.store.store import StageStore
+from tactile_loc.tasks.next_touch import next_touch
+from tactile_loc.tasks.pose_modes import MOST_MODES, PoseModes
 
 WITHIN_M, WITHIN_RAD = 1e-3, np.radians(1.0)
 PRESS = 0.6  # of the sensor's deepest

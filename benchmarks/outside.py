@@ -23,13 +23,14 @@ import numpy as np
 from contacts import Located, located
 
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.grids import random_contact_poses
-from tactile_loc.core.interfaces import Renderer, Scene
-from tactile_loc.core.noise import TouchNoise
-from tactile_loc.core.objects import ObjectModel, TriangleMesh
-from tactile_loc.core.registry import registry
-from tactile_loc.core.simulation import PressNoise
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.contact_poses import random_contact_poses
+from tactile_loc.core.simulation.noise import TouchNoise
+from tactile_loc.core.simulation.touch_simulation import PressNoise
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.slots.renderer import Renderer
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.evaluation.outside import UnseenNoise, decimated, scanned
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together

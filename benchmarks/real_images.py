@@ -29,7 +29,7 @@ from tactile_loc.calibration.folder import write_calibration
 from tactile_loc.calibration.health import Health, health
 from tactile_loc.calibration.presses import PressFolder, convert, read_presses, reading_size_px
 from tactile_loc.calibration.reading import press_depth_m
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import load_image
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore

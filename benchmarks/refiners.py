@@ -29,14 +29,14 @@ import numpy as np
 from numpy.typing import NDArray
 from single_touch import spacing_for
 
-from tactile_loc.core.cloud_refiner import Cloud, CloudRefiner, Registration
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.interfaces import Candidate, Refiner
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.registry import registry
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.registration.cloud_refiner import Cloud, CloudRefiner, Registration
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.refiner import Candidate, Refiner
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.metrics import symmetric_adds
 from tactile_loc.evaluation.protocol import SURFACE_POINTS

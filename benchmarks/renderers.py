@@ -20,13 +20,13 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_loc.core.contact import bring_to_contact
 from tactile_loc.core.errors import RenderError
-from tactile_loc.core.geometry import make_transform, random_rotations
-from tactile_loc.core.interfaces import Float32, Renderer
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.geometry.rigid import Poses, make_transform, random_rotations
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.contact import bring_to_contact
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.component import Float32
+from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.data import demo_object_path
 from tactile_loc.io.meshes import load_object
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer

@@ -24,19 +24,19 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
 
-from tactile_loc.core.noise import NOISE
-from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.registry import registry
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.noise import NOISE
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
 from tactile_loc.evaluation.slides import BASE, IMAGE_TOPIC, T_BASE_OBJECT, Slide, random_slide, write_slide
 from tactile_loc.io.recordings import Recording
 from tactile_loc.io.ros_messages import pose_of, stamp_ns
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.replay import Replay
-from tactile_loc.locate.replay_files import Replayed, replay_to
 from tactile_loc.locate.result import Hypothesis
 from tactile_loc.store.store import StageStore
+from tactile_loc.tasks.replay import Replay
+from tactile_loc.tasks.replay_files import Replayed, replay_to
 
 POSE_TOPIC = "/object/pose"
 NEAR_M = 1e-3

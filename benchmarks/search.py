@@ -27,8 +27,8 @@ import numpy as np
 from contacts import LEVELS, Located, located
 
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.registry import registry
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.protocol import contact_share
 from tactile_loc.evaluation.robot_touches import RobotTouches

@@ -18,8 +18,8 @@ import numpy as np
 import trimesh
 from matplotlib.ticker import NullFormatter
 
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.registry import registry
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.drawing.pictures import make_figure, save_figure
 from tactile_loc.evaluation.robot_touches import RobotTouches

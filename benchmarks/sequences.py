@@ -26,22 +26,22 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from tactile_loc.core.cloud_refiner import Cloud
-from tactile_loc.core.clouds import contact_cloud
-from tactile_loc.core.geometry import invert
-from tactile_loc.core.hand_eye import moved
-from tactile_loc.core.noise import NOISE
-from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.registry import registry
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.geometry.hand_eye import moved
+from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.registration.cloud_refiner import Cloud
+from tactile_loc.core.sensing.clouds import contact_cloud
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.noise import NOISE
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.metrics import pose_differences
 from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import Frame, SlidingTouches, Slip
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.tracker import TrackedPose, Tracker
 from tactile_loc.store.store import StageStore
+from tactile_loc.tasks.tracker import TrackedPose, Tracker
 
 SENSOR_STD_M, SENSOR_STD_RAD = 1e-4, np.radians(0.1)
 START_STD = np.array([1e-3] * 3 + [np.radians(1.0)] * 3) / np.sqrt(3)

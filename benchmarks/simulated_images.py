@@ -27,7 +27,7 @@ from tactile_loc.calibration.reading import contact_shape, press_depth_m
 from tactile_loc.calibration.simulated import calibrate_simulated, simulated_sensor
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.formatting import mm
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches

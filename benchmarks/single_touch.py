@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.protocol import STAGES, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import invert
-from tactile_loc.core.noise import NOISE
-from tactile_loc.core.registry import registry
-from tactile_loc.core.touch import ContactShape, Touch
+from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.simulation.noise import NOISE
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.drawing.next_touch import draw_next_touch
 from tactile_loc.drawing.pictures import (
     draw_contact_shape,
@@ -33,9 +33,9 @@ from tactile_loc.drawing.track import draw_track
 from tactile_loc.evaluation.robot_touches import RobotTouches, approaches_around
 from tactile_loc.evaluation.sequences import SlidingTouches
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.next_touch import next_touch
-from tactile_loc.locate.pose_modes import MOST_MODES
-from tactile_loc.locate.tracker import Tracker
+from tactile_loc.tasks.next_touch import next_touch
+from tactile_loc.tasks.pose_modes import MOST_MODES
+from tactile_loc.tasks.tracker import Tracker
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

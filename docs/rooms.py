@@ -24,6 +24,7 @@ LAYERS: tuple[dict[str, float], ...] = (
     {"imaging": 1.4, "io": 2.8},
     {"calibration": 2},
     {"plugins": 0, "locate": 3.6},
+    {"tasks": 2.8},
     {"tactile_loc": 1, "drawing": 2.8},
     {"evaluation": 2.8, "testing": 4.6},
     {"sweeps": 1, "reports": 3.2},

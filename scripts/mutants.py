@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from random import Random
 from typing import NamedTuple, Protocol
 
-NOUNS = "tests/test_nouns.py"
+NOUNS, CURVED = "tests/test_nouns.py", "tests/core/sensing/test_curved_contact.py"
 STORE = ("artifact", "files", "keys", "line_files", "packed", "store", "workspace")
 SLOW = "imprint or first_use or dense or sizes"  # without a compiler, or of renderers and sensors
 PROCESSES = "any_step or two_processes or killed_build"  # several, started one after the other
@@ -31,23 +31,21 @@ class Target:
     tests: tuple[str, ...]
 
 
-def _core(name: str, *modules: str) -> Target:
-    """Modules of core, and the tests that mirror them."""
-    tests = (f"tests/core/test_{module}.py" for module in modules)
-    return Target(name, tuple(f"core/{module}.py" for module in modules), (*tests, NOUNS))
+def _mirrored(name: str, *files: str, more: tuple[str, ...] = ()) -> Target:
+    """Files without their suffix, the tests that mirror them, and more tests or options."""
+    tests = (f"tests/{folder}/test_{stem}.py" for folder, _, stem in (file.rpartition("/") for file in files))
+    return Target(name, tuple(f"{file}.py" for file in files), (*tests, NOUNS, *more))
 
 
 TARGETS = (
-    _core("geometry", "geometry"),
-    Target("contact", ("core/contact.py",),
-           ("tests/core/test_contact.py", "tests/core/test_curved_contact.py", NOUNS, "-k", f"not ({SLOW})")),
-    _core("poses", "poses"),
-    _core("posterior", "posterior"),
-    Target("fusing", ("core/common_poses.py", "plugins/fusers/product.py", "plugins/fusers/kinematic.py"),
-           ("tests/core/test_common_poses.py", "tests/plugins/fusers", NOUNS)),
-    _core("covariance", "objects", "hand_eye", "pose_filter"),
-    Target("store", tuple(f"store/{name}.py" for name in STORE),
-           (*(f"tests/store/test_{name}.py" for name in STORE), NOUNS, "-k", f"not ({PROCESSES})")),
+    _mirrored("geometry", "core/geometry/rigid"),
+    _mirrored("contact", "core/sensing/contact", more=(CURVED, "-k", f"not ({SLOW})")),
+    _mirrored("poses", "core/poses/metric"),
+    _mirrored("posterior", "core/poses/posterior"),
+    Target("fusing", ("core/slots/common_poses.py", "plugins/fusers/product.py", "plugins/fusers/kinematic.py"),
+           ("tests/core/slots/test_common_poses.py", "tests/plugins/fusers", NOUNS)),
+    _mirrored("covariance", "core/objects/mesh", "core/geometry/hand_eye", "tasks/pose_filter"),
+    _mirrored("store", *(f"store/{name}" for name in STORE), more=("-k", f"not ({PROCESSES})")),
 )  # fmt: skip
 
 

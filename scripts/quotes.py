@@ -10,7 +10,7 @@ from statistics import geometric_mean, mean, median
 
 from results import Results
 
-from tactile_loc.locate.identify import NullEvidence
+from tactile_loc.tasks.identify import NullEvidence
 
 Values = Callable[[Results], Sequence[float]]
 

@@ -23,14 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 from tactile_loc_cli.console import progress
 
-from tactile_loc.core.noise import NOISE
-from tactile_loc.core.registry import registry
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.noise import NOISE
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import Frame, SlidingTouches
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.tracker import Tracker
 from tactile_loc.store.store import StageStore
+from tactile_loc.tasks.tracker import Tracker
 
 MOST_GROWTH = 0.02
 WARM = 10  # one part of so many is not measured

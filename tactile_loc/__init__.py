@@ -13,18 +13,18 @@ from tactile_loc.core.lazy import lazy_names
 if TYPE_CHECKING:
     from tactile_loc.core.errors import NoContactError as NoContactError
     from tactile_loc.core.errors import TactileLocError as TactileLocError
-    from tactile_loc.core.objects import ObjectModel as ObjectModel
-    from tactile_loc.core.objects import TriangleMesh as TriangleMesh
-    from tactile_loc.core.poses import PoseGrid as PoseGrid
-    from tactile_loc.core.poses import PoseMetric as PoseMetric
-    from tactile_loc.core.posterior import Mode as Mode
-    from tactile_loc.core.posterior import PosePosterior as PosePosterior
-    from tactile_loc.core.priors import GaussianPrior as GaussianPrior
-    from tactile_loc.core.priors import PosteriorPrior as PosteriorPrior
-    from tactile_loc.core.priors import RegionPrior as RegionPrior
-    from tactile_loc.core.sensing import SensorGeometry as SensorGeometry
-    from tactile_loc.core.touch import ContactShape as ContactShape
-    from tactile_loc.core.touch import Touch as Touch
+    from tactile_loc.core.objects.mesh import ObjectModel as ObjectModel
+    from tactile_loc.core.objects.mesh import TriangleMesh as TriangleMesh
+    from tactile_loc.core.poses.metric import PoseGrid as PoseGrid
+    from tactile_loc.core.poses.metric import PoseMetric as PoseMetric
+    from tactile_loc.core.poses.posterior import Mode as Mode
+    from tactile_loc.core.poses.posterior import PosePosterior as PosePosterior
+    from tactile_loc.core.poses.priors import GaussianPrior as GaussianPrior
+    from tactile_loc.core.poses.priors import PosteriorPrior as PosteriorPrior
+    from tactile_loc.core.poses.priors import RegionPrior as RegionPrior
+    from tactile_loc.core.sensing.sensor_geometry import SensorGeometry as SensorGeometry
+    from tactile_loc.core.sensing.touch import ContactShape as ContactShape
+    from tactile_loc.core.sensing.touch import Touch as Touch
     from tactile_loc.io.approach_files import Approach as Approach
     from tactile_loc.io.approach_files import read_approaches as read_approaches
     from tactile_loc.io.config import RunConfig as RunConfig
@@ -34,27 +34,27 @@ if TYPE_CHECKING:
     from tactile_loc.io.touches import read_touch as read_touch
     from tactile_loc.io.touches import touch_from_image as touch_from_image
     from tactile_loc.io.touches import write_touch as write_touch
-    from tactile_loc.locate.identify import Identification as Identification
-    from tactile_loc.locate.identify import KnownObject as KnownObject
-    from tactile_loc.locate.identify import NullEvidence as NullEvidence
-    from tactile_loc.locate.identify import identify as identify
-    from tactile_loc.locate.library import Library as Library
     from tactile_loc.locate.localizer import Localizer as Localizer
     from tactile_loc.locate.localizer import localize_together as localize_together
-    from tactile_loc.locate.mount import FlangeTouches as FlangeTouches
-    from tactile_loc.locate.mount import FoundMount as FoundMount
-    from tactile_loc.locate.mount import find_mount as find_mount
-    from tactile_loc.locate.next_touch import NextTouch as NextTouch
-    from tactile_loc.locate.next_touch import RatedApproach as RatedApproach
-    from tactile_loc.locate.next_touch import next_touch as next_touch
-    from tactile_loc.locate.pose_modes import PoseModes as PoseModes
     from tactile_loc.locate.probabilities import TemperatureScaling as TemperatureScaling
     from tactile_loc.locate.result import Hypothesis as Hypothesis
     from tactile_loc.locate.result import Localization as Localization
-    from tactile_loc.locate.tracker import Motion as Motion
-    from tactile_loc.locate.tracker import TrackedPose as TrackedPose
-    from tactile_loc.locate.tracker import Tracker as Tracker
     from tactile_loc.store.store import StageStore as StageStore
+    from tactile_loc.tasks.identify import Identification as Identification
+    from tactile_loc.tasks.identify import KnownObject as KnownObject
+    from tactile_loc.tasks.identify import NullEvidence as NullEvidence
+    from tactile_loc.tasks.identify import identify as identify
+    from tactile_loc.tasks.library import Library as Library
+    from tactile_loc.tasks.mount import FlangeTouches as FlangeTouches
+    from tactile_loc.tasks.mount import FoundMount as FoundMount
+    from tactile_loc.tasks.mount import find_mount as find_mount
+    from tactile_loc.tasks.next_touch import NextTouch as NextTouch
+    from tactile_loc.tasks.next_touch import RatedApproach as RatedApproach
+    from tactile_loc.tasks.next_touch import next_touch as next_touch
+    from tactile_loc.tasks.pose_modes import PoseModes as PoseModes
+    from tactile_loc.tasks.tracker import Motion as Motion
+    from tactile_loc.tasks.tracker import TrackedPose as TrackedPose
+    from tactile_loc.tasks.tracker import Tracker as Tracker
 
 __version__ = version("tactile-loc")
 __all__, __getattr__, __dir__ = lazy_names(__name__)

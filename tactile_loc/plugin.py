@@ -15,43 +15,43 @@ from tactile_loc.core.lazy import lazy_names
 
 if TYPE_CHECKING:
     # what a package says it offers
-    from tactile_loc.core.registry import ComponentSpec as ComponentSpec
-    from tactile_loc.core.registry import hookimpl as hookimpl
-    from tactile_loc.core.registry import registry as registry
+    from tactile_loc.core.slots.registry import ComponentSpec as ComponentSpec
+    from tactile_loc.core.slots.registry import hookimpl as hookimpl
+    from tactile_loc.core.slots.registry import registry as registry
 
     # the seven slots, what they declare, are given and return
-    from tactile_loc.core.interfaces import Candidate as Candidate
-    from tactile_loc.core.interfaces import Capabilities as Capabilities
-    from tactile_loc.core.interfaces import Checkpoints as Checkpoints
-    from tactile_loc.core.interfaces import Component as Component
-    from tactile_loc.core.interfaces import ComponentOptions as ComponentOptions
-    from tactile_loc.core.interfaces import Encoder as Encoder
-    from tactile_loc.core.interfaces import Float32 as Float32
-    from tactile_loc.core.interfaces import Fuser as Fuser
-    from tactile_loc.core.interfaces import GridSampler as GridSampler
-    from tactile_loc.core.interfaces import Matcher as Matcher
-    from tactile_loc.core.interfaces import Prior as Prior
-    from tactile_loc.core.interfaces import RefinedPose as RefinedPose
-    from tactile_loc.core.interfaces import Refiner as Refiner
-    from tactile_loc.core.interfaces import Renderer as Renderer
-    from tactile_loc.core.interfaces import Scene as Scene
-    from tactile_loc.core.interfaces import SensorModel as SensorModel
-    from tactile_loc.core.interfaces import TrainingProblem as TrainingProblem
-    from tactile_loc.core.interfaces import View as View
-    from tactile_loc.core.objects import ObjectModel as ObjectModel
-    from tactile_loc.core.objects import TriangleMesh as TriangleMesh
-    from tactile_loc.core.poses import PoseGrid as PoseGrid
-    from tactile_loc.core.poses import PoseMetric as PoseMetric
-    from tactile_loc.core.poses import Poses as Poses
-    from tactile_loc.core.posterior import PosePosterior as PosePosterior
+    from tactile_loc.core.slots.refiner import Candidate as Candidate
+    from tactile_loc.core.slots.component import Capabilities as Capabilities
+    from tactile_loc.core.slots.encoder import Checkpoints as Checkpoints
+    from tactile_loc.core.slots.component import Component as Component
+    from tactile_loc.core.slots.component import ComponentOptions as ComponentOptions
+    from tactile_loc.core.slots.encoder import Encoder as Encoder
+    from tactile_loc.core.slots.component import Float32 as Float32
+    from tactile_loc.core.slots.fuser import Fuser as Fuser
+    from tactile_loc.core.slots.grid import GridSampler as GridSampler
+    from tactile_loc.core.slots.matcher import Matcher as Matcher
+    from tactile_loc.core.poses.priors import Prior as Prior
+    from tactile_loc.core.slots.refiner import RefinedPose as RefinedPose
+    from tactile_loc.core.slots.refiner import Refiner as Refiner
+    from tactile_loc.core.slots.renderer import Renderer as Renderer
+    from tactile_loc.core.slots.scene import Scene as Scene
+    from tactile_loc.core.slots.sensor import SensorModel as SensorModel
+    from tactile_loc.core.slots.encoder import TrainingProblem as TrainingProblem
+    from tactile_loc.core.slots.scene import View as View
+    from tactile_loc.core.objects.mesh import ObjectModel as ObjectModel
+    from tactile_loc.core.objects.mesh import TriangleMesh as TriangleMesh
+    from tactile_loc.core.poses.metric import PoseGrid as PoseGrid
+    from tactile_loc.core.poses.metric import PoseMetric as PoseMetric
+    from tactile_loc.core.geometry.rigid import Poses as Poses
+    from tactile_loc.core.poses.posterior import PosePosterior as PosePosterior
     from tactile_loc.core.progress import Progress as Progress
     from tactile_loc.core.progress import rank as rank
-    from tactile_loc.core.touch import ContactShape as ContactShape
-    from tactile_loc.core.sensing import SensorGeometry as SensorGeometry
-    from tactile_loc.core.sensing import Drawing as Drawing
-    from tactile_loc.core.touch import Touch as Touch
-    from tactile_loc.core.sensing import as_drawn as as_drawn
-    from tactile_loc.core.symmetry import SymmetryGroup as SymmetryGroup
+    from tactile_loc.core.sensing.touch import ContactShape as ContactShape
+    from tactile_loc.core.sensing.sensor_geometry import SensorGeometry as SensorGeometry
+    from tactile_loc.core.sensing.sensor_geometry import Drawing as Drawing
+    from tactile_loc.core.sensing.touch import Touch as Touch
+    from tactile_loc.core.sensing.sensor_geometry import as_drawn as as_drawn
+    from tactile_loc.core.objects.symmetry import SymmetryGroup as SymmetryGroup
 
     # errors that a component raises: each is one sentence for the user
     from tactile_loc.core.errors import ConfigError as ConfigError
@@ -66,73 +66,73 @@ if TYPE_CHECKING:
     from tactile_loc.core.errors import did_you_mean as did_you_mean
 
     # rotations and transforms
-    from tactile_loc.core.geometry import axis_times_sine as axis_times_sine
-    from tactile_loc.core.geometry import covariance_at as covariance_at
-    from tactile_loc.core.geometry import cross_matrix as cross_matrix
-    from tactile_loc.core.geometry import align_to_z as align_to_z
-    from tactile_loc.core.geometry import invert as invert
-    from tactile_loc.core.geometry import is_rigid as is_rigid
-    from tactile_loc.core.geometry import make_transform as make_transform
-    from tactile_loc.core.geometry import quaternion_to_rotation as quaternion_to_rotation
-    from tactile_loc.core.geometry import random_rotations as random_rotations
-    from tactile_loc.core.geometry import rotation_about as rotation_about
-    from tactile_loc.core.geometry import rotation_angle as rotation_angle
-    from tactile_loc.core.geometry import rotation_to_quaternion as rotation_to_quaternion
-    from tactile_loc.core.geometry import transform_points as transform_points
-    from tactile_loc.core.geometry import translation as translation
+    from tactile_loc.core.geometry.rigid import axis_times_sine as axis_times_sine
+    from tactile_loc.core.geometry.rigid import covariance_at as covariance_at
+    from tactile_loc.core.geometry.rigid import cross_matrix as cross_matrix
+    from tactile_loc.core.geometry.rigid import align_to_z as align_to_z
+    from tactile_loc.core.geometry.rigid import invert as invert
+    from tactile_loc.core.geometry.rigid import is_rigid as is_rigid
+    from tactile_loc.core.geometry.rigid import make_transform as make_transform
+    from tactile_loc.core.geometry.rigid import quaternion_to_rotation as quaternion_to_rotation
+    from tactile_loc.core.geometry.rigid import random_rotations as random_rotations
+    from tactile_loc.core.geometry.rigid import rotation_about as rotation_about
+    from tactile_loc.core.geometry.rigid import rotation_angle as rotation_angle
+    from tactile_loc.core.geometry.rigid import rotation_to_quaternion as rotation_to_quaternion
+    from tactile_loc.core.geometry.rigid import transform_points as transform_points
+    from tactile_loc.core.geometry.rigid import translation as translation
 
     # for sensors and renderers
-    from tactile_loc.core.blocks import Blocks as Blocks
-    from tactile_loc.core.blocks import blocks_of as blocks_of
+    from tactile_loc.core.objects.blocks import Blocks as Blocks
+    from tactile_loc.core.objects.blocks import blocks_of as blocks_of
     from tactile_loc.core.compiled import in_threads as in_threads
     from tactile_loc.core.compiled import njit as njit
-    from tactile_loc.core.contact import bring_to_contact as bring_to_contact
-    from tactile_loc.core.contact import group_rotations as group_rotations
-    from tactile_loc.core.depth_sensor import DepthSensor as DepthSensor
-    from tactile_loc.core.touch import contact_depth as contact_depth
-    from tactile_loc.core.touch import contact_shape_from_array as contact_shape_from_array
-    from tactile_loc.core.surface_field import NearestTriangles as NearestTriangles
-    from tactile_loc.core.surface_field import SurfaceField as SurfaceField
-    from tactile_loc.core.surface_field import closest_on_triangle as closest_on_triangle
-    from tactile_loc.core.surface_field import downhill as downhill
-    from tactile_loc.core.surface_field import surface_field as surface_field
-    from tactile_loc.core.surface_field import triangle_near as triangle_near
-    from tactile_loc.core.zbuffer import nearest_depths as nearest_depths
+    from tactile_loc.core.sensing.contact import bring_to_contact as bring_to_contact
+    from tactile_loc.core.sensing.contact import group_rotations as group_rotations
+    from tactile_loc.core.slots.depth_sensor import DepthSensor as DepthSensor
+    from tactile_loc.core.sensing.touch import contact_depth as contact_depth
+    from tactile_loc.core.sensing.touch import contact_shape_from_array as contact_shape_from_array
+    from tactile_loc.core.objects.surface_field import NearestTriangles as NearestTriangles
+    from tactile_loc.core.objects.surface_field import SurfaceField as SurfaceField
+    from tactile_loc.core.objects.surface_field import closest_on_triangle as closest_on_triangle
+    from tactile_loc.core.objects.surface_field import downhill as downhill
+    from tactile_loc.core.objects.surface_field import surface_field as surface_field
+    from tactile_loc.core.objects.surface_field import triangle_near as triangle_near
+    from tactile_loc.core.sensing.zbuffer import nearest_depths as nearest_depths
 
     # for grids
-    from tactile_loc.core.lattices import AllRotationsGrid as AllRotationsGrid
-    from tactile_loc.core.lattices import centroid_range as centroid_range
-    from tactile_loc.core.lattices import lattice_shape as lattice_shape
-    from tactile_loc.core.lattices import plane_lattice as plane_lattice
-    from tactile_loc.core.lattices import random_places as random_places
-    from tactile_loc.core.lattices import reachable_translations as reachable_translations
-    from tactile_loc.core.lattices import require_spacing as require_spacing
-    from tactile_loc.core.lattices import shifted_lattice as shifted_lattice
+    from tactile_loc.core.slots.all_rotations import AllRotationsGrid as AllRotationsGrid
+    from tactile_loc.core.slots.all_rotations import centroid_range as centroid_range
+    from tactile_loc.core.poses.lattices import lattice_shape as lattice_shape
+    from tactile_loc.core.poses.lattices import plane_lattice as plane_lattice
+    from tactile_loc.core.slots.all_rotations import random_places as random_places
+    from tactile_loc.core.poses.lattices import reachable_translations as reachable_translations
+    from tactile_loc.core.poses.lattices import require_spacing as require_spacing
+    from tactile_loc.core.poses.lattices import shifted_lattice as shifted_lattice
 
-    from tactile_loc.core.places import PATCH_PX as PATCH_PX
-    from tactile_loc.core.places import PITCH_M as PITCH_M
-    from tactile_loc.core.places import Places as Places
-    from tactile_loc.core.places import as_patches as as_patches
+    from tactile_loc.core.sensing.places import PATCH_PX as PATCH_PX
+    from tactile_loc.core.sensing.places import PITCH_M as PITCH_M
+    from tactile_loc.core.sensing.places import Places as Places
+    from tactile_loc.core.sensing.places import as_patches as as_patches
 
     # for encoders that learn
-    from tactile_loc.core.grids import contact_grid as contact_grid
-    from tactile_loc.core.grids import random_contact_poses as random_contact_poses
-    from tactile_loc.core.grids import random_contacts as random_contacts
-    from tactile_loc.core.noise import NoiseLevel as NoiseLevel
-    from tactile_loc.core.noise import TouchNoise as TouchNoise
-    from tactile_loc.core.noise import noise_level as noise_level
+    from tactile_loc.core.simulation.contact_poses import contact_grid as contact_grid
+    from tactile_loc.core.simulation.contact_poses import random_contact_poses as random_contact_poses
+    from tactile_loc.core.simulation.contact_poses import random_contacts as random_contacts
+    from tactile_loc.core.simulation.noise import NoiseLevel as NoiseLevel
+    from tactile_loc.core.simulation.noise import TouchNoise as TouchNoise
+    from tactile_loc.core.simulation.noise import noise_level as noise_level
 
     # for refiners that register point clouds
-    from tactile_loc.core.clouds import contact_cloud as contact_cloud
-    from tactile_loc.core.cloud_refiner import Cloud as Cloud
-    from tactile_loc.core.cloud_refiner import CloudRefiner as CloudRefiner
-    from tactile_loc.core.cloud_refiner import Registration as Registration
-    from tactile_loc.core.cloud_refiner import orthonormal as orthonormal
+    from tactile_loc.core.sensing.clouds import contact_cloud as contact_cloud
+    from tactile_loc.core.registration.cloud_refiner import Cloud as Cloud
+    from tactile_loc.core.registration.cloud_refiner import CloudRefiner as CloudRefiner
+    from tactile_loc.core.registration.cloud_refiner import Registration as Registration
+    from tactile_loc.core.registration.cloud_refiner import orthonormal as orthonormal
 
     # for fusers
-    from tactile_loc.core.common_poses import CommonPosesFuser as CommonPosesFuser
-    from tactile_loc.core.common_poses import require_fusable as require_fusable
-    from tactile_loc.core.common_poses import common_poses as common_poses
-    from tactile_loc.core.common_poses import prior_weights as prior_weights
+    from tactile_loc.core.slots.common_poses import CommonPosesFuser as CommonPosesFuser
+    from tactile_loc.core.slots.common_poses import require_fusable as require_fusable
+    from tactile_loc.core.slots.common_poses import common_poses as common_poses
+    from tactile_loc.core.slots.common_poses import prior_weights as prior_weights
 
 __all__, __getattr__, __dir__ = lazy_names(__name__)

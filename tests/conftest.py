@@ -14,12 +14,13 @@ import pytest
 import trimesh
 from report_helpers import UNFRIENDLY, write_contacts, write_evaluation, write_run, write_sweep
 
-from tactile_loc.core.interfaces import Scene
-from tactile_loc.core.objects import ObjectModel, TriangleMesh
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.drawing import pictures, pose_panel
-from tactile_loc.locate import coverage, probabilities
+from tactile_loc.locate import conformal as coverage
+from tactile_loc.locate import probabilities
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer

@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from tactile_loc.calibration.labels import LabelledPresses, PressLabel, ball_label
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.imaging.gel import gel_surface
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.imaging.shading import background, render_images

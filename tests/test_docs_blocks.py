@@ -21,7 +21,7 @@ from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
 from tactile_loc import Localizer, load_object, write_touch
-from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.evaluation.slides import random_slide, write_slide
 from tactile_loc.io.approach_files import read_approaches
 from tactile_loc.io.frame_sources import ImageFolder
@@ -29,8 +29,8 @@ from tactile_loc.io.mount_files import MountRecord, write_mount
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.io.touch_lists import read_touch_list
-from tactile_loc.locate.live import LiveLocator
 from tactile_loc.store.store import StageStore
+from tactile_loc.tasks.live import LiveLocator
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

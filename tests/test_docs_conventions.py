@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry import is_rigid
+from tactile_loc.core.geometry.rigid import is_rigid
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.io.touches import write_touch

@@ -12,7 +12,7 @@ import pytest
 
 from tactile_loc.core import interfaces
 from tactile_loc.core.errors import PluginError
-from tactile_loc.core.registry import SLOTS, ComponentSpec, Registry, hookimpl
+from tactile_loc.core.slots.registry import SLOTS, ComponentSpec, Registry, hookimpl
 from tactile_loc.testing import ContractError
 
 ROOT = Path(__file__).parents[1]

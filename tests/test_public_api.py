@@ -33,7 +33,7 @@ def test_a_plugins_hook_costs_next_to_nothing():
 
 
 def test_listing_plugins_imports_none_of_their_libraries():
-    statement = "from tactile_loc.core.registry import registry; assert registry().components"
+    statement = "from tactile_loc.core.slots.registry import registry; assert registry().components"
     assert imported_by(statement) <= {"pydantic"}
 
 

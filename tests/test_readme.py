@@ -60,7 +60,7 @@ def test_links_and_pictures_are_there():
 
 
 def test_the_table_of_components_is_the_registry_s():
-    from tactile_loc.core.registry import BUILT_IN, SLOTS, registry
+    from tactile_loc.core.slots.registry import BUILT_IN, SLOTS, registry
 
     for slot in SLOTS:
         (row,) = re.findall(rf"^\| {slot} \| (.*) \|$", README, re.MULTILINE)

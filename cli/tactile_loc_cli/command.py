@@ -15,7 +15,7 @@ from typing import Annotated, Any, get_args, get_origin
 import typer
 from typer.models import ParameterInfo
 
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc_cli.console import log_shown, results_hidden, say_json
 from tactile_loc_cli.failures import Finding, failures_told
 
@@ -106,7 +106,7 @@ def _completer(offers: Callable[[typer.Context], Offers]) -> Completer:
 
 def _components(slot: str) -> Callable[[typer.Context], Offers]:
     def offers(_: typer.Context) -> Offers:
-        from tactile_loc.core.registry import registry
+        from tactile_loc.core.slots.registry import registry
 
         found = {c.spec.name: c.spec.summary for c in registry().components if c.spec.slot == slot}
         yield from found.items()

@@ -82,7 +82,7 @@ def _unexpected(error: Exception, command: str) -> str:
 
 def _component(trace: TracebackType | None) -> str | None:
     """The component whose method raised, the innermost; None if it was none's."""
-    from tactile_loc.core.interfaces import Component
+    from tactile_loc.core.slots.component import Component
 
     for frame, _ in reversed(list(traceback.walk_tb(trace))):
         owner = frame.f_locals.get("self")
@@ -93,7 +93,7 @@ def _component(trace: TracebackType | None) -> str | None:
 
 def _name(component: Any) -> str:
     """The name a component is chosen by; that of its class if it is registered by none."""
-    from tactile_loc.core.registry import registry
+    from tactile_loc.core.slots.registry import registry
 
     kind = type(component)
     target = f"{kind.__module__}:{kind.__qualname__}"

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.slots.registry import SLOTS
 
 if TYPE_CHECKING:
-    from tactile_loc.core.objects import ObjectModel
+    from tactile_loc.core.objects.mesh import ObjectModel
     from tactile_loc.io.config import RunConfig
     from tactile_loc.locate.localizer import Localizer
 
@@ -215,7 +215,7 @@ def _component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, A
 
 def _warn_of_namesake(name: str) -> None:
     """Say so when a sensor is chosen whose name a calibration's folder bears, too."""
-    from tactile_loc.core.registry import registry
+    from tactile_loc.core.slots.registry import registry
     from tactile_loc.io.sensor_files import is_calibrated_sensor
 
     if name in registry().names("sensor") and is_calibrated_sensor(Path(name)):

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import duration, millimetres, mm
-from tactile_loc.core.geometry import axis_angle
+from tactile_loc.core.geometry.rigid import axis_angle
 from tactile_loc_cli.console import say, say_table
 
 if TYPE_CHECKING:
     from tactile_loc.io.mount_files import MountRecord, MountTouchRecord
-    from tactile_loc.locate.identify_files import IdentificationRecord, KnownObjectRecord
-    from tactile_loc.locate.next_touch_files import NextTouchRecord, RatedRecord
     from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord
     from tactile_loc.locate.touch_files import LocatedFile
+    from tactile_loc.tasks.identify_files import IdentificationRecord, KnownObjectRecord
+    from tactile_loc.tasks.next_touch_files import NextTouchRecord, RatedRecord
 
 IMPRINT = "imprint IoU %"
 POSE = ("x mm", "y mm", "z mm", "turn deg", "about axis")

@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from tactile_loc.core.errors import ConfigError, StoreError
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.store.artifact import read_artifact
 from tactile_loc.store.store import Entry
 
@@ -148,6 +148,6 @@ def _parts(
 
 def _names() -> dict[str, tuple[str, str]]:
     """Slot and name of each component, by what its description calls its class."""
-    from tactile_loc.core.registry import registry
+    from tactile_loc.core.slots.registry import registry
 
     return {c.spec.target: (c.spec.slot, c.spec.name) for c in registry().components}

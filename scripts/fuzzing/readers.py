@@ -14,9 +14,9 @@ from fuzzing import corpora
 from tactile_loc.calibration.frames import read_frames
 from tactile_loc.calibration.presses import convert, read_presses
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.geometry import is_rigid
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.registry import registry
+from tactile_loc.core.geometry.rigid import is_rigid
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.io.approach_files import read_approaches
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes import load_object
@@ -27,13 +27,13 @@ from tactile_loc.io.ros_messages import IMAGE_TYPES, image_array, stamp_ns
 from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.io.touches import read_touch
-from tactile_loc.locate.next_touch import next_touch
-from tactile_loc.locate.next_touch_files import next_touch_record, read_modes
 from tactile_loc.reports import find_source, write_report
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.comparison import as_text, compare
 from tactile_loc.sweeps.plan import Plan, choice_labels
 from tactile_loc.sweeps.results import read_sweep
+from tactile_loc.tasks.next_touch import next_touch
+from tactile_loc.tasks.next_touch_files import next_touch_record, read_modes
 
 SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
 SETS = {"gs_sdk": "gs_sdk", "taxim": "taxim.npz", "fots": "fots", "circles": "circles"}

@@ -16,9 +16,9 @@ from tactile_loc.calibration.health import Health, health, worst
 from tactile_loc.calibration.labels import Chosen, Image, LabelledPresses, PressLabel
 from tactile_loc.calibration.presses import TABLE, PressFolder
 from tactile_loc.core.errors import CalibrationError
-from tactile_loc.core.interfaces import Checkpoints
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.encoder import Checkpoints
 from tactile_loc.store.keys import StageKey, hash_arrays, hash_file
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints

@@ -29,8 +29,8 @@ from tactile_loc.calibration.estimator import (
 )
 from tactile_loc.calibration.labels import Float32, Image
 from tactile_loc.core.errors import CalibrationError, TrainingError
-from tactile_loc.core.interfaces import ComponentOptions
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.component import ComponentOptions
 
 Dilation = Annotated[int, Field(ge=1, le=256)]
 

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from tactile_loc.calibration.labels import Float32, Image, LabelledPresses
 from tactile_loc.core.errors import CalibrationError, MissingLibraryError, WeightsError, did_you_mean
-from tactile_loc.core.interfaces import Checkpoints, ComponentOptions
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.registry import validate_options
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.component import ComponentOptions
+from tactile_loc.core.slots.encoder import Checkpoints
+from tactile_loc.core.slots.registry import validate_options
 
 if TYPE_CHECKING:
     from torch import nn

@@ -19,7 +19,7 @@ from tactile_loc.calibration.health import Health, health, require_healthy
 from tactile_loc.calibration.labels import Image
 from tactile_loc.calibration.reading import press_depth_m, read_zero, require_image
 from tactile_loc.core.errors import CalibrationError, OutputError, SensorError, TouchError, named
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.imaging.optics import Optics
 from tactile_loc.io.images import read_colour_image, write_image
 from tactile_loc.io.sensor_files import CALIBRATION, read_sensor_file, write_sensor_file

@@ -16,7 +16,7 @@ import numpy as np
 from tactile_loc.calibration.labels import Float32, Image
 from tactile_loc.calibration.surface import integrate
 from tactile_loc.core.errors import TouchError
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
 logger = logging.getLogger(__name__)
 

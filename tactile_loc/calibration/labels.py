@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import CalibrationError
-from tactile_loc.core.interfaces import Scene
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.scene import Scene
 
 Image = NDArray[np.uint8]
 Float32 = NDArray[np.float32]

@@ -30,8 +30,8 @@ from tactile_loc.calibration.estimator import (
 from tactile_loc.calibration.labels import Float32, Image
 from tactile_loc.calibration.surface import integrate
 from tactile_loc.core.errors import CalibrationError, TrainingError
-from tactile_loc.core.interfaces import ComponentOptions
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.component import ComponentOptions
 
 ROUNDS = 3
 DRIFT_M = 2.5e-3  # drift is smooth over this distance: standard deviation of a Gaussian

@@ -19,10 +19,10 @@ import numpy as np
 from tactile_loc.calibration.labels import STEEPEST, Image, LabelledPresses, PressLabel, ball_label, mesh_label
 from tactile_loc.calibration.reading import reduced
 from tactile_loc.core.errors import CalibrationError, TactileLocError
-from tactile_loc.core.geometry import make_transform
-from tactile_loc.core.interfaces import Scene
-from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.geometry.rigid import make_transform
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.arrays import load_npz
 from tactile_loc.io.images import read_colour_image, write_image
 from tactile_loc.io.meshes import load_object

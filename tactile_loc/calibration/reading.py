@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from tactile_loc.calibration.labels import Image
 from tactile_loc.core.errors import NoContactError, TouchError
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import ContactShape
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.io.images import read_colour_image
 
 SKIRT, MOST_SKIRT = 0.3, 0.75  # of the press: below the first nothing touches, and above the second all that is left

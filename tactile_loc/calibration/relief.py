@@ -20,7 +20,7 @@ from tactile_loc.calibration.labels import Float32, Image
 from tactile_loc.calibration.presses import PressFolder
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
 DEGREES = range(2, 5)  # of the polynomial: less is a plane
 HIDDEN, STEPS, PIXELS = 32, 400, 2048  # of the network, and of its training

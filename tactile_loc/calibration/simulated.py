@@ -18,8 +18,8 @@ from tactile_loc.calibration.estimator import GelEstimator, estimator_class, est
 from tactile_loc.calibration.labels import Image, LabelledPresses, PressLabel, surface_label
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.imaging.gel import SOFTNESS_M
 from tactile_loc.imaging.optics import OPTICS, Optics, optics, optics_of
 from tactile_loc.imaging.shading import background

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
 
 def integrate(slope: NDArray[np.floating], geometry: SensorGeometry) -> NDArray[np.float64]:

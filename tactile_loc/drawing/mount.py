@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.drawing.pictures import make_figure
-from tactile_loc.locate.mount import FoundMount
+from tactile_loc.tasks.mount import FoundMount
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import percent
-from tactile_loc.core.touch import ContactShape
+from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.drawing.pictures import draw_contact_shape, make_figure
-from tactile_loc.locate.next_touch import NextTouch, RatedApproach
+from tactile_loc.tasks.next_touch import NextTouch, RatedApproach
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

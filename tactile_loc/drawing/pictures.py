@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import millimetres, percent
-from tactile_loc.core.interfaces import Scene
-from tactile_loc.core.noise import NOISE
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import ContactShape, Touch
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.simulation.noise import NOISE
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.drawing.pose_panel import EDGE, STEEL, TRUTH, draw_pose
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization

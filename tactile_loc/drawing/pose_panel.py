@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import transform_points
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.geometry.rigid import transform_points
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.drawing.raytracing import Bounds, Buffers, Tracer, View, box, shade, shrink
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import make_transform
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.zbuffer import nearest_faces
+from tactile_loc.core.geometry.rigid import make_transform
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.zbuffer import nearest_faces
 
 Array = NDArray[np.float64]
 Bounds = tuple[float, float, float, float]

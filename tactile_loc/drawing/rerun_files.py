@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.geometry import covariance_along, invert
-from tactile_loc.core.interfaces import Scene
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.geometry.rigid import covariance_along, invert
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.drawing.rerun_log import Logged, RerunLog
-from tactile_loc.locate.live import Estimate, FrameState
-from tactile_loc.locate.replay import FrameRecord, FrameView, Replay
 from tactile_loc.locate.result import Localization
 from tactile_loc.store.files import write_atomically
+from tactile_loc.tasks.live import Estimate, FrameState
+from tactile_loc.tasks.replay import FrameRecord, FrameView, Replay
 
 
 def write_localization(path: Path, localization: Localization, scene: Scene) -> Path:

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import MissingLibraryError, OutputError
 from tactile_loc.core.formatting import percent
-from tactile_loc.core.geometry import rotation_to_quaternion
-from tactile_loc.core.interfaces import Scene
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.pose_words import pose_words
-from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import Touch
-from tactile_loc.locate.live import Estimate
+from tactile_loc.core.geometry.pose_words import pose_words
+from tactile_loc.core.geometry.rigid import rotation_to_quaternion
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.locate.result_files import drawn_mesh, most_probable
 from tactile_loc.store.files import require_writable
+from tactile_loc.tasks.live import Estimate
 
 SENSOR = "base/sensor"
 OBJECT, HYPOTHESES, POSTERIOR, SPREAD = (f"{SENSOR}/{n}" for n in ("object", "hypotheses", "posterior", "uncertainty"))

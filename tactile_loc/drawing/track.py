@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import covariance_at, invert, transform_points
-from tactile_loc.core.hand_eye import pose_errors
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.poses import PoseMetric, Poses
+from tactile_loc.core.geometry.hand_eye import pose_errors
+from tactile_loc.core.geometry.rigid import Poses, covariance_at, invert, transform_points
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.drawing.pictures import make_figure
-from tactile_loc.locate.tracker import TrackedPose
+from tactile_loc.tasks.tracker import TrackedPose
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

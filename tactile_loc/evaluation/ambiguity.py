@@ -23,13 +23,15 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.compiled import in_threads, njit
 from tactile_loc.core.errors import TouchError
-from tactile_loc.core.interfaces import Candidate, Refiner, Scene
-from tactile_loc.core.noise import NOISE, Gel, TouchNoise
-from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
-from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.simulation import PressNoise
-from tactile_loc.core.touch import ContactShape, Touch
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.simulation.noise import NOISE, Gel, TouchNoise
+from tactile_loc.core.simulation.touch_simulation import PressNoise
+from tactile_loc.core.slots.refiner import Candidate, Refiner
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.evaluation.simulated_touches import true_pose
 from tactile_loc.locate.localizer import Localizer
 

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError, GridError
-from tactile_loc.core.geometry import invert
-from tactile_loc.core.interfaces import Fuser
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.registry import registry
+from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.slots.fuser import Fuser
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.metrics import symmetric_adds
 from tactile_loc.evaluation.protocol import describe_located, save_in_shards, surface_points
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, true_pose

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import rotation_angle, transform_points
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.poses import PoseMetric, Poses
+from tactile_loc.core.geometry.rigid import Poses, rotation_angle, transform_points
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.evaluation.rolls import least_largest, least_mean
 
 FEW_SYMMETRIES = 8  # up to which all are measured with all points

@@ -1,7 +1,7 @@
 """What a robot meets and a model does not know: parts that are not quite their mesh, and noise of another kind.
 
 A scan is off by smooth errors along its normals, and a mesh for simulation has lost its small faces. `UnseenNoise` has
-nothing of what `tactile_loc.core.noise` draws and encoders and probabilities are fitted to.
+nothing of what `tactile_loc.core.simulation.noise` draws and encoders and probabilities are fitted to.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.noise import Float32, Gel, TouchNoise
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.simulation.noise import Float32, Gel, TouchNoise
 from tactile_loc.io.meshes import simplified
 
 Float64 = NDArray[np.float64]

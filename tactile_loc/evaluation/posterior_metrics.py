@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.poses import PoseMetric, Poses
-from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.poses.posterior import PosePosterior
 
 POSTERIOR_METRICS = ("nll", "credible_level", "entropy", "expected_error", "spread")
 LEVELS = (0.5, 0.8, 0.95)

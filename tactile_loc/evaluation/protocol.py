@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.noise import noise_level
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.poses import PoseGrid, Poses
-from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.metric import PoseGrid
+from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.progress import StageTimes
-from tactile_loc.core.registry import registry
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.noise import noise_level
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.ambiguity import AMBIGUOUS, ambiguity_ratios, judging_noise
 from tactile_loc.evaluation.metrics import add_s, mssd, symmetric_adds
 from tactile_loc.evaluation.posterior_metrics import posterior_metrics

@@ -11,15 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.contact import bring_to_contact
 from tactile_loc.core.errors import TouchError
-from tactile_loc.core.geometry import invert, make_transform, random_rotations, rotation_about
-from tactile_loc.core.interfaces import Renderer, Scene
-from tactile_loc.core.noise import TouchNoise
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import ContactShape, Touch
+from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, random_rotations, rotation_about
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.sensing.contact import bring_to_contact
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.simulation.noise import TouchNoise
+from tactile_loc.core.slots.renderer import Renderer
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.approach_files import Approach
 
 INSIDE = 0.8  # of the sensing rectangle's sides, about its centre: where the object's lowest point is

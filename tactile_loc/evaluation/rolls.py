@@ -12,9 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import rotation_about, transform_points
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.poses import Poses
+from tactile_loc.core.geometry.rigid import Poses, rotation_about, transform_points
+from tactile_loc.core.objects.mesh import ObjectModel
 
 TRIED, TRIED_POINTS = 64, 300  # rolls, and points, to choose where the least mean distance is
 ROUNDS_FEW, ROUNDS_ALL = 12, 3  # of Weiszfeld's iteration, with few of the points and with all

@@ -15,12 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.contact import bring_to_contact
 from tactile_loc.core.errors import TouchError
-from tactile_loc.core.geometry import invert, make_transform, rotation_about
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.simulation import lowered
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotation_about
+from tactile_loc.core.sensing.contact import bring_to_contact
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.touch_simulation import lowered
 from tactile_loc.evaluation.robot_touches import RobotTouches
 
 WAVES = 3  # that a smoothly changing number is the sum of

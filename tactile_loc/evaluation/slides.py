@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TouchError
-from tactile_loc.core.geometry import invert, make_transform, rotation_about
-from tactile_loc.core.interfaces import Renderer, Scene
-from tactile_loc.core.noise import TouchNoise
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.simulation import lowered
+from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotation_about
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.simulation.noise import TouchNoise
+from tactile_loc.core.simulation.touch_simulation import lowered
+from tactile_loc.core.slots.renderer import Renderer
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.evaluation.simulated_touches import true_pose
 from tactile_loc.imaging.optics import Optics
 from tactile_loc.imaging.simulate import touch_images

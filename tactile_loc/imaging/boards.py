@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.geometry import make_transform, rotation_about
-from tactile_loc.core.objects import ObjectModel, TriangleMesh
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.core.geometry.rigid import Poses, make_transform, rotation_about
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
 if TYPE_CHECKING:
     import trimesh

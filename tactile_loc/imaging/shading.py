@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.noise import Gel
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.simulation.noise import Gel
 from tactile_loc.imaging.optics import Light, Optics
 
 Float32 = NDArray[np.float32]

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_loc.core.errors import ConfigError, TouchError
-from tactile_loc.core.interfaces import Renderer, Scene
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.renderer import Renderer
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.imaging.boards import board, random_board_poses
 from tactile_loc.imaging.gel import SOFTNESS_M, contact_indentation, gel_surface
 from tactile_loc.imaging.optics import Optics

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.geometry import require_rigid
+from tactile_loc.core.geometry.rigid import require_rigid
 from tactile_loc.io.toml import MATRIX, Matrix, PoseKeys, Positive, explain, listed_tables, pose_from_keys, read_toml
 
 Pose = NDArray[np.float64]

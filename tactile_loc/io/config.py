@@ -11,9 +11,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from tactile_loc.core.errors import ConfigError, did_you_mean
-from tactile_loc.core.noise import NoiseLevel
-from tactile_loc.core.registry import SLOTS
-from tactile_loc.core.sensing import Drawing
+from tactile_loc.core.sensing.sensor_geometry import Drawing
+from tactile_loc.core.simulation.noise import NoiseLevel
+from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.io.toml import read_toml, toml_value
 from tactile_loc.store.files import recover_folder
 
@@ -121,7 +121,7 @@ class RunConfig(_Strict):
     @classmethod
     def from_dict(cls, values: dict[str, Any], source: str = "the configuration") -> RunConfig:
         """Validate nested values; raises ConfigError in one sentence that names `source` and what is allowed."""
-        from tactile_loc.core.registry import validate_options
+        from tactile_loc.core.slots.registry import validate_options
 
         unknown = set(values) - set(cls.model_fields)
         if unknown:
@@ -134,7 +134,7 @@ class RunConfig(_Strict):
 
 def kind_of_sensor(name: str) -> str | None:
     """Return the component that reads a sensor given by its path; None when it is the name of one."""
-    from tactile_loc.core.registry import registry
+    from tactile_loc.core.slots.registry import registry
 
     if name in registry().names("sensor"):
         return None

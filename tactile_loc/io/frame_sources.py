@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import MissingLibraryError, SourceError, TactileLocError
-from tactile_loc.core.interfaces import SensorModel
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.sensor import SensorModel
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_colour_image
 from tactile_loc.io.touches import read_contents, read_touch, touch_from_image
 from tactile_loc.io.videos import TO_INSTALL, video_facts, video_frames

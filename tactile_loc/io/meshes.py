@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ObjectError, did_you_mean
-from tactile_loc.core.objects import ObjectModel, TriangleMesh, check_surface
-from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh, check_surface
+from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.data import DEMO_OBJECTS
 
 log = logging.getLogger(__name__)
@@ -83,7 +83,7 @@ def _require_surface(vertices: NDArray[Any], faces: NDArray[Any], path: Path) ->
 
 def find_symmetry(declared: str, mesh: TriangleMesh) -> SymmetryGroup:
     """Return the symmetry of a surface, found if declared "auto", else read and checked. Raises SymmetryError."""
-    from tactile_loc.core.symmetry_detection import detect_symmetry, require_symmetry
+    from tactile_loc.core.objects.symmetry_detection import detect_symmetry, require_symmetry
 
     if declared == "auto":
         if mesh.digest not in _detected:

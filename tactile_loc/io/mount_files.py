@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.geometry import covariance_at
+from tactile_loc.core.geometry.rigid import covariance_at
 from tactile_loc.io.toml import (
     MATRIX,
     Finite,

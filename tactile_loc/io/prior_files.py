@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from tactile_loc.core.errors import ConfigError, did_you_mean
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.priors import GaussianPrior, PosePrior, RegionPrior
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.priors import GaussianPrior, PosePrior, RegionPrior
 from tactile_loc.io.toml import MATRIX, Matrix, PoseKeys, Positive, Three, explain, pose_from_keys, read_toml
 
 Frame = Literal["sensor", "base"]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from tactile_loc.core.errors import RecordingError, did_you_mean
-from tactile_loc.core.frame_tree import FrameTree
+from tactile_loc.core.geometry.frame_tree import FrameTree
 from tactile_loc.io.ros_messages import IMAGE_TYPES, STATIC, TF, add_transforms
 from tactile_loc.io.ros_types import (
     CDR,

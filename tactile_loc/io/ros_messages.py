@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import FrameError, RecordingError, TouchError
-from tactile_loc.core.frame_tree import FrameTree
-from tactile_loc.core.geometry import make_transform, quaternion_to_rotation, rotation_to_quaternion
+from tactile_loc.core.geometry.frame_tree import FrameTree
+from tactile_loc.core.geometry.rigid import make_transform, quaternion_to_rotation, rotation_to_quaternion
 from tactile_loc.io.images import UNREADABLE, load_image
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"

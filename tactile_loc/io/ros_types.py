@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import MissingLibraryError, RecordingError
-from tactile_loc.core.geometry import rotation_to_quaternion
+from tactile_loc.core.geometry.rigid import rotation_to_quaternion
 from tactile_loc.io.ros_messages import ENCODINGS, IMAGE, NS, POSE, TF, RosPose
 
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"

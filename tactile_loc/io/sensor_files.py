@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from tactile_loc.core.errors import ConfigError, SensorError
-from tactile_loc.core.sensing import Depth, SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
 from tactile_loc.io.arrays import load_npy
 from tactile_loc.io.images import UNREADABLE, load_image, write_image
 from tactile_loc.io.toml import Finite, Positive, explain, read_toml

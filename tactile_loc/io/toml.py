@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from tactile_loc.core.errors import ConfigError, did_you_mean, quoted
-from tactile_loc.core.geometry import is_rigid, make_transform, quaternion_to_rotation, rotation_about
+from tactile_loc.core.geometry.rigid import is_rigid, make_transform, quaternion_to_rotation, rotation_about
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import OutputError, TouchError
-from tactile_loc.core.geometry import require_rigid
-from tactile_loc.core.touch import ContactShape, Touch, contact_shape_from_array
+from tactile_loc.core.geometry.rigid import require_rigid
+from tactile_loc.core.sensing.touch import ContactShape, Touch, contact_shape_from_array
 from tactile_loc.io.arrays import load_npy, load_npz
 from tactile_loc.io.images import (
     FORMATS,
@@ -31,7 +31,7 @@ from tactile_loc.io.meshes import METRES_PER_UNIT
 from tactile_loc.store.files import replacing
 
 if TYPE_CHECKING:
-    from tactile_loc.core.interfaces import SensorModel
+    from tactile_loc.core.slots.sensor import SensorModel
 
 LARGEST_INDENTATION_M = 0.05
 

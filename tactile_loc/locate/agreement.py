@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.geometry import transform_points
-from tactile_loc.core.interfaces import Candidate, Refiner, View
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.geometry.rigid import transform_points
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.refiner import Candidate, Refiner
+from tactile_loc.core.slots.scene import View
 from tactile_loc.locate.hypotheses import LISTED, apart
 from tactile_loc.locate.result import Agreement, Hypothesis
 

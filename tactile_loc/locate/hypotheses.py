@@ -8,11 +8,13 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import invert, rotation_angle
-from tactile_loc.core.interfaces import IOU_PX, Candidate, Prior, RefinedPose, Refiner, View
-from tactile_loc.core.poses import PoseMetric, Poses, distances_between
-from tactile_loc.core.posterior import Mode, PosePosterior
+from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
+from tactile_loc.core.poses.metric import PoseMetric, distances_between
+from tactile_loc.core.poses.posterior import Mode, PosePosterior
+from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.progress import StageTimes
+from tactile_loc.core.slots.refiner import Candidate, RefinedPose, Refiner
+from tactile_loc.core.slots.scene import IOU_PX, View
 from tactile_loc.locate.result import Hypothesis
 
 SHARPNESS = 30.0  # nats that an imprint IoU of 1 is worth beside errors of sensor poses

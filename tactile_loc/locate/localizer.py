@@ -10,19 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.common_poses import require_sensor_poses
 from tactile_loc.core.errors import ConfigError, GridError, TouchError
-from tactile_loc.core.geometry import invert
-from tactile_loc.core.interfaces import Candidate, Prior, RefinedPose, Refiner, View
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.posterior import Mode, PosePosterior
-from tactile_loc.core.priors import SeenFrom, tempered, touches_behind
+from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.posterior import Mode, PosePosterior
+from tactile_loc.core.poses.priors import Prior, SeenFrom, tempered, touches_behind
 from tactile_loc.core.progress import Progress, StageTimes
-from tactile_loc.core.registry import registry
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.common_poses import require_sensor_poses
+from tactile_loc.core.slots.refiner import Candidate, RefinedPose, Refiner
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.slots.scene import View
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.agreement import agreed, best_alone, require_within_reach
-from tactile_loc.locate.coverage import PoseSet
+from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.hypotheses import REFINED, best_apart, find_hypotheses, likeliest, proposed
 from tactile_loc.locate.posteriors import TouchPosteriors
 from tactile_loc.locate.result import Agreement, Hypothesis, Localization

@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.grids import contact_grid, enough_contact
-from tactile_loc.core.interfaces import Encoder, GridSampler, Scene, TrainingProblem
-from tactile_loc.core.poses import PoseGrid, PoseMetric
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.progress import Progress, rank
+from tactile_loc.core.simulation.contact_poses import contact_grid, enough_contact
+from tactile_loc.core.slots.encoder import Encoder, TrainingProblem
+from tactile_loc.core.slots.grid import GridSampler
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore

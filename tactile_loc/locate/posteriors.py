@@ -12,22 +12,24 @@ from typing import Any, Self
 import numpy as np
 
 from tactile_loc.core.errors import ConfigError, GridError, TouchError, quoted
-from tactile_loc.core.geometry import invert
-from tactile_loc.core.interfaces import Matcher, Prior, Scene, View
-from tactile_loc.core.noise import noise_level
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.poses import PoseGrid
-from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.metric import PoseGrid
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.progress import Progress, StageTimes
-from tactile_loc.core.registry import registry
-from tactile_loc.core.simulation import simulate_touches
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.noise import noise_level
+from tactile_loc.core.simulation.touch_simulation import simulate_touches
+from tactile_loc.core.slots.matcher import Matcher
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.io.config import RunConfig, SlotConfig
 from tactile_loc.io.meshes import Units
 from tactile_loc.io.touches import read_touch
-from tactile_loc.locate import coverage as conformal
+from tactile_loc.locate import conformal as conformal
 from tactile_loc.locate import probabilities
-from tactile_loc.locate.coverage import ConformalSets
+from tactile_loc.locate.conformal import ConformalSets
 from tactile_loc.locate.model import (
     STAGE_VERSIONS,
     ObjectPoseModel,

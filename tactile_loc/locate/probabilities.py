@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.noise import noise_level
-from tactile_loc.core.poses import PoseGrid
-from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.poses.metric import PoseGrid
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.simulation.noise import noise_level
 
 STAGE, STAGE_VERSION = "temperature", 2
 TOUCHES, BATCH = 150, 25  # simulated, of known pose

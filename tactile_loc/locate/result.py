@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.interfaces import RefinedPose
-from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.touch import Touch
-from tactile_loc.locate.coverage import PoseSet
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.refiner import RefinedPose
+from tactile_loc.locate.conformal import PoseSet
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from tactile_loc.core.errors import ResultError, TactileLocError
-from tactile_loc.core.geometry import invert
-from tactile_loc.core.objects import TriangleMesh, check_surface
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import ContactShape, Touch
+from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.objects.mesh import TriangleMesh, check_surface
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.io.arrays import load_npz
 from tactile_loc.io.meshes import simplified
 from tactile_loc.locate import result_json
@@ -30,7 +29,7 @@ from tactile_loc.locate.result_json import ResultRecord
 from tactile_loc.store.files import json_value, read_json, write_atomically
 
 if TYPE_CHECKING:
-    from tactile_loc.core.posterior import PosePosterior
+    from tactile_loc.core.poses.posterior import PosePosterior
     from tactile_loc.locate.localizer import Observation
     from tactile_loc.locate.result import Localization
 

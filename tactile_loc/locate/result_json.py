@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.registry import SLOTS, registry, validate_options
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
 from tactile_loc.io.config import RunConfig, TouchConfig
 from tactile_loc.io.mount_files import Covariance
 from tactile_loc.io.toml import Matrix
-from tactile_loc.locate.coverage import PoseSet
+from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
 from tactile_loc.store.files import write_atomically

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.interfaces import Encoder, Matcher
 from tactile_loc.core.progress import StageTimes
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.encoder import Encoder
+from tactile_loc.core.slots.matcher import Matcher
 
 Scores = NDArray[np.float32]
 

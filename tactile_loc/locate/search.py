@@ -13,17 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.clouds import contact_cloud
-from tactile_loc.core.common_poses import prior_weights
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.geometry import invert, make_transform
-from tactile_loc.core.interfaces import Encoder, GridSampler, Matcher, Prior, Scene, View
-from tactile_loc.core.places import CAMERA, HIGHEST_M, Places
-from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
-from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.priors import SeenFrom
+from tactile_loc.core.geometry.rigid import Poses, invert, make_transform
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.poses.priors import Prior, SeenFrom
 from tactile_loc.core.progress import Progress, StageTimes
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.sensing.clouds import contact_cloud
+from tactile_loc.core.sensing.places import CAMERA, HIGHEST_M, Places
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.common_poses import prior_weights
+from tactile_loc.core.slots.encoder import Encoder
+from tactile_loc.core.slots.grid import GridSampler
+from tactile_loc.core.slots.matcher import Matcher
+from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.locate.hypotheses import apart, explained
 from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.scoring import GridScores, Scores
@@ -119,7 +122,7 @@ class PlaceSearch:
 
     def alike(self, touch: Touch, count: int = ALIKE) -> tuple[Poses, NDArray[np.float64]]:
         """Return the poses (K, 4, 4), metres, of the `count` most alike turned places, and how alike they are (K,)."""
-        from tactile_loc.core.turned_patches import anchor, turned_patches
+        from tactile_loc.core.sensing.turned_patches import anchor, turned_patches
 
         matcher = self._banks.matcher(touch.press_depth_m)
         press_m = min(self._banks.bank_press_m(touch.press_depth_m), touch.press_depth_m)
@@ -218,7 +221,7 @@ def _settled(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple[
 
 def _gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
     """How far what the touches show is from the surface of the object at poses (K, 4, 4): (K,), metres, their sum."""
-    from tactile_loc.core.surface_field import surface_field
+    from tactile_loc.core.objects.surface_field import surface_field
 
     field, seen_from = surface_field(views[0].scene.object.mesh), invert(poses)
     gaps = np.zeros(len(poses))

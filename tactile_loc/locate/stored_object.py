@@ -12,8 +12,8 @@ from typing import TypeVar
 import numpy as np
 
 from tactile_loc.core.errors import StoreError
-from tactile_loc.core.objects import ObjectModel, TriangleMesh
-from tactile_loc.core.symmetry import SymmetryGroup, SymmetryTerm
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.objects.symmetry import SymmetryGroup, SymmetryTerm
 from tactile_loc.io.meshes import Surface, Units, find_symmetry, load_object, read_surface
 from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey, hash_file

@@ -14,14 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from tactile_loc.core.errors import TactileLocError, TouchError
-from tactile_loc.core.geometry import axis_angle
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.geometry.rigid import axis_angle
+from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import SlotConfig, kind_of_sensor
 from tactile_loc.io.images import IMAGE_SUFFIXES
 from tactile_loc.io.mount_files import Mount
 from tactile_loc.io.touch_lists import ListedTouch, read_touch_list
 from tactile_loc.locate.localizer import Localizer, Observation
-from tactile_loc.locate.mount import FlangeTouches
 from tactile_loc.locate.result import Hypothesis, Localization
 from tactile_loc.store.files import write_atomically
 
@@ -137,7 +136,7 @@ def read_observations(localizer: Localizer, path: Path) -> list[Observation]:
     for listed in read_touch_list(path):
         if listed.sensor not in of_sensor:
             of_sensor[listed.sensor] = _with_sensor(localizer, str(listed.sensor))
-        observations.append(_observed(of_sensor[listed.sensor], listed))
+        observations.append((of_sensor[listed.sensor], read_listed_touch(of_sensor[listed.sensor], listed)))
     return observations
 
 
@@ -149,7 +148,8 @@ def _with_sensor(localizer: Localizer, sensor: str) -> Localizer:
     return Localizer(config, localizer.object, localizer.store, localizer.progress)
 
 
-def _observed(localizer: Localizer, listed: ListedTouch) -> Observation:
+def read_listed_touch(localizer: Localizer, listed: ListedTouch) -> Touch:
+    """Read one touch of a list, with what the list says of its sensor's pose. Raises TactileLocError for bad input."""
     touch = localizer.read_touch(listed.path, listed.unit, listed.press_depth_m)
     if listed.T_base_sensor is not None:
         touch = dataclasses.replace(touch, T_base_sensor=listed.T_base_sensor)
@@ -157,7 +157,7 @@ def _observed(localizer: Localizer, listed: ListedTouch) -> Observation:
         touch = dataclasses.replace(touch, T_base_sensor_std_m=listed.T_base_sensor_std_m)
     if listed.T_base_sensor_std_rad is not None:
         touch = dataclasses.replace(touch, T_base_sensor_std_rad=listed.T_base_sensor_std_rad)
-    return localizer, touch if listed.mount is None else _with_mounts_error(touch, listed.mount)
+    return touch if listed.mount is None else _with_mounts_error(touch, listed.mount)
 
 
 def _with_mounts_error(touch: Touch, mount: Mount) -> Touch:
@@ -167,14 +167,3 @@ def _with_mounts_error(touch: Touch, mount: Mount) -> Touch:
         touch, T_base_sensor_std_m=float(np.hypot(touch.T_base_sensor_std_m, std_m)),
         T_base_sensor_std_rad=float(np.hypot(touch.T_base_sensor_std_rad, std_rad)),
     )  # fmt: skip
-
-
-def read_flange_touches(localizer: Localizer, path: Path) -> FlangeTouches:
-    """Read a list of touches by the localizer's sensor at known flange poses. Raises TactileLocError for bad input."""
-    listed = read_touch_list(path, of_flange=True)
-    own = localizer.config.sensor
-    others = sorted({str(one.sensor) for one in listed} - {"None", own.name, str(own.options.get("path"))})
-    if others:
-        raise TouchError(f"{path} has touches of another sensor, {others[0]}; a mount is of one: choose it by --sensor")
-    touches = tuple(_observed(localizer, one)[1] for one in listed)
-    return FlangeTouches(touches, np.array([one.T_base_flange for one in listed]))

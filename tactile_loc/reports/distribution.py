@@ -12,10 +12,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import invert, transform_points
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
 Array = NDArray[np.float64]
 

@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import percent
-from tactile_loc.core.geometry import transform_points
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.pose_words import pose_words
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import ContactShape
-from tactile_loc.locate.live import LiveRecord, LiveResult
+from tactile_loc.core.geometry.pose_words import pose_words
+from tactile_loc.core.geometry.rigid import transform_points
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result_files import drawn_mesh
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.page import Page, Section
+from tactile_loc.tasks.live import LiveRecord, LiveResult
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import ContactShape
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.drawing.pictures import extent_mm
 from tactile_loc.io.images import UNREADABLE, load_image
 from tactile_loc.reports.scene import number, outlines_mm, round_values

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import millimetres, percent
-from tactile_loc.core.geometry import axis_angle
+from tactile_loc.core.geometry.rigid import axis_angle
 from tactile_loc.io.toml import toml_text
 from tactile_loc.locate.result_files import NAME, ResultArrays, TouchArrays, read_arrays, read_record
 from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord, TouchRecord, doubts

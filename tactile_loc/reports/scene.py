@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import invert, transform_points
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import ContactShape
+from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.drawing.pictures import extent_mm
 from tactile_loc.drawing.pose_panel import GEL_MM, RIM_MM
 from tactile_loc.drawing.raytracing import CREASE_DEG, View, box

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.io.toml import toml_text
 from tactile_loc.locate.result_files import read_document
 from tactile_loc.reports.page import Page, Section, damage_named, require_finite

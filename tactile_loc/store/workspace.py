@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import StoreError
-from tactile_loc.core.interfaces import Checkpoints
+from tactile_loc.core.slots.encoder import Checkpoints
 from tactile_loc.store.artifact import MANIFEST, DamagedError, FileRecord, read_artifact, write_manifest
 from tactile_loc.store.files import delete, read_json, replacing, sync_folder
 from tactile_loc.store.keys import StageKey, hash_file

@@ -11,9 +11,9 @@ from typing import Any
 
 from tactile_loc import __version__
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.noise import noise_level
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.registry import SLOTS, registry
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.simulation.noise import noise_level
+from tactile_loc.core.slots.registry import SLOTS, registry
 from tactile_loc.evaluation.protocol import PROTOCOL_VERSION, evaluation_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, TouchConfig

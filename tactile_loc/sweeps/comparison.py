@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import mm
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.evaluation.tabular import markdown_table
 from tactile_loc.store.files import write_atomically
 from tactile_loc.sweeps.plan import SETTINGS

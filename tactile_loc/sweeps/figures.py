@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.drawing.pictures import make_figure
 from tactile_loc.evaluation.figures import COLOURS
 from tactile_loc.sweeps.plan import choice_labels, varying

@@ -11,8 +11,8 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from tactile_loc.core.errors import ConfigError, did_you_mean, named
-from tactile_loc.core.noise import noise_level
-from tactile_loc.core.registry import SLOTS, registry, validate_options
+from tactile_loc.core.simulation.noise import noise_level
+from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.config import (
     LISTED,

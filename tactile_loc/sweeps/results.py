@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.formatting import mm
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION
 from tactile_loc.evaluation.tabular import markdown_table

@@ -11,9 +11,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.store.files import read_json, remove_abandoned, require_writable, write_atomically, write_json
 from tactile_loc.sweeps.combination import Combination, combine, in_running_order
 from tactile_loc.sweeps.plan import Plan, choice_labels, varying

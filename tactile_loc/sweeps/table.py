@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactile_loc.core.errors import MissingLibraryError, OutputError
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.store.files import write_atomically
 from tactile_loc.sweeps.combination import Combination
 from tactile_loc.sweeps.plan import Plan, varied_options

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from tactile_loc.core.errors import ConfigError, MissingLibraryError, OutputError, TactileLocError
-from tactile_loc.core.objects import ObjectModel
+from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.evaluation.posterior_metrics import LEVELS, PosteriorSummary
 from tactile_loc.evaluation.protocol import LINES, STAGES, Evaluation, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches

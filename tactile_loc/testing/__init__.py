@@ -23,8 +23,8 @@ import importlib
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from tactile_loc.core.interfaces import Component
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.slots.component import Component
+from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.testing import contract
 from tactile_loc.testing.contract import Check, ContractError
 

@@ -14,8 +14,8 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.interfaces import Capabilities, Component, ComponentOptions
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.slots.component import Capabilities, Component, ComponentOptions
+from tactile_loc.core.slots.registry import SLOTS
 
 Check = Callable[[Any], None]
 

@@ -6,11 +6,12 @@ import dataclasses
 
 import numpy as np
 
-from tactile_loc.core.geometry import translation
-from tactile_loc.core.interfaces import Capabilities, Encoder, Float32
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import contact_depth
+from tactile_loc.core.geometry.rigid import translation
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import contact_depth
+from tactile_loc.core.slots.component import Capabilities, Float32
+from tactile_loc.core.slots.encoder import Encoder
 from tactile_loc.testing.contract import Check, Untouched, require, require_close
 from tactile_loc.testing.problems import (
     LOPSIDED_CAMERAS,

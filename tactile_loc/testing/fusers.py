@@ -8,10 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError, TactileLocError
-from tactile_loc.core.geometry import invert, make_transform, rotation_about
-from tactile_loc.core.interfaces import Capabilities, Fuser, Prior, Scene
-from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
-from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotation_about
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.poses.priors import Prior
+from tactile_loc.core.slots.component import Capabilities
+from tactile_loc.core.slots.fuser import Fuser
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.testing.contract import Check, Untouched, require, require_close
 from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, plain_object, prism, small_grid, transformed
 from tactile_loc.testing.properties import RigidMotion, hold, motions, orders, whole

@@ -6,15 +6,16 @@ import dataclasses
 
 import numpy as np
 
-from tactile_loc.core.contact import bring_to_contact
-from tactile_loc.core.geometry import is_rigid, translation
-from tactile_loc.core.interfaces import Capabilities, GridSampler
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.places import CAMERA as PATCH_CAMERA
-from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses, distances_between
+from tactile_loc.core.geometry.rigid import Poses, is_rigid, translation
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric, distances_between
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.symmetry import SymmetryGroup
-from tactile_loc.core.touch import contact_depth
+from tactile_loc.core.sensing.contact import bring_to_contact
+from tactile_loc.core.sensing.places import CAMERA as PATCH_CAMERA
+from tactile_loc.core.sensing.touch import contact_depth
+from tactile_loc.core.slots.component import Capabilities
+from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
 from tactile_loc.testing.problems import (
     CAMERAS,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.interfaces import Capabilities, Float32, Matcher
+from tactile_loc.core.slots.component import Capabilities, Float32
+from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
 from tactile_loc.testing.properties import hold, orders, signed, whole
 

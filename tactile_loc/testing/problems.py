@@ -11,14 +11,18 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import make_transform, rotation_about, transform_points
-from tactile_loc.core.interfaces import Candidate, Float32, RefinedPose, Renderer, Scene, TrainingProblem
-from tactile_loc.core.objects import ObjectModel, TriangleMesh
-from tactile_loc.core.poses import PoseGrid, PoseMetric, Poses
-from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.symmetry import SymmetryGroup
-from tactile_loc.core.touch import ContactShape, Touch
+from tactile_loc.core.geometry.rigid import Poses, make_transform, rotation_about, transform_points
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.slots.component import Float32
+from tactile_loc.core.slots.encoder import TrainingProblem
+from tactile_loc.core.slots.refiner import Candidate, RefinedPose
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.slots.renderer import Renderer
+from tactile_loc.core.slots.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import MissingLibraryError
-from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.testing.contract import ContractError
 
 EXAMPLES = 5  # of each property; the first is the simplest

@@ -7,9 +7,11 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry import invert, is_rigid, make_transform, rotation_about
-from tactile_loc.core.interfaces import Candidate, Capabilities, RefinedPose, Refiner, Scene
-from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.geometry.rigid import invert, is_rigid, make_transform, rotation_about
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.slots.component import Capabilities
+from tactile_loc.core.slots.refiner import Candidate, RefinedPose, Refiner
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_array
 from tactile_loc.testing.problems import (
     CAMERAS,

@@ -7,13 +7,13 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.contact import bring_to_contact
-from tactile_loc.core.geometry import invert, make_transform, rotation_about
-from tactile_loc.core.interfaces import Capabilities, Float32, Renderer
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.poses import Poses
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import contact_depth
+from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotation_about
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.contact import bring_to_contact
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import contact_depth
+from tactile_loc.core.slots.component import Capabilities, Float32
+from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
 from tactile_loc.testing.problems import (
     CAMERAS,

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from tactile_loc.core.interfaces import Capabilities, Component, Encoder
+from tactile_loc.core.slots.component import Capabilities, Component
+from tactile_loc.core.slots.encoder import Encoder
 from tactile_loc.testing import checks_for, contract, properties_for
 from tactile_loc.testing.contract import Check, ContractError
 from tactile_loc.testing.properties import require_hypothesis

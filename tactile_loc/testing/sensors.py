@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TouchError
-from tactile_loc.core.interfaces import Capabilities, SensorModel
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import ContactShape
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.core.slots.component import Capabilities
+from tactile_loc.core.slots.sensor import SensorModel
 from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_close
 from tactile_loc.testing.properties import hold, whole
 

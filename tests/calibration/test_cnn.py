@@ -16,9 +16,9 @@ from tactile_loc.calibration.photometric import PhotometricEstimator
 from tactile_loc.calibration.reading import LEAST_M, contact_shape
 from tactile_loc.calibration.simulated import simulated_presses
 from tactile_loc.core.errors import CalibrationError, TrainingError, WeightsError
-from tactile_loc.core.interfaces import Checkpoints
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.encoder import Checkpoints
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.imaging.shading import background
 from tactile_loc.imaging.simulate import touch_images

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tactile_loc.calibration.estimator import COLOUR_STEP, FIXED, PLANES, colour_difference, features, fixed_features
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
 WIDE = SensorGeometry("orthographic", 80, 64, 4000.0, 4000.0, 40.0, 32.0, 0.01, 1.5e-3)
 

@@ -10,7 +10,7 @@ from press_sets import BALL_M, ball_indentation, contact_radius, places, sensor
 
 from tactile_loc.calibration.labels import SKIRT, SKIRT_M, ball_label, mesh_label, surface_label, untouched_label
 from tactile_loc.core.errors import CalibrationError
-from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 
 GEOMETRY = sensor(80)
 PITCH_M = 2e-4

@@ -36,7 +36,7 @@ from tactile_loc.calibration.photometric import (  # noqa: E402
     integrate,
 )
 from tactile_loc.core.errors import CalibrationError, ConfigError, TrainingError, WeightsError  # noqa: E402
-from tactile_loc.core.sensing import SensorGeometry  # noqa: E402
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry  # noqa: E402
 
 BALLS = ball_set(12)
 GEOMETRY = BALLS.geometry

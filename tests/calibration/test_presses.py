@@ -17,7 +17,7 @@ from press_sets import BALL_M, COLUMNS, MM, ball_set, magnified, places, write_i
 from tactile_loc.calibration.calibrate import calibrate, mean_errors
 from tactile_loc.calibration.presses import FOR_MEDIAN, FORMATS, convert, read_presses, reading_size_px
 from tactile_loc.core.errors import CalibrationError
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import read_colour_image
 
 BALLS = ball_set(3)

@@ -20,7 +20,7 @@ from tactile_loc.calibration.reading import (
     require_image,
 )
 from tactile_loc.core.errors import TouchError
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.imaging.shading import background
 

@@ -13,8 +13,8 @@ from tactile_loc.calibration.labels import ball_label
 from tactile_loc.calibration.presses import PressFolder, read_presses
 from tactile_loc.calibration.relief import learn_relief
 from tactile_loc.core.errors import CalibrationError
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import contact_depth
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import contact_depth
 from tactile_loc.imaging.gel import gel_surface
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.imaging.shading import background, render_images

@@ -7,8 +7,8 @@ import pytest
 
 from tactile_loc.calibration import simulated as module
 from tactile_loc.calibration.simulated import SHARD, simulated_presses
-from tactile_loc.core.registry import registry
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.imaging.shading import background
 from tactile_loc.imaging.simulate import board_presses

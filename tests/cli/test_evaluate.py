@@ -109,8 +109,8 @@ def test_by_default_all_demo_objects_are_evaluated():
 def test_an_encoders_option_goes_to_the_encoders_that_have_it(monkeypatch):
     from tactile_loc_cli.commands.evaluate import _options_of
 
-    from tactile_loc.core.interfaces import ComponentOptions
-    from tactile_loc.core.registry import Registry
+    from tactile_loc.core.slots.component import ComponentOptions
+    from tactile_loc.core.slots.registry import Registry
 
     class Learned:
         class Options(ComponentOptions):

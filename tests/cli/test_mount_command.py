@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from cli_helpers import assert_refused
 
-from tactile_loc.core.geometry import invert, make_transform, rotation_about
-from tactile_loc.core.hand_eye import pose_errors
+from tactile_loc.core.geometry.hand_eye import pose_errors
+from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
 from tactile_loc.io.mount_files import read_mount
 
 X = make_transform(rotation_about([1, 2, 0], 1.0), [0.02, -0.03, 0.1])

@@ -16,7 +16,7 @@ from tactile_loc_cli.scaffold import package
 from tactile_loc_cli.scaffold.naming import LONGEST, Naming
 
 from tactile_loc.core.errors import OutputError
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.slots.registry import SLOTS
 
 OUR_RULES = Path(__file__).parents[2] / "pyproject.toml"
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cli_helpers import TINY, assert_refused
 
-from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from cli_helpers import TINY, Cli, assert_refused
 from PIL import Image
 
 from tactile_loc import __version__
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.config import default_component
 from tactile_loc.plugins.grids.face import FaceGrid

@@ -12,14 +12,14 @@ import typer
 from cli_helpers import Cli, assert_refused
 from tactile_loc_cli.commands.plugins import plugins
 
-from tactile_loc.core import registry
-from tactile_loc.core.registry import ComponentSpec, hookimpl
+from tactile_loc.core.slots import registry
+from tactile_loc.core.slots.registry import ComponentSpec, hookimpl
 from tactile_loc.testing import checks_for, properties_for
 
 PARTS = """
 import numpy as np
 from pydantic import Field
-from tactile_loc.core.interfaces import ComponentOptions
+from tactile_loc.plugin import ComponentOptions
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 
 class Doubled(DenseMatcher):

@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rerun_helpers import read
 
-from tactile_loc.core.hand_eye import pose_errors
+from tactile_loc.core.geometry.hand_eye import pose_errors
 from tactile_loc.evaluation.slides import T_BASE_OBJECT, T_FLANGE_GEL
 from tactile_loc.io.recordings import Recording, write_recording
 from tactile_loc.io.ros_messages import IMAGE, TF, pose_of, stamp_ns, transform

@@ -16,7 +16,7 @@ from rerun_helpers import read
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
-from tactile_loc.core.poses import PoseMetric
+from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate import result_files
 from tactile_loc.plugins.grids.face import resting_normal

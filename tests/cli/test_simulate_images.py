@@ -9,7 +9,7 @@ import pytest
 from cli_helpers import assert_refused, write_box
 from PIL import Image
 
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.imaging.shading import background
 from tactile_loc.plugins.sensors.presets import Digit, GelSlim

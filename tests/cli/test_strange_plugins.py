@@ -8,7 +8,7 @@ import pytest
 from cli_helpers import TINY, assert_one_error
 
 HOOK = """
-from tactile_loc.core.registry import ComponentSpec, hookimpl
+from tactile_loc.core.slots.registry import ComponentSpec, hookimpl
 
 @hookimpl
 def tactile_loc_components():

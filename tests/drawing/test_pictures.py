@@ -11,9 +11,9 @@ from PIL import Image
 
 from tactile_loc.core.errors import OutputError
 from tactile_loc.core.formatting import percent
-from tactile_loc.core.noise import NOISE
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import ContactShape, Touch
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.drawing.pictures import (
     MOST_TOUCHES,
     draw_contact_shape,

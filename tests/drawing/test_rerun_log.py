@@ -10,10 +10,10 @@ import pytest
 from rerun_helpers import read
 
 from tactile_loc.core.errors import MissingLibraryError, OutputError
-from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.drawing.rerun_files import write_localization
 from tactile_loc.drawing.rerun_log import DEVIATIONS, Logged, RerunLog, pose_text, require_rerun
-from tactile_loc.locate.live import Estimate, FrameState
+from tactile_loc.tasks.live import Estimate, FrameState
 
 T = make_transform(rotation_about([1, 2, 3], 0.8), [0.001, -0.002, 0.03])
 C = np.diag(np.square([1e-4, 3e-4, 2e-4, 0.01, 0.02, 0.03]))
@@ -75,7 +75,7 @@ def test_the_ellipsoid_is_turned_as_the_covariance_is(rerun, localizer, tmp_path
     turned[:3, :3] = R @ C[:3, :3] @ R.T
     with RerunLog(tmp_path / "a.rrd", localizer.scene) as log:
         log.add(Logged(0, 0.0, estimate=replace(estimate(), covariance=turned)))
-    from tactile_loc.core.geometry import quaternion_to_rotation
+    from tactile_loc.core.geometry.rigid import quaternion_to_rotation
 
     found = read(tmp_path / "a.rrd")["base/sensor/uncertainty"]
     x, y, z, w = found["Ellipsoids3D:quaternions"][0][0]

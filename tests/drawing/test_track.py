@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry import make_transform, random_rotations, rotation_about
-from tactile_loc.core.hand_eye import moved
+from tactile_loc.core.geometry.hand_eye import moved
+from tactile_loc.core.geometry.rigid import make_transform, random_rotations, rotation_about
 from tactile_loc.drawing.track import draw_track, track_errors
-from tactile_loc.locate.tracker import TrackedPose
+from tactile_loc.tasks.tracker import TrackedPose
 
 COUNT = 12
 GEL = np.array([0.0, 0.0, 0.01])

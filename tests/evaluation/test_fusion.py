@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import ConfigError, GridError
-from tactile_loc.core.geometry import invert
-from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.evaluation import fusion
 from tactile_loc.evaluation.fusion import (
     FUSED_LINES,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry import make_transform, random_rotations, rotation_about, translation
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.core.geometry.rigid import make_transform, random_rotations, rotation_about, translation
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.evaluation.metrics import add, add_s, mssd, pose_differences, symmetric_add, symmetric_adds
 
 SHIFT_M = np.array([0.003, -0.004, 0.012])

@@ -7,8 +7,8 @@ import pytest
 import trimesh
 from trimesh.triangles import closest_point
 
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.evaluation.outside import UnseenNoise, decimated, scanned, split_edges
 
 GEOMETRY = SensorGeometry("orthographic", 64, 48, 3200.0, 3200.0, 32.0, 24.0, 0.010, 0.002)

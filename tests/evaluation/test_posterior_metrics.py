@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry import make_transform, rotation_about
-from tactile_loc.core.poses import PoseGrid, PoseMetric
-from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.evaluation.posterior_metrics import (
     LEVELS,
     POSTERIOR_METRICS,

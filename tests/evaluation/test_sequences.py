@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.contact import lowest_points
-from tactile_loc.core.geometry import invert, rotation_angle
-from tactile_loc.core.noise import NOISE
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.geometry.rigid import invert, rotation_angle
+from tactile_loc.core.sensing.contact import lowest_points
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import MOST_RISE_M, SlidingTouches, Slip, correlated_normal, smooth_random
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer

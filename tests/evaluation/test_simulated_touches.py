@@ -14,7 +14,7 @@ import torch
 from tactile_loc.calibration.folder import read_calibration, write_calibration
 from tactile_loc.calibration.simulated import calibrate_simulated
 from tactile_loc.core.errors import CalibrationError, ConfigError, TouchError
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.evaluation.protocol import evaluate, evaluation_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.imaging.optics import OPTICS

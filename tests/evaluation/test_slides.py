@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.contact import lowest_points
 from tactile_loc.core.errors import TouchError
-from tactile_loc.core.geometry import make_transform, rotation_about
-from tactile_loc.core.noise import NOISE
-from tactile_loc.core.touch import contact_shape_from_array
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.sensing.contact import lowest_points
+from tactile_loc.core.sensing.touch import contact_shape_from_array
+from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.evaluation.slides import FLANGE, GEL, Photos, Slide, slide, write_slide
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.io.recordings import Recording

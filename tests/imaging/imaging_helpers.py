@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.imaging.optics import Light, Optics
 
 PRESS_M = 1e-3

@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.geometry import invert, is_rigid, transform_points
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.geometry.rigid import invert, is_rigid, transform_points
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.imaging.boards import COLUMNS, MIDDLE, MOST_TILT_RAD, PITCH_M, PLATE_M, ROWS, board, random_board_poses
 
 

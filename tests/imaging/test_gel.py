@@ -8,7 +8,7 @@ from imaging_helpers import BALL_M, PRESS_M, ball_depth, places, presses, sensor
 from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.noise import Gel
+from tactile_loc.core.simulation.noise import Gel
 from tactile_loc.imaging.gel import contact_indentation, gel_surface, relaxed
 
 SOFTNESS_M = 8e-4

@@ -11,7 +11,7 @@ from imaging_helpers import BALL_M, PRESS_M, ball_depth, lamp, lit, places, pres
 from scipy.special import ndtr
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.imaging.gel import gel_surface
 from tactile_loc.imaging.optics import OPTICS, Optics
 from tactile_loc.imaging.shading import background, render_images, surface_slopes

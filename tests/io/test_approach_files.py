@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.io.approach_files import read_approaches
 
 START = make_transform(rotation_about([0, 0, 1], 0.3), [0.1, 0.2, 0.3])

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.io.config import RunConfig, parse_overrides, parse_settings
 from tactile_loc.io.toml import read_toml
 

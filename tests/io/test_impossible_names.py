@@ -10,7 +10,7 @@ import pytest
 from tactile_loc.calibration.folder import read_calibration
 from tactile_loc.calibration.frames import read_frames
 from tactile_loc.core.errors import ConfigError, TactileLocError
-from tactile_loc.core.registry import registry
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.io.config import kind_of_sensor
 from tactile_loc.io.meshes import load_object
 from tactile_loc.io.recordings import Recording

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from tactile_loc.core.errors import ObjectError, SymmetryError
-from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.meshes import load_object, simplified
 

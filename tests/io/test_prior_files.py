@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.geometry import invert, make_transform, random_rotations, rotation_about, translation
-from tactile_loc.core.priors import GaussianPrior, RegionPrior
+from tactile_loc.core.geometry.rigid import invert, make_transform, random_rotations, rotation_about, translation
+from tactile_loc.core.poses.priors import GaussianPrior, RegionPrior
 from tactile_loc.io.prior_files import read_prior
 
 GAUSSIAN = 'kind = "gaussian"\nframe = "sensor"\ntranslation_std_mm = 4\n'

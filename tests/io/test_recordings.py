@@ -19,7 +19,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from tactile_loc.core.errors import MissingLibraryError, OutputError, RecordingError
-from tactile_loc.core.geometry import make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.io.recordings import Message, Recording, RecordingWriter, image_topic, write_recording
 from tactile_loc.io.ros_messages import IMAGE, POSE, TF, RosPose, image_array, pose_of, stamp_ns
 from tactile_loc.io.ros_types import encoded, image_message, pose_message, topic_of, transform_message

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import ConfigError, TouchError
-from tactile_loc.core.geometry import make_transform, rotation_about
-from tactile_loc.core.touch import ContactShape, Touch
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.io.touches import write_touch
 

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from tactile_loc.core.errors import OutputError, TouchError
-from tactile_loc.core.geometry import make_transform, rotation_about
-from tactile_loc.core.interfaces import SensorModel
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import ContactShape, Touch
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.slots.sensor import SensorModel
 from tactile_loc.io.touches import read_contact_shape, read_touch, write_touch
 
 MM = 1e-3

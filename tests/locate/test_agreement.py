@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.geometry import invert, make_transform, rotation_about
-from tactile_loc.core.interfaces import RefinedPose
-from tactile_loc.core.priors import GaussianPrior
+from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
+from tactile_loc.core.poses.priors import GaussianPrior
+from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate import localizer
 from tactile_loc.locate.agreement import agreed

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry import rotation_about, translation
-from tactile_loc.core.interfaces import RefinedPose, View
-from tactile_loc.core.objects import ObjectModel
-from tactile_loc.core.poses import PoseGrid, PoseMetric
-from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.symmetry import SymmetryGroup
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.geometry.rigid import rotation_about, translation
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.refiner import RefinedPose
+from tactile_loc.core.slots.scene import View
 from tactile_loc.locate.hypotheses import SHARPNESS, best_apart, explained_where_seen, merge_hypotheses, weighed
 from tactile_loc.locate.result import Hypothesis
 from tactile_loc.testing.problems import box

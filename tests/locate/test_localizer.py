@@ -7,10 +7,10 @@ import pytest
 import trimesh
 
 from tactile_loc.core.errors import ConfigError, GridError, TouchError
-from tactile_loc.core.geometry import make_transform, rotation_about, transform_points
-from tactile_loc.core.interfaces import Capabilities
-from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.touch import ContactShape, Touch
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about, transform_points
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.slots.component import Capabilities
 from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
 from tactile_loc.io.meshes import load_object
 from tactile_loc.io.touches import write_touch

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.progress import Progress
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate import model as module
 from tactile_loc.locate.model import ObjectPoseModel, build_bank, build_model

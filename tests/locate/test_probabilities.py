@@ -9,9 +9,9 @@ import pytest
 import trimesh
 
 from tactile_loc.core.errors import ConfigError, GridError
-from tactile_loc.core.geometry import make_transform
-from tactile_loc.core.poses import PoseGrid, PoseMetric
-from tactile_loc.core.priors import PosteriorPrior
+from tactile_loc.core.geometry.rigid import make_transform
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.poses.priors import PosteriorPrior
 from tactile_loc.locate import probabilities as module
 from tactile_loc.locate.localizer import Localizer, posterior_together
 from tactile_loc.locate.probabilities import (

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import ResultError, TactileLocError
-from tactile_loc.core.geometry import make_transform
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.poses import PoseGrid, PoseMetric
-from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import ContactShape
+from tactile_loc.core.geometry.rigid import make_transform
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.locate.result_files import (
     ResultArrays,
     TouchArrays,
@@ -98,7 +98,7 @@ def test_of_many_poses_the_most_probable_are_kept(box):
 def test_of_several_touches_each_sees_the_hypotheses_from_its_own_sensor(localizer):
     import dataclasses
 
-    from tactile_loc.core.geometry import invert
+    from tactile_loc.core.geometry.rigid import invert
     from tactile_loc.locate.localizer import localize_together
 
     touches = localizer.simulate(2, seed=4)

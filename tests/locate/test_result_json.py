@@ -10,8 +10,8 @@ from pydantic import ValidationError
 
 from tactile_loc import __version__
 from tactile_loc.core.errors import ConfigError, OutputError
-from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.result_json import (
     SCHEMA_VERSION,

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.geometry import invert, make_transform, rotation_about, translation
-from tactile_loc.core.interfaces import View
-from tactile_loc.core.noise import noise_level
-from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.priors import GaussianPrior, SeenFrom
+from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about, translation
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.poses.priors import GaussianPrior, SeenFrom
 from tactile_loc.core.progress import StageTimes
-from tactile_loc.core.registry import registry
-from tactile_loc.core.touch import Touch
-from tactile_loc.core.turned_patches import anchor
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.sensing.turned_patches import anchor
+from tactile_loc.core.simulation.noise import noise_level
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.slots.scene import View
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.search import JOINTLY, PlaceSearch, found_together

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import GridError, TactileLocError, TouchError
-from tactile_loc.core.geometry import invert, make_transform, rotation_about, translation
+from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about, translation
 from tactile_loc.locate.agreement import require_within_reach
 from tactile_loc.locate.localizer import Localizer, localize_together
 

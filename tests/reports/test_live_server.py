@@ -12,10 +12,10 @@ import pytest
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.io.frame_sources import SourceFrame
-from tactile_loc.locate.live import Estimate, FrameState, LiveLocator, LiveRecord, LiveResult
 from tactile_loc.reports.live_server import Board, LiveServer
 from tactile_loc.reports.live_view import live_page, live_state, shape_made
 from tactile_loc.reports.page import JSON_OPTIONS, render
+from tactile_loc.tasks.live import Estimate, FrameState, LiveLocator, LiveRecord, LiveResult
 
 
 def ask(server: LiveServer, path: str, host: str | None = None) -> HTTPResponse:

@@ -17,15 +17,15 @@ import pytest
 from PIL import Image
 from report_helpers import UNFRIENDLY, write_sweep
 
-from tactile_loc.core.touch import Touch
+from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.frame_sources import SourceFrame
-from tactile_loc.locate.live import Estimate, FrameState, LiveRecord, LiveResult
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.reports import find_source, write_report
 from tactile_loc.reports.live_server import LiveServer
 from tactile_loc.reports.live_view import live_page, live_state, shape_made
 from tactile_loc.reports.page import render
 from tactile_loc.reports.scene import rows_mm
+from tactile_loc.tasks.live import Estimate, FrameState, LiveRecord, LiveResult
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry import align_to_z, make_transform, random_rotations, rotation_about
-from tactile_loc.core.objects import TriangleMesh
+from tactile_loc.core.geometry.rigid import align_to_z, make_transform, random_rotations, rotation_about
+from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.reports.distribution import (
     SideMap,
     refined,

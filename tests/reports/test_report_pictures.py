@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from report_helpers import UNFRIENDLY
 
-from tactile_loc.core.touch import ContactShape
+from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.reports.page import templates
 from tactile_loc.reports.pictures import Frame, difference_png, outline_path, shape_png
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from report_helpers import floats
 
-from tactile_loc.core.geometry import make_transform
+from tactile_loc.core.geometry.rigid import make_transform
 from tactile_loc.drawing.raytracing import View
 from tactile_loc.reports import scene
 

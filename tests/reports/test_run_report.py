@@ -11,7 +11,7 @@ import pytest
 from report_helpers import Elements, floats, html_of, numbers_in, page_in
 
 from tactile_loc.core.errors import ResultError
-from tactile_loc.core.geometry import rotation_about
+from tactile_loc.core.geometry.rigid import rotation_about
 from tactile_loc.locate.result_files import read_arrays, read_record
 from tactile_loc.reports.page import render
 from tactile_loc.reports.run import page_of_result, surface_of

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from tactile_loc.core.errors import MissingLibraryError
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.evaluation.protocol import LINES
 from tactile_loc.sweeps.table import (
     MOMENTARY,

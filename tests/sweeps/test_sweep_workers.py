@@ -15,7 +15,7 @@ import pytest
 from faulty import install
 
 from tactile_loc.core.errors import PluginError
-from tactile_loc.core.registry import registry
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.sweeps.combination import combine

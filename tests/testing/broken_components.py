@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict
 
-from tactile_loc.core.geometry import make_transform, rotation_about, translation
-from tactile_loc.core.interfaces import Capabilities, ComponentOptions, RefinedPose
-from tactile_loc.core.lattices import centroid_range
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.touch import ContactShape
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about, translation
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.core.slots.all_rotations import centroid_range
+from tactile_loc.core.slots.component import Capabilities, ComponentOptions
+from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.fusers.kinematic import KinematicFuser
 from tactile_loc.plugins.fusers.product import ProductFuser

@@ -15,10 +15,10 @@ from broken_components import (
     turned_about_the_origin,
 )
 
-from tactile_loc.core.geometry import make_transform, rotation_about, translation
-from tactile_loc.core.poses import PoseGrid, PoseMetric
-from tactile_loc.core.posterior import PosePosterior
-from tactile_loc.core.touch import ContactShape
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about, translation
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.fusers.product import ProductFuser
 from tactile_loc.plugins.grids.face import FaceGrid

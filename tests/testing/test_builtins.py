@@ -12,9 +12,11 @@ import pytest
 from press_sets import write_calibrated
 
 from tactile_loc.core.errors import RenderError
-from tactile_loc.core.interfaces import Component, Encoder, Renderer
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.registry import BUILT_IN, registry
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.slots.component import Component
+from tactile_loc.core.slots.encoder import Encoder
+from tactile_loc.core.slots.registry import BUILT_IN, registry
+from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.plugins.grids.whole import WholeGrid
 from tactile_loc.plugins.matchers.faiss import FaissMatcher
 from tactile_loc.testing import Check, checks_for, parametrize_with_checks, parametrize_with_properties

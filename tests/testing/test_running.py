@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from broken_components import made
 
-from tactile_loc.core.interfaces import Capabilities
+from tactile_loc.core.slots.component import Capabilities
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.testing import checks_for

@@ -9,7 +9,7 @@ from tactile_loc_cli import options
 from tactile_loc_cli.console import say
 
 if TYPE_CHECKING:
-    from tactile_loc.core.poses import PoseGrid
+    from tactile_loc.core.poses.metric import PoseGrid
     from tactile_loc.locate.localizer import Localizer
 
 MOST_MEASURED = 2000  # poses whose distance to their neighbours is measured

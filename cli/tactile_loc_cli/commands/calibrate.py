@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tactile_loc.calibration.estimator import GelEstimator
     from tactile_loc.calibration.labels import LabelledPresses
     from tactile_loc.calibration.presses import PressFolder
-    from tactile_loc.core.sensing import SensorGeometry
+    from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
 DEFAULT_OUT = Path("my_sensor")
 DEFAULT_SENSOR = "gelslim"

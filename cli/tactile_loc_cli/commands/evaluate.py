@@ -16,7 +16,7 @@ from tactile_loc_cli import options
 from tactile_loc_cli.console import say, say_table
 
 if TYPE_CHECKING:
-    from tactile_loc.core.objects import ObjectModel
+    from tactile_loc.core.objects.mesh import ObjectModel
     from tactile_loc.evaluation.fusion_tables import FusionRun
     from tactile_loc.evaluation.simulated_touches import SimulatedTouches
     from tactile_loc.evaluation.tables import Run
@@ -208,7 +208,7 @@ def _options_of(
     encoder: str | None, encoders: Sequence[str | None], words: list[str], overrides: dict[str, Any]
 ) -> list[str]:
     """The options for one of several encoders: without those that only others have."""
-    from tactile_loc.core.registry import registry
+    from tactile_loc.core.slots.registry import registry
 
     if encoder is None or len(set(encoders)) == 1 or not overrides:
         return words

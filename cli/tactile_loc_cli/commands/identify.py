@@ -10,7 +10,7 @@ from tactile_loc_cli.console import progress, say
 from tactile_loc_cli.failures import Finding
 
 if TYPE_CHECKING:
-    from tactile_loc.core.touch import Touch
+    from tactile_loc.core.sensing.touch import Touch
     from tactile_loc.locate.localizer import Localizer
 
 DEFAULT_OUT = Path("tactile-loc-identify")
@@ -48,10 +48,10 @@ def identify(
     Each object's model is built the first time and kept. The exit code is 1 if the touches are more probably of none of
     these objects than of any.
     """
-    from tactile_loc.locate.identify import identify as identified
-    from tactile_loc.locate.identify_files import identification_record, read_library, write_identification
     from tactile_loc.store.files import require_writable
     from tactile_loc.store.store import StageStore
+    from tactile_loc.tasks.identify import identify as identified
+    from tactile_loc.tasks.identify_files import identification_record, read_library, write_identification
     from tactile_loc_cli.results import say_identification
 
     settings = options.run_config(

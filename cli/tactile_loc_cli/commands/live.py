@@ -18,8 +18,8 @@ from tactile_loc_cli.console import say, say_reasons
 
 if TYPE_CHECKING:
     from tactile_loc.io.frame_sources import FrameSource
-    from tactile_loc.locate.live import LiveLocator, LiveResult, LiveSummary
     from tactile_loc.locate.localizer import Localizer
+    from tactile_loc.tasks.live import LiveLocator, LiveResult, LiveSummary
 
     Show = Callable[[LiveResult], object]
     Output = AbstractContextManager[Show]
@@ -102,8 +102,8 @@ def live(
     """
     from tactile_loc.core.errors import TouchError
     from tactile_loc.io.frame_sources import open_source
-    from tactile_loc.locate.live import LiveLocator, LiveSummary
-    from tactile_loc.locate.tracker import Tracker
+    from tactile_loc.tasks.live import LiveLocator, LiveSummary
+    from tactile_loc.tasks.tracker import Tracker
 
     settings = options.run_config(
         options.RunOptions(

@@ -52,9 +52,8 @@ def mount(
     from tactile_loc.drawing.mount import draw_mount
     from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.io.mount_files import write_mount
-    from tactile_loc.locate.mount import find_mount, mount_record
-    from tactile_loc.locate.touch_files import read_flange_touches
     from tactile_loc.store.files import require_writable
+    from tactile_loc.tasks.mount import find_mount, mount_record, read_flange_touches
     from tactile_loc_cli.results import say_mount
 
     settings = options.run_config(

@@ -33,9 +33,9 @@ def next_touch(result: Result, candidates: Candidates, top: Top = 10, out: Out =
     from tactile_loc.drawing.next_touch import draw_next_touch
     from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.io.approach_files import read_approaches
-    from tactile_loc.locate.next_touch import next_touch as choose
-    from tactile_loc.locate.next_touch_files import next_touch_record, read_modes, write_next_touch
     from tactile_loc.store.files import require_writable
+    from tactile_loc.tasks.next_touch import next_touch as choose
+    from tactile_loc.tasks.next_touch_files import next_touch_record, read_modes, write_next_touch
     from tactile_loc_cli.results import say_next_touch
 
     modes, T_base_sensor = read_modes(result)

@@ -14,8 +14,8 @@ from tactile_loc_cli.failures import Finding
 from tactile_loc_cli.options import set_option
 
 if TYPE_CHECKING:
-    from tactile_loc.core.interfaces import Component
-    from tactile_loc.core.registry import Registered, Registry
+    from tactile_loc.core.slots.component import Component
+    from tactile_loc.core.slots.registry import Registered, Registry
     from tactile_loc.testing.running import CheckResult
 
 BROKEN_CONTRACT = 1
@@ -44,7 +44,7 @@ def plugins(
     too, try what must hold whatever is drawn: frames, orders, symmetric copies, image sizes, mirror images.
     """
     from tactile_loc.core.errors import ConfigError
-    from tactile_loc.core.registry import registry
+    from tactile_loc.core.slots.registry import registry
 
     found = registry()
     if check:
@@ -61,7 +61,7 @@ def plugins(
 
 def _show_components(found: Registry, slot: str | None) -> dict[str, Any]:
     from tactile_loc.core.errors import UnknownPluginError, did_you_mean
-    from tactile_loc.core.registry import SLOTS
+    from tactile_loc.core.slots.registry import SLOTS
 
     if slot is not None and slot not in SLOTS:
         raise UnknownPluginError(

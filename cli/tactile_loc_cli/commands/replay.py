@@ -15,7 +15,7 @@ from tactile_loc_cli.console import say, say_reasons
 
 if TYPE_CHECKING:
     from tactile_loc.io.recordings import Contents
-    from tactile_loc.locate.replay_files import Replayed
+    from tactile_loc.tasks.replay_files import Replayed
 
 logger = logging.getLogger(__name__)
 
@@ -78,8 +78,8 @@ def replay(
     """
     from tactile_loc.io.recordings import Recording
     from tactile_loc.io.recordings import image_topic as chosen
-    from tactile_loc.locate.replay import Replay
-    from tactile_loc.locate.replay_files import replay_to
+    from tactile_loc.tasks.replay import Replay
+    from tactile_loc.tasks.replay_files import replay_to
 
     settings = options.run_config(
         options.RunOptions(

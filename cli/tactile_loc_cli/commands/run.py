@@ -13,8 +13,8 @@ from tactile_loc_cli import options
 from tactile_loc_cli.console import progress, say
 
 if TYPE_CHECKING:
-    from tactile_loc.core.interfaces import Prior
-    from tactile_loc.core.touch import Touch
+    from tactile_loc.core.poses.priors import Prior
+    from tactile_loc.core.sensing.touch import Touch
     from tactile_loc.io.config import RunConfig
     from tactile_loc.locate.localizer import Localizer, Observation
     from tactile_loc.locate.result import Localization

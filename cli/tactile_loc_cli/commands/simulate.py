@@ -14,8 +14,8 @@ from tactile_loc_cli.console import say
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tactile_loc.core.sensing import SensorGeometry
-    from tactile_loc.core.touch import Touch
+    from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+    from tactile_loc.core.sensing.touch import Touch
     from tactile_loc.imaging.optics import Optics
     from tactile_loc.locate.localizer import Localizer
 
@@ -101,7 +101,7 @@ def simulate(
 def _write_recording(path: Path, localizer: Localizer, images: int, optics: Optics | None) -> dict[str, Any]:
     """Write a slide over the object as a recording."""
     from tactile_loc.core.errors import OutputError
-    from tactile_loc.core.noise import noise_level
+    from tactile_loc.core.simulation.noise import noise_level
     from tactile_loc.evaluation.slides import IMAGE_TOPIC, TRUTH_TOPIC, Photos, as_depths, random_slide, write_slide
 
     if path.suffix.lower() != ".mcap":

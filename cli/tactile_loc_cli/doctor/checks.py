@@ -306,7 +306,7 @@ def _version_of(distributions: Sequence[str]) -> str | None:
 
 
 def _plugins() -> Iterator[Check]:
-    from tactile_loc.core.registry import BUILT_IN, registry
+    from tactile_loc.core.slots.registry import BUILT_IN, registry
 
     found = registry()
     distributions = list(dict.fromkeys(component.distribution for component in found.components))

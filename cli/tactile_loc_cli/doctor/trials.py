@@ -28,8 +28,8 @@ def egl() -> Facts:
     """Draw one small picture of a square, 1 mm before the sensor's undeformed surface, without a display."""
     import numpy as np
 
-    from tactile_loc.core.objects import TriangleMesh
-    from tactile_loc.core.sensing import SensorGeometry
+    from tactile_loc.core.objects.mesh import TriangleMesh
+    from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
     from tactile_loc.plugins.renderers.pyrender.renderer import PyrenderRenderer
 
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float) * 0.01
@@ -110,7 +110,7 @@ def kernels() -> Facts:
 
     import numpy as np
 
-    from tactile_loc.core.registry import registry
+    from tactile_loc.core.slots.registry import registry
     from tactile_loc.evaluation.robot_touches import RobotTouches
     from tactile_loc.locate.localizer import Localizer, localize_together
     from tactile_loc.store.store import StageStore

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from tactile_loc.core.errors import ConfigError, PluginConflictError, UnknownPluginError, did_you_mean
-from tactile_loc.core.registry import SLOTS
+from tactile_loc.core.slots.registry import SLOTS
 
 KEBAB = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 LONGEST = 30  # so that the lines it is written into stay short
@@ -51,7 +51,7 @@ class Naming:
 
     def require_free(self) -> None:
         """Raise PluginConflictError when the slot has a component of this name, or the package's name is taken."""
-        from tactile_loc.core.registry import registry
+        from tactile_loc.core.slots.registry import registry
 
         for found in registry().components:
             if (found.spec.slot, found.spec.name) == (self.slot, self.name):

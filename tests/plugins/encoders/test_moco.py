@@ -14,7 +14,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from tactile_loc.core.errors import ConfigError, GridError, TrainingError, WeightsError  # noqa: E402
-from tactile_loc.core.interfaces import Checkpoints, TrainingProblem  # noqa: E402
+from tactile_loc.core.slots.encoder import Checkpoints, TrainingProblem  # noqa: E402
 from tactile_loc.locate.localizer import Localizer  # noqa: E402
 from tactile_loc.plugins.encoders.moco import encoder as module  # noqa: E402
 from tactile_loc.plugins.encoders.moco import recipe, training  # noqa: E402
@@ -110,7 +110,7 @@ def test_it_learns_to_tell_the_poses_apart(problem):
 
 
 def encoder_touches(problem, rng):
-    from tactile_loc.core.grids import random_contact_poses
+    from tactile_loc.core.simulation.contact_poses import random_contact_poses
 
     poses = random_contact_poses(problem.sampler, problem.scene, 60, rng)
     return problem.scene.contact_depths(poses), problem.grid.nearest(poses)[1]

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 
 PRESS_M = 0.002

@@ -5,9 +5,9 @@ import pytest
 from pydantic import ValidationError
 
 from tactile_loc.core.errors import ConfigError, GridError
-from tactile_loc.core.geometry import invert, make_transform, rotation_about, translation
-from tactile_loc.core.poses import PoseGrid, PoseMetric
-from tactile_loc.core.posterior import PosePosterior
+from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about, translation
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.plugins.fusers.product import ProductFuser
 
 

@@ -5,10 +5,10 @@ import pytest
 import trimesh
 
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.geometry import is_rigid, rotation_about, rotation_angle
-from tactile_loc.core.objects import ObjectModel, TriangleMesh
-from tactile_loc.core.poses import PoseGrid, PoseMetric
-from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.core.geometry.rigid import is_rigid, rotation_about, rotation_angle
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.io.meshes import load_object
 from tactile_loc.plugins.grids.face import SIDES, FaceGrid, resting_normal, turns_alike
 

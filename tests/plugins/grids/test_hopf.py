@@ -5,9 +5,8 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from tactile_loc.core.contact import bring_to_contact
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.geometry import (
+from tactile_loc.core.geometry.rigid import (
     is_rigid,
     make_transform,
     random_rotations,
@@ -15,11 +14,12 @@ from tactile_loc.core.geometry import (
     rotation_to_quaternion,
     translation,
 )
-from tactile_loc.core.lattices import centroid_range
-from tactile_loc.core.objects import ObjectModel, TriangleMesh
-from tactile_loc.core.poses import PoseGrid, PoseMetric
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.sensing.contact import bring_to_contact
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.all_rotations import centroid_range
 from tactile_loc.plugins.grids.hopf import (
     HopfGrid,
     children,

@@ -5,10 +5,10 @@ import pytest
 import trimesh
 
 from tactile_loc.core.errors import ConfigError, GridError
-from tactile_loc.core.objects import ObjectModel, TriangleMesh
-from tactile_loc.core.places import BELOW, FAR, PATCH_PX, PITCH_M, STEP_M
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.symmetry import SymmetryGroup
+from tactile_loc.core.sensing.places import BELOW, FAR, PATCH_PX, PITCH_M, STEP_M
 from tactile_loc.plugins.grids.whole import WholeGrid, distinct_directions, flat_directions, sphere
 from tactile_loc.testing.problems import CAMERAS, block, box
 

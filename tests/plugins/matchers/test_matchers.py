@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.interfaces import Scene
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.simulation import simulate_touches
+from tactile_loc.core.simulation.touch_simulation import simulate_touches
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.model import build_bank, build_model
 from tactile_loc.plugins.encoders.pixel import PixelEncoder

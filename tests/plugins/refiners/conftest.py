@@ -7,11 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry import make_transform, rotation_about, transform_points, translation
-from tactile_loc.core.interfaces import Candidate, Scene
-from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.simulation import simulate_touches
-from tactile_loc.core.touch import ContactShape, Touch
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about, transform_points, translation
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.simulation.touch_simulation import simulate_touches
+from tactile_loc.core.slots.refiner import Candidate
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.meshes import load_object
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.geometry import (
+from tactile_loc.core.geometry.rigid import (
     invert,
     make_transform,
     random_rotations,
@@ -15,10 +15,11 @@ from tactile_loc.core.geometry import (
     transform_points,
     translation,
 )
-from tactile_loc.core.interfaces import Candidate, Scene, View
-from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import ContactShape, Touch
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.slots.refiner import Candidate
+from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.plugins.refiners.joint.refiner import JointRefiner
 from tactile_loc.plugins.refiners.joint.twists import adjoint, exponential, logarithm
 from tactile_loc.testing.problems import ReferenceRenderer, stepped_block

@@ -6,10 +6,10 @@ import sys
 import numpy as np
 import pytest
 
-from tactile_loc.core.cloud_refiner import Cloud
 from tactile_loc.core.errors import MissingLibraryError
-from tactile_loc.core.geometry import is_rigid, make_transform, rotation_about, transform_points, translation
-from tactile_loc.core.registry import registry
+from tactile_loc.core.geometry.rigid import is_rigid, make_transform, rotation_about, transform_points, translation
+from tactile_loc.core.registration.cloud_refiner import Cloud
+from tactile_loc.core.slots.registry import registry
 
 pytest.importorskip("kiss_icp")
 
@@ -90,9 +90,9 @@ def test_few_iterations_do_not_claim_to_have_converged():
 
 DEGENERATE = """
 import numpy as np
-from tactile_loc.core.geometry import is_rigid
+from tactile_loc.core.geometry.rigid import is_rigid
 from tactile_loc.plugins.refiners.kiss import KissIcpRefiner
-from tactile_loc.core.cloud_refiner import Cloud
+from tactile_loc.core.registration.cloud_refiner import Cloud
 rng = np.random.default_rng(0)
 for along in (np.diag([1.0, 0, 0]), np.ones((3, 3)), np.diag([1.0, 1, 0]), np.zeros((3, 3))):
     for count in (3, 50):

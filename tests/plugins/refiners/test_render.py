@@ -7,11 +7,12 @@ import pytest
 import trimesh
 from pydantic import ValidationError
 
-from tactile_loc.core.contact import bring_to_contact
-from tactile_loc.core.geometry import make_transform, rotation_about, transform_points, translation
-from tactile_loc.core.interfaces import Candidate, Scene
-from tactile_loc.core.poses import PoseMetric
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about, transform_points, translation
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.sensing.contact import bring_to_contact
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.refiner import Candidate
+from tactile_loc.core.slots.scene import Scene
 from tactile_loc.plugins.refiners.render.pictures import Pictures, within_reach
 from tactile_loc.plugins.refiners.render.refiner import RenderRefiner
 from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, planar_pose, pressed_block, touch_at, with_depth

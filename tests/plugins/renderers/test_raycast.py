@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from tactile_loc.core.contact import bring_to_contact
 from tactile_loc.core.errors import RenderError
-from tactile_loc.core.geometry import make_transform, random_rotations
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.geometry.rigid import make_transform, random_rotations
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.contact import bring_to_contact
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.plugins.renderers import raycast
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_loc.core.contact import bring_to_contact
-from tactile_loc.core.geometry import make_transform, random_rotations
-from tactile_loc.core.interfaces import Renderer
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.sensing import SensorGeometry
+from tactile_loc.core.geometry.rigid import make_transform, random_rotations
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.contact import bring_to_contact
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.data import demo_object_path
 from tactile_loc.io.meshes import load_object
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer

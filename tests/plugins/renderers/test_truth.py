@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tactile_loc.core.contact import bring_to_contact
-from tactile_loc.core.geometry import make_transform, random_rotations, rotation_about
-from tactile_loc.core.objects import TriangleMesh
-from tactile_loc.core.sensing import SensorGeometry
-from tactile_loc.core.touch import contact_depth
+from tactile_loc.core.geometry.rigid import make_transform, random_rotations, rotation_about
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.contact import bring_to_contact
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import contact_depth
 
 NANOMETRES_100 = 1e-7
 

@@ -24,8 +24,8 @@ from press_sets import (  # noqa: E402
 
 from tactile_loc.calibration.reading import SKIRT  # noqa: E402
 from tactile_loc.core.errors import CalibrationError, ConfigError, NoContactError, TouchError, WeightsError  # noqa: E402
-from tactile_loc.core.registry import registry  # noqa: E402
-from tactile_loc.core.touch import ContactShape, Touch  # noqa: E402
+from tactile_loc.core.sensing.touch import ContactShape, Touch  # noqa: E402
+from tactile_loc.core.slots.registry import registry  # noqa: E402
 from tactile_loc.imaging.optics import OPTICS  # noqa: E402
 from tactile_loc.imaging.shading import background  # noqa: E402
 from tactile_loc.io.touches import read_touch  # noqa: E402

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from tactile_loc.core.errors import SensorError, TouchError
-from tactile_loc.core.registry import registry
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.io.sensor_files import _Orthographic, _Pinhole, read_sensor_file
 from tactile_loc.plugins.sensors.file import FileSensor
 from tactile_loc.plugins.sensors.presets import GelSightMini, GelSlim

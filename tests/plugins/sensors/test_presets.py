@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import ConfigError, SensorError, TouchError
-from tactile_loc.core.registry import registry
+from tactile_loc.core.slots.registry import registry
 from tactile_loc.plugins.sensors.presets import CurvedDigit, Digit, GelSightMini, GelSlim, Preset
 
 MM = 1e-3

@@ -1,0 +1,1 @@
+"""Rigid transforms, hand-eye calibration and trees of frames."""

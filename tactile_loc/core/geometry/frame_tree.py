@@ -1,0 +1,135 @@
+"""A tree of frames and where each was seen from its parent over time, as ROS's TF has it."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import FrameError, did_you_mean
+from tactile_loc.core.geometry.hand_eye import moved, pose_errors
+from tactile_loc.core.geometry.rigid import invert
+
+Transform = NDArray[np.float64]
+
+JUMP_NS = 1_000_000_000  # a clock that goes back by more was set anew; by less, messages only came out of order
+
+
+@dataclass(eq=False)
+class Edge:
+    """Where a child's frame is seen from its parent's: `T_parent_child` (4, 4), metres, at stamps that rise, ns.
+
+    One that is `fixed` has a single transform, for all times; `jump_ns` is where the clock was set back, if it was.
+    """
+
+    parent: str
+    child: str
+    fixed: bool = False
+    stamps_ns: list[int] = field(default_factory=list)
+    T_parent_child: list[Transform] = field(default_factory=list)
+    jump_ns: int | None = None
+
+    def add(self, stamp_ns: int, T: Transform) -> None:
+        """Add a transform (4, 4), metres; the only one, if the edge is fixed."""
+        if self.fixed:
+            self.stamps_ns, self.T_parent_child = [stamp_ns], [T]
+            return
+        if self.stamps_ns and stamp_ns < self.stamps_ns[-1] - JUMP_NS:
+            self.jump_ns = stamp_ns
+        place = bisect_right(self.stamps_ns, stamp_ns)
+        self.stamps_ns.insert(place, stamp_ns)
+        self.T_parent_child.insert(place, T)
+
+    def at(self, stamp_ns: int) -> Transform:
+        """Return T_parent_child (4, 4), metres, at a time, interpolated. Raises FrameError where it is not known."""
+        if self.fixed:
+            return self.T_parent_child[0]
+        if self.jump_ns is not None:
+            raise FrameError(
+                f"the clock of {self._name} jumps back to {seconds(self.jump_ns)}, so where it was at a time is "
+                "ambiguous; cut the recording there"
+            )
+        first_ns, last_ns = self.stamps_ns[0], self.stamps_ns[-1]
+        if not first_ns <= stamp_ns <= last_ns:
+            raise FrameError(
+                f"{self._name} is known from {seconds(first_ns)} to {seconds(last_ns)}, not at {seconds(stamp_ns)}"
+            )
+        after = min(bisect_right(self.stamps_ns, stamp_ns), len(self.stamps_ns) - 1)
+        before = max(after - 1, 0)
+        passed_ns = stamp_ns - self.stamps_ns[before]
+        share = passed_ns / max(1, self.stamps_ns[after] - self.stamps_ns[before])
+        return between(self.T_parent_child[before], self.T_parent_child[after], share)
+
+    @property
+    def _name(self) -> str:
+        return f"{self.child!r} in {self.parent!r}"
+
+
+class FrameTree:
+    """Frames by name; each is seen from one parent, but for those at the top."""
+
+    def __init__(self) -> None:
+        self._edges: dict[str, Edge] = {}  # by child
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The frames' names, sorted."""
+        return tuple(sorted({name for edge in self._edges.values() for name in (edge.parent, edge.child)}))
+
+    def add(self, parent: str, child: str, stamp_ns: int, T_parent_child: Transform, fixed: bool = False) -> None:
+        """Add where `child` was seen from `parent` (4, 4), metres, at a time, or for all times if it is `fixed`.
+
+        Raises FrameError when the child has another parent already.
+        """
+        edge = self._edges.setdefault(child, Edge(parent, child, fixed))
+        if edge.parent != parent:
+            raise FrameError(f"the frame {child!r} has two parents, {edge.parent!r} and {parent!r}; it can have one")
+        edge.add(stamp_ns, T_parent_child)
+
+    def require(self, *names: str) -> None:
+        """Raise FrameError, which names those there are, unless there are frames of these names."""
+        for name in names:
+            if name not in self.names:
+                known = ", ".join(self.names) or "none"
+                raise FrameError(f"there is no frame {name!r}; there are: {known}.{did_you_mean(name, self.names)}")
+
+    def lookup(self, target: str, source: str, stamp_ns: int) -> Transform:
+        """Return T_target_source (4, 4), metres, at a time in ns; between stamps it is interpolated.
+
+        Raises FrameError for a frame that is unknown or not connected, and for a time that is not covered.
+        """
+        self.require(target, source)
+        up_target, up_source = self._ancestors(target), self._ancestors(source)
+        common = next((name for name in up_source if name in up_target), None)
+        if common is None:
+            raise FrameError(f"the frames {target!r} and {source!r} are not connected; a transform between them lacks")
+        return invert(self._seen_from(common, target, stamp_ns)) @ self._seen_from(common, source, stamp_ns)
+
+    def _ancestors(self, name: str) -> list[str]:
+        """The frame itself and those above it, to the top."""
+        found = [name]
+        while (edge := self._edges.get(found[-1])) is not None:
+            if edge.parent in found:
+                raise FrameError(f"the frames {', '.join(found)} are each other's parents: they are no tree")
+            found.append(edge.parent)
+        return found
+
+    def _seen_from(self, ancestor: str, name: str, stamp_ns: int) -> Transform:
+        T = np.eye(4)
+        while name != ancestor:
+            edge = self._edges[name]
+            T = edge.at(stamp_ns) @ T
+            name = edge.parent
+        return T
+
+
+def between(T_first: Transform, T_second: Transform, share: float) -> Transform:
+    """Return the transform (4, 4), metres, on the way from one to another: 0 the first, 1 the second."""
+    return moved(T_first, share * pose_errors(T_second, T_first))
+
+
+def seconds(stamp_ns: int) -> str:
+    """Return a time as people read it."""
+    return f"{stamp_ns / 1e9:.3f} s"

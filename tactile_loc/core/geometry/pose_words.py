@@ -1,0 +1,37 @@
+"""A pose and how sure it is, as people read them: millimetres and degrees."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.geometry.rigid import axis_angle
+
+
+@dataclass(frozen=True)
+class PoseWords:
+    """A pose and its standard deviations: places in mm, without the unit, turns in degrees; "" what is not known."""
+
+    place: str
+    turn: str
+    axis: str
+    place_std: str = ""
+    turn_std: str = ""
+
+
+def pose_words(T: NDArray[np.float64], std: NDArray[np.float64] | None = None) -> PoseWords:
+    """Write a pose (4, 4) in metres, and standard deviations (6,), metres and radians, along and about the axes."""
+    angle_deg, axis = axis_angle(T[:3, :3])
+    known = PoseWords(listed(1e3 * T[:3, 3], 1), f"{angle_deg:.1f}°", f"({listed(axis, 2)})")
+    if std is None:
+        return known
+    along, about = listed(1e3 * std[:3], 2), f"{listed(np.degrees(std[3:]), 1)}°"
+    return PoseWords(known.place, known.turn, known.axis, along, about)
+
+
+def listed(values: Iterable[float], digits: int) -> str:
+    """Write numbers with so many digits after the point: 1.20, -0.31, 4.00."""
+    return ", ".join(f"{value:.{digits}f}" for value in values)

@@ -1,0 +1,173 @@
+"""SE(3) in batches: rotations (..., 3, 3), transforms (..., 4, 4), all float64, angles in radians, lengths in metres.
+
+A transform is named ``T_target_source``: ``p_target = T_target_source @ p_source``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile_loc.core.errors import ConfigError, TactileLocError
+
+Array = NDArray[np.float64]
+Poses = NDArray[np.float64]
+
+
+def make_transform(R: ArrayLike, t_m: ArrayLike) -> Array:
+    """Stack rotations (..., 3, 3) and translations (..., 3) in metres to transforms (..., 4, 4)."""
+    R, t = np.asarray(R, float), np.asarray(t_m, float)
+    batch = np.broadcast_shapes(R.shape[:-2], t.shape[:-1])
+    T = np.zeros((*batch, 4, 4))
+    T[..., :3, :3] = R
+    T[..., :3, 3] = t
+    T[..., 3, 3] = 1.0
+    return T
+
+
+def translation(t_m: ArrayLike) -> Array:
+    """Return pure translations (..., 4, 4) by `t_m` (..., 3) in metres."""
+    return make_transform(np.eye(3), t_m)
+
+
+def invert(T: Array) -> Array:
+    """Invert rigid transforms (..., 4, 4): the result maps the target frame back to the source (metres)."""
+    R_inverse = np.swapaxes(T[..., :3, :3], -1, -2)
+    return make_transform(R_inverse, -(R_inverse @ T[..., :3, 3:])[..., 0])
+
+
+def transform_points(T: Array, points_m: ArrayLike) -> Array:
+    """Apply transforms (..., 4, 4) to points (P, 3) in metres of the source frame: (..., P, 3) in the target frame."""
+    return np.asarray(points_m, float) @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
+
+
+def rotation_about(axis: ArrayLike, angle_rad: ArrayLike) -> Array:
+    """Return rotations (..., 3, 3) by `angle_rad` (...) radians about one unitless axis (3,) (Rodrigues' formula)."""
+    x, y, z = np.asarray(axis, float) / np.linalg.norm(axis)
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = np.asarray(angle_rad, float)[..., None, None]
+    return np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
+
+
+def axis_times_sine(R: Array) -> Array:
+    """Return the unit axis (..., 3) of rotations (..., 3, 3) times the sine of their angle, unitless."""
+    skew = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
+    return np.asarray(0.5 * skew)
+
+
+def rotation_angle(R: Array) -> Array:
+    """Return the angle in radians, 0 to pi, of rotations (..., 3, 3). Accurate at both ends."""
+    sine = np.linalg.norm(axis_times_sine(R), axis=-1)
+    return np.arctan2(2.0 * sine, np.trace(R, axis1=-2, axis2=-1) - 1.0)
+
+
+def cross_matrix(v: Array) -> Array:
+    """Return the matrices (..., 3, 3) that take w to v x w, of vectors v (..., 3) of any unit."""
+    K = np.zeros((*v.shape, 3))
+    K[..., 2, 1] = v[..., 0]
+    K[..., 0, 2] = v[..., 1]
+    K[..., 1, 0] = v[..., 2]
+    return np.asarray(K - K.swapaxes(-1, -2))
+
+
+def covariance_at(covariance: Array, shift_m: Array) -> Array:
+    """Return a pose's covariances (..., 6, 6), m before rad, at a point `shift_m` (..., 3), metres, from their own."""
+    moved = np.broadcast_to(np.eye(6), (*shift_m.shape[:-1], 6, 6)).copy()
+    moved[..., :3, 3:] = -cross_matrix(shift_m)  # w x shift
+    return np.asarray(moved @ covariance @ np.swapaxes(moved, -1, -2))
+
+
+def covariance_along(covariance: Array, R: Array) -> Array:
+    """Return a pose's covariance (6, 6), m before rad, along other axes: R (3, 3) turns vectors' numbers to theirs."""
+    turned = np.kron(np.eye(2), R)
+    return np.asarray(turned @ covariance @ turned.T)
+
+
+def align_to_z(direction: ArrayLike) -> Array:
+    """Return the smallest rotation (3, 3) that turns the unitless direction (3,) onto +z."""
+    d = np.asarray(direction, float) / np.linalg.norm(direction)
+    axis = np.cross(d, [0.0, 0.0, 1.0])
+    if np.linalg.norm(axis) < 1e-12:
+        return np.eye(3) if d[2] > 0 else np.diag([1.0, -1.0, -1.0])
+    return rotation_about(axis, np.arctan2(np.linalg.norm(axis), d[2]))
+
+
+def quaternion_to_rotation(q: ArrayLike) -> Array:
+    """Turn unit quaternions (..., 4), scalar first, unitless, into rotations (..., 3, 3)."""
+    w, x, y, z = np.moveaxis(np.asarray(q, float), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def axis_angle(R: Array) -> tuple[float, Array]:
+    """Return a rotation (3, 3) as a turn in degrees, for people: 0 to 180, and its unit axis (3,); z for no turn."""
+    from scipy.spatial.transform import Rotation
+
+    vector = Rotation.from_matrix(R).as_rotvec()
+    angle = float(np.linalg.norm(vector))
+    return float(np.degrees(angle)), vector / angle + 0.0 if angle > 1e-9 else np.array([0.0, 0.0, 1.0])
+
+
+def rotation_to_quaternion(R: Array) -> Array:
+    """Turn rotations (..., 3, 3) into unit quaternions (..., 4), scalar first and non-negative, unitless."""
+    from scipy.spatial.transform import Rotation
+
+    flat: Any = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
+    return np.asarray(flat, float).reshape(*R.shape[:-2], 4)
+
+
+def random_rotations(count: int, rng: np.random.Generator) -> Array:
+    """Draw rotations (count, 3, 3) uniformly over SO(3): normalised Gaussian quaternions."""
+    q = rng.normal(size=(count, 4))
+    return quaternion_to_rotation(q / np.linalg.norm(q, axis=1, keepdims=True))
+
+
+def is_rigid(T: Array, tolerance: float = 1e-6) -> bool:
+    """Tell whether every transform of T (..., 4, 4) has a proper rotation, finite metres and the last row 0 0 0 1."""
+    R = T[..., :3, :3]
+    orthogonal = np.allclose(R @ np.swapaxes(R, -1, -2), np.eye(3), atol=tolerance)
+    last_row = np.allclose(T[..., 3, :], [0.0, 0.0, 0.0, 1.0], atol=tolerance)
+    return bool(np.isfinite(T).all() and orthogonal and last_row and (np.linalg.det(R) > 0).all())
+
+
+def require_rigid(T: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
+    """Return one rigid transform (4, 4) as float64. Raises `error`, which says that `what` is none."""
+    found = _numbers(T)
+    if found is None or found.shape != (4, 4) or not is_rigid(found):
+        raise error(
+            f"{what} is no rigid transform; it must be (4, 4), in metres, last row 0 0 0 1, its rotation no reflection"
+        )
+    return found
+
+
+def require_covariance(values: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
+    """Return the covariance (6, 6) of a pose's error as float64. Raises `error`, which says that `what` is none."""
+    found = _numbers(values)
+    if found is None or found.shape != (6, 6) or not _is_covariance(found):
+        raise error(
+            f"{what} is no covariance; it must be (6, 6), symmetric and nowhere negative, first x, y, z in m, then a "
+            "rotation vector in rad"
+        )
+    return found
+
+
+def _is_covariance(values: Array, tolerance: float = 1e-6) -> bool:
+    if not np.isfinite(values).all():
+        return False
+    allowed = tolerance * max(1e-12, float(np.abs(values).max()))
+    return bool(np.abs(values - values.T).max() <= allowed and np.linalg.eigvalsh(values).min() >= -allowed)
+
+
+def _numbers(values: ArrayLike) -> Array | None:
+    """The values as float64, None where they are no numbers."""
+    try:
+        found = np.asarray(values)
+    except ValueError:  # rows of different lengths
+        return None
+    return found.astype(np.float64) if found.dtype.kind in "fiu" else None

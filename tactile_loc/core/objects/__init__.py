@@ -1,0 +1,1 @@
+"""Objects: meshes, their symmetry and their nearest surface."""

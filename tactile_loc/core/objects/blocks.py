@@ -1,0 +1,52 @@
+"""Points or triangles in blocks of neighbours, each in a sphere: what is out of reach is passed over by the block."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.objects.mesh import TriangleMesh
+
+TRIANGLES = 24  # of a block
+
+
+class Blocks(NamedTuple):
+    """Things of C corners each in blocks of neighbours, metres or whatever unit they have: `corners` (N, C, 3) of the
+    things with the numbers `order` (N,), those of block b from starts[b] to starts[b + 1], inside the sphere about
+    centres[b] (B, 3) of radii[b] (B,)."""
+
+    corners: NDArray[np.float64]
+    order: NDArray[np.int64]
+    starts: NDArray[np.int64]
+    centres: NDArray[np.float64]
+    radii: NDArray[np.float64]
+
+
+def blocks_of(corners: NDArray[np.float64], most: int) -> Blocks:
+    """Part things with corners (N, C, 3), at the middle of their longest side, into blocks of at most `most`."""
+    middles = corners.mean(axis=1)
+    waiting, parts = [np.arange(len(corners))], []
+    while waiting:
+        some = waiting.pop()
+        if len(some) <= most:
+            parts.append(some)
+            continue
+        side = np.ptp(middles[some], axis=0).argmax()
+        some = some[np.argsort(middles[some, side], kind="stable")]
+        waiting += [some[len(some) // 2 :], some[: len(some) // 2]]
+    order, starts = np.concatenate(parts), np.cumsum([0, *map(len, parts)])
+    corners = np.ascontiguousarray(corners[order], float)
+    low = np.minimum.reduceat(corners.min(axis=1), starts[:-1])
+    high = np.maximum.reduceat(corners.max(axis=1), starts[:-1])
+    centres = (low + high) / 2
+    far = np.linalg.norm(corners - np.repeat(centres, np.diff(starts), axis=0)[:, None], axis=2).max(axis=1)
+    return Blocks(corners, order, starts, centres, np.maximum.reduceat(far, starts[:-1]) * (1 + 1e-9))
+
+
+@lru_cache(maxsize=16)
+def triangle_blocks(mesh: TriangleMesh) -> Blocks:
+    """Return the triangles of a mesh in blocks of TRIANGLES, parted when they are first asked for; metres."""
+    return blocks_of(mesh.triangles_m, TRIANGLES)

@@ -1,0 +1,123 @@
+"""The known object: its surface, its symmetry, and points on it."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import ObjectError
+from tactile_loc.core.objects.symmetry import SymmetryGroup
+
+SMALLEST_M, LARGEST_M = 1e-3, 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleMesh:
+    """A surface: `vertices_m` (V, 3) float64 in metres of the object frame, `faces` (F, 3) int indices."""
+
+    vertices_m: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+    @cached_property
+    def triangles_m(self) -> NDArray[np.float64]:
+        """The corners (F, 3, 3) of every face, metres."""
+        return self.vertices_m[self.faces]
+
+    @cached_property
+    def face_areas(self) -> NDArray[np.float64]:
+        """Area (F,) of every face in square metres."""
+        a, b, c = np.moveaxis(self.triangles_m, 1, 0)
+        return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+    @property
+    def extents_m(self) -> NDArray[np.float64]:
+        """Size (3,) of the axis-aligned box around the surface, metres."""
+        return np.ptp(self.vertices_m, axis=0)
+
+    @cached_property
+    def corners_m(self) -> NDArray[np.float64]:
+        """The vertices (V, 3) that faces have, metres."""
+        return self.vertices_m[np.unique(self.faces)]
+
+    @cached_property
+    def hull_corners_m(self) -> NDArray[np.float64]:
+        """The corners (V, 3) of the surface's convex hull, metres; all its vertices when it is flat."""
+        from scipy.spatial import ConvexHull, QhullError
+
+        try:
+            return np.asarray(self.corners_m[ConvexHull(self.corners_m).vertices])
+        except QhullError:
+            return self.corners_m
+
+    @cached_property
+    def centroid_m(self) -> NDArray[np.float64]:
+        """Centroid (3,) of the surface, metres: exact, not sampled."""
+        return np.average(self.triangles_m.mean(axis=1), axis=0, weights=self.face_areas)
+
+    @cached_property
+    def covariance_m2(self) -> NDArray[np.float64]:
+        """Covariance (3, 3) of the surface's points in square metres, exact.
+
+        Over a triangle with corners v the mean of p p^T is (sum v v^T + (sum v)(sum v)^T) / 12.
+        """
+        v = self.triangles_m - self.centroid_m
+        s = v.sum(axis=1)
+        moments = np.einsum("fki,fkj->fij", v, v) + np.einsum("fi,fj->fij", s, s)
+        return np.einsum("f,fij->ij", self.face_areas, moments) / (12.0 * self.face_areas.sum())
+
+    def sample(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Draw points (count, 3) in metres uniformly over the surface."""
+        a, b, c = np.moveaxis(self.triangles_m[self._draw_faces(count, rng)], 1, 0)
+        r, s = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
+        return (1 - r) * a + r * (1 - s) * b + r * s * c
+
+    def _draw_faces(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+        return rng.choice(len(self.faces), size=count, p=self.face_areas / self.face_areas.sum())
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of the surface: what identifies it in the store."""
+        parts = (np.ascontiguousarray(self.vertices_m, "<f8"), np.ascontiguousarray(self.faces, "<i8"))
+        return hashlib.sha256(b"".join(p.tobytes() for p in parts)).hexdigest()
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectModel:
+    """A known object: a surface in metres, the rotations that map it onto itself, and what was noticed on loading.
+
+    Raises ObjectError when the surface is empty, non-finite, has no extent, or an impossible size.
+    """
+
+    name: str
+    mesh: TriangleMesh
+    symmetry: SymmetryGroup
+    notes: tuple[str, ...] = ()
+    source: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        check_surface(self.mesh, self.name)
+
+    def describe(self) -> dict[str, object]:
+        """Return what identifies the object (surface digest, symmetry), as JSON values."""
+        return {"mesh": self.mesh.digest, "symmetry": str(self.symmetry), "centre_m": self.symmetry.centre_m.tolist()}
+
+
+def check_surface(mesh: TriangleMesh, name: str) -> None:
+    """Raise ObjectError, in one sentence, when the surface in metres cannot be that of a graspable object."""
+    if len(mesh.faces) == 0 or len(mesh.vertices_m) == 0:
+        raise ObjectError(f"{name} is an empty mesh: it has no faces; export it again as a surface mesh")
+    if not np.isfinite(mesh.vertices_m).all():
+        bad = int((~np.isfinite(mesh.vertices_m).all(axis=1)).sum())
+        raise ObjectError(f"{name} has {bad} vertices that are NaN or infinite; repair or export the mesh again")
+    if mesh.face_areas.sum() <= 0 or mesh.extents_m.max() <= 0:
+        raise ObjectError(f"{name} has zero extent: all its faces are points or lines; export the mesh again")
+    size = float(mesh.extents_m.max())
+    if not SMALLEST_M <= size <= LARGEST_M:
+        raise ObjectError(
+            f"{name} is {size * 1e3:.4g} mm long; objects from 1 mm to 1 m can be located, so its unit is probably "
+            "another: give --units m, mm, cm or inch"
+        )

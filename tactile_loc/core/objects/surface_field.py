@@ -1,0 +1,276 @@
+"""Where an object's surface is nearest: by the triangle that is nearest to each cell of a box about it.
+
+Built once an object, by a wave that carries triangles outwards from the cells that they cross; then the surface's
+nearest point is looked up in the time of one point and one triangle, whatever the mesh. Exact where the nearest
+triangle of a point and that of its cell's centre are the same one; beside an edge they may not be, which takes the
+point too far by a part of a cell; so the search goes on from there, to nearer triangles that share an edge.
+"""
+
+# mypy: disable-error-code="no-untyped-def,no-untyped-call"
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.compiled import in_threads, njit
+from tactile_loc.core.objects.mesh import TriangleMesh
+
+MOST_CELLS = 6_000_000
+SIDES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
+
+
+class NearestTriangles(NamedTuple):
+    """What compiled code takes, in one unit of length: `corners` (F, 3), `sides` (F, 2, 3) that lead from them to the
+    other corners, unit `normals` (F, 3); cells of side `cell` from the corner `low` (3,), each with the number of
+    its nearest triangle, `nearest` (X, Y, Z), -1 beyond reach. The triangles that share an edge with triangle f are
+    `beside` (R,) from ends[f] to ends[f + 1].
+    """
+
+    corners: NDArray[np.float64]
+    sides: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    low: NDArray[np.float64]
+    cell: float
+    nearest: NDArray[np.int32]
+    beside: NDArray[np.int32]
+    ends: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceField:
+    """The nearest points of a mesh, up to `reach_m` metres from it."""
+
+    triangles: NearestTriangles
+    reach_m: float
+
+    @classmethod
+    def of(cls, mesh: TriangleMesh, reach_m: float = 4e-3, cell_m: float = 5e-4) -> SurfaceField:
+        """Build the field of a mesh with cells of `cell_m` metres, or larger ones where they would be too many."""
+        low = mesh.vertices_m.min(axis=0) - reach_m
+        size = mesh.extents_m + 2 * reach_m
+        cell_m = max(cell_m, float(np.cbrt(size.prod() / MOST_CELLS)))
+        corners = np.ascontiguousarray(mesh.triangles_m[mesh.face_areas > 0])
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        nearest = np.full(np.ceil(size / cell_m).astype(int) + 1, -1, np.int32)
+        first, sides = np.ascontiguousarray(corners[:, 0]), corners[:, 1:] - corners[:, :1]
+        carry(first, sides, normals, low, cell_m, reach_m, nearest)
+        return cls(NearestTriangles(first, sides, normals, low, cell_m, nearest, *_neighbours(corners)), reach_m)
+
+    def in_unit(self, per_m: float) -> NearestTriangles:
+        """Return what compiled code takes, in another unit of length, of which a metre has `per_m`."""
+        of = self.triangles
+        return of._replace(
+            corners=of.corners * per_m, sides=of.sides * per_m, low=of.low * per_m, cell=of.cell * per_m
+        )  # fmt: skip
+
+    def closest(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Return the surface's nearest points (N, 3), metres, to points (N, 3) of the object's frame, and the number
+        (N,) of their triangle; NaN and -1 beyond reach."""
+        found, which = np.full((len(points_m), 3), np.nan), np.full(len(points_m), -1)
+        look_up(np.ascontiguousarray(points_m, float), self.triangles, found, which)
+        return found, which
+
+    def mean_gaps(
+        self, points_m: NDArray[np.float64], T_object_points: NDArray[np.float64], most_m: float
+    ) -> NDArray[np.float64]:
+        """Return how far points (N, 3), metres, moved by each of T_object_points (K, 4, 4), are from the surface.
+
+        That is the mean over the points (K,), metres, each counted as at most `most_m`; 0 without points.
+        """
+        gaps = np.zeros(len(T_object_points))
+        points_m = np.ascontiguousarray(points_m, float)
+        in_threads(_mean_gaps, len(gaps), points_m, T_object_points, self.triangles, float(most_m), gaps)
+        return gaps
+
+
+def _neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """The triangles that share an edge with each of the triangles (F, 3, 3), and where each one's end (F + 1,)."""
+    from scipy.sparse import csr_matrix
+
+    which = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)[1].ravel()
+    of = np.repeat(np.arange(len(corners)), 3)
+    touches = csr_matrix((np.ones(len(of), np.int8), (of, which)), shape=(len(corners), int(which.max()) + 1))
+    shared = (touches @ touches.T).tocsr()
+    shared.data[shared.data != 2] = 0  # corners in common; a triangle has three with itself
+    shared.eliminate_zeros()
+    return shared.indices.astype(np.int32), shared.indptr.astype(np.int64)
+
+
+@lru_cache(maxsize=64)  # objects of a library that are looked into together
+def surface_field(mesh: TriangleMesh) -> SurfaceField:
+    """Return the field of a mesh, built when it is first asked for."""
+    return SurfaceField.of(mesh)
+
+
+@njit
+def look_up(points, triangles, found, which):
+    """Fill nearest points (N, 3) and their triangles (N,)."""
+    for i in range(len(points)):
+        f = triangle_near(points[i], triangles)
+        which[i] = f
+        if f >= 0:
+            which[i] = f = downhill(points[i], f, triangles)[0]
+            x, y, z = closest_on_triangle(points[i], triangles.corners[f], triangles.sides[f])
+            found[i, 0], found[i, 1], found[i, 2] = x, y, z
+
+
+@njit
+def _mean_gaps(first, last, points, T, triangles, most, gaps):
+    """Fill the mean gaps (K,) of the moves (K, 4, 4) from first to last."""
+    x = np.empty(3)
+    for k in range(first, last):
+        total = 0.0
+        for i in range(len(points)):
+            for r in range(3):
+                x[r] = T[k, r, 0] * points[i, 0] + T[k, r, 1] * points[i, 1] + T[k, r, 2] * points[i, 2] + T[k, r, 3]
+            f = triangle_near(x, triangles)
+            total += (
+                most if f < 0 else min(most, math.sqrt(_squared_distance(x, triangles.corners[f], triangles.sides[f])))
+            )
+        gaps[k] = total / max(1, len(points))
+
+
+@njit
+def triangle_near(x, triangles):
+    """The triangle nearest to the cell that x (3,) lies in; -1 beyond reach."""
+    i = math.floor((x[0] - triangles.low[0]) / triangles.cell)
+    j = math.floor((x[1] - triangles.low[1]) / triangles.cell)
+    k = math.floor((x[2] - triangles.low[2]) / triangles.cell)
+    a, b, c = triangles.nearest.shape
+    if i < 0 or j < 0 or k < 0 or i >= a or j >= b or k >= c:
+        return -1
+    return int(triangles.nearest[i, j, k])
+
+
+@njit
+def downhill(x, f, triangles):
+    """The triangle nearest to x (3,) that is reached from triangle f over ever nearer ones that share an edge, and its
+    squared distance."""
+    least = _squared_distance(x, triangles.corners[f], triangles.sides[f])
+    while True:
+        best = f
+        for number in range(triangles.ends[f], triangles.ends[f + 1]):
+            other = triangles.beside[number]
+            a, n = triangles.corners[other], triangles.normals[other]
+            off = n[0] * (x[0] - a[0]) + n[1] * (x[1] - a[1]) + n[2] * (x[2] - a[2])
+            if off * off < least:  # else even its plane is farther
+                d = _squared_distance(x, a, triangles.sides[other])
+                if d < least:
+                    least, best = d, other
+        if best == f:
+            return f, least
+        f = best
+
+
+@njit
+def closest_on_triangle(x, a, sides):
+    """The point that is nearest to x (3,) of the triangle from corner a (3,) with `sides` (2, 3): Ericson, Real-Time
+    Collision Detection, 5.1.5."""
+    ab0, ab1, ab2 = sides[0, 0], sides[0, 1], sides[0, 2]
+    ac0, ac1, ac2 = sides[1, 0], sides[1, 1], sides[1, 2]
+    p0, p1, p2 = x[0] - a[0], x[1] - a[1], x[2] - a[2]
+    d1, d2 = ab0 * p0 + ab1 * p1 + ab2 * p2, ac0 * p0 + ac1 * p1 + ac2 * p2
+    between = ab0 * ac0 + ab1 * ac1 + ab2 * ac2
+    d3, d4 = d1 - (ab0 * ab0 + ab1 * ab1 + ab2 * ab2), d2 - between
+    d5, d6 = d1 - between, d2 - (ac0 * ac0 + ac1 * ac1 + ac2 * ac2)
+    v = w = 0.0
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    if d1 <= 0.0 and d2 <= 0.0:
+        pass
+    elif d3 >= 0.0 and d4 <= d3:
+        v = 1.0
+    elif d6 >= 0.0 and d5 <= d6:
+        w = 1.0
+    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v = d1 / (d1 - d3)
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        w = d2 / (d2 - d6)
+    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        v = 1.0 - w
+    else:
+        total = va + vb + vc
+        v, w = vb / total, vc / total
+    return a[0] + v * ab0 + w * ac0, a[1] + v * ab1 + w * ac1, a[2] + v * ab2 + w * ac2
+
+
+@njit
+def carry(corners, sides, normals, low, cell, reach, nearest):
+    """Fill the nearest triangle (X, Y, Z): of the cells that triangles cross, then outwards from cell to cell."""
+    X, Y, Z = nearest.shape
+    squared = np.empty((X, Y, Z), np.float32)
+    for i in range(X):
+        for j in range(Y):
+            for k in range(Z):
+                squared[i, j, k] = np.inf
+    count = _cross(corners, sides, normals, low, cell, nearest, squared)
+    wave = np.empty((count, 3), np.int32)
+    count = 0
+    for i in range(X):
+        for j in range(Y):
+            for k in range(Z):
+                if nearest[i, j, k] >= 0:
+                    wave[count, 0], wave[count, 1], wave[count, 2] = i, j, k
+                    count += 1
+    queued = np.zeros(nearest.shape, np.int16)
+    x = np.empty(3)
+    for layer in range(1, 4 * math.ceil(reach / cell) + 2):
+        after, ahead = np.empty((6 * count, 3), np.int32), 0
+        for n in range(count):
+            f = nearest[wave[n, 0], wave[n, 1], wave[n, 2]]
+            for s in range(6):
+                i, j, k = wave[n, 0] + SIDES[s, 0], wave[n, 1] + SIDES[s, 1], wave[n, 2] + SIDES[s, 2]
+                if i < 0 or j < 0 or k < 0 or i >= X or j >= Y or k >= Z or nearest[i, j, k] == f:
+                    continue
+                x[0], x[1], x[2] = low[0] + (i + 0.5) * cell, low[1] + (j + 0.5) * cell, low[2] + (k + 0.5) * cell
+                d = _squared_distance(x, corners[f], sides[f])
+                if d < squared[i, j, k] and d <= reach * reach:
+                    squared[i, j, k], nearest[i, j, k] = d, f
+                    if queued[i, j, k] != layer:
+                        queued[i, j, k] = layer
+                        after[ahead, 0], after[ahead, 1], after[ahead, 2] = i, j, k
+                        ahead += 1
+        wave, count = after, ahead
+        if count == 0:
+            break
+
+
+@njit
+def _cross(corners, sides, normals, low, cell, nearest, squared):
+    """Give the cells within two sides of a triangle that triangle; return how many cells have one."""
+    x, first, last, count = np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64), 0
+    near = 2.0 * cell
+    for f in range(len(corners)):
+        for m in range(3):
+            least = corners[f, m] + min(0.0, sides[f, 0, m], sides[f, 1, m])
+            most = corners[f, m] + max(0.0, sides[f, 0, m], sides[f, 1, m])
+            first[m] = max(0, math.floor((least - low[m]) / cell) - 1)
+            last[m] = min(nearest.shape[m] - 1, math.floor((most - low[m]) / cell) + 1)
+        n, a = normals[f], corners[f]
+        for i in range(first[0], last[0] + 1):
+            x[0] = low[0] + (i + 0.5) * cell
+            for j in range(first[1], last[1] + 1):
+                x[1] = low[1] + (j + 0.5) * cell
+                for k in range(first[2], last[2] + 1):
+                    x[2] = low[2] + (k + 0.5) * cell
+                    off = n[0] * (x[0] - a[0]) + n[1] * (x[1] - a[1]) + n[2] * (x[2] - a[2])
+                    if abs(off) > near:
+                        continue
+                    d = _squared_distance(x, corners[f], sides[f])
+                    if d < squared[i, j, k] and d <= near * near:
+                        count += nearest[i, j, k] < 0
+                        squared[i, j, k], nearest[i, j, k] = d, f
+    return count
+
+
+@njit
+def _squared_distance(x, a, sides):
+    p = closest_on_triangle(x, a, sides)
+    return (x[0] - p[0]) ** 2 + (x[1] - p[1]) ** 2 + (x[2] - p[2]) ** 2

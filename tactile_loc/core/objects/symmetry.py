@@ -1,0 +1,234 @@
+"""Rotational symmetry groups of objects: declared as text, closed under multiplication, enumerated, factored out."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile_loc.core.errors import SymmetryError
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+
+MAX_ORDER = 120
+"""Most rotations a finite group may have: twice those of the icosahedron, and all of a 60-sided prism."""
+
+_TERM = re.compile(r"(?:([xyz])|axis\(([^()]*)\))(\d+|inf)")
+_SAME_RAD = 1e-2  # what rounded axes may add up to; different elements of a group lie 0.05 rad apart
+_TIE = 1e-9
+_REFERENCE_ROTVEC = (0.3721, -0.8147, 1.1369)  # generic: on no symmetry plane of anything one would draw
+
+
+@dataclass(frozen=True)
+class SymmetryTerm:
+    """One generator: turns by 2 pi / `order` (math.inf: any turn) about `axis`, 3 numbers in the object frame."""
+
+    axis: tuple[float, float, float]
+    order: float
+
+    @property
+    def unit_axis(self) -> NDArray[np.float64]:
+        """The axis (3,) at unit length."""
+        axis = np.array(self.axis, dtype=np.float64)
+        return axis / np.linalg.norm(axis)
+
+    @property
+    def rotation(self) -> NDArray[np.float64]:
+        """The smallest turn (3, 3) of a finite term."""
+        return rotation_about(self.axis, 2.0 * math.pi / self.order)
+
+    def __str__(self) -> str:
+        return axis_name(self.axis) + ("inf" if math.isinf(self.order) else str(int(self.order)))
+
+
+def axis_name(axis: ArrayLike) -> str:
+    """Return 'x', 'y' or 'z' for a positive coordinate axis and 'axis(a,b,c)' with nine digits for any other (3,)."""
+    a = np.asarray(axis, dtype=np.float64)
+    for letter, unit in zip("xyz", np.eye(3), strict=True):
+        if np.array_equal(a, unit):
+            return letter
+    return "axis(" + ",".join(f"{component:.9g}" for component in a + 0.0) + ")"
+
+
+def close_rotations(generators: Sequence[NDArray[np.float64]]) -> NDArray[np.float64] | None:
+    """Return all products (K, 3, 3) of the (3, 3) generators, identity first, or None if there are over MAX_ORDER."""
+    found = [np.eye(3)]
+    for rotation in found:  # grows while it is walked
+        for generator in generators:
+            product = rotation @ generator
+            traces = np.einsum("kij,ij->k", np.stack(found), product)
+            if traces.max() < 1.0 + 2.0 * math.cos(_SAME_RAD):
+                found.append(product)
+        if len(found) > MAX_ORDER:
+            return None
+    return np.stack(found)
+
+
+@dataclass(frozen=True, eq=False)
+class SymmetryGroup:
+    """The proper rotations about `centre_m` (3,) in the object frame that map an object onto itself.
+
+    The group is {R_axis(any angle)} x `rotations` when `continuous_axis` (3,) is set, and `rotations` (K, 3, 3)
+    otherwise; the identity comes first. Raises SymmetryError if the terms generate more than MAX_ORDER rotations or
+    make a sphere of the object, which is not supported.
+    """
+
+    centre_m: NDArray[np.float64]
+    terms: tuple[SymmetryTerm, ...] = ()
+    rotations: NDArray[np.float64] = field(init=False, repr=False)
+    continuous_axis: NDArray[np.float64] | None = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        centre_m = np.array(self.centre_m, dtype=np.float64)
+        if centre_m.shape != (3,) or not np.isfinite(centre_m).all():
+            raise SymmetryError(f"The centre of a symmetry is three finite numbers in metres, not {self.centre_m!r}.")
+        axis = next((term.unit_axis for term in self.terms if math.isinf(term.order)), None)
+        if axis is None:
+            rotations = close_rotations([term.rotation for term in self.terms])
+        else:
+            rotations = _flips(self.terms, axis)
+        if rotations is None:
+            raise SymmetryError(
+                f"The symmetry '{self}' does not close: its turns generate more than {MAX_ORDER} rotations; correct an"
+                " axis or an order (a spherical object is not supported: name its turns about one axis)."
+            )
+        for name, value in (("centre_m", centre_m), ("rotations", rotations), ("continuous_axis", axis)):
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def parse(cls, text: str, centre_m: ArrayLike) -> SymmetryGroup:
+        """Read `none`, or terms joined by `*`, each an axis (x, y, z or axis(a,b,c)) and an order (2, 3, ... or inf).
+
+        `z6`: six turns about z; `zinf*x2`: a cylinder; `x2*y2`: a box. `centre_m` (3,): a point on every axis, object
+        frame. Raises SymmetryError for text that is not such a product, and for products that are not a group.
+        """
+        cleaned = re.sub(r"\s+", "", text).lower()
+        terms = () if cleaned == "none" else tuple(_parse_term(term, text) for term in cleaned.split("*"))
+        return cls(np.asarray(centre_m, dtype=np.float64), terms)
+
+    def __str__(self) -> str:
+        return "*".join(map(str, self.terms)) or "none"
+
+    @property
+    def order(self) -> float:
+        """The number of rotations: an int, or math.inf with a continuous axis."""
+        return len(self.rotations) if self.continuous_axis is None else math.inf
+
+    @property
+    def is_trivial(self) -> bool:
+        """Whether the identity is the only element."""
+        return self.order == 1
+
+    def elements(self, max_step_rad: float = math.radians(10.0)) -> NDArray[np.float64]:
+        """Return all elements as T_object_object (K, 4, 4), metres, identity first.
+
+        A continuous axis is sampled evenly, at an even number of turns (so that half turns are among them) at most
+        `max_step_rad` apart. Raises SymmetryError if `max_step_rad` is not positive.
+        """
+        R = self._sampled_rotations(max_step_rad)
+        return make_transform(R, self.centre_m - R @ self.centre_m)
+
+    def is_representative(self, R: NDArray[np.float64], step_rad: float | None = None) -> NDArray[np.bool_]:
+        """Say (N,) of each rotation R_sensor_object (N, 3, 3) whether it stands for its equivalents {R S : S in group}.
+
+        The representative is the equivalent nearest to a fixed generic rotation (a Dirichlet domain). Equivalents
+        exactly as near, a set of measure zero, all count, so that a pose is never lost. With a continuous axis,
+        `step_rad` (the spacing of the rotations asked about) is required, and R counts if it lies within half a step,
+        along its orbit, of the nearest one: an orbit sampled evenly at `step_rad` keeps one. Ask only about sets that
+        are closed under the group, such as a grid over all of SO(3); others are to be compared by `canonical`.
+        Raises SymmetryError if `step_rad` is missing.
+        """
+        nearness, angle_rad = self._nearness(R)
+        is_nearest = nearness[:, 0] >= nearness.max(axis=1) - _TIE
+        if self.continuous_axis is None:
+            return is_nearest
+        if step_rad is None or not step_rad > 0:
+            raise SymmetryError(f"The symmetry '{self}' is continuous: give the positive step_rad of the rotations.")
+        half_step_rad = step_rad / 2.0
+        return is_nearest & (angle_rad[:, 0] > -half_step_rad) & (angle_rad[:, 0] <= half_step_rad)
+
+    def canonical(self, R: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return for each R_sensor_object (N, 3, 3) the equivalent (N, 3, 3) nearest to the fixed generic rotation.
+
+        Two poses are equivalent if and only if these agree and so do the positions of the group's centre.
+        """
+        nearness, angle_rad = self._nearness(R)
+        best = nearness.argmax(axis=1)
+        nearest = np.asarray(R, dtype=np.float64) @ self.rotations[best]
+        if self.continuous_axis is None:
+            return nearest
+        return nearest @ rotation_about(self.continuous_axis, angle_rad[np.arange(len(best)), best])
+
+    def least_angle(self, R_reference: NDArray[np.float64], R: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the least angle (N,), radians, from R_reference (3, 3) to the equivalents of rotations R (N, 3, 3)."""
+        nearness, _ = self._nearness(R, R_reference)  # a trace is 1 + 2 cos(angle)
+        return np.arccos(np.clip(0.5 * (nearness.max(axis=1) - 1.0), -1.0, 1.0))
+
+    def _sampled_rotations(self, max_step_rad: float) -> NDArray[np.float64]:
+        if not max_step_rad > 0:
+            raise SymmetryError(f"The step along a continuous symmetry must be positive, not {max_step_rad} rad.")
+        if self.continuous_axis is None:
+            return self.rotations
+        count = 2 * math.ceil(math.pi / max_step_rad - 1e-9)
+        turns = rotation_about(self.continuous_axis, np.arange(count) * (2.0 * math.pi / count))
+        return (self.rotations[:, None] @ turns[None]).reshape(-1, 3, 3)
+
+    def _nearness(
+        self, R: NDArray[np.float64], R_ref: NDArray[np.float64] | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return max over the continuous turn of tr(R_ref^T R S_k R_axis(angle)), (N, K), and that angle (N, K)."""
+        if R_ref is None:
+            R_ref = rotation_about(_REFERENCE_ROTVEC, np.linalg.norm(_REFERENCE_ROTVEC))
+        A = R_ref.T @ np.asarray(R, dtype=np.float64)
+        if self.continuous_axis is None:
+            nearness = A.reshape(-1, 9) @ self.rotations.transpose(0, 2, 1).reshape(-1, 9).T
+            return nearness, np.zeros_like(nearness)
+        A = A[:, None] @ self.rotations
+        along = np.einsum("i,nkij,j->nk", self.continuous_axis, A, self.continuous_axis)
+        cosine = np.trace(A, axis1=2, axis2=3) - along
+        sine = np.einsum("nkij,ji->nk", A, rotation_about(self.continuous_axis, math.pi / 2)) - along
+        return along + np.hypot(cosine, sine), np.arctan2(sine, cosine)
+
+
+def _parse_term(term: str, text: str) -> SymmetryTerm:
+    match = _TERM.fullmatch(term)
+    components = _axis_components(match) if match else None
+    if match is None or components is None:
+        raise SymmetryError(
+            f"The symmetry '{text}' cannot be read at '{term}': write 'none', or terms such as z6, zinf or"
+            " axis(1,1,0)2 joined by '*'."
+        )
+    order = math.inf if match[3] == "inf" else int(match[3])
+    if order < 2:
+        raise SymmetryError(f"The order of '{term}' in the symmetry '{text}' must be 2 or more, or inf.")
+    return SymmetryTerm(components, order)
+
+
+def _axis_components(match: re.Match[str]) -> tuple[float, float, float] | None:
+    if match[1]:
+        return (float(match[1] == "x"), float(match[1] == "y"), float(match[1] == "z"))
+    try:
+        a, b, c = (float(part) for part in match[2].split(","))
+    except ValueError:
+        return None
+    length = math.hypot(a, b, c)
+    return (a, b, c) if math.isfinite(length) and length > 1e-12 else None
+
+
+def _flips(terms: Sequence[SymmetryTerm], axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the identity and, if a term is one, a half turn perpendicular to the continuous axis: (1 or 2, 3, 3)."""
+    rotations = [np.eye(3)]
+    for term in terms:
+        along = float(term.unit_axis @ axis)
+        if abs(along) > math.cos(_SAME_RAD):
+            continue  # turns about the continuous axis itself add nothing
+        if term.order != 2 or abs(along) > _SAME_RAD:
+            raise SymmetryError(
+                f"The symmetry '{'*'.join(map(str, terms))}' would make the object a sphere, which is not supported:"
+                " beside a continuous axis there can only be half turns about an axis perpendicular to it."
+            )
+        rotations[1:] = [rotation_about(term.unit_axis - along * axis, math.pi)]
+    return np.stack(rotations)

@@ -1,0 +1,343 @@
+"""Which rotations map an object's surface onto itself: found from the mesh, or checked when declared."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import SymmetryError
+from tactile_loc.core.geometry.rigid import rotation_about
+from tactile_loc.core.objects.symmetry import MAX_ORDER, SymmetryGroup, SymmetryTerm, axis_name, close_rotations
+from tactile_loc.core.objects.symmetry_surface import SurfaceProbe
+
+_logger = logging.getLogger(__name__)
+
+RESOLUTION_M = 5e-5
+"""The deviation of a surface that a tactile sensor sees, where it is about half a millimetre wide."""
+
+_IGNORED = 1e-3  # the fraction of the few points that may lie farther off: whether that is a feature the many say
+_EQUAL_MOMENTS = 0.06
+_VERIFY_STEP_RAD = math.radians(16.0)
+_VERIFY_EVALUATIONS = 40_000
+_GOLDEN_RAD = math.pi * (3.0 - math.sqrt(5.0))  # its multiples meet no finite group
+_SCAN_ORDERS = (2, 3, 5, 7)
+_LETTER_WEIGHTS = (1.002, 1.001, 1.0)  # of equivalent half turns, that about x is named before y and z
+
+
+def detect_symmetry(
+    vertices_m: NDArray[np.float64], faces: NDArray[np.int64], tolerance_m: float = RESOLUTION_M, seed: int = 0
+) -> SymmetryGroup:
+    """Return the rotations about the surface's centroid that map the surface of a mesh onto itself.
+
+    `vertices_m` (V, 3), `faces` (F, 3). A rotation counts unless some patch of the rotated surface, half a millimetre
+    wide and more, lies farther than `tolerance_m` from the surface: a pocket breaks the symmetry of a plate however
+    large the plate is. What the facets of a tessellated curve leave open is forgiven beyond that, where they are.
+    Axes of up to 60-fold symmetry and continuous ones are found. A sphere is reported as a cylinder, with a warning.
+    `seed` draws the surface points that are looked at: 0.4 mm apart, or 40,000. Raises ObjectError for a mesh without
+    a surface.
+    """
+    probe = SurfaceProbe(vertices_m, faces, seed)
+    search = _Search(probe, tolerance_m)
+    moments_m2, axes = np.linalg.eigh(probe.covariance_m2())
+    equal = np.diff(moments_m2) < _EQUAL_MOMENTS * moments_m2[2]
+    if equal.all():
+        terms = search.terms_anywhere(axes.T)
+    elif equal.any():
+        terms = search.terms_about(axes[:, 2] if equal[0] else axes[:, 0])
+    else:
+        terms = [(axis, 2.0) for axis in axes.T if search.is_symmetry(axis, math.pi)]
+    return search.group(terms)
+
+
+def verify_symmetry(
+    group: SymmetryGroup, vertices_m: NDArray[np.float64], faces: NDArray[np.int64], tolerance_m: float = RESOLUTION_M
+) -> float:
+    """Return how far, in metres, the surface lies from itself under the worst of the group's elements.
+
+    `vertices_m` (V, 3), `faces` (F, 3). The largest deviation of a patch half a millimetre wide, less what facets
+    leave open; a continuous axis is sampled. Deviations below `tolerance_m` may be reported a little too large or as
+    nil. Raises ObjectError for a mesh without a surface.
+    """
+    return _worst(SurfaceProbe(vertices_m, faces), group, tolerance_m)[0]
+
+
+def require_symmetry(
+    group: SymmetryGroup, vertices_m: NDArray[np.float64], faces: NDArray[np.int64], tolerance_m: float | None = None
+) -> None:
+    """Raise SymmetryError if the surface of a mesh differs from itself by more than `tolerance_m` under the group.
+
+    Arguments as in `verify_symmetry`; by default what is forgiven is `SurfaceProbe.declared_tolerance_m`, which is
+    more than detection does: who declares the symmetry of a scan knows it better. The error says under which turn, by
+    how much and where.
+    """
+    probe = SurfaceProbe(vertices_m, faces)
+    tolerance_m = probe.declared_tolerance_m() if tolerance_m is None else tolerance_m
+    deviation_m, R, point_m = _worst(probe, group, tolerance_m)
+    if deviation_m > tolerance_m:
+        place = ", ".join(f"{1e3 * value:.1f}" for value in point_m)
+        raise SymmetryError(
+            f"The object does not have the symmetry '{group}': the surface differs by {1e3 * deviation_m:.2g} mm after"
+            f" {_turn_name(R)}, at ({place}) mm, and the tolerance is {1e3 * tolerance_m:.2g} mm; correct the"
+            " symmetry, or declare none."
+        )
+
+
+Deviation = tuple[float, NDArray[np.float64], NDArray[np.float64]]  # how far, after which turn (3, 3), where (3,)
+
+
+def _worst(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
+    """Return the largest deviation over a group's elements, metres, and where in the object frame."""
+    both = (worst(probe, group, tolerance_m) for worst in (_worst_of_few, _worst_patch))
+    return max(both, key=lambda deviation: deviation[0])
+
+
+def _worst_of_few(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
+    """Move a few points by all elements, and leave a thousandth of them out of account."""
+    elements = group.elements(_VERIFY_STEP_RAD)[1:]
+    few = probe.few.first(_VERIFY_EVALUATIONS // (len(elements) + 1))
+    worst: Deviation = (0.0, np.eye(3), probe.centre_m)
+    for R in elements[:, :3, :3]:
+        mapped_m = _mapped(few.points_m, R, group.centre_m - probe.centre_m)
+        deviation_m = probe.deviation_m(mapped_m, few.open_m, tolerance_m)
+        index = int(np.argsort(deviation_m)[_kept(len(few)) - 1])
+        if deviation_m[index] > worst[0]:
+            worst = float(deviation_m[index]), R, mapped_m[index] + probe.centre_m
+    return worst
+
+
+def _worst_patch(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
+    """Move many points by what generates the elements: a feature that any element moves, one of these does."""
+    worst: Deviation = (0.0, np.eye(3), probe.centre_m)
+    for R in _generators(group):
+        mapped_m = _mapped(probe.many.points_m, R, group.centre_m - probe.centre_m)
+        deviation_m, index = probe.patch_deviation_m(mapped_m, probe.many.open_m, tolerance_m)
+        if deviation_m > worst[0]:
+            worst = deviation_m, R, mapped_m[index] + probe.centre_m
+    return worst
+
+
+def _mapped(
+    points_m: NDArray[np.float64], R: NDArray[np.float64], centre_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Points (N, 3) turned by R (3, 3) about a centre (3,); metres."""
+    return (points_m - centre_m) @ R.T + centre_m
+
+
+def _generators(group: SymmetryGroup) -> NDArray[np.float64]:
+    """The turns (K, 3, 3) that generate a group, and their inverses; of a continuous axis one that meets no other."""
+    turns = [rotation_about(t.axis, _GOLDEN_RAD) if math.isinf(t.order) else t.rotation for t in group.terms]
+    both = [R for turn in turns for R in ((turn,) if np.allclose(turn, turn.T) else (turn, turn.T))]
+    return np.array(both).reshape(-1, 3, 3)
+
+
+def _kept(count: int) -> int:
+    return count - int(count * _IGNORED)
+
+
+class _Search:
+    """Looks for symmetry axes through the centroid of a surface, given the tolerance."""
+
+    def __init__(self, probe: SurfaceProbe, tolerance_m: float) -> None:
+        self._probe = probe
+        self._tolerance_m = tolerance_m
+
+    def group(self, candidates: Iterable[tuple[NDArray[np.float64], float]]) -> SymmetryGroup:
+        """Return the group of those candidate (axis, order) that hold together with the ones before, higher first."""
+        group = SymmetryGroup(self._probe.centre_m)
+        for term in sorted((self._term(*candidate) for candidate in candidates), key=_by_order_and_letter):
+            if math.isinf(group.order):
+                larger = SymmetryGroup(self._probe.centre_m, (*group.terms, term))
+            elif math.isinf(term.order):
+                larger = SymmetryGroup(self._probe.centre_m, (term,))
+            else:
+                rotations = close_rotations([t.rotation for t in (*group.terms, term)])
+                if rotations is None or len(rotations) == group.order:
+                    continue
+                larger = SymmetryGroup(self._probe.centre_m, (*group.terms, term))
+            if _worst_of_few(self._probe, larger, self._tolerance_m)[0] <= self._tolerance_m:
+                group = larger
+        return group
+
+    def is_symmetry(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
+        """Say whether a turn maps the surface onto itself, within the tolerance."""
+        return self._is_nearly_symmetry(axis, angle_rad) and self._has_no_feature(axis, angle_rad)
+
+    def _is_nearly_symmetry(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
+        """Say whether a turn maps few points of the surface onto it, but for a thousandth."""
+        R, few, half_m = rotation_about(axis, angle_rad), self._probe.few, 0.5 * self._tolerance_m
+        first = few.first(150)
+        deviation_m = self._probe.deviation_m(first.points_m @ R.T, first.open_m, half_m, candidates=24)
+        if np.count_nonzero(deviation_m > 2.0 * self._tolerance_m) > 10:
+            return False
+        deviation_m = self._probe.deviation_m(few.points_m @ R.T, few.open_m, half_m)
+        kept_m = np.sort(deviation_m)[: _kept(len(deviation_m))]
+        return bool(kept_m[-1] <= self._tolerance_m and np.mean(kept_m**2) <= half_m**2)
+
+    def _has_no_feature(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
+        """Say whether no patch of the surface, turned there or back, lies beyond the tolerance."""
+        many = self._probe.many
+        for sign in (1.0, -1.0)[: 1 if angle_rad == math.pi else 2]:
+            turned_m = many.points_m @ rotation_about(axis, sign * angle_rad).T
+            if self._probe.patch_deviation_m(turned_m, many.open_m, self._tolerance_m)[0]:
+                return False
+        return True
+
+    def order_about(self, axis: NDArray[np.float64], multiple_of: int = 1) -> float:
+        """Return the order of the symmetry about an axis (3,): math.inf, up to 60, or 1 for none."""
+        turns_rad = [k * _GOLDEN_RAD for k in range(1, 7)]
+        if all(self._is_nearly_symmetry(axis, t) for t in turns_rad) and self._has_no_feature(axis, _GOLDEN_RAD):
+            return math.inf
+        largest = MAX_ORDER // 2
+        held = [p for p in _primes(largest) if self._has_nearly_order(axis, p)]
+        for order in range(largest, 1, -1):
+            factors = [p for p in _primes(order) if order % p == 0]
+            possible = order % multiple_of == 0 and set(factors) <= set(held) and self._has_nearly_order(axis, order)
+            if possible and self._has_no_feature(axis, 2.0 * math.pi / order):
+                return order
+        return 1
+
+    def _has_nearly_order(self, axis: NDArray[np.float64], order: int) -> bool:
+        # a screw thread passes a small turn, so every multiple is looked at, the half turn first
+        return all(self._is_nearly_symmetry(axis, 2.0 * math.pi * k / order) for k in range(order // 2, 0, -1))
+
+    def terms_about(self, axis: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], float]]:
+        """Return the terms about an axis (3,) whose moment stands out, and about one perpendicular to it."""
+        order = self.order_about(axis)
+        terms = [(axis, order)] if order > 1 else []
+        flip = self._flip(axis, order)
+        return terms if flip is None else [*terms, (flip, 2.0)]
+
+    def terms_anywhere(self, extra: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], float]]:
+        """Return the terms of a surface with three equal moments; `extra` (E, 3) directions are looked at first."""
+        few = self._probe.few
+        if np.ptp(np.linalg.norm(few.points_m, axis=1)) <= self._tolerance_m + few.open_m.max():
+            _logger.warning("The object is a sphere, whose symmetry is not supported: it is treated as a cylinder.")
+            return [(np.array([0.0, 0.0, 1.0]), math.inf), (np.array([1.0, 0.0, 0.0]), 2.0)]
+        terms: list[tuple[NDArray[np.float64], float]] = []
+        points_m = few.points_m[:200]
+        for scanned in _SCAN_ORDERS:
+            if scanned > 3 and any(order > 2 for _, order in terms):
+                break  # half turns and third turns generate all groups but the cyclic and dihedral ones
+            for axis in np.concatenate([extra, np.eye(3), self._scan(_hemisphere(1000), scanned, points_m[:50], 14)]):
+                if _is_among(terms, axis):
+                    continue
+                polished = self._polish(axis, 2.0 * math.pi / scanned, points_m)
+                if _is_among(terms, polished) or not self.is_symmetry(polished, 2.0 * math.pi / scanned):
+                    continue
+                order = self.order_about(polished, scanned)
+                if math.isinf(order):
+                    return self.terms_about(polished)
+                terms.append((polished, max(order, scanned)))
+        return terms
+
+    def _flip(self, axis: NDArray[np.float64], order: float) -> NDArray[np.float64] | None:
+        """Return an axis (3,) of a half turn perpendicular to one of the given order, or None if there is none."""
+        u = _perpendicular(axis)
+        if math.isinf(order):
+            return u if self.is_symmetry(u, math.pi) else None
+        # the half turns of a dihedral group repeat every pi / order
+        turns = rotation_about(axis, np.linspace(0.0, math.pi / order, 120, endpoint=False))
+        points_m = self._telling_points(rotation_about(axis, np.arange(1, 6) * _GOLDEN_RAD) @ u)
+        for candidate in self._scan(turns @ u, 2, points_m, 12):
+            polished = self._polish(candidate, math.pi, points_m)
+            polished = polished - (polished @ axis) * axis
+            if self.is_symmetry(polished, math.pi):
+                equivalents = rotation_about(axis, np.arange(int(order)) * (math.pi / order)) @ polished
+                return equivalents[np.argmax((np.abs(equivalents) * _LETTER_WEIGHTS).max(axis=1))]
+        return None
+
+    def _telling_points(self, axes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return points (200, 3): half anywhere, half where half turns about arbitrary `axes` (K, 3) show most."""
+        points_m = self._probe.few.points_m[:1500]
+        turned_m = np.concatenate([points_m @ rotation_about(axis, math.pi).T for axis in axes])
+        distance_m = self._probe.distance_m(turned_m).reshape(len(axes), -1).max(axis=0)
+        return points_m[np.concatenate([np.argsort(distance_m)[-100:], np.arange(100)])]
+
+    def _scan(
+        self, directions: NDArray[np.float64], order: int, points_m: NDArray[np.float64], count: int
+    ) -> NDArray[np.float64]:
+        """Return up to `count` directions (K, 3), some way apart, about which one turn of an order looks best."""
+        turned_m = np.concatenate([points_m @ rotation_about(axis, 2.0 * math.pi / order).T for axis in directions])
+        distance_m = self._probe.distance_m(turned_m, candidates=1)
+        scores = np.square(distance_m).reshape(len(directions), -1).mean(axis=1)
+        spacing = np.sort(np.abs(directions @ directions[0]))[-min(4, len(directions))]
+        chosen: list[NDArray[np.float64]] = []
+        for direction in directions[np.argsort(scores)]:
+            if len(chosen) < count and all(abs(direction @ other) < spacing for other in chosen):
+                chosen.append(direction)
+        return np.stack(chosen)
+
+    def _polish(
+        self, axis: NDArray[np.float64], angle_rad: float, points_m: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the axis (3,) tilted so that a turn about it fits the surface best: Gauss-Newton, point to plane.
+
+        A tilt by epsilon turns S into exp(epsilon) S exp(-epsilon), which moves q = S p by ((1 - S) epsilon) x q.
+        """
+        for _ in range(10):
+            R = rotation_about(axis, angle_rad)
+            q_m = points_m @ R.T
+            residual_m, normals, facing = self._probe.plane_residuals(q_m)
+            u = _perpendicular(axis)
+            tangents = np.stack([u, np.cross(axis, u)], axis=1)
+            jacobian = np.cross(q_m, normals) @ (np.eye(3) - R) @ tangents
+            tilt = tangents @ np.linalg.lstsq(jacobian[facing], -residual_m[facing], rcond=1e-6)[0]
+            axis = axis + np.cross(tilt, axis) * min(1.0, 0.1 / max(float(np.linalg.norm(tilt)), 1e-12))
+            axis = axis / np.linalg.norm(axis)
+            if np.linalg.norm(tilt) < 1e-9:
+                break
+        return axis
+
+    def _term(self, axis: NDArray[np.float64], order: float) -> SymmetryTerm:
+        """Return a term about a coordinate axis if it is one within a fifth of the tolerance."""
+        axis = axis / np.linalg.norm(axis)
+        main = int(np.argmax(np.abs(axis).round(6)))
+        axis = axis * np.sign(axis[main])
+        if np.linalg.norm(axis - np.eye(3)[main]) * self._probe.radius_m < 0.2 * self._tolerance_m:
+            axis = np.eye(3)[main]
+        a, b, c = (round(float(value), 8) + 0.0 for value in axis)
+        return SymmetryTerm((a, b, c), order)
+
+
+def _is_among(terms: list[tuple[NDArray[np.float64], float]], axis: NDArray[np.float64]) -> bool:
+    return any(abs(axis @ other) > math.cos(0.06) for other, _ in terms)
+
+
+def _primes(largest: int) -> list[int]:
+    return [p for p in range(2, largest + 1) if all(p % d for d in range(2, math.isqrt(p) + 1))]
+
+
+def _by_order_and_letter(term: SymmetryTerm) -> tuple[float, bool, str]:
+    name = axis_name(term.axis)
+    return (-term.order, len(name) > 1, name if len(name) == 1 else "")
+
+
+def _perpendicular(axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a unit vector (3,) perpendicular to an axis: nearly a coordinate axis where it can be."""
+    unit = np.eye(3)[np.argmin(np.abs(axis).round(2))]
+    u = unit - (unit @ axis) * axis
+    return u / np.linalg.norm(u)
+
+
+def _hemisphere(count: int) -> NDArray[np.float64]:
+    """Return directions (count, 3) spread evenly over a half sphere (a Fibonacci spiral)."""
+    z = 1.0 - (np.arange(count) + 0.5) / count
+    azimuth = np.arange(count) * _GOLDEN_RAD
+    radius = np.sqrt(1.0 - z**2)
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
+
+
+def _turn_name(R: NDArray[np.float64]) -> str:
+    """Describe a rotation (3, 3) as 'a turn of 60 deg about z'."""
+    angle_rad = math.acos(float(np.clip((np.trace(R) - 1.0) / 2.0, -1.0, 1.0)))
+    axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    if np.linalg.norm(axis) < 1e-6:  # a half turn: R + 1 = 2 a a^T
+        axis = (R + np.eye(3))[np.argmax(np.diag(R))]
+    axis = (axis / np.linalg.norm(axis)).round(3) + 0.0
+    if axis[np.argmax(np.abs(axis))] < 0:
+        axis, angle_rad = -axis + 0.0, 2.0 * math.pi - angle_rad
+    return f"a turn of {math.degrees(angle_rad):.4g} deg about {axis_name(axis)}"

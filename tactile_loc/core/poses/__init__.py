@@ -1,0 +1,1 @@
+"""Sets of poses: their metric, lattices, posteriors and priors."""

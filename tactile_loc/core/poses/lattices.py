@@ -1,0 +1,83 @@
+"""Square lattices of translations, and where an object can be over the sensing rectangle."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import GridError
+
+Float = NDArray[np.float64]
+
+SMALLEST_SPACING_M = 1e-6
+
+PLASTIC = 1.32471795724474602596  # the real root of x^3 = x + 1
+SHIFTS = np.array([1 / PLASTIC, 1 / PLASTIC**2])  # its multiples, modulo 1, fill a square: Roberts' R2 sequence
+
+
+def lattice_shape(low_m: Float, high_m: Float, pitch_m: float) -> NDArray[np.int64]:
+    """Return how many lattice points (..., 2) `plane_lattice` has along x and y between low and high (..., 2), metres.
+
+    Each point stands for a square of side `pitch_m`; the fewest squares that cover the range are taken, at least one.
+    Raises GridError when the pitch is not a positive number.
+    """
+    _require_pitch(pitch_m)
+    # A range that is a whole number of pitches must not get one more from rounding.
+    squares = np.ceil((np.asarray(high_m, float) - np.asarray(low_m, float)) / pitch_m - 1e-9)
+    shape: NDArray[np.int64] = np.maximum(squares, 1).astype(np.int64)
+    return shape
+
+
+def plane_lattice(low_m: Float, high_m: Float, pitch_m: float) -> Float:
+    """Return the points (K, 2) of a square lattice of pitch `pitch_m`, centred between low (2,) and high (2,).
+
+    Metres; x varies slowest. No place in the range is farther than half a pitch from a point along either axis. The
+    points lie inside the range; one that is shorter than a pitch, or empty (high below low), gets one point, its
+    middle. Raises GridError when the pitch is not a positive number.
+    """
+    low, high = np.asarray(low_m, float), np.asarray(high_m, float)
+    x, y = (
+        middle + pitch_m * (np.arange(n) - (n - 1) / 2)
+        for middle, n in zip((low + high) / 2, lattice_shape(low, high, pitch_m), strict=True)
+    )
+    return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def shifted_lattice(low_m: Float, high_m: Float, pitch_m: float, number: int) -> Float:
+    """Return the points (K, 2) of the square lattice that is shifted by the `number`-th of SHIFTS, as far as in range.
+
+    Metres; lattices of successive numbers fill one another's gaps evenly. Number 0 has a point in the middle of the
+    range, low (2,) to high (2,); a range that no point is in gets its middle. Raises GridError as `plane_lattice` does.
+    """
+    _require_pitch(pitch_m)
+    low, high = np.asarray(low_m, float), np.asarray(high_m, float)
+    middle, shift = (low + high) / 2, pitch_m * (number * SHIFTS % 1.0)
+    axes = []
+    for a in range(2):
+        first = np.ceil((low[a] - middle[a] - shift[a]) / pitch_m - 1e-9)
+        last = np.floor((high[a] - middle[a] - shift[a]) / pitch_m + 1e-9)
+        points = middle[a] + shift[a] + pitch_m * np.arange(first, last + 1)
+        axes.append(points if len(points) else middle[a : a + 1])
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def require_spacing(spacing_m: float) -> None:
+    """Raise GridError unless a grid can have this spacing, in metres: it is a micrometre or more."""
+    if not SMALLEST_SPACING_M <= spacing_m < np.inf:
+        raise GridError(f"the grid's spacing is {spacing_m * 1e3:g} mm; give one of at least 0.001 mm")
+
+
+def _require_pitch(pitch_m: float) -> None:
+    if not (np.isfinite(pitch_m) and pitch_m > 0):
+        raise GridError(f"a lattice needs a positive pitch, not {pitch_m * 1e3:g} mm; give a spacing above zero")
+
+
+def reachable_translations(points_m: Float, rectangle_m: tuple[float, float, float, float]) -> tuple[Float, Float]:
+    """Return low (2,) and high (2,) of t_xy for which the bounding box of points + t overlaps the rectangle.
+
+    Metres, sensor frame. `points_m` (V, 3) or (..., V, 3) are already turned (R p); the result is (..., 2) each. The
+    rectangle is (x0, x1, y0, y1). At low and high the box and the rectangle just touch.
+    """
+    points = np.asarray(points_m, float)[..., :2]
+    x0, x1, y0, y1 = rectangle_m
+    return np.array([x0, y0]) - points.max(axis=-2), np.array([x1, y1]) - points.min(axis=-2)

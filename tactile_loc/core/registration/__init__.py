@@ -1,0 +1,1 @@
+"""The joint registration of poses to touches."""

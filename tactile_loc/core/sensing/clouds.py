@@ -1,0 +1,113 @@
+"""Contact shapes as point clouds with normals, for registration."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape
+
+Points = NDArray[np.float64]
+OUTLINE_PX = 1.5  # standard deviation of the smoothing across which an outline's direction is measured
+SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))  # row and column steps to a pixel's neighbours
+
+
+def contact_cloud(shape: ContactShape, geometry: SensorGeometry, walls: bool = True) -> tuple[Points, Points]:
+    """Return the surface in contact as points (P, 3) in metres, sensor frame, and unit normals (P, 3).
+
+    A normal points into the sensor (towards -z). With `walls`, the outline is part of the surface too: where a pixel
+    in contact borders one that is not, and the surface drops there faster than it could by sloping away, the pressed
+    solid ends in a wall from the surface up to the press depth. Walls hold a flat face sideways, which its surface
+    alone cannot. At the sensor's border the solid is cut off, not ended, so there are none.
+    """
+    rows, columns = _crop(shape.contact & geometry.observed_mask)
+    observed = geometry.observed_mask[rows, columns]
+    contact = shape.contact[rows, columns] & observed
+    depth = shape.depth_m[rows, columns].astype(float)
+    deepest_m = np.broadcast_to(geometry.full_penetration_m, geometry.shape)[rows, columns]
+    xyz = _backproject(depth + deepest_m, geometry, rows, columns)
+    points, normals = xyz[contact], _surface_normals(xyz, contact)
+    if not walls:
+        return points, normals
+    wall_points, wall_normals = _wall_cloud(xyz, shape.press_depth_m - depth, contact, observed, geometry.pixel_pitch_m)
+    return np.concatenate([points, wall_points]), np.concatenate([normals, wall_normals])
+
+
+def _crop(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """The rows and columns around a mask (H, W), with a margin of three pixels: most of the image is not in contact."""
+    spans = []
+    for axis in (1, 0):
+        where = np.flatnonzero(mask.any(axis=axis))
+        spans.append(slice(max(0, where[0] - 3), where[-1] + 4) if len(where) else slice(0, 1))
+    return spans[0], spans[1]
+
+
+def _backproject(z_m: Points, geometry: SensorGeometry, rows: slice, columns: slice) -> Points:
+    """Points (h, w, 3) in metres of depths (h, w) that were cut out of the sensor's image."""
+    x, y = geometry.pixel_slopes[0][columns], geometry.pixel_slopes[1][rows]
+    k = z_m if geometry.is_pinhole else np.ones_like(z_m)
+    return np.stack([x * k, y[:, None] * k, z_m], axis=-1)
+
+
+def _surface_normals(xyz: Points, contact: NDArray[np.bool_]) -> Points:
+    """Unit normals (P, 3) of the pixels in contact, from differences between neighbours that are both in contact."""
+    down, right = (_difference(xyz, contact, axis)[contact] for axis in (0, 1))
+    normals = np.cross(down, right)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+def _difference(xyz: Points, contact: NDArray[np.bool_], axis: int) -> Points:
+    """Mean of the forward and backward differences (H, W, 3) that stay in contact; a lone pixel's is flat."""
+    step = np.diff(xyz, axis=axis)
+    first, second = [np.take(contact, r, axis) for r in (range(contact.shape[axis] - 1), range(1, contact.shape[axis]))]
+    both = (first & second)[..., None]
+    total, count = np.zeros_like(xyz), np.zeros((*contact.shape, 1))
+    for shift in (slice(None, -1), slice(1, None)):
+        where = (shift, slice(None)) if axis == 0 else (slice(None), shift)
+        total[where] += np.where(both, step, 0.0)
+        count[where] += both
+    flat = np.array([0.0, 1e-9, 0.0]) if axis == 0 else np.array([1e-9, 0.0, 0.0])
+    return np.where(count > 0, total / np.maximum(count, 1), flat)
+
+
+def _wall_cloud(
+    xyz: Points, drop: Points, contact: NDArray[np.bool_], observed: NDArray[np.bool_], pitch: float
+) -> tuple[Points, Points]:
+    """Points (P, 3) and outward normals (P, 3) of the walls, a pixel pitch apart; `drop` (h, w) is their height."""
+    outside = ~contact & observed
+    outwards = _outline_directions(contact, observed)
+    points, normals = [np.empty((0, 3))], [np.empty((0, 3))]
+    for rows, columns in SIDES:
+        borders = contact & _shifted(outside, rows, columns) & (drop > pitch)
+        levels = np.floor(drop[borders] / pitch).astype(int)
+        which = np.repeat(np.arange(len(levels)), levels)
+        level = np.arange(len(which)) - np.repeat(np.cumsum(levels) - levels, levels) + 1
+        step = np.column_stack([np.full(len(level), 0.5 * columns), np.full(len(level), 0.5 * rows), level])
+        points.append(xyz[borders][which] + pitch * step)
+        side = np.array([columns, rows, 0.0])
+        directions = outwards[borders]
+        # A line one pixel wide slopes nowhere on average, and has walls all the same.
+        leaving = directions @ side[:, None] > 0
+        normals.append(np.where(leaving, directions, side)[which])
+    return np.concatenate(points), np.concatenate(normals)
+
+
+def _outline_directions(contact: NDArray[np.bool_], observed: NDArray[np.bool_]) -> Points:
+    """Unit directions (H, W, 3) across the outline, out of contact: the slope of the mask, smoothed over a few pixels.
+
+    Smoothing undoes the stairs that pixels make of an oblique edge. Unobserved pixels count as half in contact.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    mask = np.where(observed, contact, 0.5)
+    across, down = (-gaussian_filter(mask, OUTLINE_PX, order=o, mode="nearest", truncate=2.5) for o in ((0, 1), (1, 0)))
+    slope = np.stack([across, down, np.zeros_like(mask)], axis=-1)
+    length = np.linalg.norm(slope, axis=-1, keepdims=True)
+    return slope / np.where(length > 0, length, 1.0)
+
+
+def _shifted(mask: NDArray[np.bool_], rows: int, columns: int) -> NDArray[np.bool_]:
+    """The mask (H, W) as seen from each pixel's neighbour; False beyond the image."""
+    padded = np.pad(mask, 1)
+    return padded[1 + rows : padded.shape[0] - 1 + rows, 1 + columns : padded.shape[1] - 1 + columns]

@@ -1,0 +1,292 @@
+"""Bringing an object to contact: the z translation at which it just touches the sensing rectangle.
+
+Only the part of the object over the rectangle counts. The lowest point of a triangle over a rectangle is a corner of
+their intersection: a vertex inside, an edge crossing a side, or the triangle's height at a corner of the rectangle.
+Looking at exactly these makes the result exact. Over a curved gel the lowest point may lie anywhere on a triangle: its
+edges, cut at the rectangle, and its inside are looked at every STEP_M; of a gel of radius r that misses at most
+STEP_M^2 / 8 r, below a micrometre. Compiled with numba; imported only when poses are brought to contact.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.compiled import in_threads, njit
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.objects.blocks import triangle_blocks
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.zbuffer import place
+
+# mypy: disable-error-code="no-untyped-def,no-untyped-call"
+
+STEP_M = 2.5e-4
+ROUNDS = 4  # in which a pinhole's relief, known along rays, is found upright
+BINS = 256  # into which blocks of triangles are sorted by height
+
+
+def bring_to_contact(
+    mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry
+) -> tuple[Poses, NDArray[np.bool_]]:
+    """Return poses (N, 4, 4), moved along z so that the object touches the surface, and which (N,) have contact.
+
+    Metres. A pose without any surface over the sensing rectangle keeps its z and is marked False. Where the gel is
+    curved, what is brought to the standoff is the least height over its relief.
+    """
+    T = np.array(T_sensor_object, float, copy=True)
+    lowest = lowest_over_relief(mesh, T, geometry) if geometry.is_curved else lowest_points(mesh, T, geometry.rectangle)
+    touching = np.isfinite(lowest)
+    T[touching, 2, 3] += geometry.standoff_m - lowest[touching]
+    return T, touching
+
+
+def lowest_points(
+    mesh: TriangleMesh, T_sensor_object: Poses, rectangle_m: tuple[float, float, float, float]
+) -> NDArray[np.float64]:
+    """Return z (N,) in metres of the surface's lowest point over a rectangle (x0, x1, y0, y1); inf where none is."""
+    R, t = T_sensor_object[:, :3, :3], T_sensor_object[:, :3, 3]
+    rotations, starts, members = group_rotations(R)
+    triangles, t = triangle_blocks(mesh), np.ascontiguousarray(t)
+    rectangle = np.asarray(rectangle_m, float)
+    result = np.full(len(members), np.inf)
+    in_threads(_lowest, len(rotations), triangles, rotations, starts, members, t, rectangle, result)
+    return result
+
+
+def lowest_over_relief(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> NDArray[np.float64]:
+    """Return the least of z - relief (N,), metres, of poses' surface over the sensing rectangle; inf where none is."""
+    T = np.ascontiguousarray(T_sensor_object, float)
+    result = np.full(len(T), np.inf)
+    gel = (np.asarray(geometry.rectangle, float), *upright_relief(geometry))
+    in_threads(_lowest_curved, len(T), triangle_blocks(mesh), T, *gel, result)
+    return result
+
+
+def upright_relief(geometry: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return a curved gel's relief (H, W), metres, over points of the plane z = surface, and their lattice.
+
+    The lattice (4,), metres, are x and y of the first point and the steps to the next. Parallel rays see it so; a
+    pinhole's pixel sees the gel beside the point of the plane that it aims at.
+    """
+    from scipy.ndimage import map_coordinates
+
+    k = geometry.surface_m if geometry.is_pinhole else 1.0
+    x, y = (slopes * k for slopes in geometry.pixel_slopes)
+    lattice = np.array([x[0], y[0], k / geometry.fx, k / geometry.fy])
+    seen = np.asarray(geometry.relief_m, float)
+    relief = seen
+    for _ in range(ROUNDS if geometry.is_pinhole else 0):
+        z = geometry.surface_m + relief
+        at = (y[:, None] * geometry.fy / z + geometry.cy - 0.5, x[None] * geometry.fx / z + geometry.cx - 0.5)
+        relief = map_coordinates(seen, at, order=1, mode="nearest")
+    return np.ascontiguousarray(relief), lattice
+
+
+def group_rotations(R: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Group rotations (N, 3, 3) that are equal to the bit.
+
+    Returns the distinct rotations (K, 3, 3), starts (K + 1,) and members (N,): the indices of the poses that have
+    rotation k are members[starts[k]:starts[k + 1]]. Unitless.
+    """
+    flat = np.ascontiguousarray(R, dtype=float).reshape(len(R), 9) + 0.0
+    keys = flat.view(np.dtype((np.void, flat.itemsize * 9))).ravel()
+    _, first, inverse, counts = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
+    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return flat[first].reshape(-1, 3, 3), starts, np.argsort(inverse, kind="stable").astype(np.int64)
+
+
+@njit
+def _lowest(first, last, triangles, rotations, starts, members, t, rectangle, result):
+    """Fill the lowest z (N,) of the poses that have one of the rotations from first to last."""
+    for k in range(first, last):
+        _lowest_of_rotation(triangles, rotations[k], members[starts[k] : starts[k + 1]], t, rectangle, result)
+
+
+@njit
+def _lowest_of_rotation(triangles, R, members, t, rectangle, result):
+    """Search the blocks of triangles roughly from the lowest up, and stop when no other can be lower."""
+    count = len(triangles.radii)
+    middles, floor, p = np.empty((count, 3)), np.empty(count), np.empty((3, 3))
+    for b in range(count):
+        _turn(R, triangles.centres[b], middles[b])
+        floor[b] = middles[b, 2] - triangles.radii[b]
+    order, bin_m = _from_below(floor)
+    for i in members:
+        x0, x1 = rectangle[0] - t[i, 0], rectangle[1] - t[i, 0]
+        y0, y1 = rectangle[2] - t[i, 1], rectangle[3] - t[i, 1]
+        best = np.inf
+        for b in order:
+            if floor[b] >= best + bin_m:
+                break
+            if floor[b] >= best or _beside(middles[b], triangles.radii[b], x0, x1, y0, y1):
+                continue
+            for f in range(triangles.starts[b], triangles.starts[b + 1]):
+                for c in range(3):
+                    _turn(R, triangles.corners[f, c], p[c])
+                if min(p[0, 2], p[1, 2], p[2, 2]) < best:
+                    best = min(best, _lowest_of_triangle(p, x0, x1, y0, y1))
+        result[i] = best + t[i, 2]
+
+
+@njit
+def _beside(centre, r, x0, x1, y0, y1):
+    """Whether a sphere is nowhere over a rectangle."""
+    return centre[0] + r < x0 or centre[0] - r > x1 or centre[1] + r < y0 or centre[1] - r > y1
+
+
+@njit
+def _from_below(heights):
+    """The order (F,) of heights (F,) sorted into bins, and how wide a bin is: numpy's sort takes seconds to compile."""
+    low = high = heights[0]
+    for height in heights:
+        low, high = min(low, height), max(high, height)
+    bin_m = (high - low) / BINS
+    ends, which = np.zeros(BINS + 1, np.int64), np.empty(len(heights), np.int64)
+    for f in range(len(heights)):
+        which[f] = min(BINS - 1, int((heights[f] - low) / bin_m)) if bin_m > 0.0 else 0
+        ends[which[f] + 1] += 1
+    for b in range(BINS):
+        ends[b + 1] += ends[b]
+    order = np.empty(len(heights), np.int64)
+    for f in range(len(heights)):
+        order[ends[which[f]]] = f
+        ends[which[f]] += 1
+    return order, bin_m
+
+
+@njit
+def _turn(R, p, turned):
+    """Fill the point (3,) where the rotation R takes p (3,)."""
+    for a in range(3):
+        turned[a] = R[a, 0] * p[0] + R[a, 1] * p[1] + R[a, 2] * p[2]
+
+
+@njit
+def _lowest_of_triangle(p, x0, x1, y0, y1):
+    """Lowest z of one triangle (3, 3) over a rectangle; inf when it is nowhere over it."""
+    if max(p[0, 0], p[1, 0], p[2, 0]) < x0 or min(p[0, 0], p[1, 0], p[2, 0]) > x1:
+        return np.inf
+    if max(p[0, 1], p[1, 1], p[2, 1]) < y0 or min(p[0, 1], p[1, 1], p[2, 1]) > y1:
+        return np.inf
+    best = np.inf
+    for c in range(3):
+        best = min(best, _lowest_of_edge(p[c], p[(c + 1) % 3], x0, x1, y0, y1))
+    for x in (x0, x1):
+        for y in (y0, y1):
+            best = min(best, _height_at(p, x, y))
+    return best
+
+
+@njit
+def _lowest_of_edge(a, b, x0, x1, y0, y1):
+    """Lowest z of the part of the segment a-b over the rectangle; inf when no part is."""
+    enter, leave = _over(a, b, x0, x1, y0, y1)
+    if enter > leave:
+        return np.inf
+    dz = b[2] - a[2]
+    return min(a[2] + enter * dz, a[2] + leave * dz)
+
+
+@njit
+def _over(a, b, x0, x1, y0, y1):
+    """Where, in shares of its length, the segment a-b enters and leaves the rectangle (Liang-Barsky clipping).
+
+    It leaves before it enters when no part is over it.
+    """
+    enter, leave = 0.0, 1.0
+    for axis, low, high in ((0, x0, x1), (1, y0, y1)):
+        d = b[axis] - a[axis]
+        if d == 0.0:
+            if a[axis] < low or a[axis] > high:
+                return 1.0, 0.0
+            continue
+        s, e = (low - a[axis]) / d, (high - a[axis]) / d
+        enter, leave = max(enter, min(s, e)), min(leave, max(s, e))
+    return enter, leave
+
+
+@njit
+def _height_at(p, x, y):
+    """Height z of the triangle's plane at (x, y) when that point lies in the triangle, else inf."""
+    ax, ay = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1]
+    bx, by = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1]
+    area = ax * by - ay * bx
+    if area == 0.0:
+        return np.inf
+    qx, qy = x - p[0, 0], y - p[0, 1]
+    u, v = (qx * by - qy * bx) / area, (ax * qy - ay * qx) / area
+    if u < 0.0 or v < 0.0 or u + v > 1.0:
+        return np.inf
+    return p[0, 2] + u * (p[1, 2] - p[0, 2]) + v * (p[2, 2] - p[0, 2])
+
+
+@njit
+def _lowest_curved(first, last, triangles, T, rectangle, relief, lattice, result):
+    """Fill the least heights (N,) over the gel of the poses from first to last."""
+    p, centre, highest = np.empty((3, 3)), np.empty(3), relief.max()
+    x0, x1, y0, y1 = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
+    for i in range(first, last):
+        best = np.inf
+        for b in range(len(triangles.radii)):
+            place(T[i], triangles.centres[b], centre)
+            r = triangles.radii[b]
+            if centre[2] - r - highest >= best or _beside(centre, r, x0, x1, y0, y1):
+                continue
+            for f in range(triangles.starts[b], triangles.starts[b + 1]):
+                for c in range(3):
+                    place(T[i], triangles.corners[f, c], p[c])
+                if min(p[0, 2], p[1, 2], p[2, 2]) - highest < best:
+                    best = min(best, _lowest_inside(p, x0, x1, y0, y1, relief, lattice))
+        result[i] = best
+
+
+@njit
+def _lowest_inside(p, x0, x1, y0, y1, relief, lattice):
+    """Least height of a triangle (3, 3) over the gel: along its edges, and at points inside."""
+    best = np.inf
+    for c in range(3):
+        best = min(best, _lowest_along(p[c], p[(c + 1) % 3], x0, x1, y0, y1, relief, lattice))
+    low_x, high_x = max(x0, p[:, 0].min()), min(x1, p[:, 0].max())
+    low_y, high_y = max(y0, p[:, 1].min()), min(y1, p[:, 1].max())
+    if low_x > high_x or low_y > high_y:
+        return best
+    columns, rows = math.ceil((high_x - low_x) / STEP_M), math.ceil((high_y - low_y) / STEP_M)
+    for j in range(rows + 1):
+        y = low_y + (high_y - low_y) * j / max(rows, 1)
+        for i in range(columns + 1):
+            x = low_x + (high_x - low_x) * i / max(columns, 1)
+            z = _height_at(p, x, y)
+            if z < np.inf:
+                best = min(best, z - _relief_at(relief, lattice, x, y))
+    return best
+
+
+@njit
+def _lowest_along(a, b, x0, x1, y0, y1, relief, lattice):
+    """Least height over the gel of the part of a segment a-b over the rectangle; inf when none is."""
+    enter, leave = _over(a, b, x0, x1, y0, y1)
+    if enter > leave:
+        return np.inf
+    x, y, z = a[0] + enter * (b[0] - a[0]), a[1] + enter * (b[1] - a[1]), a[2] + enter * (b[2] - a[2])
+    dx, dy, dz = (leave - enter) * (b[0] - a[0]), (leave - enter) * (b[1] - a[1]), (leave - enter) * (b[2] - a[2])
+    best, steps = np.inf, max(1, math.ceil(math.hypot(dx, dy) / STEP_M))
+    for k in range(steps + 1):
+        s = k / steps
+        best = min(best, z + s * dz - _relief_at(relief, lattice, x + s * dx, y + s * dy))
+    return best
+
+
+@njit
+def _relief_at(relief, lattice, x, y):
+    """The relief, linear between the lattice's points; beyond them it goes on as at the last."""
+    rows, columns = relief.shape
+    c = min(max((x - lattice[0]) / lattice[2], 0.0), columns - 1.0)
+    r = min(max((y - lattice[1]) / lattice[3], 0.0), rows - 1.0)
+    i, j = int(r), int(c)
+    s, t = r - i, c - j
+    below, beside = min(i + 1, rows - 1), min(j + 1, columns - 1)
+    above = (1 - t) * relief[i, j] + t * relief[i, beside]
+    return (1 - s) * above + s * ((1 - t) * relief[below, j] + t * relief[below, beside])

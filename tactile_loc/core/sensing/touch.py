@@ -1,0 +1,177 @@
+"""What a sensor sees: the contact shape, and the touch."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile_loc.core.errors import NoContactError, TouchError
+from tactile_loc.core.geometry.rigid import require_rigid
+from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
+
+
+@dataclass(frozen=True, eq=False)
+class ContactShape:
+    """How far the object's surface lies from full penetration: `depth_m` (H, W) float32 in metres, 0 ... press depth.
+
+    A pixel at `press_depth_m` or beyond is not in contact. Two contact shapes are comparable when both are cut at the
+    same press depth: see `pressed_to`. `indentation_m` is how deep the object really was pressed in, if it is more
+    than what the shape shows: None means that nothing was cut off.
+    """
+
+    depth_m: Depth
+    press_depth_m: float
+    indentation_m: float | None = None
+
+    @property
+    def contact(self) -> NDArray[np.bool_]:
+        """The pixels (H, W) in contact: depth below the press depth in metres."""
+        return self.depth_m < np.float32(self.press_depth_m)
+
+    def every(self, step: int) -> ContactShape:
+        """Return every `step`-th pixel; goes with `SensorGeometry.every`."""
+        return dataclasses.replace(self, depth_m=self.depth_m[::step, ::step])
+
+    def contact_iou(self, other: ContactShape, observed: NDArray[np.bool_]) -> float:
+        """Return intersection over union (0 to 1, unitless) of two contacts where pixels (H, W) are observed."""
+        ours, theirs = self.contact & observed, other.contact & observed
+        return float((ours & theirs).sum() / max(1, (ours | theirs).sum()))
+
+    def pressed_to(self, press_depth_m: float) -> ContactShape:
+        """Return what is nearer than `press_depth_m` metres to full penetration; the object is pressed as deep."""
+        cut_m = min(press_depth_m, self.press_depth_m)
+        return ContactShape(np.minimum(self.depth_m, np.float32(cut_m)), cut_m, self.deepest_m)
+
+    @property
+    def deepest_m(self) -> float:
+        """How deep the object's deepest point is pressed in, metres."""
+        return self.press_depth_m if self.indentation_m is None else self.indentation_m
+
+
+def contact_depth(depth_m: NDArray[np.floating[Any]], geometry: SensorGeometry, press_depth_m: float) -> Depth:
+    """Turn rendered camera depths (..., H, W) into contact depths (..., H, W): clip(z - standoff, 0, press depth).
+
+    All in metres; a surface that no ray meets has depth inf and becomes `press_depth_m`, no contact. Where the gel is
+    curved, its relief is taken off too.
+    """
+    shape = np.subtract(depth_m, geometry.full_penetration_m, dtype=np.float32)
+    return np.clip(shape, 0.0, np.float32(press_depth_m), out=shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """One tactile observation.
+
+    `contact_shape` as seen by a sensor of `geometry`, which becomes that of the pressed sensor: the object's deepest
+    point is at z = surface - indentation; `T_base_sensor` (4, 4) where the sensor was, if known, with the standard
+    deviations of its error along (metres) and about (radians) each axis through the touch; `T_sensor_object`
+    (4, 4) the true pose while it was pressed, known only in simulation or experiments. Lengths in metres. `image`
+    (H, W, 3) uint8 is the photo that the contact shape was estimated from, if it was.
+    Raises TouchError when the shape does not fit the sensor, has no contact, or nothing but contact, and for a pose
+    that is no rigid transform: a reflection would make another object of the known one, its mirror image.
+    """
+
+    contact_shape: ContactShape
+    geometry: SensorGeometry
+    name: str = "touch"
+    T_base_sensor: NDArray[np.float64] | None = None
+    T_sensor_object: NDArray[np.float64] | None = None
+    T_base_sensor_std_m: float = 2e-4
+    T_base_sensor_std_rad: float = 3.5e-3
+    image: NDArray[np.uint8] | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        depth = self.contact_shape.depth_m
+        if depth.shape != self.geometry.shape:
+            got, want = " x ".join(map(str, depth.shape)), " x ".join(map(str, self.geometry.shape))
+            raise TouchError(
+                f"{self.name} is {got} pixels but the sensor's image is {want} (rows x columns); "
+                "choose the sensor that took it, or set its image_size_px"
+            )
+        contact = self.contact_shape.contact[self.geometry.observed_mask]
+        if not contact.any():
+            raise NoContactError(
+                f"{self.name} shows no contact: no observed pixel is nearer than its press depth of "
+                f"{self.contact_shape.press_depth_m * 1e3:.3g} mm; press the object on the sensor, or check the unit"
+            )
+        flat = np.ptp(depth[self.geometry.observed_mask]) < 0.05 * self.contact_shape.press_depth_m
+        if contact.all() and flat:
+            raise TouchError(
+                f"{self.name} is nothing but contact: every pixel has the same depth, which fits any flat face; "
+                "touch where an edge or a feature is on the sensor, or check how the file marks 'no contact'"
+            )
+        if self.geometry.indentation_m != self.indentation_m or self.geometry.max_depth_m != self.press_depth_m:
+            pressed = self.geometry.pressed(self.indentation_m, self.press_depth_m)
+            object.__setattr__(self, "geometry", pressed)
+        for pose in ("T_base_sensor", "T_sensor_object"):
+            if getattr(self, pose) is not None:
+                T = require_rigid(getattr(self, pose), f"{pose} of {self.name}", TouchError)
+                object.__setattr__(self, pose, T)
+
+    @property
+    def press_depth_m(self) -> float:
+        """How deep the press is that the contact shape shows, metres."""
+        return self.contact_shape.press_depth_m
+
+    @property
+    def indentation_m(self) -> float:
+        """How deep the object's deepest point was pressed into the gel, metres."""
+        return self.contact_shape.deepest_m
+
+    def thinned(self, pixels: int) -> tuple[SensorGeometry, ContactShape]:
+        """Return the sensor and the contact shape with so many pixels only that the longer side has about `pixels`."""
+        step = max(1, round(max(self.geometry.shape) / pixels))
+        return self.geometry.every(step), self.contact_shape.every(step)
+
+
+def contact_shape_from_array(
+    values: ArrayLike, max_depth_m: float, press_depth_m: float | None = None, name: str = "touch"
+) -> ContactShape:
+    """Make a contact shape from depths (H, W) in metres, 0 = deepest; NaN or at least `max_depth_m` = no contact.
+
+    Without `press_depth_m` the press depth is the deepest step the contact shows: its largest depth, at least a
+    quarter of `max_depth_m` because a flat imprint shows none. When no pixel is marked as out of contact, the shape
+    was cut at its largest depth (unless it is flat). Raises TouchError for a wrong type, unit or size.
+    """
+    depth = np.asarray(values)
+    if depth.ndim != 2 or depth.size == 0 or depth.dtype.kind not in "fiu":
+        raise TouchError(
+            f"{name} is an array of shape {depth.shape} and type {depth.dtype}; a contact shape is (H, W) numbers, "
+            "depth from full penetration"
+        )
+    with np.errstate(over="ignore"):  # beyond float32 is beyond the sensor too
+        depth = np.where(np.isnan(depth), np.inf, depth).astype(np.float32)
+    if (depth < -1e-6).any():
+        raise TouchError(f"{name} has negative depths (least {depth.min():.3g} m); 0 must mean full penetration")
+    finite = depth[np.isfinite(depth)]
+    if finite.size and finite.max() > 100 * max_depth_m:
+        raise TouchError(
+            f"{name} has depths up to {finite.max():.3g} m, far beyond the sensor's {max_depth_m * 1e3:.3g} mm; "
+            "its unit is probably another (give --touch-unit mm or um)"
+        )
+    if press_depth_m is None:
+        press_depth_m = _deepest_step(depth, max_depth_m)
+    if not 0 < press_depth_m <= max_depth_m * (1 + 1e-6):
+        raise TouchError(
+            f"{name} has a press depth of {press_depth_m * 1e3:.3g} mm; "
+            f"the sensor's range is 0 to {max_depth_m * 1e3:.3g} mm; choose the sensor that took it"
+        )
+    depth[_reaches(depth, press_depth_m)] = press_depth_m
+    return ContactShape(np.clip(depth, 0, np.float32(press_depth_m)), float(press_depth_m))
+
+
+def _reaches(depth_m: Depth, limit_m: float) -> NDArray[np.bool_]:
+    """Return where depths are at a limit or beyond; the rounding of a unit's conversion must not make contact."""
+    return depth_m >= np.float32(limit_m) * (1 - 1e-6)
+
+
+def _deepest_step(depth_m: Depth, max_depth_m: float) -> float:
+    contact = depth_m[~_reaches(depth_m, max_depth_m)]
+    deepest = float(contact.max(initial=0.0))
+    if contact.size == depth_m.size and np.ptp(depth_m) > 0.1 * max_depth_m:
+        return deepest
+    return min(max_depth_m, max(1.0001 * deepest, 0.25 * max_depth_m))

@@ -1,0 +1,93 @@
+"""The patch of a touch that is compared with those of places, turned back by many yaws; compiled (numba).
+
+Where the gel is curved it is looked at from straight above the gel there, as an object that is touched there is.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.compiled import in_threads, njit
+from tactile_loc.core.geometry.rigid import align_to_z
+from tactile_loc.core.sensing.places import PATCH_PX, PITCH_M, Float32
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import Touch
+
+# mypy: disable-error-code="no-untyped-def,no-untyped-call"
+
+
+def anchor(touch: Touch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return where the place that touches first is, where the touch is deepest, and how the gel lies there.
+
+    The place (3,), metres, and R_sensor_gel (3, 3), whose third axis is the gel's normal, out of the sensor.
+    """
+    geometry, shape = touch.geometry, touch.contact_shape
+    depth = np.where(shape.contact & geometry.observed_mask, shape.depth_m, np.inf)
+    row, column = np.unravel_index(depth.argmin(), depth.shape)
+    z = float(np.broadcast_to(geometry.full_penetration_m, depth.shape)[row, column])
+    x, y = (slopes[i] for slopes, i in zip(geometry.pixel_slopes, (column, row), strict=True))
+    k = z if geometry.is_pinhole else 1.0
+    return np.array([x * k, y * k, z]), _gel_frame(geometry, int(row), int(column))
+
+
+def _gel_frame(geometry: SensorGeometry, row: int, column: int) -> NDArray[np.float64]:
+    if geometry.relief_m is None:
+        return np.eye(3)
+    rows, columns = (slice(max(0, i - 1), i + 2) for i in (row, column))
+    around = geometry.relief_m[rows, columns].astype(float)
+    sx, sy = geometry.scale_at_surface
+    down, across = np.diff(around, axis=0).mean() * sy, np.diff(around, axis=1).mean() * sx
+    return align_to_z(np.array([-across, -down, 1.0])).T
+
+
+def turned_patches(
+    touch: Touch, anchor_m: NDArray[np.float64], R_sensor_gel: NDArray[np.float64], yaw_rad: NDArray[np.float64]
+) -> tuple[Float32, NDArray[np.bool_]]:
+    """Return what a touch shows around its anchor (3,), metres, as CAMERA sees it turned back by each of M yaws (M,).
+
+    That is contact depths (M, PATCH_PX, PATCH_PX), metres, from the plane across the gel's normal, the third axis of
+    R_sensor_gel (3, 3), cut at the touch's press depth, and which pixels the sensor observes; others are no contact.
+    """
+    geometry, shape = touch.geometry, touch.contact_shape
+    depth_m = np.empty((len(yaw_rad), PATCH_PX, PATCH_PX), np.float32)
+    seen = np.empty(depth_m.shape, np.bool_)
+    camera = (geometry.is_pinhole, geometry.fx, geometry.fy, geometry.cx, geometry.cy)
+    deepest_m = np.broadcast_to(np.asarray(geometry.full_penetration_m, np.float64), geometry.shape)
+    in_threads(
+        _turn, len(yaw_rad), shape.depth_m, np.float32(shape.press_depth_m), geometry.observed_mask, camera, deepest_m,
+        anchor_m, R_sensor_gel, np.asarray(yaw_rad, float), depth_m, seen,
+    )  # fmt: skip
+    return depth_m, seen
+
+
+# Of a flat gel one round is exact for parallel rays, two for a pinhole, which sees what is deeper elsewhere.
+@njit
+def _turn(first, last, depth, press, observed, camera, deepest, at, R, yaws, patches, seen):
+    """Fill the patches (M, S, S), and what is seen of them, of the yaws from first to last."""
+    pinhole, fx, fy, cx, cy = camera
+    side, half = patches.shape[1], (patches.shape[1] - 1) / 2
+    tilted = R[2, 2] < 1.0
+    rounds = 4 if tilted else 2 if pinhole else 1
+    for k in range(first, last):
+        cosine, sine = math.cos(yaws[k]), math.sin(yaws[k])
+        for r in range(side):
+            for c in range(side):
+                u, v = (c - half) * PITCH_M, (r - half) * PITCH_M
+                a, b = cosine * u - sine * v, sine * u + cosine * v
+                h, touched, known = press, False, False
+                for _ in range(rounds):
+                    z = at[2] + R[2, 0] * a + R[2, 1] * b + R[2, 2] * h
+                    scale = 1.0 / z if pinhole else 1.0
+                    x = at[0] + R[0, 0] * a + R[0, 1] * b + R[0, 2] * h
+                    y = at[1] + R[1, 0] * a + R[1, 1] * b + R[1, 2] * h
+                    column, row = math.floor(fx * x * scale + cx), math.floor(fy * y * scale + cy)
+                    known = 0 <= column < depth.shape[1] and 0 <= row < depth.shape[0] and observed[row, column]
+                    if not known:
+                        break
+                    touched = depth[row, column] < press
+                    h += (deepest[row, column] + min(depth[row, column], press) - z) / R[2, 2]
+                seen[k, r, c] = known
+                patches[k, r, c] = min(max(h, 0.0), press) if known and touched else press

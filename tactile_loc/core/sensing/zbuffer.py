@@ -1,0 +1,177 @@
+"""Depths by a z-buffer: every triangle is drawn pixel by pixel into each picture, exact at pixel centres.
+
+The cost is one pass a pose over the part of the mesh that is in view, whatever its rotation: best for poses that all
+differ a little. Triangles are kept in blocks of neighbours, and blocks beyond the contact band or beside the view are
+not looked at.
+A pixel's ray is r = (x/z, y/z, 1). With the corners of a triangle as the columns of P, P b = r gives the weights b of
+the corners; the ray meets the triangle where no weight is negative, at depth 1 / sum(b). Triangles that reach behind
+the camera need no clipping (Olano and Greer, Triangle Scan Conversion using 2D Homogeneous Coordinates, Graphics
+Hardware 1997). Parallel rays have r = (x, y, 1) and the depth is that of the weights' mean of the corners.
+"""
+
+# mypy: disable-error-code="no-untyped-def,no-untyped-call"
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.compiled import in_threads, njit
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.objects.blocks import triangle_blocks
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+
+EDGE = 1e-9  # of a weight: a ray that meets the edge between two triangles must not slip through
+NARROW = 4  # pixels: a box that is no wider is looked at whole
+NEAREST = 0.05  # of the standoff: corners nearer to the camera, or behind it, are not projected
+
+
+def nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> NDArray[np.float32]:
+    """Return camera depths (N, H, W) in metres of poses (N, 4, 4), whether in contact or not.
+
+    What lies beyond the contact band is inf; exact from the camera up to there.
+    """
+    T = np.ascontiguousarray(T_sensor_object, float)
+    depth = np.empty((len(T), *geometry.shape), np.float32)
+    ends = NEAREST * geometry.standoff_m, geometry.standoff_m + geometry.max_depth_m
+    camera = geometry.is_pinhole, geometry.fx, geometry.fy, geometry.cx, geometry.cy, *ends
+    which = np.empty((len(T), 0, 0), np.int32)
+    in_threads(_draw, len(T), triangle_blocks(mesh), T, camera, *geometry.pixel_slopes, depth, which)
+    return depth
+
+
+def nearest_faces(
+    mesh: TriangleMesh, T_camera_object: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Return what parallel rays along z, through evenly spaced x (W,) and y (H,), meet first of one pose (4, 4).
+
+    Depths (H, W), inf where nothing is met, and the mesh's faces (H, W), -1 there; in the unit of the mesh.
+    """
+    triangles, T = triangle_blocks(mesh), np.ascontiguousarray(T_camera_object, float)[None]
+    depth = np.empty((1, len(y), len(x)), np.float32)
+    which = np.full(depth.shape, -1, np.int32)
+    fx, fy = 1 / (x[1] - x[0]), 1 / (y[1] - y[0])
+    camera = False, fx, fy, 0.5 - fx * x[0], 0.5 - fy * y[0], 0.0, np.inf
+    _draw(0, 1, triangles, T, camera, x, y, depth, which)
+    order = np.append(triangles.order, -1)
+    return depth[0], order[which[0]]
+
+
+@njit
+def _draw(first, last, triangles, T, camera, slopes_x, slopes_y, depth, which):
+    """Fill depths (N, H, W) of the poses (N, 4, 4) from first to last, and `which` triangles they are of, if asked."""
+    placed, centre = np.empty((3, 3)), np.empty(3)
+    pinhole, far = camera[0], camera[6]
+    # the planes of the outermost rays, each by its slope
+    left, right, top, bottom = slopes_x[0], slopes_x[-1], slopes_y[0], slopes_y[-1]
+    for i in range(first, last):
+        picture = depth[i]
+        for v in range(picture.shape[0]):
+            for u in range(picture.shape[1]):
+                picture[v, u] = np.inf
+        for b in range(len(triangles.radii)):
+            place(T[i], triangles.centres[b], centre)
+            x, y, z = centre
+            r = triangles.radii[b]
+            k = z if pinhole else 1.0
+            if (
+                z - r > far
+                or _beyond(left * k - x, left, pinhole, r)
+                or _beyond(x - right * k, right, pinhole, r)
+                or _beyond(top * k - y, top, pinhole, r)
+                or _beyond(y - bottom * k, bottom, pinhole, r)
+            ):
+                continue
+            for f in range(triangles.starts[b], triangles.starts[b + 1]):
+                for a in range(3):
+                    place(T[i], triangles.corners[f, a], placed[a])
+                if min(placed[0, 2], placed[1, 2], placed[2, 2]) < far:
+                    _draw_triangle(f, placed, camera, slopes_x, slopes_y, picture, which[i])
+
+
+@njit
+def place(T, p, placed):
+    """Fill the point (3,) where the pose T (4, 4) has p (3,)."""
+    for a in range(3):
+        placed[a] = T[a, 0] * p[0] + T[a, 1] * p[1] + T[a, 2] * p[2] + T[a, 3]
+
+
+@njit
+def _beyond(outside, slope, pinhole, r):
+    """Whether a sphere of radius r is beyond a plane of rays, its centre so far outside, measured across the view."""
+    return outside > r * (math.sqrt(1.0 + slope * slope) if pinhole else 1.0) * (1.0 + 1e-9)
+
+
+@njit
+def _draw_triangle(f, corners, camera, slopes_x, slopes_y, picture, which):
+    """Draw triangle f; its corners (3, 3) are in the camera's frame."""
+    p, q, s = corners[0], corners[1], corners[2]
+    u0, u1, v0, v1 = _box(p, q, s, camera, picture.shape[1], picture.shape[0])
+    if u0 > u1 or v0 > v1:
+        return
+    pinhole, far = camera[0], camera[6]
+    zp, zq, zs = (p[2], q[2], s[2]) if pinhole else (1.0, 1.0, 1.0)
+    # The rows of P's inverse, but for the determinant: a weight is a x + b y + c.
+    ap, bp, cp = q[1] * zs - zq * s[1], zq * s[0] - q[0] * zs, q[0] * s[1] - q[1] * s[0]
+    aq, bq, cq = s[1] * zp - zs * p[1], zs * p[0] - s[0] * zp, s[0] * p[1] - s[1] * p[0]
+    as_, bs, cs = p[1] * zq - zp * q[1], zp * q[0] - p[0] * zq, p[0] * q[1] - p[1] * q[0]
+    determinant = p[0] * ap + p[1] * bp + zp * cp
+    if determinant == 0.0:  # seen edge-on
+        return
+    k = 1.0 / determinant
+    ap, aq, as_ = ap * k, aq * k, as_ * k
+    widest = max(abs(slopes_x[u0]), abs(slopes_x[u1]))
+    for v in range(v0, v1 + 1):
+        y = slopes_y[v]
+        fp, fq, fs = (bp * y + cp) * k, (bq * y + cq) * k, (bs * y + cs) * k
+        first, last = u0, u1
+        if u1 - u0 > NARROW:  # of slivers that lie across, most of the box is empty
+            most = (abs(ap) + abs(aq) + abs(as_)) * widest + abs(fp) + abs(fq) + abs(fs)
+            first, last = _covered(ap, fp, 2 * EDGE * most, camera, first, last)
+            first, last = _covered(aq, fq, 2 * EDGE * most, camera, first, last)
+            first, last = _covered(as_, fs, 2 * EDGE * most, camera, first, last)
+        for u in range(first, last + 1):
+            x = slopes_x[u]
+            wp, wq, ws = ap * x + fp, aq * x + fq, as_ * x + fs
+            total = wp + wq + ws
+            if min(wp, wq, ws) < -EDGE * abs(total):
+                continue
+            z = 1.0 / total if pinhole else (wp * p[2] + wq * q[2] + ws * s[2]) / total
+            if 0.0 < z < far and z < picture[v, u]:
+                picture[v, u] = z
+                if which.size:
+                    which[v, u] = f
+
+
+@njit
+def _covered(a, b, least, camera, first, last):
+    """First and last pixel of a row, of those from first to last, where a x + b may be no less than -least."""
+    if a == 0.0:
+        return (first, last) if b >= -least else (0, -1)
+    border = min(max(-1e9, (-least - b) / a * camera[1] + camera[3] - 0.5), 1e9)
+    if a > 0.0:
+        return max(first, math.floor(border)), last
+    return first, min(last, math.ceil(border))
+
+
+@njit
+def _box(p, q, s, camera, width, height):
+    """First and last column, first and last row, of the pixels whose centres a triangle may cover."""
+    pinhole, fx, fy, cx, cy, near, _ = camera
+    if pinhole and min(p[2], q[2], s[2]) < near:
+        return 0, width - 1, 0, height - 1
+    kp, kq, ks = (1.0 / p[2], 1.0 / q[2], 1.0 / s[2]) if pinhole else (1.0, 1.0, 1.0)
+    u0, u1 = _span(p[0] * kp, q[0] * kq, s[0] * ks, fx, cx, width)
+    v0, v1 = _span(p[1] * kp, q[1] * kq, s[1] * ks, fy, cy, height)
+    return u0, u1, v0, v1
+
+
+@njit
+def _span(a, b, c, scale, centre, size):
+    """First and last pixel whose centre lies between the least and the greatest of three coordinates."""
+    first = min(max(-1.0, min(a, b, c) * scale + centre - 0.5 - 1e-6), size * 1.0)
+    last = max(min(size * 1.0, max(a, b, c) * scale + centre - 0.5 + 1e-6), -1.0)
+    return max(0, math.ceil(first)), min(size - 1, math.floor(last))

@@ -1,0 +1,1 @@
+"""Simulated touches: contact poses, noise and what a sensor would show."""

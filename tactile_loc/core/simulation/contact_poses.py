@@ -1,0 +1,99 @@
+"""From a sampler's candidate poses to a contact grid of the spacing that was asked for."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric, remove_equivalent
+from tactile_loc.core.slots.component import Float32
+from tactile_loc.core.slots.grid import GridSampler
+from tactile_loc.core.slots.scene import Scene
+
+log = logging.getLogger(__name__)
+
+CLOSE_ENOUGH = 0.03  # of the spacing asked for
+MOST_ROUNDS = 3
+BATCH = 256  # random poses drawn and rendered at once
+HARDLY_ANY = 1e-3  # share of the random poses that must make contact
+
+
+def contact_grid(sampler: GridSampler, scene: Scene) -> PoseGrid:
+    """Sample, bring to contact, drop poses without contact and symmetric duplicates, until the spacing is met.
+
+    Contact moves poses along z, so neighbours end up farther apart than the sampler set them; the sampler is asked
+    again with a corrected spacing (metres), unless its options fix some of its steps. Raises GridError when no pose is
+    left.
+    """
+    wanted_m = sampler.options.spacing_mm * 1e-3
+    if not wanted_m > 0:
+        raise GridError(f"the grid's spacing is {wanted_m * 1e3:g} mm; give a positive spacing_mm")
+    asked_m = wanted_m
+    found: list[tuple[float, PoseGrid]] = []
+    for _ in range(MOST_ROUNDS if sampler.spacing_is_mean else 1):
+        grid = _contact_poses(sampler, scene, asked_m)
+        spacing_m = float(grid.neighbour_spacing().mean()) if len(grid) > 1 else wanted_m
+        log.info("grid of %d poses, mean spacing %.2f mm", len(grid), spacing_m * 1e3)
+        found.append((abs(spacing_m / wanted_m - 1), grid))
+        if found[-1][0] <= CLOSE_ENOUGH:
+            break
+        asked_m *= wanted_m / spacing_m
+    return min(found, key=lambda f: f[0])[1]  # few poses step coarsely: the last is not always the nearest
+
+
+def _contact_poses(sampler: GridSampler, scene: Scene, spacing_m: float) -> PoseGrid:
+    metric = PoseMetric(scene.object)
+    poses, touching = scene.in_contact(sampler.sample(scene.object, scene.geometry, spacing_m))
+    poses = poses[touching]
+    return PoseGrid(poses[remove_equivalent(poses, metric, 0.25 * spacing_m)], metric)
+
+
+def enough_contact(contact_depths_m: np.ndarray, scene: Scene, percent: float) -> np.ndarray:
+    """Mark (N,) the contact depths (N, H, W), metres, with at least `percent` of the observed pixels in contact."""
+    observed = scene.geometry.observed_mask
+    touched = (contact_depths_m < np.float32(scene.geometry.max_depth_m)) & observed
+    return touched.sum(axis=(1, 2)) >= max(1.0, percent / 100 * observed.sum())
+
+
+def random_contact_poses(sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator) -> Poses:
+    """Draw contact poses (count, 4, 4), metres, uniformly from the continuous set that the sampler's grid covers.
+
+    Raises GridError when hardly any drawn pose has enough contact.
+    """
+    found = [poses for poses, _ in random_contacts(sampler, scene, count, rng)]
+    return np.concatenate([np.empty((0, 4, 4)), *found])
+
+
+def random_contacts(
+    sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator,
+    misplace: Callable[[Poses], Poses] | None = None,
+) -> Iterator[tuple[Poses, Float32]]:  # fmt: skip
+    """Draw `count` contact poses as `random_contact_poses` does; yield them in batches (K, 4, 4) with depths (K, H, W).
+
+    Contact depths, metres, are rendered at full press where `misplace` (if any) says that the poses really are; what
+    touches enough there is kept. Raises GridError when hardly any does.
+    """
+    tried = kept = 0
+    while kept < count:
+        batch = int(np.clip(2 * (count - kept), 16, BATCH))
+        poses, touching = scene.in_contact(sampler.random(scene.object, scene.geometry, batch, rng))
+        poses = poses[touching]
+        seen = poses
+        if misplace is not None:
+            seen, touching = scene.in_contact(misplace(poses))
+            poses, seen = poses[touching], seen[touching]
+        depths = scene.contact_depths(seen)
+        enough = enough_contact(depths, scene, sampler.options.min_contact_percent)
+        poses, depths = poses[enough][: count - kept], depths[enough][: count - kept]
+        tried, kept = tried + batch, kept + len(poses)
+        yield poses, depths
+        if tried > 2 / HARDLY_ANY and kept < HARDLY_ANY * tried:
+            raise GridError(
+                f"hardly any random pose of {scene.object.name} touches the sensor with "
+                f"{sampler.options.min_contact_percent:g} % of it; lower grid.min_contact_percent or choose another "
+                "face"
+            )

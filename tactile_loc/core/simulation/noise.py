@@ -1,0 +1,316 @@
+"""What a real touch has and a clean render has not: a seeded model of the imperfections, in separable parts.
+
+In the order in which they happen: the sensor is not quite where its calibration says; the press is as deep as it is,
+and measured with an error; the elastomer rounds edges off; the contact's edge wanders, and so does the measured depth
+inside it; patches are missed (bubbles, dirt, a lifted border) and others appear (wear, markers, reflections). All sizes
+are metres on the sensing surface, so that the noise is the same however many pixels an image has."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import ConfigError, did_you_mean
+from tactile_loc.core.geometry.rigid import Poses, make_transform
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+FAINTEST = 0.2  # of the least imprint that shows: the wandering threshold never falls below
+SHALLOWEST = 0.1  # of the true press: no measurement says less
+REACH = 4.0  # standard deviations of a Gaussian that count
+
+
+class Centres(NamedTuple):
+    """Points (P,) of a batch: the image that each is in, and where in it, x and y in metres."""
+
+    image: Index
+    x_m: Float64
+    y_m: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class Gel:
+    """The pixels on the sensing rectangle: their `rows` and `columns` in the image, and where their centres are.
+
+    `x_m` (W,) and `y_m` (H,) on the undeformed surface, `pitch_m` from pixel to pixel, `rectangle_m` the rectangle; m.
+    """
+
+    rows: slice
+    columns: slice
+    x_m: Float64
+    y_m: Float64
+    pitch_m: tuple[float, float]
+    rectangle_m: tuple[float, float, float, float]
+
+    @classmethod
+    def of(cls, geometry: SensorGeometry) -> Gel:
+        """Find the pixels whose view of the undeformed surface lies on the sensing rectangle."""
+        sx, sy = geometry.scale_at_surface
+        x = (np.arange(geometry.width_px, dtype=np.float64) + 0.5 - geometry.cx) / sx
+        y = (np.arange(geometry.height_px, dtype=np.float64) + 0.5 - geometry.cy) / sy
+        x0, x1, y0, y1 = geometry.rectangle
+        columns = slice(*np.searchsorted(x, [x0, np.nextafter(x1, np.inf)]).tolist())
+        rows = slice(*np.searchsorted(y, [y0, np.nextafter(y1, np.inf)]).tolist())
+        return cls(rows, columns, x[columns], y[rows], (1 / sx, 1 / sy), geometry.rectangle)
+
+    def blurred(self, images: Float32, sigma_m: float) -> Float32:
+        """Blur images (N, H, W) by a Gaussian of `sigma_m` metres; beyond the rectangle their border goes on.
+
+        Pixels are squares: a step between two of them becomes the Gaussian's error function exactly, however large they
+        are.
+        """
+        x, y = (_blur_weights(len(a), sigma_m / p) for a, p in zip((self.x_m, self.y_m), self.pitch_m, strict=True))
+        return _transformed(images, y, x)
+
+    def random_field(self, count: int, patch_m: float, rng: np.random.Generator) -> Float32:
+        """Draw smooth random images (count, H, W) of zero mean and unit variance everywhere, unitless.
+
+        White noise on a lattice of `patch_m` metres, blurred by a Gaussian of the same standard deviation: the lattice
+        is the surface's, so that one seed gives one field, whatever the pixels.
+        """
+        x0, x1, y0, y1 = self.rectangle_m
+        x, y = _field_weights(self.x_m, x0, x1, patch_m), _field_weights(self.y_m, y0, y1, patch_m)
+        white = rng.standard_normal((count, y.shape[1], x.shape[1]), dtype=np.float32)
+        return _transformed(white, y, x)
+
+    def border(self, width_m: Float64, rng: np.random.Generator) -> NDArray[np.bool_]:
+        """Mark (N, H, W) a strip along one random side of each image's rectangle, of widths (N,) in metres."""
+        x0, x1, y0, y1 = self.rectangle_m
+        side = rng.integers(4, size=len(width_m))
+        left, right, top, bottom = (np.where(side == k, width_m, -np.inf)[:, None] for k in range(4))
+        columns = (self.x_m - x0 < left) | (x1 - self.x_m < right)
+        rows = (self.y_m - y0 < top) | (y1 - self.y_m < bottom)
+        return columns[:, None, :] | rows[:, :, None]
+
+    def random_points(self, counts: Index, rng: np.random.Generator) -> Centres:
+        """Draw so many (N,) points of each image, uniformly on the rectangle."""
+        x0, x1, y0, y1 = self.rectangle_m
+        image = np.repeat(np.arange(len(counts)), counts)
+        return Centres(image, rng.uniform(x0, x1, len(image)), rng.uniform(y0, y1, len(image)))
+
+    def random_pixels(self, marked: NDArray[np.bool_], counts: Index, rng: np.random.Generator) -> Centres:
+        """Draw so many (N,) pixels of those marked (N, H, W) in each image, with replacement; none where none is."""
+        held = np.count_nonzero(marked, axis=(1, 2))
+        image = np.repeat(np.arange(len(counts)), np.where(held > 0, counts, 0))
+        nth = (np.cumsum(held) - held)[image] + (rng.random(len(image)) * held[image]).astype(np.intp)
+        image, row, column = np.unravel_index(np.flatnonzero(marked)[nth], marked.shape)
+        return Centres(image, self.x_m[column], self.y_m[row])
+
+
+def stamp(
+    depth: Float32,
+    gel: Gel,
+    centres: Centres,
+    radius_m: Float64,
+    value_m: NDArray[np.floating[Any]],
+    combine: Callable[..., Any],
+) -> None:
+    """Write discs of radii (P,) about `centres` into depths (N, H, W): `combine` (a ufunc) of old and value (P,). m."""
+    left, right = _interval(gel.x_m, centres.x_m, radius_m)
+    top, bottom = _interval(gel.y_m, centres.y_m, radius_m)
+    for i, image in enumerate(centres.image):
+        rows, columns = slice(top[i], bottom[i]), slice(left[i], right[i])
+        dx, dy = gel.x_m[columns] - centres.x_m[i], gel.y_m[rows] - centres.y_m[i]
+        inside = (dy * dy)[:, None] + dx * dx < radius_m[i] ** 2
+        block = depth[image, rows, columns]
+        combine(block, np.float32(value_m[i]), out=block, where=inside)
+
+
+def _interval(pixels_m: Float64, centre_m: Float64, radius_m: Float64) -> tuple[Index, Index]:
+    """First and last-but-one index of the sorted pixels (W,) within radii (P,) of centres (P,), metres."""
+    return np.searchsorted(pixels_m, centre_m - radius_m), np.searchsorted(pixels_m, centre_m + radius_m)
+
+
+def _transformed(images: Float32, rows: Float32, columns: Float32) -> Float32:
+    """Apply matrices (H, h) to the rows and (W, w) to the columns of images (N, h, w): (N, H, W)."""
+    result: Float32 = rows @ (images @ columns.T)
+    return result
+
+
+@lru_cache(maxsize=64)
+def _blur_weights(count: int, sigma_px: float) -> Float32:
+    """Weights (count, count) of pixel j's area in the Gaussian about pixel i's centre; the outer pixels go on forever.
+
+    Beyond `REACH` the Gaussian is cut off, so that an imprint has an end.
+    """
+    from scipy.special import ndtr
+
+    centre = np.arange(count) + 0.5
+    edge = np.concatenate([[-np.inf], np.arange(1.0, count), [np.inf]])
+    z = (edge[None] - centre[:, None]) / sigma_px
+    share = np.where(z < -REACH, 0.0, np.where(z > REACH, 1.0, ndtr(z)))
+    weights: Float32 = np.diff(share, axis=1).astype(np.float32)
+    weights.flags.writeable = False  # the same for every touch
+    return weights
+
+
+def _field_weights(pixels_m: Float64, low_m: float, high_m: float, patch_m: float) -> Float32:
+    """Weights (W, K) of the lattice's K points at each pixel; their squares sum to one, so that variance is one."""
+    margin = int(REACH)
+    lattice_m = low_m + patch_m * np.arange(-margin, np.ceil((high_m - low_m) / patch_m) + margin + 1)
+    z = (pixels_m[:, None] - lattice_m) / patch_m
+    weights = np.where(np.abs(z) < REACH, np.exp(-0.5 * z**2), 0.0)  # tiny numbers would be slow ones
+    normalised: Float32 = (weights / np.linalg.norm(weights, axis=1, keepdims=True)).astype(np.float32)
+    return normalised
+
+
+@dataclass(frozen=True)
+class TouchNoise:
+    """How strong each imperfection is. Lengths in metres, angles in radians; zeros switch a part off.
+
+    `press_share` (least, most) of the sensor's deepest press is drawn uniformly, and measured with a relative error of
+    standard deviation `press_error`. `smoothing_m` is the elastomer's rounding (standard deviation of a Gaussian on the
+    imprint). An imprint shallower than `least_m` does not show; over patches of `edge_patch_m` this threshold wanders
+    by `edge_m` (standard deviation), but never below `FAINTEST` of `least_m`. The depth of what shows drifts by
+    `drift_m` (standard deviation) over patches of `drift_patch_m`, and still shows. `missing` and `spurious` are mean
+    numbers of round patches, of radius up to `patch_m`; contact within a strip, up to `border_m` wide, along a random
+    side of the sensing rectangle is lost. `sensor_m`, `sensor_rad` are standard deviations of the sensor pose's
+    calibration error, along and about each axis. Raises ConfigError for impossible values.
+    """
+
+    press_share: tuple[float, float] = (1.0, 1.0)
+    press_error: float = 0.0
+    smoothing_m: float = 0.0
+    least_m: float = 0.0
+    edge_m: float = 0.0
+    edge_patch_m: float = 1e-3
+    drift_m: float = 0.0
+    drift_patch_m: float = 5e-3
+    missing: float = 0.0
+    spurious: float = 0.0
+    patch_m: float = 2e-3
+    border_m: float = 0.0
+    sensor_m: float = 0.0
+    sensor_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        least, most = self.press_share
+        if not 0 < least <= most <= 1:
+            raise ConfigError(f"the noise's press_share is {least:g} to {most:g}; give 0 < least <= most <= 1")
+        for name, value in asdict(self).items():
+            if name != "press_share" and not (math.isfinite(value) and value >= 0):
+                raise ConfigError(f"the noise's {name} is {value}; it must be zero or a positive number")
+        for name in ("edge_patch_m", "drift_patch_m"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"the noise's {name} is 0; it must be a positive number")
+
+    def describe(self) -> dict[str, object]:
+        """Return the settings as JSON values: what identifies the noise."""
+        return {**asdict(self), "press_share": list(self.press_share)}
+
+    @property
+    def misplaces(self) -> bool:
+        """Whether the sensor is elsewhere than it is believed to be."""
+        return self.sensor_m > 0 or self.sensor_rad > 0
+
+    def draw_press(self, count: int, max_depth_m: float, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Draw press depths (count,) in metres."""
+        return rng.uniform(*self.press_share, count) * max_depth_m
+
+    def measure_press(
+        self, press_depth_m: NDArray[np.float64], max_depth_m: float, rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Return what the sensor says of press depths (N,), metres: off by `press_error`, within its range."""
+        factor = 1.0 + self.press_error * rng.normal(size=len(press_depth_m))
+        return np.minimum(press_depth_m * np.maximum(factor, SHALLOWEST), max_depth_m)
+
+    def misplace(self, T_sensor_object: Poses, geometry: SensorGeometry, rng: np.random.Generator) -> Poses:
+        """Return where poses (N, 4, 4), metres, really are when the sensor is not quite where it is believed to be.
+
+        The sensor is turned about the centre of its sensing rectangle, whatever the object's frame or the standoff.
+        What comes out is not brought to contact.
+        """
+        from scipy.spatial.transform import Rotation
+
+        if not self.misplaces:
+            return T_sensor_object.copy()
+        count = len(T_sensor_object)
+        turn = Rotation.from_rotvec(self.sensor_rad * rng.normal(size=(count, 3))).as_matrix()
+        shift = self.sensor_m * rng.normal(size=(count, 3))
+        x0, x1, y0, y1 = geometry.rectangle
+        centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2, geometry.standoff_m])
+        lever = (T_sensor_object[:, :3, 3] - centre)[..., None]
+        return make_transform(turn @ T_sensor_object[:, :3, :3], (turn @ lever)[..., 0] + centre + shift)
+
+    def corrupt(
+        self, depth_m: Float32, press_depth_m: NDArray[np.float64], geometry: SensorGeometry, rng: np.random.Generator
+    ) -> Float32:
+        """Return noisy contact depths (N, H, W) float32, metres, of clean ones at full press, cut at press depths (N,).
+
+        No contact is exactly the press depth. What lies off the sensing rectangle stays clean: there is no elastomer.
+        """
+        press = np.asarray(press_depth_m, np.float32)[:, None, None]
+        noisy = np.minimum(np.asarray(depth_m, np.float32), press)
+        gel = Gel.of(geometry)
+        depth = noisy[:, gel.rows, gel.columns]  # a view
+        if self.smoothing_m > 0:
+            depth[...] = np.maximum(press - gel.blurred(press - depth, self.smoothing_m), 0.0)
+        if self.least_m > 0 or self.edge_m > 0:
+            np.copyto(depth, press, where=press - depth <= self._threshold(len(depth), gel, rng))
+        if self.drift_m > 0:
+            drifted = depth + np.float32(self.drift_m) * gel.random_field(len(depth), self.drift_patch_m, rng)
+            np.copyto(depth, np.clip(drifted, 0, np.nextafter(press, np.float32(0))), where=depth < press)
+        self._add_patches(depth, press, gel, rng)
+        if self.border_m > 0:
+            np.copyto(depth, press, where=gel.border(self.border_m * rng.random(len(depth)), rng))
+        return noisy
+
+    def cut(self, depth_m: Float32, press_depth_m: NDArray[np.float64], measured_m: NDArray[np.float64]) -> Float32:
+        """Return the contact depths (N, H, W) that a sensor reports which takes presses (N,) for `measured_m` (N,).
+
+        `depth_m` (N, H, W) are the noisy ones at the true presses; all in metres. A press that is taken for a lighter
+        one loses the rim of its contact; one that is taken for a deeper one shows no more than it did. No contact is
+        the measured press.
+        """
+        press, measured = (np.asarray(p, np.float32)[:, None, None] for p in (press_depth_m, measured_m))
+        return np.where(depth_m < np.minimum(press, measured), depth_m, measured)
+
+    def _threshold(self, count: int, gel: Gel, rng: np.random.Generator) -> Float32 | np.float32:
+        """The imprint that just does not show, metres: one number, or (count, H, W) where it wanders."""
+        least = np.float32(self.least_m)
+        if self.edge_m == 0:
+            return least
+        wander = gel.random_field(count, self.edge_patch_m, rng)
+        return np.maximum(least + np.float32(self.edge_m) * wander, np.float32(FAINTEST) * least)
+
+    def _add_patches(self, depth: Float32, press: Float32, gel: Gel, rng: np.random.Generator) -> None:
+        """Take round patches out of depths (N, H, W) at presses (N, 1, 1), metres, and put spurious ones in."""
+        if self.missing > 0:
+            centres = gel.random_pixels(depth < press, rng.poisson(self.missing, len(depth)), rng)
+            radius = self.patch_m * rng.uniform(0.3, 1.0, len(centres.image))
+            stamp(depth, gel, centres, radius, press[centres.image, 0, 0], np.maximum)
+        if self.spurious > 0:
+            centres = gel.random_points(rng.poisson(self.spurious, len(depth)), rng)
+            radius = self.patch_m * rng.uniform(0.2, 0.7, len(centres.image))
+            imprint = rng.uniform(0.1, 0.5, len(centres.image))
+            stamp(depth, gel, centres, radius, press[centres.image, 0, 0] * (1 - imprint), np.minimum)
+
+
+NoiseLevel = Literal["none", "mild", "strong"]
+NOISE: dict[str, TouchNoise] = {
+    "none": TouchNoise(),
+    "mild": TouchNoise(
+        press_share=(0.75, 1.0), press_error=0.03, smoothing_m=1.5e-4, least_m=5e-5, edge_m=5e-5, drift_m=3e-5,
+        missing=0.5, spurious=0.2, patch_m=1.5e-3, border_m=5e-4, sensor_m=1e-4, sensor_rad=math.radians(0.3),
+    ),
+    "strong": TouchNoise(
+        press_share=(0.5, 1.0), press_error=0.08, smoothing_m=3e-4, least_m=5e-5, edge_m=1.5e-4, drift_m=1e-4,
+        missing=2.0, spurious=1.0, patch_m=2.5e-3, border_m=2e-3, sensor_m=3e-4, sensor_rad=math.radians(1.0),
+    ),
+}  # fmt: skip
+
+
+def noise_level(name: str) -> TouchNoise:
+    """Return the noise called none, mild or strong. Raises ConfigError for another name."""
+    if name not in NOISE:
+        raise ConfigError(f"there is no noise {name!r}; give one of {', '.join(NOISE)}.{did_you_mean(name, NOISE)}")
+    return NOISE[name]

@@ -1,0 +1,132 @@
+"""Simulated touches: random contact poses and the contact shapes they make, clean or with a touch's noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.simulation.contact_poses import random_contact_poses
+from tactile_loc.core.simulation.noise import TouchNoise
+from tactile_loc.core.slots.component import Float32
+from tactile_loc.core.slots.grid import GridSampler
+from tactile_loc.core.slots.scene import Scene
+
+MOST_ROUNDS = 200  # of drawing what is missing
+
+
+def simulate_touches(
+    sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator, press_depth_m: float | None = None,
+    noise: TouchNoise | None = None,
+) -> list[Touch]:  # fmt: skip
+    """Make `count` touches with known poses; see `draw_touches`."""
+    return draw_touches(sampler, scene, count, rng, press_depth_m, noise)[0]
+
+
+def draw_touches(
+    sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator, press_depth_m: float | None = None,
+    noise: TouchNoise | None = None,
+) -> tuple[list[Touch], int]:  # fmt: skip
+    """Make `count` touches with known poses, and say how many presses were refused on the way.
+
+    They are pressed `press_depth_m` metres deep (by default the sensor's deepest). A pose is where the object is while
+    it is pressed, its deepest point at z = surface - press depth. With `noise`, what is rendered is the pose that the
+    sensor's calibration error makes of the true one, its contact corrupted, cut at the press depth that the sensor
+    measures; the press itself is drawn unless it is given. A press is refused, and another drawn, when noise leaves
+    less true contact than the sampler asks of a pose, or when all that shows is a flat face; but for those, the same
+    `rng` draws the same poses whatever the noise. Raises TouchError for a press beyond the sensor's range or one that
+    hardly ever leaves an imprint, GridError when the object hardly ever touches.
+    """
+    deepest = scene.geometry.max_depth_m
+    press = deepest if press_depth_m is None else press_depth_m
+    if not 0 < press <= deepest:
+        raise TouchError(
+            f"a press of {press * 1e3:.3g} mm is outside the sensor's range of 0 to {deepest * 1e3:.3g} mm"
+        )
+    press_noise = PressNoise(noise or TouchNoise(), scene.as_seen(), press_depth_m, rng.spawn(1)[0])
+    touches: list[Touch] = []
+    rounds = tried = 0
+    while len(touches) < count:
+        if rounds == MOST_ROUNDS:
+            raise TouchError(
+                f"hardly any press of {scene.object.name} by {press * 1e3:.3g} mm leaves an imprint with an edge or a "
+                "feature; press deeper or choose another face"
+            )
+        rounds += 1
+        poses = random_contact_poses(sampler, scene, count - len(touches), rng)
+        tried += len(poses)
+        percent = sampler.options.min_contact_percent
+        for T, shape in zip(*press_noise.pressed(poses, percent), strict=True):
+            touch = _touch(shape, scene, T, f"touch-{len(touches):04d}")
+            touches += [touch] if touch is not None else []
+    return touches, tried - len(touches)
+
+
+class PressNoise:
+    """Presses an object on a sensor that is not quite what it is believed to be.
+
+    All presses are `press_depth_m` metres deep, or as deep as `noise` draws them; nothing is pressed yet in `scene`.
+    """
+
+    def __init__(self, noise: TouchNoise, scene: Scene, press_depth_m: float | None, rng: np.random.Generator) -> None:
+        self.noise, self.scene, self.press_depth_m, self.rng = noise, scene, press_depth_m, rng
+
+    def pressed(self, T_sensor_object: Poses, least_percent: float) -> tuple[Poses, list[ContactShape | None]]:
+        """Press poses (N, 4, 4) that just touch; return where they are then, metres, and the contact shape of each.
+
+        It is None where noise left less than this contact.
+        """
+        noise, geometry = self.noise, self.scene.geometry
+        seen, touching = self._misplaced(T_sensor_object)
+        press = self._presses(len(seen))
+        clean = self._drawn(lowered(seen, press), press)
+        noisy = noise.corrupt(clean, press, geometry, self.rng)
+        measured = noise.measure_press(press, geometry.max_depth_m, self.rng)
+        depths = noise.cut(noisy, press, measured)
+        shapes = [ContactShape(depth, float(m)) for depth, m in zip(depths, measured, strict=True)]
+        poses = lowered(T_sensor_object, press)
+        if noise == TouchNoise():
+            return poses, list(shapes)
+        least = max(1.0, least_percent / 100 * geometry.observed_mask.sum())
+        real = (clean < press.astype(np.float32)[:, None, None]) & geometry.observed_mask  # spurious contact is none
+        kept = touching & [np.count_nonzero(s.contact & r) >= least for s, r in zip(shapes, real, strict=True)]
+        return poses, [shape if ok else None for shape, ok in zip(shapes, kept, strict=True)]
+
+    def _drawn(self, T_sensor_object: Poses, press_m: NDArray[np.float64]) -> Float32:
+        """Contact depths (N, H, W) of poses pressed in by (N,), up to the sensor's deepest from their own; metres."""
+        depths = np.empty((len(press_m), *self.scene.geometry.shape), np.float32)
+        for m in np.unique(press_m):
+            these = press_m == m
+            depths[these] = self.scene.pressed(m, self.scene.geometry.max_depth_m).contact_depths(
+                T_sensor_object[these]
+            )
+        return depths
+
+    def _misplaced(self, T_sensor_object: Poses) -> tuple[Poses, NDArray[np.bool_]]:
+        """Where the poses (N, 4, 4) really are, in contact, and which (N,) touch. Metres."""
+        if not self.noise.misplaces:
+            return T_sensor_object, np.ones(len(T_sensor_object), bool)
+        return self.scene.in_contact(self.noise.misplace(T_sensor_object, self.scene.geometry, self.rng))
+
+    def _presses(self, count: int) -> NDArray[np.float64]:
+        """How deep the presses (count,) are, metres."""
+        if self.press_depth_m is not None:
+            return np.full(count, self.press_depth_m)
+        return self.noise.draw_press(count, self.scene.geometry.max_depth_m, self.rng)
+
+
+def lowered(T_sensor_object: Poses, press_m: NDArray[np.float64]) -> Poses:
+    """Return poses (N, 4, 4) that are pressed (N,) metres deeper into the sensor."""
+    T = T_sensor_object.copy()
+    T[:, 2, 3] -= press_m
+    return T
+
+
+def _touch(shape: ContactShape | None, scene: Scene, T: NDArray[np.float64], name: str) -> Touch | None:
+    """One touch, or None where the imprint is no touch: nothing, or nothing but a flat face all over the sensor."""
+    try:
+        return None if shape is None else Touch(shape, scene.geometry, name, T_sensor_object=T)
+    except TouchError:
+        return None

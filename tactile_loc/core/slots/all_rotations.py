@@ -1,0 +1,133 @@
+"""Grids of all rotations times the plane: what such a grid has in common, whichever rotations it lists."""
+
+from __future__ import annotations
+
+import logging
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.geometry.rigid import Poses, make_transform, random_rotations
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.lattices import lattice_shape, plane_lattice, reachable_translations, require_spacing
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.grid import GridSampler
+
+log = logging.getLogger(__name__)
+
+Float = NDArray[np.float64]
+
+MOST_DRAWN = 100_000  # rotations drawn at once
+MOST_TURNED = 1_000_000  # points turned at once: 24 MB
+
+
+class AllRotationsGrid(GridSampler):
+    """All of SO(3) times the plane, for a touch anywhere on the object: a subclass says which rotations, `rotations`.
+
+    Options of a subclass derive from this class's; its `name` stands in messages.
+    """
+
+    name: ClassVar[str]
+
+    class Options(GridSampler.Options):
+        """How dense the grid is, and when it is too large."""
+
+        # Every halving makes 32 times as many poses, so this cannot be as fine as a grid of one face.
+        spacing_mm: float = Field(default=8.0, gt=0, description="mean distance between neighbouring poses, mm")
+        max_poses: int = Field(default=2_000_000, ge=1, description="refuse a grid of more poses than this")
+
+    @abstractmethod
+    def rotations(self, obj: ObjectModel, spacing_m: float) -> Float:
+        """Return R_sensor_object (K, 3, 3), about `spacing_m` metres of surface apart, one for each that look alike."""
+
+    @abstractmethod
+    def least_poses(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> int:
+        """Return how many poses, about or at least, `sample` would make at a spacing in metres; it makes none."""
+
+    @abstractmethod
+    def advice(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> str:
+        """Say what to choose, "take ...", where a spacing in metres makes too many poses."""
+
+    def sample(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> Poses:
+        """Return poses (N, 4, 4), about `spacing_m` metres of surface apart, one for each class that looks the same.
+
+        The centroid is on a square lattice of that pitch, at z = 0. Raises GridError when the spacing is below a
+        micrometre, or when there would be more than `max_poses`, before any are made.
+        """
+        require_spacing(spacing_m)
+        self._refuse_too_many(self.least_poses(obj, geometry, spacing_m), obj, geometry, spacing_m)
+        R = self.rotations(obj, spacing_m)
+        low, high = centroid_range(obj, R, geometry)
+        counts = self.place_counts(obj, R, geometry, spacing_m)
+        self._refuse_too_many(int(counts.sum()), obj, geometry, spacing_m)
+        log.info("%s grid of %s: %d rotations, %d poses before contact", self.name, obj.name, len(R), counts.sum())
+        xy = np.concatenate([plane_lattice(a, b, spacing_m) for a, b in zip(low, high, strict=True)])
+        return _poses_with_centroid_at(obj, np.repeat(R, counts, axis=0), xy)
+
+    @staticmethod
+    def place_counts(obj: ObjectModel, R: Float, geometry: SensorGeometry, spacing_m: float) -> NDArray[np.int64]:
+        """Return how many places (N,), `spacing_m` metres apart, rotations R (N, 3, 3) have over the sensor."""
+        counts: NDArray[np.int64] = lattice_shape(*centroid_range(obj, R, geometry), spacing_m).prod(axis=-1)
+        return counts
+
+    def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
+        """Draw poses (count, 4, 4), metres, uniformly over all rotations and places where the boxes overlap; z is free.
+
+        A rotation is drawn as often as its region is large, as the grid has it.
+        """
+        return random_places(obj, geometry, count, rng, lambda n: random_rotations(n, rng))
+
+    def _refuse_too_many(self, count: int, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> None:
+        limit = self.options.max_poses
+        if count > limit:
+            raise GridError(
+                f"the {self.name} grid of {obj.name} at a spacing of {spacing_m * 1e3:.3g} mm needs {count:,} poses or "
+                f"more, over the limit of {limit:,}; {self.advice(obj, geometry, spacing_m)}, raise max_poses, or "
+                "choose the face grid if the face that touches is known"
+            )
+
+
+def centroid_range(obj: ObjectModel, R: Float, geometry: SensorGeometry) -> tuple[Float, Float]:
+    """Return low and high (N, 2) in metres of the centroid's x, y in the sensor frame for R_sensor_object (N, 3, 3).
+
+    Between them, the turned object's bounding box overlaps the sensing rectangle; beyond, there can be no contact.
+    """
+    points = obj.mesh.hull_corners_m - obj.mesh.centroid_m
+    low, high = np.empty((len(R), 2)), np.empty((len(R), 2))
+    step = max(1, MOST_TURNED // len(points))
+    for s in range(0, len(R), step):
+        turned = points @ np.swapaxes(R[s : s + step], -1, -2)
+        low[s : s + step], high[s : s + step] = reachable_translations(turned, geometry.rectangle)
+    return low, high
+
+
+def random_places(
+    obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator,
+    rotations: Callable[[int], Float],
+) -> Poses:  # fmt: skip
+    """Draw poses (count, 4, 4), metres, uniformly over rotations and the places where the boxes overlap; z is free.
+
+    `rotations(n)` draws R_sensor_object (n, 3, 3) uniformly. One is kept as often as its region is large, as a grid has
+    it: were it kept always, poses of a small region would be drawn too often.
+    """
+    x0, x1, y0, y1 = geometry.rectangle
+    longest_m = float(np.linalg.norm(obj.mesh.extents_m))
+    bound_m2 = (x1 - x0 + longest_m) * (y1 - y0 + longest_m)
+    found = [np.empty((0, 4, 4))]
+    while (missing := count - sum(map(len, found))) > 0:
+        R = rotations(min(max(2 * missing, 64), MOST_DRAWN))
+        low, high = centroid_range(obj, R, geometry)
+        keep = rng.random(len(R)) * bound_m2 < (high - low).prod(axis=-1)
+        found.append(_poses_with_centroid_at(obj, R[keep], rng.uniform(low[keep], high[keep])))
+    return np.concatenate(found)[:count]
+
+
+def _poses_with_centroid_at(obj: ObjectModel, R: Float, xy_m: Float) -> Poses:
+    """Poses (N, 4, 4) of rotations (N, 3, 3) whose centroid is at (x, y, 0) for `xy_m` (N, 2), sensor frame, metres."""
+    centroid_m = np.column_stack([xy_m, np.zeros(len(xy_m))])
+    return make_transform(R, centroid_m - R @ obj.mesh.centroid_m)

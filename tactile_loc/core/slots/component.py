@@ -1,0 +1,77 @@
+"""What all components have: options, capabilities, a version, and a description for the store."""
+
+from __future__ import annotations
+
+from abc import ABC
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+Float32 = NDArray[np.float32]
+
+
+class ComponentOptions(BaseModel):
+    """Base of every component's options: frozen, no infinity or NaN, unknown keys refused.
+
+    A field's description states its unit. One that cannot change any result, such as where to compute, says so with
+    `json_schema_extra={"neutral": True}`.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @classmethod
+    def neutral(cls) -> set[str]:
+        """Return the names of the options that cannot change any result."""
+        extras = {name: field.json_schema_extra for name, field in cls.model_fields.items()}
+        return {name for name, extra in extras.items() if isinstance(extra, dict) and extra.get("neutral")}
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """What a component can and cannot do, so that nobody has to probe it.
+
+    `exact_undercuts`: a renderer sees surfaces below overhangs. `deterministic`: same input, same output.
+    `follows_press_depth`: an encoder's bank must be encoded at the touch's own press depth.
+    `top_k_only`: a matcher scores only some poses, the others are -inf. `needs_training`: `fit` does work.
+    `refines`: a refiner moves poses, unlike the null one. `contact_only`: a fuser asks only which poses touch a sensor,
+    not how probable they are. `places`: a grid lists the object's places instead of poses. `uses_normals`,
+    `differentiable`, `device`: as they say.
+    """
+
+    deterministic: bool = True
+    exact_undercuts: bool = True
+    follows_press_depth: bool = False
+    top_k_only: bool = False
+    needs_training: bool = False
+    refines: bool = True
+    contact_only: bool = False
+    places: bool = False
+    uses_normals: bool = False
+    differentiable: bool = False
+    device: str = "cpu"
+
+
+class Component(ABC):
+    """Base of all components. `version` is part of the store's keys: raise it when the same input gives new output."""
+
+    slot: ClassVar[str]
+    version: ClassVar[int] = 1
+    capabilities: ClassVar[Capabilities] = Capabilities()
+
+    class Options(ComponentOptions):
+        """No options."""
+
+    def __init__(self, options: ComponentOptions | None = None) -> None:
+        self.options: Any = options if options is not None else self.Options()
+
+    def describe(self) -> dict[str, Any]:
+        """Return what identifies this component's output (class, version, options), as JSON values.
+
+        Options that are marked neutral are left out: they change where or how it computes, not what comes out.
+        """
+        kind = f"{type(self).__module__}:{type(self).__qualname__}"
+        options = self.options.model_dump(mode="json", exclude=self.options.neutral())
+        return {"class": kind, "version": self.version, "options": options}

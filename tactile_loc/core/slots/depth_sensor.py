@@ -1,0 +1,51 @@
+"""What sensors share: a fixed geometry, and observations that are contact shapes already."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape, contact_shape_from_array
+from tactile_loc.core.slots.component import ComponentOptions
+from tactile_loc.core.slots.sensor import SensorModel
+
+
+class DepthSensor(SensorModel):
+    """A sensor without a calibration for images: it takes contact shapes. Raises SensorError for a bad geometry."""
+
+    def __init__(self, options: ComponentOptions | None = None) -> None:
+        super().__init__(options)
+        self._geometry = self._make_geometry()
+
+    @abstractmethod
+    def _make_geometry(self) -> SensorGeometry:
+        """Return the geometry (metres, pixels) that the options ask for."""
+
+    @property
+    def geometry(self) -> SensorGeometry:
+        """The camera behind the sensing surface (metres, pixels)."""
+        return self._geometry
+
+    def contact_shape(self, image: NDArray[Any]) -> ContactShape:
+        """Take depths (H, W) in metres from full penetration, NaN or at least the maximal depth = no contact.
+
+        Raises TouchError for an image (the sensor has no calibration for images), a wrong size, type or unit.
+        """
+        depth = np.asarray(image)
+        if depth.ndim == 3 or depth.dtype == np.uint8:
+            raise TouchError(
+                f"the {type(self).__name__} sensor has no calibration for images; give a contact shape "
+                "(.npz, .npy or 16-bit .png), or choose a sensor that is calibrated for images: --sensor FOLDER"
+            )
+        shape = contact_shape_from_array(depth, self.geometry.max_depth_m)
+        if depth.shape != self.geometry.shape:
+            raise TouchError(
+                f"the contact shape is {depth.shape} pixels but the sensor's image is {self.geometry.shape} "
+                "(rows, columns); choose the sensor that took it, or set its image_size_px"
+            )
+        return shape

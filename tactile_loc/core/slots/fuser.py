@@ -1,0 +1,27 @@
+"""The fuser slot: posteriors of several touches and a prior become one."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.poses.priors import Prior
+from tactile_loc.core.slots.component import Component
+
+
+class Fuser(Component):
+    """Combines the posteriors of several touches and a prior."""
+
+    slot = "fuser"
+
+    @abstractmethod
+    def fuse(
+        self, posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None], prior: Prior | None = None
+    ) -> PosePosterior:
+        """Return the posterior over the first touch's grid. `prior` maps its poses (N, 4, 4) to log-weights (N,).
+
+        `T_base_sensor` (4, 4) in metres is where each touch's sensor was, None if unknown. Raises ConfigError for
+        touches that it cannot combine, such as several of unknown sensor poses, and GridError when no pose is left.
+        """

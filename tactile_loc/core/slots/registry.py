@@ -1,0 +1,208 @@
+"""Plugins: what they offer for which slot, found by entry point; a component's class is imported at first use."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
+from inspect import isabstract
+from typing import Any
+
+import pluggy
+from pydantic import ValidationError
+
+from tactile_loc.core.errors import (
+    ConfigError,
+    MissingLibraryError,
+    PluginConflictError,
+    PluginLoadError,
+    UnknownPluginError,
+    did_you_mean,
+    quoted,
+)
+
+PROJECT = "tactile_loc"
+SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
+
+hookspec = pluggy.HookspecMarker(PROJECT)
+hookimpl = pluggy.HookimplMarker(PROJECT)
+
+
+@dataclass(frozen=True)
+class ComponentSpec:
+    """One component offered for one slot.
+
+    `target` is "package.module:Class", imported at first use; `requires` names the pip distribution of the library it
+    needs beyond tactile-loc's own, if any.
+    """
+
+    slot: str
+    name: str
+    target: str
+    summary: str
+    requires: str = ""
+
+
+@hookspec
+def tactile_loc_components() -> Iterable[ComponentSpec]:  # type: ignore[empty-body]
+    """Return the components that this plugin offers."""
+
+
+logger = logging.getLogger(__name__)
+
+BUILT_IN = "tactile-loc"
+
+
+@dataclass(frozen=True)
+class Registered:
+    """A component that a distribution offers."""
+
+    spec: ComponentSpec
+    distribution: str
+
+
+@dataclass(frozen=True)
+class LoadFailure:
+    """A plugin that raised while being loaded."""
+
+    plugin: str
+    distribution: str
+    error: str
+
+
+class Registry:
+    """All components found. A plugin that fails to load is kept as a failure and hurts nobody else."""
+
+    def __init__(self, plugins: Iterable[EntryPoint]) -> None:
+        self.components: list[Registered] = []
+        self.failures: list[LoadFailure] = []
+        for plugin in plugins:
+            self._load(plugin)
+
+    def _load(self, plugin: EntryPoint) -> None:
+        distribution = plugin.dist.name if plugin.dist else plugin.value
+        try:
+            manager = pluggy.PluginManager(PROJECT)
+            manager.add_hookspecs(sys.modules[__name__])
+            manager.register(plugin.load())
+            manager.check_pending()
+            offers = [spec for offered in manager.hook.tactile_loc_components() for spec in offered]
+            if not offers:
+                raise TypeError("offers no component: its hook is missing or returns nothing")
+            for spec in offers:
+                if not isinstance(spec, ComponentSpec) or spec.slot not in SLOTS:
+                    raise TypeError(f"offers {spec!r}; the slots are {', '.join(SLOTS)}")
+        except Exception as error:  # noqa: BLE001 - a stranger's plugin may raise anything
+            reason = f"{type(error).__name__}: {error}"
+            self.failures.append(LoadFailure(plugin.name, distribution, reason))
+        else:
+            self.components += [Registered(spec, distribution) for spec in offers]
+
+    def names(self, slot: str) -> list[str]:
+        """Return the names that fill a slot, in the order they were found."""
+        return list(dict.fromkeys(c.spec.name for c in self.components if c.spec.slot == slot))
+
+    def find(self, slot: str, name: str) -> Registered:
+        """Return the component of this slot and name. Raises UnknownPluginError or PluginConflictError."""
+        found = [c for c in self.components if (c.spec.slot, c.spec.name) == (slot, name)]
+        if not found:
+            raise UnknownPluginError(self._unknown(slot, name))
+        if len(found) > 1:
+            raise PluginConflictError(
+                f"two components are the {slot} {name!r}: one of {found[0].distribution}, one of "
+                f"{found[1].distribution}; uninstall one, or choose with TACTILE_LOC_PLUGINS"
+            )
+        return found[0]
+
+    def _unknown(self, slot: str, name: str) -> str:
+        if slot not in SLOTS:
+            return f"there is no slot {slot!r}; the slots are {', '.join(SLOTS)}"
+        broken = "".join(f" The plugin {f.plugin} could not be loaded ({f.error})." for f in self.failures)
+        known = self.names(slot)
+        also = ", and no folder or file of that name" if slot == "sensor" else ""
+        return f"there is no {slot} {name!r}{also}; there are {', '.join(known)}.{did_you_mean(name, known)}{broken}"
+
+    def load(self, slot: str, name: str) -> type[Any]:
+        """Import and return the component's class. Raises PluginLoadError, MissingLibraryError or as `find` does."""
+        found = self.find(slot, name)
+        module, _, attribute = found.spec.target.partition(":")
+        try:
+            kind = getattr(importlib.import_module(module), attribute)
+            _require_component(kind, slot)
+            logger.debug("The %s %r is %s of %s.", slot, name, found.spec.target, found.distribution)
+            return kind
+        except Exception as error:
+            if isinstance(error, ModuleNotFoundError) and not _is_part_of(error.name, module):
+                library = found.spec.requires or error.name
+                raise MissingLibraryError(
+                    f"the {slot} {name!r} needs {error.name}, which is not installed: pip install {library}"
+                ) from error
+            raise PluginLoadError(
+                f"the {slot} {name!r} of {found.distribution} failed on import ({type(error).__name__}: {error}); "
+                "update or uninstall that package, or choose another component"
+            ) from error
+
+    def create(self, slot: str, name: str, options: Mapping[str, Any] | None = None) -> Any:
+        """Return a component with validated options. Raises ConfigError for unknown or ill-typed ones."""
+        kind = self.load(slot, name)
+        return kind(validate_options(kind.Options, options or {}, f"{slot} {name!r}"))
+
+
+def _is_part_of(missing: str | None, module: str) -> bool:
+    """Whether a missing module belongs to the package of `module`, so that there is nothing to install."""
+    package, _, part = (missing or "").partition(".")
+    return bool(part) and package == module.partition(".")[0]
+
+
+def _require_component(kind: Any, slot: str) -> None:
+    """Raise TypeError unless `kind` is a complete component class of the slot."""
+    from tactile_loc.core.slots.component import Component
+
+    if not (isinstance(kind, type) and issubclass(kind, Component) and getattr(kind, "slot", None) == slot):
+        raise TypeError(f"{kind!r} does not derive from the {slot} interface")
+    if isabstract(kind):
+        raise TypeError(f"{kind.__name__} does not implement {', '.join(sorted(kind.__abstractmethods__))}")
+
+
+def validate_options(model: Any, values: Mapping[str, Any], owner: str) -> Any:
+    """Build the pydantic options `model` from `values`. Raises ConfigError that names what is allowed."""
+    try:
+        return model(**values)
+    except ValidationError as error:
+        problem = error.errors()[0]
+        key = ".".join(map(str, problem["loc"])) or "options"
+        if problem["type"] == "extra_forbidden":
+            fields = model.model_fields
+            allowed = ", ".join(f"{k} ({_type_name(f.annotation)})" for k, f in fields.items()) or "none at all"
+            near = did_you_mean(key, fields)
+            raise ConfigError(f"the {owner} has no option {key!r}.{near} Its options: {allowed}") from error
+        raise ConfigError(
+            f"the {owner} cannot take {key} = {quoted(problem['input'])}: {problem['msg'].lower()}"
+        ) from error
+
+
+def _type_name(annotation: Any) -> str:
+    return annotation.__name__ if isinstance(annotation, type) else str(annotation).replace("typing.", "")
+
+
+@lru_cache(maxsize=1)
+def registry() -> Registry:
+    """Return the process's registry: the built-in components and, unless TACTILE_LOC_PLUGINS restricts, all others.
+
+    TACTILE_LOC_PLUGINS is a comma-separated list of entry-point or distribution names; empty means built-ins only.
+    """
+    found = list(entry_points(group=PROJECT))
+    wanted = os.environ.get("TACTILE_LOC_PLUGINS")
+    if wanted is not None:
+        allowed = {name.strip() for name in wanted.split(",")} | {BUILT_IN}
+        found = [e for e in found if e.name in allowed or (e.dist is not None and e.dist.name in allowed)]
+    return Registry(sorted(found, key=lambda e: (not _is_built_in(e), e.name)))
+
+
+def _is_built_in(plugin: EntryPoint) -> bool:
+    return plugin.dist is not None and plugin.dist.name == BUILT_IN

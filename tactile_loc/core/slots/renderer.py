@@ -1,0 +1,30 @@
+"""The renderer slot: depth images of an object as the camera behind the gel sees it."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.component import Component, Float32
+
+
+class Renderer(Component):
+    """Draws the object as the sensor's camera would see it."""
+
+    slot = "renderer"
+
+    @abstractmethod
+    def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
+        """Return camera depth z (N, H, W) in metres at pixel centres for poses (N, 4, 4).
+
+        Exact between standoff and standoff + max_depth; anything beyond may be inf. Poses are in contact already.
+        """
+
+    def render_apart(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
+        """Return what `render` returns (N, H, W), metres, of poses that share no rotation: random ones, or a refiner's.
+
+        Override it where these can be drawn faster or more exactly than the poses of a grid.
+        """
+        return self.render(mesh, T_sensor_object, geometry)

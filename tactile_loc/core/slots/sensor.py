@@ -1,0 +1,42 @@
+"""The sensor slot: the geometry of a tactile sensor, and how its images become contact shapes."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.core.slots.component import Component
+
+
+class SensorModel(Component):
+    """A tactile sensor: its geometry, and how an observation becomes a contact shape."""
+
+    slot = "sensor"
+
+    @property
+    @abstractmethod
+    def geometry(self) -> SensorGeometry:
+        """The camera behind the sensing surface (metres, pixels)."""
+
+    @abstractmethod
+    def contact_shape(self, image: NDArray[Any]) -> ContactShape:
+        """Turn an observation, an image (H, W, 3) uint8 or depths (H, W) in metres, into a contact shape.
+
+        Raises TouchError when the observation does not fit.
+        """
+
+    def simulated_image(self, shape: ContactShape, rng: np.random.Generator) -> NDArray[np.uint8]:
+        """Return the image (H, W, 3) that the sensor's camera would take of a contact shape, with its noise.
+
+        Raises ConfigError unless the sensor reads images, CalibrationError when none can be made for it.
+        """
+        raise ConfigError(
+            f"the sensor {type(self).__name__} reads no images; make one that does with tactile-loc calibrate "
+            "--simulated and give its folder as --sensor"
+        )

@@ -1,0 +1,1 @@
+"""What is built on the method: tracking, the next touch, identification, mounts, replay and live."""

@@ -1,0 +1,107 @@
+"""A folder of meshes as a library, and `identification.json`: which object touches are of. SI units."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from tactile_loc.core.errors import ObjectError
+from tactile_loc.core.progress import Progress
+from tactile_loc.io.config import RunConfig
+from tactile_loc.io.toml import Matrix
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.stored_object import SELF_CONTAINED, stored_object
+from tactile_loc.store.files import write_json
+from tactile_loc.store.store import StageStore
+from tactile_loc.tasks.identify import Identification
+from tactile_loc.tasks.library import Library
+
+SCHEMA_VERSION = 1
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class PoseRecord(_Record):
+    """A pose of an object, if it is the one."""
+
+    probability: float = Field(description="of this pose, given that it is this object, 0 to 1")
+    T_sensor_object: Matrix = Field(description="(4, 4), m, in the first touch's sensor frame")
+    imprint_iou: float = Field(description="how well it explains the touches, 0 to 1")
+
+
+class KnownObjectRecord(_Record):
+    """One object of the library."""
+
+    name: str = Field(description="the object's name")
+    probability: float = Field(description="that the touches are of this object, 0 to 1")
+    alike: float = Field(description="how alike it is at a glance, unitless, higher is more alike")
+    rough_iou: float = Field(
+        description="how well a rough search of it explains the touches, 0 to 1; 0: it was not worth one"
+    )
+    shortfall_nats: float | None = Field(
+        description="by how much its best pose explains the touches less than fully; null: it was not located"
+    )
+    poses: list[PoseRecord] = Field(description="where it would be, the most probable first")
+
+
+class IdentificationRecord(_Record):
+    """The whole file."""
+
+    schema_version: int = Field(
+        default=SCHEMA_VERSION, description="raised when a key is removed or changes its meaning"
+    )
+    touches: list[str] = Field(description="the touches that were identified")
+    identified: str | None = Field(description="the object that they are of; null: none of these is more probable")
+    none: float = Field(description="probability that they are of none of these objects, 0 to 1")
+    objects: list[KnownObjectRecord] = Field(description="the library, the most probable first")
+
+
+def read_library(folder: Path, config: RunConfig, store: StageStore, progress: Progress) -> Library:
+    """Open the meshes of a folder as a library, each located as `config` says but for its object.
+
+    Raises ObjectError when there is no such folder, or no mesh in it.
+    """
+    if not os.path.isdir(folder):
+        raise ObjectError(f"there is no folder {folder}; give one with a mesh file for each object")
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SELF_CONTAINED)
+    if not files:
+        raise ObjectError(f"{folder} holds no mesh; give a folder of files {', '.join(SELF_CONTAINED)}")
+    return Library(list(_models(files, config, store, progress)))
+
+
+def _models(files: list[Path], config: RunConfig, store: StageStore, progress: Progress) -> Iterator[Localizer]:
+    for path in files:
+        chosen = config.object.model_copy(update={"path": str(path)})
+        obj = stored_object(path, chosen.units, chosen.symmetry, store)
+        yield Localizer(config.model_copy(update={"object": chosen}), obj, store, progress)
+
+
+def identification_record(found: Identification, touches: list[str]) -> IdentificationRecord:
+    """Gather what touches, given by their names, say of the objects."""
+    return IdentificationRecord(
+        touches=touches, identified=None if found.best is None else found.best.name, none=found.none,
+        objects=[
+            KnownObjectRecord(
+                name=one.name, probability=one.probability, alike=one.alike, rough_iou=one.rough_iou,
+                shortfall_nats=one.shortfall if np.isfinite(one.shortfall) else None,
+                poses=[
+                    PoseRecord(
+                        probability=h.probability, T_sensor_object=h.T_sensor_object.tolist(), imprint_iou=h.imprint_iou
+                    )
+                    for h in (one.found.hypotheses if one.found else ())
+                ],
+            )
+            for one in found.objects
+        ],
+    )  # fmt: skip
+
+
+def write_identification(path: str | Path, record: IdentificationRecord) -> Path:
+    """Write a record as JSON, atomically, and return the path. Raises OutputError when that is impossible."""
+    return write_json(Path(path), record.model_dump(mode="json"))

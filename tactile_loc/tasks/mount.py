@@ -1,0 +1,349 @@
+"""Where a sensor is mounted on a robot's flange: found from touches of one part at rest, whose place is not known.
+
+Every touch is located for itself; the mount on which most of their hypotheses agree (`mount_guess`) predicts where each
+sensor sees the part; there each touch is registered again, and all of them are fitted, until nothing moves.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import GridError, MountError, TouchError
+from tactile_loc.core.geometry.hand_eye import (
+    TRUSTED,
+    HandEyeFit,
+    fit_hand_eye,
+    flange_turns,
+    pose_errors,
+    predicted,
+    typical_variance,
+)
+from tactile_loc.core.geometry.rigid import Poses, covariance_at, rotation_angle
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.slots.scene import View
+from tactile_loc.io.mount_files import Mount, MountRecord, MountTouchRecord
+from tactile_loc.io.touch_lists import read_touch_list
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result import Hypothesis
+from tactile_loc.locate.touch_files import read_listed_touch
+from tactile_loc.tasks.mount_guess import MountGuess, guess_mounts
+
+HYPOTHESES = 100  # of each touch
+GUESSES = 3  # mounts that are refined
+LEAST = 4  # touches that must agree: of three, some hypotheses always do
+TURNED_RAD = np.radians(3.0)  # about two axes, root mean square over pairs of flange poses: less tells nothing
+LIMIT_M, LIMIT_RAD = 2e-3, np.radians(2.0)  # standard deviations beyond which a mount is not known
+NOMINAL_M, NOMINAL_RAD = 0.03, np.radians(30.0)  # how far off a nominal mount may be
+SHORT = 0.25  # imprint IoU by which a touch may be explained worse than by its best hypothesis
+ROUNDS, STILL_M = 30, 5e-6  # of refinement; the last moves no prediction farther
+REJECTIONS = 3  # times it is asked again which touches contradict the others
+NOTHING = np.diag([0.03**2] * 3 + [3.0**2] * 3)  # the covariance (6, 6), m and rad, of what a touch says nothing of
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FlangeTouches:
+    """Touches (N) of one object at rest by one sensor, and where the flange was: T_base_flange (N, 4, 4), metres.
+
+    A touch's `T_base_sensor_std_m` and `_rad` say how exactly its flange's pose is known.
+    """
+
+    touches: tuple[Touch, ...]
+    T_base_flange: Poses
+
+    def __len__(self) -> int:
+        return len(self.touches)
+
+    def only(self, some: NDArray[np.bool_]) -> FlangeTouches:
+        """Return some (N,) of the touches."""
+        return FlangeTouches(tuple(itertools.compress(self.touches, some)), self.T_base_flange[some])
+
+    @property
+    def gel_m(self) -> Floats:
+        """The gel's middle (N, 3), metres, in the sensor's frame, where each touch was."""
+        return np.array([[0.0, 0.0, touch.geometry.standoff_m] for touch in self.touches])
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What N touches, each for itself, say of where the sensor sees the object: T_sensor_object (N, 4, 4), metres.
+
+    `covariances` (N, 6, 6), as RefinedPose's, are of these poses beside those that the flange predicts: of the touch
+    and of the flange's pose.
+    """
+
+    T_sensor_object: Poses
+    covariances: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class FoundMount:
+    """A mount found from N touches: the `fit` of those `kept` (N,), and the `guess` that it began with.
+
+    `measured` is what all touches say of where the object is, registered from where the mount predicts it.
+    `imprint_ious` (N,), 0 to 1, say how well the object explains each touch there; `best_ious` (N,) how well the best
+    hypothesis of that touch alone does.
+    """
+
+    given: FlangeTouches
+    guess: MountGuess
+    fit: HandEyeFit
+    kept: NDArray[np.bool_]
+    measured: Measured
+    imprint_ious: Floats
+    best_ious: Floats
+
+    @property
+    def mount(self) -> Mount:
+        """The answer: T_flange_sensor and its covariance."""
+        return Mount(self.fit.T_flange_sensor, self.fit.covariance)
+
+    @property
+    def residuals(self) -> Floats:
+        """By how much each touch contradicts the mount, at the gel's middle: (N, 2), metres and radians."""
+        return self._residuals(self.fit.T_flange_sensor, self.fit.T_base_object)
+
+    @property
+    def first_residuals(self) -> Floats:
+        """By how much each touch contradicts the first guess: (N, 2), metres and radians."""
+        return self._residuals(self.guess.T_flange_sensor, self.guess.T_base_object)
+
+    def _residuals(self, X: Floats, Y: Floats) -> Floats:
+        S = self.measured.T_sensor_object
+        e = pose_errors(predicted(self.given.T_base_flange, X, Y), S)
+        shift = e[:, :3] + np.cross(e[:, 3:], self.given.gel_m - S[:, :3, 3])
+        return np.stack([np.linalg.norm(shift, axis=1), np.linalg.norm(e[:, 3:], axis=1)], axis=1)
+
+    def why_left_out(self, number: int) -> str:
+        """Return, in words, why a touch had no say; nothing if it had."""
+        if self.kept[number]:
+            return ""
+        iou, best = self.imprint_ious[number], self.best_ious[number]
+        if iou > best - SHORT:
+            off_m, off_rad = self.residuals[number]
+            return f"it sees the object {1e3 * off_m:.2f} mm and {np.degrees(off_rad):.2f} degrees off"
+        return f"where the others see the object, it explains {iou:.0%} of the imprint; another pose {best:.0%}"
+
+
+def read_flange_touches(localizer: Localizer, path: Path) -> FlangeTouches:
+    """Read a list of touches by the localizer's sensor at known flange poses. Raises TactileLocError for bad input."""
+    listed = read_touch_list(path, of_flange=True)
+    own = localizer.config.sensor
+    others = sorted({str(one.sensor) for one in listed} - {"None", own.name, str(own.options.get("path"))})
+    if others:
+        raise TouchError(f"{path} has touches of another sensor, {others[0]}; a mount is of one: choose it by --sensor")
+    touches = tuple(read_listed_touch(localizer, one) for one in listed)
+    return FlangeTouches(touches, np.array([one.T_base_flange for one in listed]))
+
+
+def find_mount(localizer: Localizer, given: FlangeTouches, nominal: Mount | None = None) -> FoundMount:
+    """Find where the localizer's sensor is mounted, and where the object is, from touches of it at known flange poses.
+
+    A `nominal` mount narrows the search to what is within NOMINAL_M and NOMINAL_RAD of it. Raises MountError when
+    there are too few touches, too few agree, or the flange's motions do not determine the mount.
+    """
+    require_motions(given)
+    located = _located(localizer, given.touches)
+    hypotheses = [np.array([h.T_sensor_object for h in some]).reshape(-1, 4, 4) for some in located]
+    metric = PoseMetric(localizer.object)
+    allowed = None if nominal is None else lambda X: _near(X, nominal.T_flange_sensor)
+    guesses = guess_mounts(given.T_base_flange, hypotheses, metric, GUESSES, allowed)
+    best_ious = np.array([max((h.imprint_iou for h in some), default=0.0) for some in located])
+    found = []
+    with localizer.progress.task("refining the mount", len(guesses)) as advance:
+        for guess in guesses:
+            found.append(_refined(localizer, given, guess, best_ious))
+            advance(1)
+    best = max(found, key=lambda one: (one.kept.sum(), one.imprint_ious.mean()), default=None)
+    return _require_known(best, given, nominal)
+
+
+def mount_record(localizer: Localizer, found: FoundMount) -> MountRecord:
+    """Return what is written of a mount: in SI units, with the residual of every touch."""
+    touches = [
+        MountTouchRecord(
+            name=touch.name, residual_m=float(last[0]), residual_rad=float(last[1]), first_residual_m=float(first[0]),
+            first_residual_rad=float(first[1]), imprint_iou=float(iou), left_out=found.why_left_out(number),
+        )
+        for number, (touch, last, first, iou) in enumerate(
+            zip(found.given.touches, found.residuals, found.first_residuals, found.imprint_ious, strict=True)
+        )
+    ]  # fmt: skip
+    fit = found.fit
+    return MountRecord(
+        T_flange_sensor=fit.T_flange_sensor.tolist(), covariance=fit.covariance.tolist(),
+        T_base_object=fit.T_base_object.tolist(), object=localizer.object.name, sensor=_sensor_name(localizer),
+        variance_factor=fit.variance, touch=touches,
+    )  # fmt: skip
+
+
+def _sensor_name(localizer: Localizer) -> str:
+    sensor = localizer.config.sensor
+    return Path(str(sensor.options["path"])).stem if "path" in sensor.options else sensor.name
+
+
+def _located(localizer: Localizer, touches: Sequence[Touch]) -> list[tuple[Hypothesis, ...]]:
+    """The hypotheses of each touch; none of one that no pose of the grid explains."""
+    found: list[tuple[Hypothesis, ...]] = []
+    with localizer.progress.task("locating the touches", len(touches)) as advance:
+        for touch in touches:
+            try:
+                found.append(localizer.localize(touch, top=HYPOTHESES).hypotheses)
+            except GridError:
+                found.append(())
+            advance(1)
+    return found
+
+
+def _near(T_flange_sensor: Poses, nominal: Floats) -> NDArray[np.bool_]:
+    turned = rotation_angle(nominal[:3, :3].T @ T_flange_sensor[:, :3, :3])
+    far_m = np.linalg.norm(T_flange_sensor[:, :3, 3] - nominal[:3, 3], axis=1)
+    return np.asarray((far_m < NOMINAL_M) & (turned < NOMINAL_RAD))
+
+
+def _refined(localizer: Localizer, given: FlangeTouches, guess: MountGuess, best_ious: Floats) -> FoundMount:
+    """The mount near a guess that explains the touches best."""
+    registration = _Registration.of(localizer, given)
+    kept = np.ones(len(given), bool)
+    X, Y = registration.converged(guess.T_flange_sensor, guess.T_base_object, kept)
+    for _ in range(REJECTIONS):
+        trusted = registration.trusted(X, Y, best_ious)
+        if (trusted == kept).all() or trusted.sum() < LEAST:
+            break
+        kept = trusted
+        X, Y = registration.converged(X, Y, kept, finely=True)
+    measured = registration.measured(X, Y)
+    fit = fit_hand_eye(given.T_base_flange[kept], measured.T_sensor_object[kept], measured.covariances[kept], X, Y)
+    kept = kept & registration.trusted(X, Y, best_ious)
+    fit = dataclasses.replace(fit, variance=typical_variance(fit.chi2))  # registration takes up a part of an error
+    return FoundMount(given, guess, fit, kept, measured, registration.imprint_ious(X, Y), best_ious)
+
+
+@dataclass(frozen=True, eq=False)
+class _Registration:
+    """All touches registered as one problem, whose unknowns are the mount X and the object's pose Y in the base frame.
+
+    Each step solves the equations of every touch at the pose that X and Y predict: what it says of that pose, with the
+    covariance of this, is a measurement; the fit of all of them is the step of X and Y.
+    """
+
+    given: FlangeTouches
+    views: list[View]
+    joint: Any
+    metric: PoseMetric
+
+    @classmethod
+    def of(cls, localizer: Localizer, given: FlangeTouches) -> _Registration:
+        views = [View(touch, localizer.scene.of_touch(touch)) for touch in given.touches]
+        return cls(given, views, registry().create("refiner", "joint", {}), PoseMetric(localizer.object))
+
+    def converged(self, X: Floats, Y: Floats, some: NDArray[np.bool_], finely: bool = False) -> tuple[Floats, Floats]:
+        """X and Y that explain some of the touches (N,) best; `finely` from near there, else from a first guess."""
+        scales_mm = self.joint.scales_mm(ROUNDS)
+        F = self.given.T_base_flange[some]
+        for scale_mm in scales_mm[ROUNDS // 2 :] if finely else scales_mm:
+            measured, before = self.measured(X, Y, float(scale_mm)), self.predicted(X, Y)
+            fit = fit_hand_eye(F, measured.T_sensor_object[some], measured.covariances[some], X, Y, robust=True)
+            X, Y = fit.T_flange_sensor, fit.T_base_object
+            if self.metric.distance(before, self.predicted(X, Y)).max() < STILL_M:
+                break
+        return X, Y
+
+    def measured(self, X: Floats, Y: Floats, scale_mm: float | None = None) -> Measured:
+        """What the touches say of where the object is, near where X and Y predict it; by default as fine as can be."""
+        scale_mm = float(self.joint.scales_mm(ROUNDS)[-1]) if scale_mm is None else scale_mm
+        pairs = zip(self.views, self.predicted(X, Y), strict=True)
+        stepped = [self.joint.stepped([view], T[None], scale_mm) for view, T in pairs]
+        S = np.concatenate([poses for poses, _ in stepped])
+        own = np.stack([NOTHING if covariance is None else covariance for _, (covariance,) in stepped])
+        return Measured(S, own + _flange_errors(self.given, S))
+
+    def trusted(self, X: Floats, Y: Floats, best_ious: Floats) -> NDArray[np.bool_]:
+        """Which touches (N,) contradict X and Y neither by where the object is nor by what it looks like from there."""
+        measured = self.measured(X, Y)
+        F = self.given.T_base_flange
+        chi2 = fit_hand_eye(F, measured.T_sensor_object, measured.covariances, X, Y, robust=True).chi2
+        return (chi2 < TRUSTED * typical_variance(chi2)) & (self.imprint_ious(X, Y) > best_ious - SHORT)
+
+    def predicted(self, X: Floats, Y: Floats) -> Poses:
+        return predicted(self.given.T_base_flange, X, Y)
+
+    def imprint_ious(self, X: Floats, Y: Floats) -> Floats:
+        """How well the object explains each touch (N,), where X and Y predict it."""
+        pairs = zip(self.views, self.predicted(X, Y), strict=True)
+        return np.array([float(view.imprint_ious(T[None])[0]) for view, T in pairs])
+
+
+def _flange_errors(given: FlangeTouches, T_sensor_object: Poses) -> Floats:
+    """What errors of the flange's pose add (N, 6, 6) to the covariance of where a sensor sees the object."""
+    std = np.array([[t.T_base_sensor_std_m] * 3 + [t.T_base_sensor_std_rad] * 3 for t in given.touches])
+    return covariance_at(std[:, None] ** 2 * np.eye(6), T_sensor_object[:, :3, 3] - given.gel_m)
+
+
+def require_motions(given: FlangeTouches) -> None:
+    """Raise MountError unless there are touches enough, and the flange was turned about two axes."""
+    if len(given) < LEAST:
+        raise MountError(
+            f"a mount takes at least {LEAST} touches, better ten, but there are {len(given)}; of fewer nobody can say "
+            "whether they agree"
+        )
+    (most, second, _), axes = flange_turns(given.T_base_flange)
+    if most < TURNED_RAD:
+        raise MountError(
+            "the flange was hardly turned between the touches: what a shift of the sensor or of the part would look "
+            "like is the same; touch with the flange turned by 30 degrees and more, about two axes"
+        )
+    if second < TURNED_RAD:
+        raise MountError(
+            f"the flange was turned about one axis only, {_axis(axes[0])} of the flange: the sensor's place along it "
+            "is not known; add touches with the flange turned about another axis"
+        )
+
+
+def _require_known(found: FoundMount | None, given: FlangeTouches, nominal: Mount | None) -> FoundMount:
+    """Return the mount. Raises MountError when too few touches agree on it, or it is not determined."""
+    agreeing = 0 if found is None else int(found.kept.sum())
+    if found is None or agreeing < max(LEAST, len(given) / 2):
+        near = "" if nominal is None else " near the nominal one"
+        raise MountError(
+            f"only {agreeing} of {len(given)} touches agree on a mount{near}; check that each T_base_flange is that of "
+            "its touch (metres, from flange to base), that the part did not move, and the object's mesh and units"
+        )
+    require_motions(given.only(found.kept))
+    require_determined(found.fit.covariance)
+    return found
+
+
+def require_determined(covariance: Floats) -> None:
+    """Raise MountError, which names the direction, unless a mount's covariance (6, 6) says that it is known."""
+    for part, limit, what, unit, name in (
+        (covariance[:3, :3], LIMIT_M, "place along", 1e3, "mm"),
+        (covariance[3:, 3:], LIMIT_RAD, "turn about", np.degrees(1.0), "degrees"),
+    ):
+        variances, directions = np.linalg.eigh(part)
+        std = float(np.sqrt(variances[-1]))
+        if std > limit:
+            where = f"{_axis(directions[:, -1])} of the flange"
+            raise MountError(
+                f"the sensor's {what} {where} is known to {unit * std:.1f} {name} only; add touches with the flange "
+                "turned about other axes, of edges and corners rather than of flat faces"
+            )
+
+
+def _axis(v: Floats) -> str:
+    """A direction in words: x, y or z where it is next to one, else its numbers."""
+    k = int(np.abs(v).argmax())
+    if abs(v[k]) > np.cos(np.radians(5.0)):
+        return "xyz"[k]
+    v = v * np.sign(v[k])
+    return f"({v[0]:.2f}, {v[1]:.2f}, {v[2]:.2f})"

@@ -1,0 +1,329 @@
+"""Where to touch next: of many approaches, the one after which least doubt between the modes is to be expected.
+
+What each mode would show to each sensor is drawn: how far the sensor would come before it is stopped, and the contact
+that it would then see. Were mode i the truth, the touch would make mode j less likely than i by so many nats as its
+travel and its contact speak against j; with these the entropy that would be left is known for each mode, and its mean
+over the modes is what an approach promises (Lindley, 1956). The nats of contacts are those of `imprints.py`, by
+which hypotheses are weighed, which were fitted to touches with strong noise.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.sensing.imprints import AREA_NATS, DEPTH_NATS, IOU_NATS, OUTLINE_SHARE
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.slots.renderer import Renderer
+from tactile_loc.core.slots.scene import Scene
+from tactile_loc.io.approach_files import Approach
+from tactile_loc.locate.result import Localization
+from tactile_loc.tasks.pose_modes import PoseModes, entropy_of
+
+Float64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+LOOKED_AT_PX = 24  # pixels a side of the contacts that are compared
+MOST_DRAWN = 1500  # contacts; of more, those of the approaches whose travel alone promises most
+AT_ONCE = 500  # contacts drawn together
+TRAVEL_STD_M = 5e-4  # how exactly a mode tells where a sensor is stopped: its own pose, the press, the robot
+MOST_NATS = 8.0  # that one touch speaks for one mode against another: there are touches that nobody foresees
+ALIKE_NATS = 1.0  # modes between which no approach says more stay alike
+LEAST_PERCENT = 0.25  # of the observed pixels: a smaller contact is no touch
+IN_THE_WAY = 0.01  # an approach that would start inside the object with this probability is out of reach
+
+
+Cost = Callable[[Approach], float]
+
+
+@dataclass(frozen=True, eq=False)
+class Foreseen:
+    """What A approaches would meet, were each of K modes the truth.
+
+    `T_sensor_object` (A, K, 4, 4) is where the pressed sensor would see the object, `travel_m` (A, K) how far it would
+    have moved up to contact; `meets` (A, K) whether it touches anything on its way, `blocked` (A, K) whether its gel
+    is inside or beyond the object at the start. Metres.
+    """
+
+    T_sensor_object: Float64
+    travel_m: Float64
+    meets: Bools
+    blocked: Bools
+
+
+@dataclass(frozen=True, eq=False)
+class RatedApproach:
+    """An approach and what is to be expected of it.
+
+    `information` is by how much the entropy of the modes is expected to fall, `entropy` what is then left, nats;
+    `meets` the probability that it makes a touch at all, 0 to 1; `travel_m` (K,) how far the sensor would move up to
+    contact with each mode, NaN where it meets nothing; `cost` what it costs.
+    """
+
+    approach: Approach
+    information: float
+    entropy: float
+    meets: float
+    travel_m: Float64
+    cost: float
+
+    @property
+    def worth(self) -> float:
+        """The information for what it costs: by this approaches are ranked."""
+        return self.information / self.cost
+
+
+@dataclass(frozen=True, eq=False)
+class NextTouch:
+    """Approaches, the best first, and those that are `out_of_reach`, each with the reason."""
+
+    modes: PoseModes
+    ranked: tuple[RatedApproach, ...]
+    out_of_reach: tuple[tuple[Approach, str], ...]
+    scene: Scene
+
+    @property
+    def best(self) -> RatedApproach:
+        """The approach after which least doubt is to be expected for what it costs."""
+        return self.ranked[0]
+
+    @cached_property
+    def alike(self) -> tuple[tuple[int, ...], ...]:
+        """The groups of modes, by number from 0, that stay alike whichever of the approaches is made, largest first."""
+        count = len(self.modes.probabilities)
+        apart = np.zeros((count, count))
+        for start in range(0, len(self.ranked), max(1, MOST_DRAWN // count)):
+            some = [rated.approach for rated in self.ranked[start : start + max(1, MOST_DRAWN // count)]]
+            nats = _nats(self.scene, some, foreseen(self.scene, self.modes, some), self.modes)
+            apart = np.maximum(apart, nats.max(axis=0))
+        return groups_of(apart < ALIKE_NATS)
+
+    @property
+    def doubt_left(self) -> float:
+        """The probability that the truth is in such a group, but not its likeliest mode: no approach ends that."""
+        p = self.modes.probabilities
+        return float(sum(p[list(group)].sum() - p[list(group)].max() for group in self.alike))
+
+    def contacts(self, rated: RatedApproach) -> NDArray[np.float32]:
+        """Return the contact depths (K, H, W), metres, that each mode would show, all at the press depth: nothing."""
+        seen = foreseen(self.scene, self.modes, [rated.approach])
+        scene = _pressed(self.scene, rated.approach, self.modes)
+        depths = np.full((len(self.modes.probabilities), *scene.geometry.shape), scene.geometry.max_depth_m, np.float32)
+        met = seen.meets[0]
+        if met.any():
+            depths[met] = scene.contact_depths(seen.T_sensor_object[0, met])
+        return depths
+
+
+def next_touch(
+    found: Localization | PoseModes, approaches: Sequence[Approach | Float64], cost: Cost | None = None,
+    renderer: Renderer | None = None,
+) -> NextTouch:  # fmt: skip
+    """Rate approaches by the doubt between the modes of `found` that is to be expected after each.
+
+    An approach may be given as the pose (4, 4) alone at which the sensor starts, metres.
+    A press that meets nothing, or shows nothing but a flat face, counts as one that tells nothing, for it cannot be
+    located. Where a sensor is stopped tells, too: the travel up to contact differs between modes. `cost` replaces the
+    approaches' own, infinite: out of reach. Poses are in the frame of the touch's `T_base_sensor`, or, if that is
+    unknown, of its sensor. Raises ConfigError when there is no approach or none is within reach, or for a cost or a
+    press that is none.
+    """
+    modes = found if isinstance(found, PoseModes) else PoseModes.of(found)
+    scene = Scene(modes.object, modes.geometry, renderer or registry().create("renderer", "heightmap", {}))
+    if not len(approaches):
+        raise ConfigError("there is no approach to choose from; give at least one")
+    made = [a if isinstance(a, Approach) else Approach(a, name=str(k)) for k, a in enumerate(approaches, 1)]
+    costs = np.array([approach.cost if cost is None else cost(approach) for approach in made], float)
+    _require_usable(made, costs, modes)
+    seen = foreseen(scene, modes, made)
+    reasons = _out_of_reach(seen, modes, costs)
+    left = [k for k, reason in enumerate(reasons) if not reason]
+    outside = tuple((made[k], reason) for k, reason in enumerate(reasons) if reason)
+    if not left:
+        raise ConfigError(f"none of the {len(made)} approaches is within reach; the first {reasons[0]}")
+    expected = _expected_entropy(scene, [made[k] for k in left], _some(seen, left), modes, costs[left])
+    rated = [
+        RatedApproach(
+            made[k], max(0.0, modes.entropy - float(after)), float(after),
+            float(modes.probabilities[seen.meets[k]].sum()), np.where(seen.meets[k], seen.travel_m[k], np.nan),
+            float(costs[k]),
+        )
+        for k, after in zip(left, expected, strict=True)
+    ]  # fmt: skip
+    order = sorted(range(len(rated)), key=lambda k: (-rated[k].worth, rated[k].cost))
+    return NextTouch(modes, tuple(rated[k] for k in order), outside, scene)
+
+
+def foreseen(scene: Scene, modes: PoseModes, approaches: Sequence[Approach]) -> Foreseen:
+    """Return what approaches would meet, were each of the modes the truth."""
+    T = invert(np.stack([a.T_base_sensor for a in approaches]))[:, None] @ modes.T_base_object[None]
+    touching, over = _unpressed(scene).in_contact(T.reshape(-1, 4, 4))
+    T_contact = touching.reshape(T.shape)
+    travel_m = T[..., 2, 3] - T_contact[..., 2, 3]
+    over = over.reshape(travel_m.shape)
+    T_contact[..., 2, 3] -= np.array([_press_m(a, modes) for a in approaches])[:, None]
+    longest_m = np.array([a.travel_m for a in approaches])[:, None]
+    return Foreseen(T_contact, travel_m, over & (travel_m >= 0) & (travel_m <= longest_m), over & (travel_m < 0))
+
+
+def _unpressed(scene: Scene) -> Scene:
+    """The scene of a sensor that nothing is pressed into."""
+    geometry = scene.geometry
+    bare = dataclasses.replace(geometry, standoff_m=geometry.surface_m, indentation_m=0.0)
+    return dataclasses.replace(scene, geometry=bare)
+
+
+def expected_entropy(nats: Float64, probabilities: Float64, tells: Bools) -> Float64:
+    """Return the entropy (A,), nats, that is expected after each of A touches, of modes with probabilities (K,).
+
+    `nats` (A, K, K) is by how much the touch that mode i makes speaks for i against j; `tells` (A, K) whether that of
+    mode i can be located at all, and changes anything.
+    """
+    with np.errstate(divide="ignore"):
+        logits = np.log(probabilities) - nats
+    after = np.exp(logits - logits.max(axis=-1, keepdims=True))
+    left = entropy_of(after / after.sum(axis=-1, keepdims=True))
+    return np.asarray(np.where(tells, left, entropy_of(probabilities)) @ probabilities)
+
+
+def contact_nats(depth_m: NDArray[np.float32], press_m: float, observed: Bools, pixel_pitch_m: float) -> Float64:
+    """Return by how many nats each of K contacts speaks for what made it against what made another: (K, K).
+
+    That is how much less evidence contact depths j (K, H, W), metres, have of the contact i, than i itself has: see
+    `core.explained.explained`. All pairs are compared at once: what is common to two contacts follows from their sums
+    and the sum of their differences.
+    """
+    from scipy.spatial.distance import pdist, squareform
+
+    depth = depth_m[:, observed]
+    contact = (depth < np.float32(press_m)).astype(np.float32)
+    weight = (np.float32(1 + OUTLINE_SHARE) - depth / np.float32(press_m)) * contact
+    total = weight.sum(axis=1, dtype=float)
+    apart = squareform(pdist(weight, "cityblock"))
+    both = total[:, None] + total[None]
+    ious = (both - apart) / np.maximum(both + apart, 1.0)
+    common = contact @ contact.T
+    alone = total[:, None] - weight @ contact.T  # of i, where j has no contact
+    off_mm = 1e3 * press_m * np.maximum(apart - alone - alone.T, 0.0) / np.maximum(common, 1.0)
+    area_mm2 = common * (1e3 * pixel_pitch_m) ** 2
+    evidence = IOU_NATS * ious + AREA_NATS * np.log1p(area_mm2) - DEPTH_NATS * off_mm
+    return np.asarray(np.maximum(np.diag(evidence)[:, None] - evidence, 0.0))
+
+
+def groups_of(alike: Bools) -> tuple[tuple[int, ...], ...]:
+    """Return the groups of two and more of K things that are alike (K, K), directly or by others; largest first."""
+    from scipy.sparse.csgraph import connected_components
+
+    _, label = connected_components(alike, directed=False)
+    found = [tuple(np.flatnonzero(label == k).tolist()) for k in np.unique(label)]
+    return tuple(sorted((group for group in found if len(group) > 1), key=len, reverse=True))
+
+
+def _expected_entropy(
+    scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes, costs: Float64
+) -> Float64:
+    """The entropy (A,) to expect, nats: by travel alone, and for the most promising approaches by contact as well."""
+    p = modes.probabilities
+    after = expected_entropy(_travel_nats(seen), p, seen.meets)
+    promising = np.argsort(-(modes.entropy - after) / costs, kind="stable")[: max(1, MOST_DRAWN // len(p))]
+    chosen = [approaches[k] for k in promising]
+    after[promising] = expected_entropy(*_told(scene, chosen, _some(seen, promising), modes))
+    return after
+
+
+def _told(
+    scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes
+) -> tuple[Float64, Float64, Bools]:
+    """What `expected_entropy` takes of approaches whose contacts are drawn."""
+    nats, tells = _travel_nats(seen), seen.meets.copy()
+    for press_m in {_press_m(a, modes) for a in approaches}:
+        some = [k for k, a in enumerate(approaches) if _press_m(a, modes) == press_m]
+        glance = _glance(scene, press_m)
+        observed, pitch_m = glance.geometry.observed_mask, glance.geometry.pixel_pitch_m
+        for k, (rows, depths) in zip(some, _drawn(glance, _some(seen, some)), strict=True):
+            if len(rows):
+                tells[k, rows] = _usable(depths, glance.geometry)
+                told = contact_nats(depths, press_m, observed, pitch_m)
+                nats[k][np.ix_(rows, rows)] += modes.sharpness * told
+    return np.minimum(nats, MOST_NATS), modes.probabilities, tells
+
+
+def _nats(scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes) -> Float64:
+    """By how many nats the touch of mode i speaks against mode j: (A, K, K); 0 where it cannot be located."""
+    nats, _, tells = _told(scene, approaches, seen, modes)
+    return nats * tells[:, :, None]
+
+
+def _drawn(glance: Scene, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArray[np.float32]]]:
+    """The modes that each approach meets, and the contact depths (M, h, w), metres, that it would see of them."""
+    poses = seen.T_sensor_object[seen.meets]
+    depths = [glance.contact_depths(poses[start : start + AT_ONCE]) for start in range(0, len(poses), AT_ONCE)]
+    every = np.concatenate(depths) if depths else np.empty((0, *glance.geometry.shape), np.float32)
+    ends = np.cumsum(seen.meets.sum(axis=1))
+    return [
+        (np.flatnonzero(meets), some) for meets, some in zip(seen.meets, np.split(every, ends[:-1]), strict=True)
+    ]  # fmt: skip
+
+
+def _usable(depth_m: NDArray[np.float32], geometry: SensorGeometry) -> Bools:
+    """Which contacts (M, h, w) are touches: large enough, and more than a flat face all over the sensor."""
+    seen = depth_m[:, geometry.observed_mask]
+    share = (seen < np.float32(geometry.max_depth_m)).mean(axis=1)
+    return np.asarray((share >= LEAST_PERCENT / 100) & (share < 1))
+
+
+def _travel_nats(seen: Foreseen) -> Float64:
+    """By how many nats where a sensor is stopped speaks for mode i against j: (A, K, K)."""
+    apart_m = seen.travel_m[:, :, None] - seen.travel_m[:, None, :]
+    both = seen.meets[:, :, None] & seen.meets[:, None, :]
+    either = seen.meets[:, :, None] | seen.meets[:, None, :]
+    nats = np.where(both, 0.5 * (np.where(both, apart_m, 0.0) / TRAVEL_STD_M) ** 2, np.where(either, MOST_NATS, 0.0))
+    return np.asarray(np.minimum(nats, MOST_NATS))
+
+
+def _out_of_reach(seen: Foreseen, modes: PoseModes, costs: Float64) -> list[str]:
+    """Why each approach (A,) cannot be made, in words; empty where it can."""
+    inside = seen.blocked @ modes.probabilities
+    return [
+        "cannot be reached: its cost is infinite" if np.isinf(price)
+        else f"would start inside the object, or behind it, with {share:.0%} probability" if share > IN_THE_WAY
+        else ""
+        for price, share in zip(costs, inside, strict=True)
+    ]  # fmt: skip
+
+
+def _require_usable(approaches: Sequence[Approach], costs: Float64, modes: PoseModes) -> None:
+    for number, (approach, price) in enumerate(zip(approaches, costs, strict=True), start=1):
+        name = approach.name or f"approach {number}"
+        if not price > 0:
+            raise ConfigError(f"{name} costs {price:g}; a cost must be above 0, and infinite where it is out of reach")
+        press_m = _press_m(approach, modes)
+        if not 0 < press_m < modes.geometry.surface_m:
+            raise ConfigError(f"{name} presses by {1e3 * press_m:.3g} mm, which the sensor cannot")
+
+
+def _press_m(approach: Approach, modes: PoseModes) -> float:
+    return modes.press_m if approach.press_m is None else approach.press_m
+
+
+def _pressed(scene: Scene, approach: Approach, modes: PoseModes) -> Scene:
+    return scene.pressed(_press_m(approach, modes))
+
+
+def _glance(scene: Scene, press_m: float) -> Scene:
+    """The scene of a pressed sensor at few pixels."""
+    geometry = scene.geometry.pressed(press_m)
+    step = max(1, round(max(geometry.shape) / LOOKED_AT_PX))
+    return dataclasses.replace(scene, geometry=geometry.every(step))
+
+
+def _some(seen: Foreseen, which: Sequence[int] | NDArray[np.int64]) -> Foreseen:
+    return Foreseen(*(getattr(seen, field.name)[which] for field in dataclasses.fields(seen)))

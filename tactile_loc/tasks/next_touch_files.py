@@ -1,0 +1,122 @@
+"""Modes read from a result's files, and `next_touch.json`: what is to be expected of approaches. SI units."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.io.toml import Matrix
+from tactile_loc.locate.result_files import NAME, read_arrays, read_record
+from tactile_loc.store.files import write_json
+from tactile_loc.tasks.next_touch import NextTouch, RatedApproach
+from tactile_loc.tasks.pose_modes import PoseModes, distinct_modes, sharpness_of
+
+SCHEMA_VERSION = 1
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class RatedRecord(_Record):
+    """An approach, and what is to be expected of it."""
+
+    rank: int = Field(description="1 is the best")
+    name: str = Field(description="its name in the list")
+    T_base_sensor: Matrix = Field(description="where its sensor starts, (4, 4), m; moves along its z")
+    press_m: float | None = Field(description="how deep it presses, m; null: as deep as the touch before")
+    information_nats: float = Field(description="by how much the entropy of the modes is expected to fall")
+    entropy_nats: float = Field(description="the entropy that is expected to be left")
+    meets: float = Field(description="probability that it meets the object, 0 to 1")
+    travel_m: list[float | None] = Field(
+        description="how far it moves until contact with each mode, m; null: it misses"
+    )
+    cost: float = Field(description="what it costs")
+
+
+class OutOfReachRecord(_Record):
+    """An approach that cannot be made."""
+
+    name: str = Field(description="its name in the list")
+    reason: str = Field(description="why not")
+
+
+class ModeRecord(_Record):
+    """A pose that is still possible."""
+
+    probability: float = Field(description="0 to 1; those of all modes sum to one")
+    T_base_object: Matrix = Field(description="(4, 4), m; in the frame in which the approaches are given")
+
+
+class NextTouchRecord(_Record):
+    """The whole file."""
+
+    schema_version: int = Field(
+        default=SCHEMA_VERSION, description="raised when a key is removed or changes its meaning"
+    )
+    object: str = Field(description="the object's name")
+    symmetry: str = Field(description="its rotations onto itself: modes that differ by one are one")
+    modes: list[ModeRecord] = Field(description="the distinct poses that are still possible, the likeliest first")
+    unlisted: float = Field(description="probability of what the result does not list, 0 to 1")
+    entropy_nats: float = Field(description="the entropy of the modes, before the touch")
+    ranked: list[RatedRecord] = Field(description="the approaches, the best first")
+    out_of_reach: list[OutOfReachRecord] = Field(description="those that cannot be made")
+    alike: list[list[int]] = Field(description="groups of modes, from 1, that no approach tells apart")
+    doubt_left: float = Field(
+        description="probability that the truth is one of these, but not the likeliest of its group"
+    )
+
+
+def read_modes(path: str | Path) -> tuple[PoseModes, NDArray[np.float64] | None]:
+    """Return the modes of a result.json with its .npz beside it, and its touch's T_base_sensor (4, 4), metres.
+
+    Without that, None, modes are in the frame of the touch's sensor. Raises ResultError when the files cannot be used.
+    """
+    path = Path(path)
+    record = read_record(path)
+    arrays = read_arrays(path.with_name(NAME), record)
+    symmetry = SymmetryGroup.parse(record.object.symmetry, arrays.mesh.centroid_m)  # which every turn leaves in place
+    obj = ObjectModel(record.object.name, arrays.mesh, symmetry)
+    T_base_sensor = None if record.touch.T_base_sensor is None else np.array(record.touch.T_base_sensor)
+    poses = np.array([h.T_sensor_object for h in record.hypotheses])
+    if T_base_sensor is not None:
+        poses = T_base_sensor @ poses
+    p = np.array([h.probability for h in record.hypotheses])
+    modes = distinct_modes(obj, poses, p, arrays.touches[0].geometry, record.touch.indentation_m)
+    sharpness = sharpness_of([h.imprint_iou for h in record.hypotheses])
+    return dataclasses.replace(modes, sharpness=sharpness), T_base_sensor
+
+
+def next_touch_record(found: NextTouch) -> NextTouchRecord:
+    """Gather what is to be expected of approaches."""
+    modes = found.modes
+    return NextTouchRecord(
+        object=modes.object.name, symmetry=str(modes.object.symmetry), unlisted=modes.unlisted,
+        modes=[
+            ModeRecord(probability=float(p), T_base_object=T.tolist())
+            for p, T in zip(modes.probabilities, modes.T_base_object, strict=True)
+        ],
+        entropy_nats=modes.entropy, ranked=[_rated(k, one) for k, one in enumerate(found.ranked, start=1)],
+        out_of_reach=[OutOfReachRecord(name=one.name, reason=reason) for one, reason in found.out_of_reach],
+        alike=[[number + 1 for number in group] for group in found.alike], doubt_left=found.doubt_left,
+    )  # fmt: skip
+
+
+def write_next_touch(path: str | Path, record: NextTouchRecord) -> Path:
+    """Write a record as JSON, atomically, and return the path. Raises OutputError when that is impossible."""
+    return write_json(Path(path), record.model_dump(mode="json"))
+
+
+def _rated(rank: int, one: RatedApproach) -> RatedRecord:
+    return RatedRecord(
+        rank=rank, name=one.approach.name, T_base_sensor=one.approach.T_base_sensor.tolist(),
+        press_m=one.approach.press_m, information_nats=one.information, entropy_nats=one.entropy, meets=one.meets,
+        travel_m=[None if math.isnan(m) else m for m in one.travel_m.tolist()], cost=one.cost,
+    )  # fmt: skip

@@ -1,0 +1,111 @@
+"""What is known of an object's pose: few distinct poses, and how probable each is. A next touch is to decide."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.locate.hypotheses import best_apart
+from tactile_loc.locate.result import Localization
+
+Float64 = NDArray[np.float64]
+
+MOST_MODES = 30
+NOISY, SHARPEST = 0.25, 5.0  # of an imprint what strong noise leaves unexplained; how much more a clean one tells
+SAME_POSE_M = 5e-4  # modes that are nearer, by the object's symmetry, are one
+
+
+@dataclass(frozen=True, eq=False)
+class PoseModes:
+    """What is known of an object's pose: K modes `T_base_object` (K, 4, 4), metres, and their probabilities (K,).
+
+    These sum to one; `unlisted` is what had to be left out, 0 to 1, and speaks for no approach. `geometry` is that of
+    the sensor that touches next, `press_m` metres how deep it presses unless an approach says otherwise. `sharpness` is
+    how much more contacts tell than with strong noise, 1 or more: see `sharpness_of`.
+    """
+
+    object: ObjectModel
+    T_base_object: Poses
+    probabilities: Float64
+    geometry: SensorGeometry
+    press_m: float
+    unlisted: float = 0.0
+    sharpness: float = 1.0
+
+    @classmethod
+    def of(cls, found: Localization) -> PoseModes:
+        """Return the hypotheses of a localisation, in the base frame, or the touch's sensor's where that is unknown."""
+        touch = found.touch
+        T_base_sensor = np.eye(4) if touch.T_base_sensor is None else np.asarray(touch.T_base_sensor)
+        poses = np.stack([h.T_sensor_object for h in found.hypotheses])
+        p = np.array([h.probability for h in found.hypotheses])
+        obj = found.posterior.grid.metric.object
+        modes = distinct_modes(obj, T_base_sensor @ poses, p, touch.geometry, touch.indentation_m)
+        return dataclasses.replace(modes, sharpness=sharpness_of([h.imprint_iou for h in found.hypotheses]))
+
+    @classmethod
+    def of_posterior(
+        cls, posterior: PosePosterior, geometry: SensorGeometry, press_m: float,
+        T_base_sensor: Float64 | None = None, radius_m: float = 1.5e-3,
+    ) -> PoseModes:  # fmt: skip
+        """Return the most probable poses of a posterior, none within `radius_m` metres of a more probable one."""
+        modes = best_apart(posterior, radius_m, MOST_MODES)
+        T = np.eye(4) if T_base_sensor is None else T_base_sensor
+        p = np.array([mode.probability for mode in modes])
+        poses = T @ np.stack([mode.T_sensor_object for mode in modes])
+        return distinct_modes(posterior.grid.metric.object, poses, p, geometry, press_m)
+
+    @property
+    def entropy(self) -> float:
+        """The doubt between the modes, nats: 0 when one is certain."""
+        return float(entropy_of(self.probabilities))
+
+
+def sharpness_of(imprint_ious: Sequence[float]) -> float:
+    """Return how much more contacts tell than with strong noise, by the imprint IoUs of a result's hypotheses, 0 to 1.
+
+    The nats of evidence were fitted to touches of which the true pose leaves a share NOISY unexplained; of touches that
+    the best hypothesis explains better, smaller differences tell.
+    """
+    return float(np.clip(NOISY / max(1 - max(imprint_ious), 1e-6), 1.0, SHARPEST))
+
+
+def distinct_modes(
+    obj: ObjectModel, T_base_object: Poses, probabilities: Float64, geometry: SensorGeometry, press_m: float
+) -> PoseModes:
+    """Return poses (K, 4, 4), metres, and probabilities (K,) as modes: at most MOST_MODES, equivalent poses as one.
+
+    Raises TouchError when no mode has any probability.
+    """
+    order = np.argsort(-probabilities, kind="stable")
+    metric = PoseMetric(obj)
+    kept: list[int] = []
+    mass: list[float] = []
+    for k in order[probabilities[order] > 0]:
+        some = T_base_object[kept]
+        near = metric.symmetric_distance(some, np.broadcast_to(T_base_object[k], some.shape)) < SAME_POSE_M
+        if near.any():
+            mass[int(near.argmax())] += float(probabilities[k])
+        elif len(kept) < MOST_MODES:
+            kept.append(int(k))
+            mass.append(float(probabilities[k]))
+    if not kept:
+        raise TouchError("no mode of the result has any probability; locate the object again")
+    likelier = np.argsort(-np.array(mass), kind="stable")
+    p, poses = np.array(mass)[likelier], T_base_object[np.array(kept)[likelier]]
+    return PoseModes(obj, poses, p / p.sum(), geometry, press_m, max(0.0, 1 - float(p.sum())))
+
+
+def entropy_of(p: Float64) -> Float64:
+    """Return the Shannon entropy (...,) in nats of probabilities (..., K)."""
+    return np.asarray(-(p * np.log(np.where(p > 0, p, 1.0))).sum(axis=-1))

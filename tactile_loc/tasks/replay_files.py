@@ -1,0 +1,143 @@
+"""What a replay leaves: a recording with the poses beside what was recorded, a table for people, and a JSON file."""
+
+from __future__ import annotations
+
+import csv
+import io
+import logging
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tactile_loc.core.geometry.rigid import axis_angle
+from tactile_loc.io.recordings import RecordingWriter, write_recording
+from tactile_loc.io.ros_messages import POSE, RosPose
+from tactile_loc.io.ros_types import pose_message
+from tactile_loc.store.files import write_atomically, write_json
+from tactile_loc.tasks.replay import Estimator, FrameRecord, Replay, ReplaySummary, require_located
+from tactile_loc.tasks.replay_journal import Journal, journal
+
+log = logging.getLogger(__name__)
+
+COLUMNS = (
+    "number", "stamp_s", "outcome", "frame", "probability", "imprint_iou", "x_mm", "y_mm", "z_mm", "turn_deg", "axis_x",
+    "axis_y", "axis_z", "std_mm", "std_deg", "says",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Replayed:
+    """What a replay found, frame by frame, and the files it wrote; `resumed` frames were finished before."""
+
+    records: Sequence[FrameRecord]
+    summary: ReplaySummary
+    written: tuple[Path, ...]
+    resumed: int
+
+
+def replay_to(
+    out: Path,
+    replay: Replay,
+    frames: int,
+    pose_topic: str,
+    poses_only: bool = False,
+    estimator: Estimator | None = None,
+) -> Replayed:
+    """Locate each of a recording's `frames` images, and write what they come to: `out`, and .csv and .json beside it.
+
+    A journal beside `out` keeps what is finished until all is written: the same call goes on there. What an estimator
+    remembers of earlier frames is not kept. Raises RecordingError when no frame can be located, OutputError.
+    """
+    path = out.with_name(f"{out.name}.journal")
+    with journal(path, replay) as kept:
+        if kept.stale:
+            log.warning("%s was of another replay, or of a recording that has changed: all is located anew", path)
+        resumed = len(kept.records)
+        _finish(kept, replay, frames, estimator or (lambda touch: replay.localizer.localize(touch).best))
+        summary = ReplaySummary.of(kept.records)
+        require_located(replay, summary)
+        written = (
+            write_poses(out, replay, kept.records, pose_topic, poses_only),
+            write_table(out.with_suffix(".csv"), kept.records),
+            write_summary(out.with_suffix(".json"), replay, summary, kept.records),
+        )
+        path.unlink()
+    return Replayed(tuple(kept.records), summary, written, resumed)
+
+
+def _finish(kept: Journal, replay: Replay, frames: int, estimator: Estimator) -> None:
+    """Locate what is not in the journal yet."""
+    finished = len(kept.records)
+    with replay.localizer.progress.task(f"locating the images on {replay.topic.name}", frames) as advance:
+        advance(finished)
+        for record in replay.frames(estimator, finished):
+            kept.append(record)
+            advance(1)
+
+
+def write_poses(
+    path: Path, replay: Replay, records: Sequence[FrameRecord], pose_topic: str, alone: bool = False
+) -> Path:
+    """Write the recording's messages and, each after its image, the poses; or the poses `alone`. Returns the path.
+
+    A pose has its image's stamp and log time. Raises OutputError.
+    """
+
+    def write(writer: RecordingWriter) -> None:
+        poses = {record.number: record for record in records if record.T_frame_object is not None}
+        number = 0
+        for message in replay.recording.messages():
+            if not alone:
+                writer.copy(message)
+            if message.topic.name == replay.topic.name:
+                if number in poses:
+                    _write_pose(writer, pose_topic, poses[number])
+                number += 1
+        for extra in () if alone else replay.recording.extras():
+            writer.copy_extra(extra)
+
+    return write_recording(path, write)
+
+
+def _write_pose(writer: RecordingWriter, pose_topic: str, record: FrameRecord) -> None:
+    covariance = None if record.covariance is None else np.array(record.covariance)
+    message = pose_message(RosPose.of(record.T, covariance), record.stamp_ns, record.frame)
+    writer.write(pose_topic, POSE, message, record.log_time_ns)
+
+
+def write_table(path: Path, records: Sequence[FrameRecord]) -> Path:
+    """Write a row a frame as CSV, in mm and degrees, and return the path. Raises OutputError."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n", restval="")
+    writer.writeheader()
+    writer.writerows(row(record) for record in records)
+    return write_atomically(path, lambda temporary: temporary.write_text(text.getvalue(), encoding="utf-8"))
+
+
+def row(record: FrameRecord) -> dict[str, str]:
+    """Return a frame as a row of the table; standard deviations are root mean squares over the three axes."""
+    cells = {
+        "number": str(record.number), "stamp_s": f"{record.stamp_ns / 1e9:.9f}", "outcome": record.outcome.value,
+        "frame": record.frame, "says": record.says,
+    }  # fmt: skip
+    if record.T_frame_object is None:
+        return cells
+    angle_deg, axis = axis_angle(record.T[:3, :3])
+    cells |= {"probability": f"{record.probability:.4f}", "imprint_iou": f"{record.imprint_iou:.3f}"}
+    cells |= {f"{name}_mm": f"{1e3 * v:.3f}" for name, v in zip("xyz", record.T[:3, 3], strict=True)}
+    cells |= {"turn_deg": f"{angle_deg:.2f}"}
+    cells |= {f"axis_{name}": f"{v:.4f}" for name, v in zip("xyz", axis, strict=True)}
+    if record.covariance is not None:
+        variances = np.diag(record.covariance)
+        std_m, std_rad = np.sqrt(variances[:3].mean()), np.sqrt(variances[3:].mean())
+        cells |= {"std_mm": f"{1e3 * std_m:.3f}", "std_deg": f"{np.degrees(std_rad):.3f}"}
+    return cells
+
+
+def write_summary(path: Path, replay: Replay, summary: ReplaySummary, records: Sequence[FrameRecord]) -> Path:
+    """Write what was replayed, how many frames came to what, and each of them, as JSON in SI units; return the path."""
+    about = {"recording": str(replay.recording.path), "image_topic": replay.topic.name}
+    frames = [record.model_dump(mode="json") for record in records]
+    return write_json(path, {**about, **asdict(summary), "poses": frames})

@@ -1,0 +1,84 @@
+"""The journal of a replay: a line for each finished frame, so that the same command goes on where another ended."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from pydantic import ValidationError
+
+from tactile_loc.locate.result_json import resolved
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.line_files import add_line, open_locked
+from tactile_loc.tasks.replay import FrameRecord, Outcome, Replay
+
+VERSION = 1  # of what a frame comes to: raised when a replay would find another answer
+
+
+class Journal:
+    """The frames of a replay that are finished, in a file that is open: `records`, in order.
+
+    A last line that a killed process left half-written is dropped. `stale` says that the file was of another replay.
+    """
+
+    def __init__(self, file: IO[bytes], key: str) -> None:
+        self._file = file
+        lines = file.read().splitlines(keepends=True)
+        head = json.dumps({"replay": key})
+        self.stale = bool(lines) and lines[0] != head.encode() + b"\n"
+        self.records = [] if self.stale else list(_whole(lines[1:]))
+        file.truncate(0 if self.stale else sum(map(len, lines[: 1 + len(self.records)])))
+        if self.stale or not lines:
+            add_line(file, head)
+
+    def append(self, record: FrameRecord) -> None:
+        """Add a finished frame; a process that is killed after this has not lost it. Raises OutputError."""
+        add_line(self._file, record.model_dump_json())
+        self.records.append(record)
+
+
+@contextmanager
+def journal(path: Path, replay: Replay) -> Iterator[Journal]:
+    """Open the journal of a replay, and lock it; one without any frame that was located is not kept.
+
+    Raises OutputError when it cannot be written, or another process is at work on it.
+    """
+    with open_locked(path) as file:
+        file.seek(0)
+        kept = Journal(file, replay_key(replay))
+        try:
+            yield kept
+        finally:
+            if not any(record.outcome is Outcome.LOCATED for record in kept.records):
+                path.unlink()
+
+
+def replay_key(replay: Replay) -> str:
+    """Return a digest of all that decides what the frames come to: the recording and how it is located."""
+    localizer = replay.localizer
+    return StageKey("replay", VERSION, {
+        "recording": _identity(replay.recording.path), "topic": replay.topic.name, "frame": replay.frame,
+        "base_frame": replay.base_frame, "press_depth_m": replay.press_depth_m, "object": localizer.object.describe(),
+        "sensor": localizer.sensor.describe(), "configuration": resolved(localizer.config),
+    }).digest  # fmt: skip
+
+
+def _identity(path: Path) -> list[Any]:
+    """What tells a recording from another, or from a longer one, without reading it."""
+    files = sorted(path.rglob("*")) if path.is_dir() else [path]
+    return [[file.name, file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.is_file()]
+
+
+def _whole(lines: list[bytes]) -> Iterator[FrameRecord]:
+    """The records of lines, up to one that is not whole."""
+    for number, line in enumerate(lines):
+        try:
+            record = FrameRecord.model_validate_json(line)
+        except ValidationError:
+            return
+        if not line.endswith(b"\n") or record.number != number:
+            return
+        yield record

@@ -1,0 +1,385 @@
+"""Where an object is from frame to frame, while a sensor slides and turns over it.
+
+A few poses of the object, its modes, are predicted by the sensor's motion and registered to each touch; prediction and
+touch are fused, so that what the touch does not show, such as how a bolt is turned, is held by the prediction. The
+touches of places that are apart, key touches, decide between modes. Where none explains the touch, poses nearby are
+tried, to which the object may have slipped; where that does not help, or no mode is sure, the whole object is searched
+again, by the key touches together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from tactile_loc.core.errors import ConfigError, GridError, TouchError
+from tactile_loc.core.geometry.rigid import (
+    covariance_along,
+    invert,
+    make_transform,
+    require_covariance,
+    require_rigid,
+    rotation_angle,
+    translation,
+)
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.slots.scene import View
+from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.tasks.pose_filter import PoseFilter, SeenPose, motion_errors
+
+Floats = NDArray[np.float64]
+State = Literal["searching", "tracking", "lost", "no contact"]
+
+NEARBY = {"scale_mm": 0.5, "iterations": 6}  # options of the joint refiner, for poses that are predicted
+MODES = 8  # that are followed at most
+IMPROBABLE = 1e-4  # of a mode that is not
+CERTAIN = 0.9  # probability of a mode that is the pose
+COMMON = 0.75  # of a touch's covariance: what the same contact would show again
+APART_M = 3e-3  # the sensor's motion after which 1 / e of that is still the same
+LEVER_M = 0.01  # a turn moves what is so far away
+KEY_M = 2e-3  # the sensor's motion from one key touch to the next
+KEY_TOUCHES = 5  # that are searched for together
+EXPLAINED_PX = 60  # pixels a side of what is drawn of a mode
+FALL = 0.15  # imprint IoU: a touch that is explained so much worse than those before contradicts the track
+LEAST = 0.25  # imprint IoU: less explains nothing
+HABIT = 0.1  # of what a touch is explained: how far what is usual follows it
+STAYS = 8.0  # nats that speak for a tracked mode beside one that is found anew: objects seldom jump
+SLIPS = 4.0  # the same of a mode that slipped: they slip more often
+SLIP = np.array([2e-3] * 3 + [0.15] * 3)  # m and rad along and about each axis, as far as objects slip
+SLIPPED = 64  # poses that an object may have slipped to, which are tried
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """How the sensor moved since the frame before: `T_previous_sensor` (4, 4), metres, and the covariance (6, 6) of its
+    error: x, y, z of the new sensor frame's origin and a rotation vector, along the previous sensor's axes.
+
+    Raises TouchError for what is no such pose or covariance.
+    """
+
+    T_previous_sensor: Floats
+    covariance: Floats
+
+    def __post_init__(self) -> None:
+        T = require_rigid(self.T_previous_sensor, "the sensor's motion", TouchError)
+        covariance = require_covariance(self.covariance, "the covariance of the sensor's motion", TouchError)
+        object.__setattr__(self, "T_previous_sensor", T)
+        object.__setattr__(self, "covariance", covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedPose:
+    """What is known of the object's pose at one frame.
+
+    `T_sensors_object` (K, 4, 4), metres, are the modes' poses, the most probable first, `covariances` (K, 6, 6) as
+    RefinedPose's, and `probabilities` (K,): what they lack of 1 is elsewhere. `imprint_iou`, 0 to 1, is how well the
+    first explains the touch; NaN without a touch.
+
+    `state`: "tracking" one mode is certain, "searching" none is yet, "lost" the first does not explain the touch, "no
+    contact" there is no touch, and poses are predicted. `searched`: poses were searched for, nearby or of the whole
+    object, which takes longer than a frame that is followed.
+    """
+
+    time_s: float
+    state: State
+    T_sensors_object: Floats
+    covariances: Floats
+    probabilities: Floats
+    imprint_iou: float
+    searched: bool
+
+    @property
+    def T_sensor_object(self) -> Floats | None:  # noqa: N802 - the field's name
+        """The most probable pose (4, 4), metres; None before the first touch."""
+        return self.T_sensors_object[0] if len(self.T_sensors_object) else None
+
+    @property
+    def covariance(self) -> Floats | None:
+        """Its covariance (6, 6), as RefinedPose's; None before the first touch."""
+        return self.covariances[0] if len(self.covariances) else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Mode:
+    """One pose of the object, `known` in the base frame, and where the sensor sees it (4, 4), with a covariance (6, 6);
+    its evidence, nats, and how well it explains the touch."""
+
+    known: PoseFilter
+    T_sensor_object: Floats
+    covariance: Floats
+    evidence: float = 0.0
+    imprint_iou: float = 0.0
+
+
+class Tracker:
+    """Tracks one object by touches of one sensor, frame after frame.
+
+    The object stays where it is, but for a creep of `creep_m` metres along and `creep_rad` radians about each axis in
+    a second, standard deviations; it may jump. Sensor poses are as exact as touches say (`Touch.T_base_sensor_std_m`).
+    Raises ConfigError for a creep that is negative or no number.
+    """
+
+    def __init__(self, localizer: Localizer, creep_m: float = 1e-4, creep_rad: float = 2e-3) -> None:
+        if not (0 <= creep_m < math.inf and 0 <= creep_rad < math.inf):
+            raise ConfigError(f"an object cannot creep by {creep_m} m and {creep_rad} rad; give numbers from 0 on")
+        self.localizer = localizer
+        self._creep = np.diag(np.square([creep_m] * 3 + [creep_rad] * 3))
+        self._refiner: Any = registry().create("refiner", "joint", NEARBY)
+        self._first_refiner: Any = registry().create("refiner", "joint", {})
+        self._metric = PoseMetric(localizer.object)
+        self._modes: list[_Mode] = []
+        self._keys: list[Touch] = []
+        self._time_s = -math.inf
+        self._T_base_sensor: Floats | None = None
+        self._relative = False
+        self._usual, self._elsewhere = 0.0, 0.0
+        self._alike = 0.0  # of the errors of the touch before, those that this one has too
+
+    def start(self, T_base_object: Floats, covariance: Floats) -> None:
+        """Begin anew with the object at T_base_object (4, 4), metres, known with a covariance (6, 6), as RefinedPose's.
+
+        Without it the first touch is searched for in the whole object. The base is that of the sensors' poses, or the
+        first frame's sensor where their motions are told. Raises TouchError for what is no such pose or covariance.
+        """
+        T = require_rigid(T_base_object, "T_base_object", TouchError)
+        covariance = require_covariance(covariance, "the covariance of T_base_object", TouchError)
+        known = PoseFilter.known(T, covariance)
+        self._modes, self._keys, self._elsewhere = [_Mode(known, known.T_base_object, covariance)], [], 0.0
+        self._time_s, self._T_base_sensor, self._usual, self._alike = -math.inf, None, 0.0, 0.0
+
+    def update(
+        self, time_s: float, touch: Touch | None = None, T_base_sensor: Floats | None = None,
+        motion: Motion | None = None,
+    ) -> TrackedPose:  # fmt: skip
+        """Return what is known of the pose at `time_s` seconds, given a touch, or None where nothing touches.
+
+        Where the sensor is, the touch says itself, or `T_base_sensor` (4, 4), metres, or its `motion` since the frame
+        before, always the same of them. Raises TouchError where nothing says it, when time runs backwards, or for
+        another sensor's touch.
+        """
+        self._require_later(time_s)
+        if touch is not None:
+            self.localizer.require_own(touch)
+        T, added = self._placed(time_s, touch, T_base_sensor, motion)
+        moved_m = 0.0 if self._T_base_sensor is None else self._motion_m(self._T_base_sensor, T)
+        passed_s = time_s - self._time_s if math.isfinite(self._time_s) else 0.0
+        self._time_s, self._T_base_sensor = time_s, T
+        self._alike *= math.exp(-moved_m / APART_M)
+        self._modes = [self._predicted(mode, T, passed_s, added) for mode in self._modes]
+        if touch is None:
+            self._alike = 0.0  # another contact
+            return self._result("no contact", math.nan, searched=False)
+        return self._touched(replace(touch, T_base_sensor=T))
+
+    def _touched(self, touch: Touch) -> TrackedPose:
+        """Follow the modes to a touch; search where they do not explain it, or are not certain of a new key touch."""
+        is_key = not self._keys or self._motion_m(self._keys[-1].T_base_sensor, touch.T_base_sensor) > KEY_M
+        self._modes = self._followed(touch, is_key)
+        slips = bool(self._modes) and self._contradicted(is_key)
+        slipped = slips and self._slip(touch, is_key)
+        contradicted = not self._modes or self._contradicted(is_key)
+        search = contradicted or (is_key and not self._is_certain and len(self._keys) < KEY_TOUCHES)
+        keys = [touch] if slipped else [*self._keys, touch][-KEY_TOUCHES:] if is_key else self._keys
+        lost = search and self._search(touch, [touch] if contradicted else keys)
+        self._keys = [touch] if contradicted and lost else keys
+        search = search or slips
+        if not self._modes:
+            return self._result("lost", 0.0, search)
+        iou = self._modes[0].imprint_iou
+        self._usual = iou if search else max(iou, (1 - HABIT) * self._usual + HABIT * iou)
+        state: State = "lost" if iou < LEAST else "tracking" if self._is_certain else "searching"
+        return self._result(state, iou, search)
+
+    @property
+    def _gel_m(self) -> Floats:
+        return self.localizer.scene.geometry.gel_middle_m
+
+    def _motion_m(self, T_base_first: Any, T_base_second: Any) -> float:
+        """How far the gel moved between sensor poses (4, 4), metres; a turn moves what is LEVER_M away."""
+        T = invert(T_base_first) @ T_base_second
+        shift_m = np.linalg.norm(T[:3, :3] @ self._gel_m + T[:3, 3] - self._gel_m)
+        return float(shift_m + LEVER_M * rotation_angle(T[:3, :3]))
+
+    @property
+    def _is_certain(self) -> bool:
+        return bool(self._probabilities()[0] >= CERTAIN)
+
+    def _probabilities(self) -> Floats:
+        evidence = np.array([mode.evidence for mode in self._modes])
+        weights = np.exp(evidence - evidence.max(initial=-np.inf))
+        return np.asarray((1 - self._elsewhere) * weights / weights.sum())
+
+    def _require_later(self, time_s: float) -> None:
+        if not math.isfinite(time_s) or time_s < self._time_s:
+            raise TouchError(
+                f"a frame at {time_s:g} s cannot follow one at {self._time_s:g} s; give frames in the order of time, "
+                "or make a new Tracker for another sequence"
+            )
+
+    def _placed(
+        self, time_s: float, touch: Touch | None, T_base_sensor: Floats | None, motion: Motion | None
+    ) -> tuple[Floats, Floats | None]:
+        """Where the sensor is, (4, 4), and the covariance that its motion added, along the base's axes."""
+        told = T_base_sensor if T_base_sensor is not None or touch is None else touch.T_base_sensor
+        before = self._T_base_sensor
+        relative = told is None if before is None else self._relative
+        if (told is None) != relative or (before is not None and told is None and motion is None):
+            raise TouchError(
+                f"the frame at {time_s:g} s does not say where its sensor was as the first one does; give the "
+                "T_base_sensor of all frames, or their motions"
+            )
+        self._relative = relative
+        if told is not None:
+            return require_rigid(told, f"the sensor's pose at {time_s:g} s", TouchError), None
+        if before is None or motion is None:
+            return np.eye(4), None
+        T = before @ motion.T_previous_sensor
+        return T, covariance_along(motion.covariance, before[:3, :3])
+
+    def _predicted(self, mode: _Mode, T: Floats, passed_s: float, added: Floats | None) -> _Mode:
+        """A mode as predicted for a sensor at T (4, 4), `passed_s` seconds later."""
+        creep = self._creep * passed_s
+        if added is not None:
+            creep = creep + motion_errors(added, T, mode.known.T_base_object)
+        return self._at(replace(mode, known=mode.known.later(creep)), T)
+
+    def _at(self, mode: _Mode, T_base_sensor: Floats) -> _Mode:
+        """A mode as a sensor at (4, 4) sees it."""
+        T, covariance = mode.known.seen_from(T_base_sensor, self._gel_m)
+        return replace(mode, T_sensor_object=T, covariance=covariance)
+
+    def _seen(self, touch: Touch, T_sensor_object: Floats, covariance: Floats) -> SeenPose:
+        """A pose (4, 4) that was registered to a touch, with its covariance (6, 6)."""
+        std_m, std_rad = (0.0, 0.0) if self._relative else (touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
+        sensor = np.diag(np.square([std_m] * 3 + [std_rad] * 3))
+        T = np.asarray(touch.T_base_sensor)
+        return SeenPose(T, T_sensor_object, COMMON * covariance, (1 - COMMON) * covariance, sensor, self._gel_m)
+
+    def _followed(self, touch: Touch, is_key: bool) -> list[_Mode]:
+        """The modes, registered to a touch and fused with it, merged; a key touch's evidence counts."""
+        if not self._modes:
+            return []
+        view = View(touch, self.localizer.scene.of_touch(touch))
+        refiner = self._refiner if self._alike > 0 else self._first_refiner
+        poses, covariances = refiner.followed([view], np.stack([mode.T_sensor_object for mode in self._modes]))
+        modes = []
+        for mode, T, covariance in zip(self._modes, poses, covariances, strict=True):
+            if covariance is not None:
+                known = mode.known.touched(self._seen(touch, T, covariance), 1 - self._alike)
+                mode = self._at(replace(mode, known=known), np.asarray(touch.T_base_sensor))
+            modes.append(mode)
+        self._alike = 1.0
+        found = view.explained(np.stack([mode.T_sensor_object for mode in modes]), EXPLAINED_PX)
+        told = [
+            replace(mode, imprint_iou=float(iou), evidence=mode.evidence + is_key * float(nats))
+            for mode, iou, nats in zip(modes, found.imprint_ious, found.evidence, strict=True)
+        ]
+        return self._distinct(told)
+
+    def _contradicted(self, is_key: bool) -> bool:
+        """Whether the likeliest mode explains a touch far worse than those before, or does not explain a key touch."""
+        iou = self._modes[0].imprint_iou
+        return iou < self._usual - min(FALL, self._usual / 2) or (is_key and iou < LEAST)
+
+    def _distinct(self, modes: Sequence[_Mode]) -> list[_Mode]:
+        """The likeliest modes, none of them near a likelier one or improbable beside it."""
+        kept: list[_Mode] = []
+        for mode in sorted(modes, key=lambda mode: -mode.evidence):
+            near = kept and self._metric.symmetric_distance(
+                np.stack([k.T_sensor_object for k in kept]), np.stack([mode.T_sensor_object] * len(kept))
+            ).min() < self.localizer.same_pose_m  # fmt: skip
+            if near or (kept and mode.evidence < kept[0].evidence + math.log(IMPROBABLE)):
+                continue
+            kept.append(mode)
+        return kept[:MODES]
+
+    def _slip(self, touch: Touch, is_key: bool) -> bool:
+        """Look where the likeliest modes may have slipped to; return whether one of these poses is the pose now."""
+        view = View(touch, self.localizer.scene.of_touch(touch))
+        slipped = self._slipped(view)
+        poses, covariances = self._first_refiner.followed([view], np.stack([m.T_sensor_object for m in slipped]))
+        T_base_sensor = np.asarray(touch.T_base_sensor)
+        T_base_gel = T_base_sensor @ translation(self._gel_m)
+        new = []
+        for mode, T, covariance in zip(slipped, poses, covariances, strict=True):
+            if covariance is not None:
+                creep = motion_errors(np.diag(SLIP**2), T_base_gel, mode.known.T_base_object)
+                known = mode.known.later(creep).touched(self._seen(touch, T, covariance), 1.0)
+                new.append(self._at(replace(mode, known=known, evidence=SLIPS), T_base_sensor))
+        before, tracked = self._modes, self._staying([touch])
+        self._modes = self._distinct([*tracked, *self._weighed(new, [touch])])
+        if self._modes[0] not in tracked and not self._contradicted(is_key):
+            return True
+        self._modes = before  # the touch is at fault, or the object is far away
+        return False
+
+    def _slipped(self, view: View) -> list[_Mode]:
+        """The two likeliest modes where they may have slipped to, registered roughly: distinct poses."""
+        rng = np.random.default_rng(SLIPPED)
+        modes = [self._modes[k] for k in np.arange(SLIPPED) % min(len(self._modes), 2)]
+        slips = rng.normal(size=(SLIPPED, 6)) * SLIP
+        R = Rotation.from_rotvec(slips[:, 3:]).as_matrix()
+        turned = make_transform(R, self._gel_m - R @ self._gel_m + slips[:, :3])
+        ends = self._first_refiner.settled([view], turned @ np.stack([mode.T_sensor_object for mode in modes]))
+        found = view.explained(ends, EXPLAINED_PX)
+        return self._distinct([
+            replace(mode, T_sensor_object=T, evidence=float(nats))
+            for mode, T, nats in zip(modes, ends, found.evidence, strict=True)
+        ])  # fmt: skip
+
+    def _search(self, touch: Touch, keys: Sequence[Touch]) -> bool:
+        """Search the whole object by key touches, and weigh what is found beside the modes that there are.
+
+        Return whether none of these is the likeliest any more.
+        """
+        try:
+            found = localize_together([(self.localizer, key) for key in keys])
+        except GridError:
+            return not self._modes
+        new = []
+        for hypothesis in found.hypotheses:
+            covariance = hypothesis.refined.covariance
+            if covariance is not None:
+                known = PoseFilter.of_touch(self._seen(keys[0], hypothesis.T_sensor_object, covariance))
+                new.append(_Mode(known, *known.seen_from(np.asarray(touch.T_base_sensor), self._gel_m)))
+        self._alike = 1.0
+        tracked = self._staying(keys)
+        self._modes = self._distinct([*tracked, *self._weighed(new, keys)])
+        lost = self._modes[0] not in tracked
+        if not lost and len(keys) == 1:  # the touch is at fault, not the track
+            self._modes = self._distinct(tracked)
+        else:
+            self._elsewhere = found.posterior.elsewhere
+        return lost
+
+    def _staying(self, keys: Sequence[Touch]) -> list[_Mode]:
+        """The modes that there are, weighed by key touches, with what speaks for their staying."""
+        best = max((mode.evidence for mode in self._modes), default=0.0)
+        return self._weighed([replace(mode, evidence=STAYS + mode.evidence - best) for mode in self._modes], keys)
+
+    def _weighed(self, modes: Sequence[_Mode], keys: Sequence[Touch]) -> list[_Mode]:
+        """Modes with the evidence of all key touches added, and how well they explain the last one."""
+        if not modes:
+            return []
+        poses = np.stack([mode.known.T_base_object for mode in modes])
+        nats = np.array([mode.evidence for mode in modes])
+        ious = np.zeros(len(modes))
+        for key in keys:
+            scene = self.localizer.scene.of_touch(key)
+            found = scene.explained(invert(np.asarray(key.T_base_sensor)) @ poses, key, EXPLAINED_PX)
+            nats, ious = nats + found.evidence, found.imprint_ious
+        return [replace(m, evidence=float(n), imprint_iou=float(i)) for m, n, i in zip(modes, nats, ious, strict=True)]
+
+    def _result(self, state: State, imprint_iou: float, searched: bool) -> TrackedPose:
+        T = np.array([mode.T_sensor_object for mode in self._modes]).reshape(-1, 4, 4)
+        covariances = np.array([mode.covariance for mode in self._modes]).reshape(-1, 6, 6)
+        p = self._probabilities() if self._modes else np.empty(0)
+        return TrackedPose(self._time_s, state, T, covariances, p, imprint_iou, searched)

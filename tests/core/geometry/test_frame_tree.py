@@ -1,0 +1,76 @@
+"""Frames over time: chains, both directions, interpolation, and what is said where a transform lacks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import FrameError
+from tactile_loc.core.geometry.frame_tree import FrameTree, between
+from tactile_loc.core.geometry.rigid import invert, make_transform, random_rotations, rotation_about
+
+S = 1_000_000_000
+A = make_transform(rotation_about([1, 2, 3], 0.5), [0.1, 0.2, 0.3])
+B = make_transform(rotation_about([0, 1, 0], -1.2), [0.0, 0.5, -0.2])
+
+
+@pytest.fixture
+def tree() -> FrameTree:
+    """base -> arm (fixed) -> tool, which turns about z at 1 rad/s and goes along x at 1 m/s; base -> camera."""
+    tree = FrameTree()
+    tree.add("base", "arm", 0, A, fixed=True)
+    for k in (0, 2, 1, 3):  # not in order
+        tree.add("arm", "tool", k * S, make_transform(rotation_about([0, 0, 1], float(k)), [float(k), 0, 0]))
+    tree.add("base", "camera", 0, B, fixed=True)
+    return tree
+
+
+def test_a_chain_is_multiplied_and_interpolated(tree):
+    at = make_transform(rotation_about([0, 0, 1], 1.25), [1.25, 0, 0])
+    np.testing.assert_allclose(tree.lookup("base", "tool", 1_250_000_000), A @ at, atol=1e-12)
+    np.testing.assert_allclose(tree.lookup("camera", "tool", 1_250_000_000), invert(B) @ A @ at, atol=1e-12)
+    np.testing.assert_allclose(
+        tree.lookup("tool", "camera", 3 * S), invert(tree.lookup("camera", "tool", 3 * S)), atol=1e-12
+    )
+    np.testing.assert_allclose(tree.lookup("tool", "tool", 99 * S), np.eye(4))
+
+
+def test_between_is_a_screw_of_constant_rate():
+    rng = np.random.default_rng(0)
+    first, second = (make_transform(R, rng.normal(size=3)) for R in random_rotations(2, rng))
+    np.testing.assert_allclose(between(first, second, 0.0), first, atol=1e-12)
+    np.testing.assert_allclose(between(first, second, 1.0), second, atol=1e-12)
+    half = between(first, second, 0.5)
+    np.testing.assert_allclose(between(half, second, 0.5), between(first, second, 0.75), atol=1e-9)
+    np.testing.assert_allclose(half[:3, 3], (first[:3, 3] + second[:3, 3]) / 2)
+
+
+def test_only_the_frames_between_have_to_be_known(tree):
+    tree.add("arm", "finger", 0, A)
+    np.testing.assert_allclose(tree.lookup("arm", "tool", 2 * S)[:3, 3], [2, 0, 0])  # the finger lacks then
+
+
+def test_what_lacks_is_named(tree):
+    for lookup, mentioned in (
+        (("base", "tol", S), "there is no frame 'tol'; there are: arm, base, camera, tool. Did you mean 'tool'"),
+        (("base", "tool", 4 * S), "'tool' in 'arm' is known from 0.000 s to 3.000 s, not at 4.000 s"),
+        (("base", "tool", -1), "not at -0.000 s"),
+    ):
+        with pytest.raises(FrameError, match=mentioned):
+            tree.lookup(*lookup)
+    tree.add("moon", "rover", 0, A)
+    with pytest.raises(FrameError, match="not connected"):
+        tree.lookup("base", "rover", 0)
+    with pytest.raises(FrameError, match="two parents"):
+        tree.add("camera", "tool", 0, A)
+
+
+def test_frames_in_a_circle_and_clocks_that_are_set_back_are_refused(tree):
+    tree.add("tool", "base", 0, A)
+    tree.add("moon", "rover", 0, A)
+    with pytest.raises(FrameError, match="no tree"):
+        tree.lookup("base", "rover", 0)
+    tree.add("moon", "flag", 100 * S, A)
+    tree.add("moon", "flag", 3 * S, B)
+    with pytest.raises(FrameError, match=r"jumps back to 3\.000 s"):
+        tree.lookup("moon", "flag", 50 * S)

@@ -1,0 +1,186 @@
+"""F_i X S_i = Y: exact without errors, as sure as the residuals say with them, and what flanges' turns tell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from tactile_loc.core.geometry.hand_eye import (
+    MEDIAN_6,
+    TRUSTED,
+    closed_form,
+    fit_hand_eye,
+    flange_turns,
+    moved,
+    pose_errors,
+    predicted,
+    screws_agree,
+    typical_variance,
+)
+from tactile_loc.core.geometry.rigid import (
+    covariance_at,
+    invert,
+    make_transform,
+    random_rotations,
+    rotation_about,
+    translation,
+)
+
+STD = np.array([2e-4] * 3 + [3e-3] * 3)
+COVARIANCE = np.diag(STD**2)
+
+
+def poses(count: int, std_m: float, rng: np.random.Generator) -> np.ndarray:
+    return make_transform(random_rotations(count, rng), std_m * rng.normal(size=(count, 3)))
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(3)
+
+
+@pytest.fixture
+def problem(rng):
+    """X, Y, flanges and what sensors see, of ten touches."""
+    (X,), (Y,), S = poses(1, 0.05, rng), poses(1, 0.3, rng), poses(10, 0.03, rng)
+    return X, Y, Y @ invert(S) @ invert(X), S
+
+
+def fitted(problem, noise, **more):
+    X, Y, F, S = problem
+    covariances = np.repeat(COVARIANCE[None], len(S), axis=0)
+    return fit_hand_eye(F, moved(S, noise), covariances, X @ translation([1e-3, 0, 0]), Y, **more)
+
+
+def test_errors_are_what_moves_a_pose(rng):
+    T, e = poses(4, 0.1, rng), 0.1 * rng.normal(size=(4, 6))
+    np.testing.assert_allclose(pose_errors(moved(T, e), T), e, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [3, 10])
+def test_the_closed_form_is_exact(problem, count):
+    X, Y, F, S = problem
+    found = closed_form(F[:count], S[:count])
+    np.testing.assert_allclose(found, (X, Y), atol=1e-7)
+    np.testing.assert_allclose(predicted(F, X, Y), S, atol=1e-12)
+
+
+def test_many_are_solved_at_once_also_where_flanges_turn_by_half_a_turn(problem):
+    X, Y, F, _ = problem
+    axes = ([1, 0, 0], [1, 1, 0], [1, 2, 3])
+    half = make_transform(np.stack([np.eye(3), *(rotation_about(a, np.pi) for a in axes)]), np.zeros(3))
+    flanges = np.stack([F[:4], F[0] @ half])
+    seen = predicted(flanges, X, Y)
+    np.testing.assert_allclose(closed_form(flanges, seen)[0], [X, X], atol=1e-7)
+
+
+def test_the_fit_ends_at_the_truth(problem):
+    found = fitted(problem, np.zeros((10, 6)))
+    np.testing.assert_allclose(found.T_flange_sensor, problem[0], atol=1e-9)
+    np.testing.assert_allclose(found.T_base_object, problem[1], atol=1e-9)
+    assert found.freedom == 10 * 6 - 12
+
+
+def test_errors_are_as_large_as_the_covariance_says_whatever_was_told(problem, rng):
+    nees, variances = [], []
+    for _ in range(60):
+        found = fitted(problem, 2 * STD * rng.normal(size=(10, 6)))
+        e = pose_errors(problem[0], found.T_flange_sensor)
+        nees.append(e @ np.linalg.solve(found.covariance, e))
+        variances.append(found.variance)
+    assert np.mean(nees) == pytest.approx(6 * 48 / 46, rel=0.25)
+    assert np.mean(variances) == pytest.approx(4.0, rel=0.1)
+
+
+def test_a_wrong_touch_has_no_weight_in_a_robust_fit(problem, rng):
+    noise = STD * rng.normal(size=(10, 6))
+    noise[4] = [5e-3, 0, 0, 0.1, 0, 0]
+    plain, robust = (fitted(problem, noise, robust=r) for r in (False, True))
+    off = [np.linalg.norm(pose_errors(problem[0], f.T_flange_sensor)[:3]) for f in (plain, robust)]
+    assert off[1] < 3e-4 < off[0]
+    assert robust.chi2.argmax() == 4
+
+
+def test_touches_that_agree_have_their_full_weight_in_a_robust_fit(problem):
+    plain, robust = (fitted(problem, np.zeros((10, 6)), robust=r) for r in (False, True))
+    np.testing.assert_allclose(robust.information, plain.information, rtol=1e-6, atol=1e-3)
+
+
+def test_what_touches_say_nothing_of_leaves_the_rest_as_it_is(problem):
+    X, Y, F, S = problem
+    loose = np.repeat(np.diag([9e-4, *STD[1:] ** 2])[None], 10, axis=0)  # along x a touch knows nothing
+    found = fit_hand_eye(F, S, loose, X @ translation([1e-3, 0, 0]), Y)
+    np.testing.assert_allclose(found.T_flange_sensor, X, atol=1e-6)
+    assert found.freedom == 10 * 5 - 12
+
+
+def test_a_covariance_is_moved_to_another_point(rng):
+    shift = np.array([0.01, 0.02, -0.03])
+    errors = STD * rng.normal(size=(20000, 6))
+    there = np.concatenate([errors[:, :3] + np.cross(errors[:, 3:], shift), errors[:, 3:]], axis=1)
+    np.testing.assert_allclose(covariance_at(COVARIANCE, shift), np.cov(there.T), atol=2e-7)
+
+
+def test_what_is_typical_is_told_by_the_chi_squared_distribution():
+    assert chi2(6).median() == pytest.approx(MEDIAN_6, rel=1e-4)
+    assert chi2(6).ppf(0.999) == pytest.approx(TRUSTED, rel=2e-3)
+    drawn = chi2(6).ppf((np.arange(999) + 0.5) / 999)
+    assert typical_variance(4.6 * drawn) == pytest.approx(4.6, rel=1e-3)
+    assert typical_variance(0.1 * drawn) == 1.0
+
+
+def test_where_flanges_turn_about_one_axis_a_slide_along_it_is_not_known(problem):
+    """X and Y may be shifted along the axis together: eleven numbers are found instead of twelve."""
+    X, Y, F, _ = problem
+    axis = np.array([2.0, -3.0, 6.0]) / 7
+    F = make_transform(F[0, :3, :3] @ rotation_about(axis, np.linspace(-1.5, 1.5, 10)), F[:, :3, 3])
+    found = fit_hand_eye(F, predicted(F, X, Y), np.repeat(COVARIANCE[None], 10, axis=0), X, Y)
+    assert found.freedom == 10 * 6 - 11
+    std_m = np.sqrt(np.linalg.eigvalsh(found.information)[0]) ** -1
+    assert std_m > 1.0, "as good as nothing"
+    values, vectors = np.linalg.eigh(found.information[:3, :3])
+    assert abs(vectors[:, 0] @ X[:3, :3].T @ axis) == pytest.approx(1.0, abs=1e-6)
+    assert values[0] < 1e-6 * values[1]
+
+
+def test_turns_of_flanges_about_one_axis_show():
+    axis = np.array([1.0, 2.0, 2.0]) / 3
+    F = make_transform(rotation_about(axis, np.array([0.0, 0.4, 1.1, 2.0])), [0.1, 0, 0])
+    (most, second, _), axes = flange_turns(F)
+    assert most > 0.5
+    assert second < 1e-7
+    assert abs(axes[0] @ axis) == pytest.approx(1.0)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+
+
+def test_one_screw_is_that_of_the_flange_and_of_what_the_sensor_sees(problem, rng):
+    _, _, F, S = problem
+    agree = screws_agree(F[:1], F[1:], S[:1], S[1:], 1e-6, 1e-6)
+    other = screws_agree(F[:1], F[1:], S[:1], poses(9, 0.03, rng), 1e-2, 1e-3)
+    assert agree.all()
+    assert not other.any()
+
+
+def screw(axis: list[float], angle_rad: float, slide_m: float) -> np.ndarray:
+    unit = np.array(axis) / np.linalg.norm(axis)
+    return make_transform(rotation_about(axis, angle_rad), slide_m * unit)
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (2, 3)])
+def test_screws_of_other_angles_or_slides_do_not_agree(shape):
+    still, one = np.eye(4), screw([1.0, 2, 3], np.pi / 2, 0.010)
+    for angle_rad, slide_m, expected in (
+        (np.pi / 2, 0.010, True),
+        (np.pi / 2 + 0.009, 0.0109, True),
+        (np.pi / 2 - 0.009, 0.0091, True),
+        (np.pi / 2, 0.0111, False),
+        (np.pi / 2, 0.0089, False),
+        (np.pi / 2 + 0.011, 0.010, False),
+        (np.pi / 2 - 0.011, 0.010, False),
+    ):
+        other = screw([-3.0, 0, 1], angle_rad, slide_m)
+        four = [np.broadcast_to(T, (*shape, 4, 4)) for T in (one, still, still, other)]
+        agree = screws_agree(*four, angle_rad=0.01, slide_m=0.001)
+        assert agree.shape == shape
+        assert (agree == expected).all()

@@ -1,0 +1,137 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_loc.core.errors import ObjectError
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about, transform_points
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh, check_surface
+from tactile_loc.core.objects.symmetry import SymmetryGroup
+
+SIDES = np.array([0.030, 0.020, 0.012])
+SHIFT = np.array([0.1, -0.2, 0.05])
+
+
+@pytest.fixture
+def box_mesh() -> TriangleMesh:
+    solid = trimesh.creation.box(SIDES)
+    return TriangleMesh(np.array(solid.vertices) + SHIFT, np.array(solid.faces, np.int64))
+
+
+def box_variance(a: float, b: float, c: float) -> float:
+    """Variance along a of a box's surface: two faces b c at +-a/2, and four of area a c or a b that fill it evenly."""
+    return (2 * b * c * a**2 / 4 + 2 * a * (b + c) * a**2 / 12) / (2 * (a * b + b * c + c * a))
+
+
+def test_box_surface_moments_are_the_analytic_ones(box_mesh):
+    a, b, c = SIDES
+    np.testing.assert_allclose(box_mesh.face_areas.sum(), 2 * (a * b + b * c + c * a))
+    np.testing.assert_allclose(box_mesh.centroid_m, SHIFT, atol=1e-15)
+    np.testing.assert_allclose(box_mesh.extents_m, SIDES)
+    expected = np.diag([box_variance(a, b, c), box_variance(b, c, a), box_variance(c, a, b)])
+    np.testing.assert_allclose(box_mesh.covariance_m2, expected, atol=1e-15)
+
+
+def test_sphere_surface_moments_are_the_analytic_ones():
+    radius = 0.01
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=radius)
+    mesh = TriangleMesh(np.array(ball.vertices) - SHIFT, np.array(ball.faces))
+    np.testing.assert_allclose(mesh.centroid_m, -SHIFT, atol=1e-9)
+    np.testing.assert_allclose(mesh.covariance_m2, np.eye(3) * radius**2 / 3, rtol=2e-3, atol=1e-10)
+
+
+def test_moments_turn_with_the_surface(box_mesh):
+    R, t = rotation_about([1, 2, 3], 0.7), np.array([0.0, 0.3, 0.0])
+    turned = TriangleMesh(transform_points(make_transform(R, t), box_mesh.vertices_m), box_mesh.faces)
+    np.testing.assert_allclose(turned.centroid_m, R @ box_mesh.centroid_m + t, atol=1e-14)
+    np.testing.assert_allclose(turned.covariance_m2, R @ box_mesh.covariance_m2 @ R.T, atol=1e-14)
+
+
+def test_moments_do_not_depend_on_the_tessellation(box_mesh):
+    fine = trimesh.Trimesh(box_mesh.vertices_m, box_mesh.faces[:7], process=False).subdivide()
+    faces = np.concatenate([fine.faces, box_mesh.faces[7:] + len(fine.vertices)])
+    mesh = TriangleMesh(np.concatenate([fine.vertices, box_mesh.vertices_m]), faces)
+    np.testing.assert_allclose(mesh.centroid_m, box_mesh.centroid_m, atol=1e-12)
+    np.testing.assert_allclose(mesh.covariance_m2, box_mesh.covariance_m2, atol=1e-12)
+
+
+def test_samples_lie_on_the_surface_and_agree_with_its_moments(box_mesh):
+    points = box_mesh.sample(200_000, np.random.default_rng(0))
+    outside = np.abs(points - SHIFT) / (SIDES / 2)
+    np.testing.assert_allclose(outside.max(axis=1), 1.0, atol=1e-9)
+    np.testing.assert_allclose(points.mean(axis=0), box_mesh.centroid_m, atol=1e-4)
+    np.testing.assert_allclose(np.cov(points.T), box_mesh.covariance_m2, atol=0.01 * box_mesh.covariance_m2.max())
+
+
+def test_samples_fill_a_triangle_evenly():
+    triangle = TriangleMesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
+    points = triangle.sample(40_000, np.random.default_rng(1))
+    assert (points[:, :2].sum(axis=1) <= 1).all()
+    quarters = [(points[:, 0] > 0.5).mean(), (points[:, 1] > 0.5).mean(), (points[:, :2].sum(axis=1) < 0.5).mean()]
+    np.testing.assert_allclose(quarters, 0.25, atol=0.01)
+
+
+def test_samples_follow_their_generator(box_mesh):
+    assert np.array_equal(*(box_mesh.sample(9, np.random.default_rng(2)) for _ in range(2)))
+
+
+def test_digest_changes_with_the_surface_and_nothing_else(box_mesh):
+    same = TriangleMesh(np.asfortranarray(box_mesh.vertices_m), box_mesh.faces.astype(np.int32))
+    assert same.digest == box_mesh.digest
+    assert TriangleMesh(box_mesh.vertices_m + 1e-9, box_mesh.faces).digest != box_mesh.digest
+    assert TriangleMesh(box_mesh.vertices_m, box_mesh.faces[:, ::-1]).digest != box_mesh.digest
+
+
+def test_description_tells_objects_apart_by_symmetry_but_not_by_name(box_mesh):
+    def describe(name: str, symmetry: str) -> dict[str, object]:
+        return ObjectModel(name, box_mesh, SymmetryGroup.parse(symmetry, SHIFT)).describe()
+
+    assert describe("a", "none") == describe("b", "none")
+    assert describe("a", "none") != describe("a", "x2")
+
+
+def with_vertices(mesh: TriangleMesh, change) -> TriangleMesh:
+    return dataclasses.replace(mesh, vertices_m=change(mesh.vertices_m.copy()))
+
+
+def poison(vertices: np.ndarray) -> np.ndarray:
+    vertices[2, 1] = np.nan
+    vertices[5, 0] = np.inf
+    return vertices
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (poison, "part has 2 vertices that are NaN or infinite"),
+        (lambda v: v * 0, "part has zero extent"),
+        (lambda v: v * [1, 0, 0], "part has zero extent"),
+        (lambda v: v * 100, r"part is 3000 mm long; .* 1 mm to 1 m .*--units"),
+        (lambda v: v * 0.01, r"part is 0.3 mm long; .*--units"),
+    ],
+)
+def test_impossible_surfaces_are_refused_in_a_sentence(box_mesh, change, message):
+    with pytest.raises(ObjectError, match=message):
+        check_surface(with_vertices(box_mesh, change), "part")
+
+
+def test_empty_surfaces_are_refused(box_mesh):
+    for empty in (
+        TriangleMesh(box_mesh.vertices_m, np.zeros((0, 3), int)),
+        TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), int)),
+    ):
+        with pytest.raises(ObjectError, match="part is an empty mesh"):
+            check_surface(empty, "part")
+
+
+def test_model_checks_its_surface(box_mesh):
+    with pytest.raises(ObjectError, match=r"dwarf is 0\.3 mm"):
+        ObjectModel("dwarf", with_vertices(box_mesh, lambda v: v * 0.01), SymmetryGroup.parse("none", SHIFT))
+
+
+@pytest.mark.parametrize("size_m", [0.001, 1.0])
+def test_sizes_at_the_limits_are_possible(box_mesh, size_m):
+    check_surface(with_vertices(box_mesh, lambda v: (v - SHIFT) * (size_m / 0.030)), "part")

@@ -1,0 +1,180 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from tactile_loc.core.errors import SymmetryError
+from tactile_loc.core.geometry.rigid import rotation_about, rotation_angle
+from tactile_loc.core.objects.symmetry import SymmetryGroup
+
+CENTRE_M = (0.01, -0.02, 0.03)
+ORDERS = {
+    "none": 1,
+    "z2": 2,
+    "z6": 6,
+    "x2*y2": 4,
+    "z4*x2": 8,
+    "z6*x2": 12,
+    "axis(1,1,1)3*z2": 12,
+    "x4*y4": 24,
+    "axis(0,1,1.6180339887)5*axis(1,1,1)3": 60,
+    "z60*x2": 120,
+}
+
+
+def random_rotations(count: int, seed: int = 1) -> NDArray[np.float64]:
+    return Rotation.random(count, rng=np.random.default_rng(seed)).as_matrix()
+
+
+@pytest.mark.parametrize(("text", "order"), ORDERS.items())
+def test_closure_has_the_order_of_the_group(text: str, order: int) -> None:
+    group = SymmetryGroup.parse(text, CENTRE_M)
+    assert group.order == order
+    assert group.is_trivial == (text == "none")
+    np.testing.assert_allclose(group.rotations[0], np.eye(3))
+    np.testing.assert_allclose(np.linalg.det(group.rotations), 1.0)
+
+
+@pytest.mark.parametrize("text", [*list(ORDERS)[:-1], "zinf", "zinf*x2", "axis(1,1,0)inf*z2"])
+def test_elements_are_closed_under_product_and_inverse(text: str) -> None:
+    T = SymmetryGroup.parse(text, CENTRE_M).elements(math.radians(36.0))
+    products = (T[:, None] @ T[None]).reshape(-1, 16)
+    candidates = np.concatenate([products, np.linalg.inv(T).reshape(-1, 16)])
+    difference = np.abs(candidates[:, None] - T.reshape(-1, 16)[None]).max(axis=2)
+    assert difference.min(axis=1).max() < 1e-6
+    assert np.sum(difference[: len(T) ** 2] < 1e-6) == len(T) ** 2, "every product is one element, not several"
+
+
+@pytest.mark.parametrize("text", ["none", "z6*x2", "zinf*x2", "x2*y2", "axis(0.58,0.58,0.58)3", "axis(1,-1,0.25)inf"])
+def test_text_round_trips(text: str) -> None:
+    assert str(SymmetryGroup.parse(text, CENTRE_M)) == text
+
+
+def test_text_is_read_leniently() -> None:
+    assert str(SymmetryGroup.parse(" Z6 * axis( 1, 1.0 ,0 )2 ", CENTRE_M)) == "z6*axis(1,1,0)2"
+
+
+def test_three_decimals_of_an_axis_are_enough_to_close() -> None:
+    assert SymmetryGroup.parse("axis(0.577,0.577,0.578)3*z2", CENTRE_M).order == 12
+
+
+def test_elements_fix_the_centre_and_the_identity_leads() -> None:
+    T = SymmetryGroup.parse("z6*x2", CENTRE_M).elements()
+    np.testing.assert_allclose(T[:, :3, :3] @ CENTRE_M + T[:, :3, 3], np.tile(CENTRE_M, (12, 1)), atol=1e-15)
+    np.testing.assert_allclose(T[0], np.eye(4), atol=1e-15)
+
+
+@pytest.mark.parametrize(("step_deg", "count"), [(10.0, 36), (7.0, 52), (100.0, 4), (360.0, 2)])
+def test_a_continuous_axis_is_sampled_evenly_and_finely_enough(step_deg: float, count: int) -> None:
+    T = SymmetryGroup.parse("zinf", CENTRE_M).elements(math.radians(step_deg))
+    angle_rad = np.unwrap(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
+    np.testing.assert_allclose(angle_rad, np.arange(count) * 2.0 * math.pi / count, atol=1e-12)
+    assert SymmetryGroup.parse("zinf", CENTRE_M).order == math.inf
+
+
+def test_terms_along_a_continuous_axis_fold_into_it() -> None:
+    assert len(SymmetryGroup.parse("zinf*z6", CENTRE_M).elements(math.pi)) == 2
+    assert len(SymmetryGroup.parse("x2*zinf*y2", CENTRE_M).elements(math.pi)) == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "cannot be read"),
+        ("z", "cannot be read"),
+        ("w3", "cannot be read"),
+        ("z6*", "cannot be read"),
+        ("axis(1,1)2", "cannot be read"),
+        ("axis(0,0,0)2", "cannot be read"),
+        ("axis(nan,0,1)2", "cannot be read"),
+        ("z-2", "cannot be read"),
+        ("z1", "2 or more"),
+        ("z0", "2 or more"),
+        ("z7*x3", "does not close"),
+        ("z121", "does not close"),
+        ("axis(1,2,3)2*z4", "does not close"),
+        ("zinf*xinf", "sphere"),
+        ("zinf*x4", "sphere"),
+        ("zinf*axis(1,0,1)2", "sphere"),
+    ],
+)
+def test_what_is_no_group_is_refused_by_name(text: str, complaint: str) -> None:
+    with pytest.raises(SymmetryError, match=complaint) as caught:
+        SymmetryGroup.parse(text, CENTRE_M)
+    assert f"'{text}'" in str(caught.value)
+
+
+@pytest.mark.parametrize("centre_m", [(0.0, 0.0), (0.0, 0.0, math.nan)])
+def test_a_centre_is_three_finite_numbers(centre_m: tuple[float, ...]) -> None:
+    with pytest.raises(SymmetryError, match="centre"):
+        SymmetryGroup.parse("z2", centre_m)
+
+
+def test_sampling_steps_must_be_positive() -> None:
+    group = SymmetryGroup.parse("zinf", CENTRE_M)
+    with pytest.raises(SymmetryError, match="positive"):
+        group.elements(0.0)
+    with pytest.raises(SymmetryError, match="step_rad"):
+        group.is_representative(random_rotations(3))
+
+
+@pytest.mark.parametrize(("text", "order"), ORDERS.items())
+def test_representatives_are_one_in_order_of_random_rotations(text: str, order: int) -> None:
+    kept = SymmetryGroup.parse(text, CENTRE_M).is_representative(random_rotations(2000)).sum()
+    expected = 2000 / order
+    assert abs(kept - expected) <= 3.0 * math.sqrt(expected * (1.0 - 1.0 / order))
+
+
+@pytest.mark.parametrize("text", ORDERS)
+def test_every_rotation_has_exactly_one_representative(text: str) -> None:
+    group = SymmetryGroup.parse(text, CENTRE_M)
+    orbits = random_rotations(200)[:, None] @ group.rotations[None]
+    kept = group.is_representative(orbits.reshape(-1, 3, 3)).reshape(200, -1)
+    np.testing.assert_array_equal(kept.sum(axis=1), 1)
+
+
+@pytest.mark.parametrize("text", ["zinf", "zinf*x2", "axis(1,2,3)inf"])
+@pytest.mark.parametrize("count", [2, 36, 50])
+def test_an_evenly_sampled_continuous_orbit_keeps_one(text: str, count: int) -> None:
+    group, step_rad = SymmetryGroup.parse(text, CENTRE_M), 2.0 * math.pi / count
+    orbits = random_rotations(200)[:, None] @ group.elements(step_rad)[None, :, :3, :3]
+    kept = group.is_representative(orbits.reshape(-1, 3, 3), step_rad).reshape(200, -1)
+    np.testing.assert_array_equal(kept.sum(axis=1), 1)
+
+
+@pytest.mark.parametrize(("text", "flips"), [("zinf", 1), ("zinf*x2", 2)])
+def test_a_continuous_axis_keeps_its_share_of_random_rotations(text: str, flips: int) -> None:
+    share = math.radians(20.0) / (2.0 * math.pi) / flips
+    kept = SymmetryGroup.parse(text, CENTRE_M).is_representative(random_rotations(4000), math.radians(20.0)).sum()
+    assert abs(kept - 4000 * share) <= 3.0 * math.sqrt(4000 * share * (1.0 - share))
+
+
+@pytest.mark.parametrize("text", ["none", "z6*x2", "x4*y4", "zinf", "axis(1,2,3)inf*axis(-2,1,0)2"])
+def test_equivalent_rotations_have_one_canonical_form_which_is_equivalent(text: str) -> None:
+    group = SymmetryGroup.parse(text, CENTRE_M)
+    R = random_rotations(100)
+    canonical = group.canonical(R)
+    for S in group.elements(math.radians(50.0))[:, :3, :3]:
+        np.testing.assert_allclose(group.canonical(R @ S), canonical, atol=1e-9)
+    fine = group.elements(math.radians(0.5))[:, :3, :3]
+    nearest = np.einsum("nji,njk,mik->nm", R, canonical, fine).max(axis=1)
+    assert np.all(nearest > 1.0 + 2.0 * math.cos(math.radians(0.3)))
+
+
+def test_canonical_tells_different_orbits_apart() -> None:
+    group, R = SymmetryGroup.parse("z6", CENTRE_M), random_rotations(50)
+    turned = group.canonical(R @ rotation_about((0, 0, 1), math.radians(30.0)))
+    assert np.all(np.abs(turned - group.canonical(R)).max(axis=(1, 2)) > 0.05)
+
+
+@pytest.mark.parametrize("text", ["none", "z6", "x2*y2", "zinf", "axis(1,1,0)inf*z2"])
+def test_the_least_angle_is_that_to_the_nearest_equivalent(text):
+    group = SymmetryGroup.parse(text, [0.01, 0, 0])
+    R = random_rotations(30)
+    same = R[:, None] @ group.elements(0.002)[:, :3, :3]
+    expected = rotation_angle(R[0].T @ same).min(axis=1)
+    np.testing.assert_allclose(group.least_angle(R[0], R), expected, atol=2e-3 if "inf" in text else 1e-7)

@@ -1,0 +1,317 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.distance import cdist
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.geometry.rigid import (
+    make_transform,
+    random_rotations,
+    rotation_about,
+    transform_points,
+    translation,
+)
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.poses.metric import SPACING_SAMPLE, PoseGrid, PoseMetric, distances_between, remove_equivalent
+from tactile_loc.io.meshes import load_object
+
+
+def random_poses(count: int, seed: int, spread_m: float = 0.01) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return make_transform(random_rotations(count, rng), rng.normal(scale=spread_m, size=(count, 3)))
+
+
+def quadrature(mesh: TriangleMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Points and weights that integrate any quadratic over the surface exactly: the middles of every face's edges."""
+    a, b, c = np.moveaxis(mesh.triangles_m, 1, 0)
+    points = np.concatenate([a + b, b + c, c + a]) / 2
+    weights = np.tile(mesh.face_areas, 3)
+    return points, weights / weights.sum()
+
+
+@pytest.fixture(scope="module")
+def pin() -> ObjectModel:
+    return load_object("pin", symmetry="none")
+
+
+def test_embedding_is_the_rms_point_distance_exactly(pin):
+    points, weights = quadrature(pin.mesh)
+    T1, T2 = random_poses(20, 0), random_poses(20, 1)
+    squared = ((transform_points(T1, points) - transform_points(T2, points)) ** 2).sum(axis=-1) @ weights
+    metric = PoseMetric(pin)
+    np.testing.assert_allclose(((metric.embed(T1) - metric.embed(T2)) ** 2).sum(axis=-1), squared, rtol=1e-9)
+    np.testing.assert_allclose(metric.distance(T1, T2), np.sqrt(squared), rtol=1e-9)
+
+
+def test_embedding_agrees_with_dense_samples_of_the_surface(pin):
+    points = pin.mesh.sample(100_000, np.random.default_rng(2))
+    T1, T2 = random_poses(3, 3), random_poses(3, 4)
+    mean_square = ((transform_points(T1, points) - transform_points(T2, points)) ** 2).sum(axis=-1).mean(axis=-1)
+    np.testing.assert_allclose(PoseMetric(pin).distance(T1, T2) ** 2, mean_square, rtol=0.02)
+
+
+def test_a_translation_counts_in_full_and_a_turn_by_its_lever(box):
+    metric, T = PoseMetric(box), random_poses(1, 5)
+    assert metric.distance(T, translation([0.003, 0, 0.004]) @ T) == pytest.approx(0.005)
+    turn = make_transform(rotation_about([0, 0, 1], 0.1), np.zeros(3))
+    lever_m = np.sqrt(np.trace(box.mesh.covariance_m2[:2, :2]))
+    assert metric.distance(T, T @ turn) == pytest.approx(2 * np.sin(0.05) * lever_m)
+
+
+def test_a_flat_surface_has_a_metric_too_however_it_lies():
+    corners = np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.02, 0.0]])
+    T1, T2 = random_poses(4, 6), random_poses(4, 36)
+    for R in random_rotations(20, np.random.default_rng(37)):  # rounding makes some of the least moments negative
+        mesh = TriangleMesh(corners @ R.T, np.array([[0, 1, 2]]))
+        metric = PoseMetric(ObjectModel("sheet", mesh, SymmetryGroup.parse("none", np.zeros(3))))
+        points, weights = quadrature(mesh)
+        squared = ((transform_points(T1, points) - transform_points(T2, points)) ** 2).sum(axis=-1) @ weights
+        np.testing.assert_allclose(metric.distance(T1, T2), np.sqrt(squared))
+
+
+def test_metric_scales_with_the_unit(pin):
+    scaled = TriangleMesh(pin.mesh.vertices_m * 10, pin.mesh.faces)
+    larger = PoseMetric(ObjectModel("larger", scaled, SymmetryGroup.parse("none", np.zeros(3))))
+    T1, T2 = random_poses(5, 7), random_poses(5, 8)
+    scale = np.ones((4, 4))
+    scale[:3, 3] = 10
+    np.testing.assert_allclose(larger.distance(T1 * scale, T2 * scale), 10 * PoseMetric(pin).distance(T1, T2))
+
+
+def test_metric_does_not_depend_on_the_objects_frame_nor_the_sensors(pin):
+    """Drawing the object elsewhere, or looking from elsewhere, changes no distance between the same two poses."""
+    X = random_poses(1, 9)[0]
+    moved = TriangleMesh(transform_points(X, pin.mesh.vertices_m), pin.mesh.faces)
+    other = PoseMetric(ObjectModel("moved", moved, SymmetryGroup.parse("none", np.zeros(3))))
+    T1, T2 = random_poses(5, 10), random_poses(5, 11)
+    expected = PoseMetric(pin).distance(T1, T2)
+    np.testing.assert_allclose(other.distance(T1 @ np.linalg.inv(X), T2 @ np.linalg.inv(X)), expected)
+    np.testing.assert_allclose(PoseMetric(pin).distance(X @ T1, X @ T2), expected)
+
+
+def test_equivalents_look_the_same(make_box, cylinder):
+    for obj, count in ((make_box(0.03, 0.02, 0.01, symmetry="x2*y2"), 4), (cylinder, None)):
+        same = PoseMetric(obj).equivalents(random_poses(2, 12), step_m=0.002)
+        assert same.shape[1:] == (2, 4, 4)
+        assert count in (None, len(same))
+        mesh = trimesh.Trimesh(obj.mesh.vertices_m, obj.mesh.faces, process=False)
+        back = np.linalg.inv(same[0, 0]) @ same[:, 0]  # what each does to the object itself
+        for S in back:
+            gap = np.abs(trimesh.proximity.signed_distance(mesh, transform_points(S, obj.mesh.vertices_m)))
+            assert gap.max() < 4e-5, "the sagitta of the cylinder's 64 sides, or nothing"
+
+
+def test_equivalents_of_a_turned_part_are_at_most_a_step_apart(cylinder):
+    metric = PoseMetric(cylinder)
+    for step_m in (0.003, 0.0005):
+        same = metric.equivalents(random_poses(1, 13), step_m)[:, 0]
+        turns = same[: len(same) // 2]  # the others are flipped
+        gaps = metric.distance(turns, np.roll(turns, 1, axis=0))
+        assert 0.3 * step_m < gaps.max() <= step_m
+
+
+def test_symmetric_distance_is_nil_between_equivalents(make_box, cylinder):
+    brick = make_box(0.03, 0.02, 0.01, symmetry="x2*y2")
+    for obj in (brick, cylinder):
+        metric = PoseMetric(obj)
+        T = random_poses(3, 14)
+        for S in obj.symmetry.elements(0.7):
+            assert metric.symmetric_distance(T, T @ S).max() <= 1e-12
+    assert PoseMetric(brick).distance(T, T @ brick.symmetry.elements()[1]).min() > 0.01, "unlike the plain one"
+
+
+def test_symmetric_distance_is_symmetric_and_no_more_than_the_plain_one(make_box):
+    metric = PoseMetric(make_box(0.03, 0.02, 0.01, symmetry="x2*y2"))
+    T1, T2 = random_poses(30, 15), random_poses(30, 16)
+    near = metric.symmetric_distance(T1, T2)
+    np.testing.assert_allclose(near, metric.symmetric_distance(T2, T1))
+    assert (near <= metric.distance(T1, T2) + 1e-12).all()
+    assert (near < metric.distance(T1, T2) - 1e-6).any()
+
+
+@pytest.mark.parametrize("symmetry", ["none", "x2*y2"])
+def test_nearest_agrees_with_brute_force(make_box, symmetry):
+    obj = make_box(0.03, 0.02, 0.01, symmetry=symmetry)
+    grid = PoseGrid(random_poses(300, 17), PoseMetric(obj))
+    queries = random_poses(40, 18)
+    points, weights = quadrature(obj.mesh)
+    same = queries[:, None] @ obj.symmetry.elements()
+    gaps = transform_points(same, points)[:, :, None] - transform_points(grid.T_sensor_object, points)
+    rms = np.sqrt((gaps**2).sum(axis=-1) @ weights).min(axis=1)
+    distance, index = grid.nearest(queries)
+    assert index.tolist() == rms.argmin(axis=1).tolist()
+    np.testing.assert_allclose(distance, rms.min(axis=1))
+
+
+def test_nearest_of_a_grid_pose_and_its_equivalents_is_itself(cylinder):
+    grid = PoseGrid(random_poses(50, 19), PoseMetric(cylinder))
+    turned = grid.T_sensor_object @ cylinder.symmetry.elements(0.5)[7]
+    distance, index = grid.nearest(turned)
+    assert index.tolist() == list(range(50))
+    assert distance.max() < 2e-4
+
+
+@pytest.mark.parametrize("symmetry", ["none", "x2*y2", "zinf*x2"])
+def test_nearest_within_a_bound_is_nearest_or_nothing(make_box, cylinder, symmetry):
+    obj = cylinder if "inf" in symmetry else make_box(0.03, 0.02, 0.01, symmetry=symmetry)
+    grid, queries = PoseGrid(random_poses(300, 24), PoseMetric(obj)), random_poses(60, 25)
+    distance, index = grid.nearest(queries)
+    bound_m = float(np.median(distance))
+    near, found = grid.nearest(queries, bound_m)
+    inside = distance < bound_m
+    assert np.array_equal(found, np.where(inside, index, -1))
+    np.testing.assert_array_equal(near, np.where(inside, distance, np.inf))
+
+
+def finely_sampled(metric, T1, T2, step_m=2e-4):
+    """The least distance over a sampled symmetry."""
+    return metric.distance(metric.equivalents(T1, step_m), T2).min(axis=0)
+
+
+def test_orbits_are_as_far_apart_as_their_nearest_poses(cylinder):
+    """Exactly, however a turned part is turned: finely sampled turns come as near as their step lets them."""
+    metric, T1, T2 = PoseMetric(cylinder), random_poses(50, 26), random_poses(50, 27)
+    gaps = metric.embed_orbits(T1) - metric.embed_orbits(T2)[0]
+    exact = np.linalg.norm(gaps, axis=-1).min(axis=0)
+    sampled = finely_sampled(metric, T1, T2)
+    np.testing.assert_array_equal(metric.symmetric_distance(T1, T2), exact)
+    assert (exact <= sampled + 1e-12).all()
+    assert (sampled**2 <= exact**2 + 1e-8).all(), "half a step along the orbit at most"
+    turned = T1 @ cylinder.symmetry.elements(0.123)[4]
+    np.testing.assert_allclose(metric.embed_orbits(turned)[0], metric.embed_orbits(T1)[0], atol=1e-12)
+
+
+def test_orbits_hold_where_the_centroid_is_not_the_centre_of_symmetry():
+    """A cone whose declared centre is its tip."""
+    cone = trimesh.creation.cone(0.01, 0.03, sections=48)
+    mesh = TriangleMesh(np.array(cone.vertices), np.array(cone.faces, np.int64))
+    metric = PoseMetric(ObjectModel("cone", mesh, SymmetryGroup.parse("zinf", [0, 0, 0.03])))
+    T1, T2 = random_poses(40, 28), random_poses(40, 29)
+    exact = np.linalg.norm(metric.embed_orbits(T1)[0] - metric.embed_orbits(T2)[0], axis=-1)
+    np.testing.assert_allclose(exact, finely_sampled(metric, T1, T2, 1e-4), rtol=1e-3)
+
+
+def test_the_mean_spacing_is_that_of_a_lattice(box, cylinder):
+    x = np.stack(np.meshgrid(np.arange(40), np.arange(40), [0]), -1).reshape(-1, 3) * 0.003
+    assert PoseGrid(translation(x), PoseMetric(box)).spacing_m == pytest.approx(0.003)
+    assert PoseGrid(translation(x) @ cylinder.symmetry.elements(0.5)[3], PoseMetric(cylinder)).spacing_m == (
+        pytest.approx(0.003)
+    )
+    assert PoseGrid(translation(x[:1]), PoseMetric(box)).spacing_m == np.inf
+
+
+def test_the_mean_spacing_of_a_large_grid_regards_all_of_it(box):
+    steps_m = np.repeat([0.001, 0.003, 0.002], SPACING_SAMPLE)
+    x = np.column_stack([np.cumsum(steps_m), 0 * steps_m, 0 * steps_m])
+    assert PoseGrid(translation(x), PoseMetric(box)).spacing_m == pytest.approx(0.002, rel=0.01)
+    two = PoseGrid(translation([[0, 0, 0], [0, 0.004, 0.0]]), PoseMetric(box))
+    assert two.spacing_m == pytest.approx(0.004)
+    assert two.neighbour_spacing() == pytest.approx([0.004, 0.004])
+
+
+def test_neighbour_spacing_is_that_of_a_lattice(box):
+    x = np.stack(np.meshgrid(np.arange(5), np.arange(4), [0]), -1).reshape(-1, 3) * 0.003
+    grid = PoseGrid(translation(x), PoseMetric(box))
+    np.testing.assert_allclose(grid.neighbour_spacing(), 0.003)
+    np.testing.assert_allclose(grid.neighbour_spacing(np.array([0, 7])), [0.003, 0.003])
+    assert PoseGrid(translation(x[:1]), PoseMetric(box)).neighbour_spacing().tolist() == [np.inf]
+
+
+def test_within_is_a_ball_with_symmetry_regarded(make_box):
+    obj = make_box(0.03, 0.02, 0.01, symmetry="z2")
+    T = random_poses(1, 20)[0]
+    half_turn = obj.symmetry.elements()[1]
+    off = [translation([0.001 * k, 0, 0]) @ T for k in range(5)]
+    grid = PoseGrid(np.stack([*off, *(t @ half_turn for t in off)]), PoseMetric(obj))
+    assert grid.within(0.0015, 0).tolist() == [0, 1, 5, 6]
+
+
+def test_removal_leaves_one_of_each_equivalent(make_box):
+    obj = make_box(0.03, 0.02, 0.01, symmetry="x2*y2")
+    T = random_poses(30, 21)
+    all_four = (T[:, None] @ obj.symmetry.elements()).reshape(-1, 4, 4)
+    keep = remove_equivalent(all_four, PoseMetric(obj), 1e-6)
+    assert keep.sum() == 30
+    assert keep.reshape(30, 4).sum(axis=1).tolist() == [1] * 30
+    assert keep.reshape(30, 4)[:, 0].all(), "the first is kept"
+
+
+def test_removal_leaves_no_two_within_the_radius_up_to_symmetry(cylinder):
+    T = random_poses(150, 22, spread_m=0.002)
+    metric, radius_m = PoseMetric(cylinder), 0.004
+    keep = remove_equivalent(T, metric, radius_m)
+    kept = T[keep]
+    assert 5 < len(kept) < 100
+    same = metric.embed(metric.equivalents(T, step_m=radius_m / 10))
+    gaps = np.stack([cdist(equivalents, metric.embed(kept)) for equivalents in same]).min(axis=0)
+    assert np.sort(gaps[keep], axis=1)[:, 1].min() >= 0.98 * radius_m
+    assert gaps.min(axis=1).max() <= 1.01 * radius_m, "and nothing is removed without a twin"
+
+
+def test_removal_leaves_an_asymmetric_object_alone(box):
+    T = np.repeat(random_poses(2, 23), 2, axis=0)
+    assert remove_equivalent(T, PoseMetric(box), 0.001).all()
+    assert remove_equivalent(T[:0], PoseMetric(box), 0.001).shape == (0,)
+
+
+def test_nothing_is_removed_of_nothing(cylinder):
+    assert remove_equivalent(np.zeros((0, 4, 4)), PoseMetric(cylinder), 0.001).shape == (0,)
+
+
+@pytest.fixture(params=["none", "x2*y2", "zinf*x2"])
+def grid(request, make_box, cylinder) -> PoseGrid:
+    obj = cylinder if "inf" in request.param else make_box(0.03, 0.02, 0.01, symmetry=request.param)
+    return PoseGrid(random_poses(60, 30), PoseMetric(obj))
+
+
+def test_the_nearest_equivalent_looks_the_same_and_is_as_near_as_any(grid):
+    metric, T, T_near = grid.metric, random_poses(7, 31), random_poses(7, 32)
+    found = metric.nearest_equivalents(T, T_near)
+    assert metric.symmetric_distance(found, T).max() < 1e-12
+    least = metric.symmetric_distance(T, T_near)
+    np.testing.assert_allclose(metric.distance(found, T_near) ** 2, least**2, atol=1e-8)
+
+
+def test_all_distances_from_a_pose_are_those_of_the_metric(grid):
+    T = random_poses(1, 33)[0]
+    one_by_one = grid.metric.symmetric_distance(np.broadcast_to(T, (len(grid), 4, 4)), grid.T_sensor_object)
+    np.testing.assert_allclose(grid.distances(T), one_by_one, atol=1e-9)
+
+
+def test_distances_between_points_are_euclidean():
+    a, b = np.random.default_rng(34).normal(size=(2, 9, 5))
+    np.testing.assert_allclose(distances_between(a, b[:4]), cdist(a, b[:4]), rtol=1e-7)
+    assert distances_between(1e3 * a, 1e3 * a).diagonal() == pytest.approx(0, abs=1e-3), "no root of less than nothing"
+
+
+@pytest.mark.parametrize("steps_m", [[0.02], [-0.02], [0.03, -0.01]])
+def test_a_raised_grid_is_that_of_the_raised_poses(grid, steps_m):
+    raised = grid
+    for step_m in steps_m:
+        raised = raised.raised(step_m)
+    up = translation([0, 0, sum(steps_m)])
+    anew = PoseGrid(up @ grid.T_sensor_object, grid.metric)
+    np.testing.assert_allclose(raised.T_sensor_object, anew.T_sensor_object, atol=1e-15)
+    np.testing.assert_allclose(raised.phi, anew.phi, atol=1e-12)
+    queries = random_poses(20, 35)
+    for found, expected in zip(raised.nearest(queries), anew.nearest(queries), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+    np.testing.assert_allclose(raised.distances(queries[0]), anew.distances(queries[0]), atol=1e-9)
+    np.testing.assert_allclose(raised.neighbour_spacing(), anew.neighbour_spacing(), atol=1e-12)
+    assert raised.spacing_m == pytest.approx(anew.spacing_m)
+    assert raised.within(0.02, 5).tolist() == anew.within(0.02, 5).tolist()
+
+
+def test_raising_shares_what_looks_poses_up_and_leaves_the_grid_alone(grid):
+    before = grid.T_sensor_object.copy()
+    assert grid.raised(0.0) is grid
+    assert grid.raised(0.01).raised(0.01)._orbit_tree is grid._orbit_tree
+    assert np.array_equal(grid.T_sensor_object, before)
+
+
+def test_an_empty_grid_is_refused(box):
+    with pytest.raises(GridError, match="no pose of box is left"):
+        PoseGrid(np.zeros((0, 4, 4)), PoseMetric(box))

@@ -1,0 +1,209 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.geometry.rigid import make_transform, random_rotations, translation
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.poses.posterior import PosePosterior
+
+
+def line(obj: ObjectModel, x_m: np.ndarray) -> PoseGrid:
+    """Poses along x, metres: their distances are those of the numbers."""
+    return PoseGrid(translation(np.column_stack([x_m, 0 * x_m, 0 * x_m])), PoseMetric(obj))
+
+
+@pytest.fixture
+def grid(box) -> PoseGrid:
+    return line(box, 0.002 * np.arange(6.0))
+
+
+def test_normalised_whatever_the_scale(grid):
+    weights = np.array([1.0, 2, 3, 4, 0, 6])
+    with np.errstate(divide="ignore"):
+        log_weights = np.log(weights)
+    for shift in (0.0, 1e4, -1e4):
+        posterior = PosePosterior(grid, log_weights + shift)
+        np.testing.assert_allclose(posterior.probabilities, weights / weights.sum(), atol=1e-11)
+        assert posterior.probabilities.sum() == pytest.approx(1.0)
+        assert posterior.log_p[4] == -np.inf
+
+
+@pytest.mark.parametrize("log_p", [
+    np.full(6, -np.inf), np.array([0, 0, np.nan, 0, 0, 0.0]), np.array([0, 0, np.inf, 0, 0, 0.0]), np.zeros(5),
+    np.zeros((6, 1)),
+])  # fmt: skip
+def test_what_is_no_distribution_is_refused(grid, log_p):
+    with pytest.raises(GridError, match="no pose of the grid explains the touch"):
+        PosePosterior(grid, log_p)
+
+
+def test_top_is_in_order_and_ties_go_to_the_first(grid):
+    posterior = PosePosterior(grid, np.array([-2.0, -1, -3, -1, -np.inf, 0]))
+    assert posterior.top(6).tolist() == [5, 1, 3, 0, 2, 4]
+    assert posterior.top(2).tolist() == [5, 1]
+    assert posterior.top(3).tolist() == [5, 1, 3]
+    assert posterior.top(100).tolist() == posterior.top(6).tolist()
+    assert posterior.top(1).tolist() == [5]
+
+
+def test_entropy(grid):
+    assert PosePosterior(grid, np.full(6, 3.0)).entropy == pytest.approx(np.log(6))
+    certain = np.full(6, -np.inf)
+    certain[2] = 0
+    assert PosePosterior(grid, certain).entropy == 0.0
+    halves = certain.copy()
+    halves[4] = 0
+    assert PosePosterior(grid, halves).entropy == pytest.approx(np.log(2))
+
+
+def test_samples_come_as_often_as_they_are_probable(grid):
+    with np.errstate(divide="ignore"):
+        posterior = PosePosterior(grid, np.log([0.5, 0.2, 0.0, 0.2, 0.1, 0.0]))
+    drawn = posterior.sample(20_000, np.random.default_rng(0))
+    assert drawn.shape == (20_000, 4, 4)
+    frequency = np.bincount(np.rint(drawn[:, 0, 3] / 0.002).astype(int), minlength=6) / 20_000
+    np.testing.assert_allclose(frequency, posterior.probabilities, atol=0.015)
+    assert frequency[2] == frequency[5] == 0
+    again, other = (posterior.sample(20_000, np.random.default_rng(seed)) for seed in (0, 1))
+    assert np.array_equal(again, drawn)
+    assert not np.array_equal(other, drawn)
+
+
+def test_a_credible_set_is_the_fewest_poses_that_hold_so_much(grid):
+    with np.errstate(divide="ignore"):
+        posterior = PosePosterior(grid, np.log([0.5, 0.2, 0.0, 0.2, 0.1, 0.0]))
+    assert posterior.credible_set(0.0).tolist() == [0]
+    assert posterior.credible_set(0.49).tolist() == [0]
+    assert sorted(posterior.credible_set(0.6)) == [0, 1, 3], "of two as probable, both"
+    assert sorted(posterior.credible_set(1.0)) == [0, 1, 3, 4], "but none without any probability"
+
+
+def test_a_pose_is_in_the_credible_sets_from_its_level_on(grid):
+    posterior = PosePosterior(grid, np.random.default_rng(3).normal(size=6))
+    for index in range(6):
+        level = posterior.credible_level(index)
+        assert index in posterior.credible_set(level)
+        assert index not in posterior.credible_set(level - 1e-9)
+        assert posterior.credible_level(index, 0.5) == pytest.approx(level + 0.5 * posterior.probabilities[index])
+
+
+def test_a_tempered_posterior_has_the_powers_of_the_probabilities(grid):
+    with np.errstate(divide="ignore"):
+        posterior = PosePosterior(grid, np.log([0.5, 0.2, 0.0, 0.2, 0.1, 0.0]), touches=3)
+    found = posterior.tempered(0.5)
+    np.testing.assert_allclose(found.probabilities, (root := np.sqrt(posterior.probabilities)) / root.sum())
+    surer = posterior.tempered(2.0).probabilities
+    np.testing.assert_allclose(surer, (square := posterior.probabilities**2) / square.sum())
+    assert found.touches == 3
+    assert found.log_train is None
+    assert found.entropy > posterior.entropy
+
+
+def test_what_a_tempered_posterior_was_learned_from_is_tempered_too(grid):
+    log_train = np.log([1.0, 2, 3, 4, 5, 6])
+    posterior = PosePosterior(grid, np.zeros(6), log_train)
+    np.testing.assert_allclose(posterior.tempered(0.3).log_train, 0.3 * log_train)
+    assert posterior.tempered(1.0) is posterior
+
+
+def test_modes_can_be_those_of_given_poses(box):
+    posterior = PosePosterior(line(box, np.arange(4) * 0.1), np.log([0.4, 0.3, 0.2, 0.1]))
+    assert [m.index for m in posterior.modes(1e-3, None, core=np.array([1, 3]))] == [1, 3]
+
+
+def test_modes_are_the_clusters(box):
+    x_m = np.array([0.0, 1, 2, 50, 51, 90]) * 1e-3
+    weights = np.array([0.1, 0.3, 0.1, 0.15, 0.25, 0.1])
+    modes = PosePosterior(line(box, x_m), np.log(weights)).modes(radius_m=1.5e-3, mass=1.0)
+    assert [m.index for m in modes] == [1, 4, 5]
+    assert [sorted(m.members) for m in modes] == [[0, 1, 2], [3, 4], [5]]
+    np.testing.assert_allclose([m.probability for m in modes], [0.5, 0.4, 0.1])
+    np.testing.assert_allclose(modes[1].T_sensor_object, translation([0.051, 0, 0]))
+
+
+def test_modes_are_ordered_by_their_mass_not_their_peak(box):
+    x_m = np.array([0.0, 50, 51, 52]) * 1e-3
+    modes = PosePosterior(line(box, x_m), np.log([0.34, 0.22, 0.22, 0.22])).modes(radius_m=1.5e-3, mass=1.0)
+    assert [m.index for m in modes] == [1, 0]
+
+
+def test_the_radius_decides_what_hangs_together(box):
+    posterior = PosePosterior(line(box, np.arange(8) * 1e-3), np.zeros(8))
+    assert len(posterior.modes(radius_m=1.1e-3, mass=1.0)) == 1
+    assert len(posterior.modes(radius_m=0.9e-3, mass=1.0)) == 8
+
+
+def test_masses_add_up_and_count_limits_the_modes(box):
+    rng = np.random.default_rng(1)
+    posterior = PosePosterior(line(box, rng.uniform(0, 0.5, 200)), rng.normal(size=200))
+    modes = posterior.modes(radius_m=1e-3, count=1000, mass=1.0)
+    assert sum(m.probability for m in modes) == pytest.approx(1.0)
+    members = np.concatenate([m.members for m in modes])
+    assert sorted(members) == list(range(200)), "every pose is in one mode"
+    p = [m.probability for m in modes]
+    assert p == sorted(p, reverse=True)
+    assert [m.index for m in posterior.modes(1e-3, count=4, mass=1.0)] == [m.index for m in modes[:4]]
+    for mode in modes:
+        assert mode.index == mode.members[posterior.log_p[mode.members].argmax()]
+        assert mode.probability == pytest.approx(posterior.probabilities[mode.members].sum())
+
+
+def test_mass_leaves_the_tail_out(box):
+    weights = np.array([0.9, 0.08, 0.02])
+    posterior = PosePosterior(line(box, np.array([0.0, 0.1, 0.2])), np.log(weights))
+    assert [m.index for m in posterior.modes(1e-3, mass=0.95)] == [0, 1]
+    assert [m.index for m in posterior.modes(1e-3, mass=0.5)] == [0]
+
+
+def test_excluded_poses_make_no_mode(box):
+    log_p = np.array([0.0, -np.inf, 0.0])
+    modes = PosePosterior(line(box, np.array([0.0, 0.1, 0.2])), log_p).modes(1e-3)
+    assert sorted(m.index for m in modes) == [0, 2]
+
+
+@pytest.mark.parametrize(("symmetry", "count"), [("none", 4), ("z2", 2), ("x2*y2", 1)])
+def test_poses_that_look_the_same_are_one_mode(make_box, symmetry, count):
+    turns = make_box(0.03, 0.02, 0.01, symmetry="x2*y2").symmetry.elements()
+    obj = make_box(0.03, 0.02, 0.01, symmetry=symmetry)
+    rng = np.random.default_rng(2)
+    T = make_transform(random_rotations(1, rng), rng.normal(size=(1, 3)) * 0.01)
+    posterior = PosePosterior(PoseGrid(T @ turns, PoseMetric(obj)), np.log([0.4, 0.3, 0.2, 0.1]))
+    modes = posterior.modes(radius_m=1e-3, mass=1.0)
+    assert len(modes) == count
+    assert sum(m.probability for m in modes) == pytest.approx(1.0)
+
+
+def test_turned_parts_are_one_mode_however_they_are_turned(cylinder):
+    T = translation([0.01, 0, 0]) @ cylinder.symmetry.elements(0.3)[[0, 4, 9, 13, 25]]
+    posterior = PosePosterior(PoseGrid(T, PoseMetric(cylinder)), np.zeros(5))
+    (mode,) = posterior.modes(radius_m=1e-3)
+    assert len(mode.members) == 5
+
+
+@pytest.mark.parametrize(
+    "log_train", [np.zeros(2), np.zeros(4), np.array([0.0, -np.inf, 0.0]), np.array([0.0, np.nan, 0.0])]
+)
+def test_a_training_distribution_is_finite_and_one_a_pose(box, log_train):
+    grid = PoseGrid(translation([[0.001 * k, 0, 0] for k in range(3)]), PoseMetric(box))
+    assert PosePosterior(grid, np.zeros(3)).log_train is None
+    with pytest.raises(GridError, match="the training distribution has the shape"):
+        PosePosterior(grid, np.zeros(3), log_train)
+
+
+def test_probabilities_and_what_is_elsewhere_sum_to_one(box):
+    posterior = PosePosterior(line(box, np.arange(4) * 0.01), np.log([0.1, 0.2, 0.3, 0.4]), elsewhere=0.5)
+    assert posterior.probabilities == pytest.approx([0.05, 0.1, 0.15, 0.2])
+    all_five = np.array([0.05, 0.1, 0.15, 0.2, 0.5])
+    assert posterior.entropy == pytest.approx(-(all_five * np.log(all_five)).sum())
+    assert len(posterior.sample(10, np.random.default_rng(0))) == 10
+    assert posterior.credible_set(0.4).tolist() == [3, 2, 1]
+    assert posterior.tempered(0.5).elsewhere == 0.5
+
+
+@pytest.mark.parametrize("elsewhere", [-0.1, 1.0, float("nan")])
+def test_an_impossible_share_elsewhere_is_refused(box, elsewhere):
+    with pytest.raises(GridError, match="other poses"):
+        PosePosterior(line(box, np.arange(2) * 0.01), np.zeros(2), elsewhere=elsewhere)

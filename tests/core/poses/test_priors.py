@@ -1,0 +1,214 @@
+"""Priors equal their formulas, in every frame, and regard symmetry."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.geometry.rigid import (
+    invert,
+    make_transform,
+    random_rotations,
+    rotation_about,
+    rotation_angle,
+    translation,
+)
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.poses.priors import (
+    GaussianPrior,
+    PosteriorPrior,
+    ProductPrior,
+    RegionPrior,
+    SeenFrom,
+    tempered,
+    touches_behind,
+)
+
+
+def random_poses(count: int, seed: int, spread_m: float = 0.01) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return make_transform(random_rotations(count, rng), rng.normal(scale=spread_m, size=(count, 3)))
+
+
+def posterior_of(obj, count: int = 80, seed: int = 0) -> PosePosterior:
+    grid = PoseGrid(random_poses(count, seed), PoseMetric(obj))
+    return PosePosterior(grid, np.random.default_rng(seed + 1).normal(scale=3.0, size=count))
+
+
+class TestGaussian:
+    def test_it_is_the_formula(self):
+        T, poses = random_poses(1, 0)[0], random_poses(50, 1)
+        moved_m = np.linalg.norm(poses[:, :3, 3] - T[:3, 3], axis=1)
+        angle_rad = rotation_angle(T[:3, :3].T @ poses[:, :3, :3])
+        expected = -(moved_m**2) / (2 * 0.004**2) - angle_rad**2 / (2 * 0.2**2)
+        np.testing.assert_allclose(GaussianPrior(T, 0.004, 0.2)(poses), expected, rtol=1e-9)
+
+    def test_one_deviation_away_is_e_to_the_minus_a_half(self):
+        T = random_poses(1, 2)[0]
+        turned = T @ make_transform(rotation_about([1, 2, 3], 0.2), np.zeros(3))
+        poses = np.stack([T, translation([0, 0.004, 0]) @ T, turned])
+        np.testing.assert_allclose(GaussianPrior(T, 0.004, 0.2)(poses), [0, -0.5, -0.5], atol=1e-9)
+
+    def test_what_is_unknown_does_not_count(self):
+        T = random_poses(1, 3)[0]
+        turned = T @ make_transform(random_rotations(9, np.random.default_rng(0)), np.zeros(3))
+        np.testing.assert_allclose(GaussianPrior(T, 0.004, np.inf)(turned), 0, atol=1e-12)
+
+    @pytest.mark.parametrize("symmetry", ["none", "z2", "x2*y2"])
+    def test_it_takes_the_nearest_of_equivalent_poses(self, make_box, symmetry):
+        obj = make_box(0.03, 0.02, 0.01, symmetry=symmetry)
+        T, poses = random_poses(1, 4)[0], random_poses(40, 5)
+        same = poses[None] @ obj.symmetry.elements()[:, None]
+        expected = np.max([GaussianPrior(T, 0.01, 0.5)(p) for p in same], axis=0)
+        np.testing.assert_allclose(GaussianPrior(T, 0.01, 0.5, obj.symmetry)(poses), expected, atol=1e-9)
+
+    def test_a_turn_about_a_continuous_axis_costs_nothing(self, cylinder):
+        T, poses = random_poses(1, 6)[0], random_poses(40, 7)
+        prior = GaussianPrior(T, 0.01, 0.5, cylinder.symmetry)
+        for S in cylinder.symmetry.elements(0.7):
+            np.testing.assert_allclose(prior(poses @ S), prior(poses), atol=1e-7)
+            assert prior((T @ S)[None]) == pytest.approx(0, abs=1e-9)
+        finely = cylinder.symmetry.elements(0.01)
+        expected = np.max([GaussianPrior(T, 0.01, 0.5)(poses @ S) for S in finely], axis=0)
+        np.testing.assert_allclose(prior(poses), expected, atol=1e-3)
+
+    @pytest.mark.parametrize(
+        "change", [{"translation_std_m": 0.0}, {"rotation_std_rad": -1.0}, {"T": np.zeros((4, 4))}]
+    )
+    def test_nonsense_is_refused(self, change):
+        with pytest.raises(ConfigError, match="Gaussian prior"):
+            GaussianPrior(**{"T": np.eye(4), "translation_std_m": 0.01, "rotation_std_rad": 0.1, **change})
+
+
+class TestRegion:
+    def test_a_half_space_is_the_sign_of_the_distance(self):
+        poses, normal, border = random_poses(60, 8), np.array([1.0, -2.0, 0.5]), np.array([0.001, 0.002, -0.003])
+        point = np.array([0.004, 0.0, 0.001])
+        where = poses[:, :3, :3] @ point + poses[:, :3, 3]
+        side = (where - border) @ normal > 0
+        assert 10 < side.sum() < 50
+        found = RegionPrior.half_space(normal, border, point)(poses)
+        assert np.array_equal(found, np.where(side, 0.0, -np.inf))
+
+    def test_a_box_may_be_open(self):
+        poses = translation([[0, 0, 0], [0.002, 5, 0], [0.004, 0, 0], [0.002, 0, -0.1]])
+        prior = RegionPrior([0.001, -np.inf, -0.01], [0.003, np.inf, np.inf], np.zeros(3))
+        assert prior(poses).tolist() == [-np.inf, 0, -np.inf, -np.inf]
+
+    def test_nonsense_is_refused(self):
+        with pytest.raises(ConfigError, match="empty"):
+            RegionPrior(np.ones(3), np.zeros(3), np.zeros(3))
+        with pytest.raises(ConfigError, match="no direction"):
+            RegionPrior.half_space(np.zeros(3), np.zeros(3), np.zeros(3))
+        with pytest.raises(ConfigError, match="three numbers"):
+            RegionPrior(np.zeros(2), np.ones(3), np.zeros(3))
+
+
+class TestFrames:
+    def test_a_prior_in_the_base_frame_moves_with_the_sensor(self):
+        T_base_sensor, T_base_object = random_poses(2, 9)
+        prior = GaussianPrior(T_base_object, 0.01, 0.5).seen_from(T_base_sensor)
+        T_sensor_object = invert(T_base_sensor) @ T_base_object
+        poses = random_poses(20, 10)
+        np.testing.assert_allclose(prior(poses), GaussianPrior(T_sensor_object, 0.01, 0.5)(poses), atol=1e-9)
+        with pytest.raises(ConfigError, match="T_base_sensor"):
+            SeenFrom(prior, 2 * np.eye(4))
+
+    def test_a_product_is_the_sum_of_logarithms(self):
+        one, poses = GaussianPrior(np.eye(4), 0.01, 0.5), random_poses(20, 11)
+        other = RegionPrior.half_space([0, 0, 1], np.zeros(3), np.zeros(3))
+        np.testing.assert_array_equal((one * other)(poses), one(poses) + other(poses))
+        assert ProductPrior(())(poses).tolist() == [0.0] * 20
+
+
+class TestPosterior:
+    @pytest.mark.parametrize("symmetry", ["none", "z2"])
+    def test_it_is_the_formula(self, make_box, symmetry):
+        earlier = posterior_of(make_box(0.03, 0.02, 0.01, symmetry=symmetry))
+        motion, poses = random_poses(1, 12)[0], random_poses(30, 13)
+        d = _distances(earlier.grid.metric, poses, motion @ earlier.grid.T_sensor_object)
+        std_m = 0.02
+        kernels = earlier.probabilities * np.exp(-(d**2) / (2 * std_m**2))
+        expected = np.log(0.9 * kernels.sum(axis=1) + 0.1 / len(earlier.grid))
+        found = PosteriorPrior(earlier, motion, std_m, floor=0.1)(poses)
+        np.testing.assert_allclose(found, expected, atol=1e-4)  # but for the forgotten millionth
+
+    def test_a_known_motion_finds_the_moved_pose(self, box):
+        earlier = posterior_of(box)
+        best, motion = int(earlier.log_p.argmax()), random_poses(1, 14)[0]
+        here = motion @ earlier.grid.T_sensor_object
+        assert PosteriorPrior(earlier, motion)(here).argmax() == best
+        unmoved = PosteriorPrior(earlier, np.eye(4))(here)
+        assert unmoved[best] < PosteriorPrior(earlier, motion)(here)[best] - 3
+
+    def test_turned_parts_are_found_however_they_are_turned(self, cylinder):
+        earlier = posterior_of(cylinder)
+        prior, T = PosteriorPrior(earlier, np.eye(4), 0.004), earlier.grid.T_sensor_object
+        np.testing.assert_allclose(prior(T @ cylinder.symmetry.elements(0.3)[5]), prior(T), atol=1e-6)
+
+    def test_far_away_there_is_the_floor_or_nothing(self, box):
+        earlier = posterior_of(box)
+        far = translation([1.0, 0, 0])[None]
+        assert PosteriorPrior(earlier, np.eye(4), 0.001, floor=0.1)(far) == pytest.approx(np.log(0.1 / 80))
+        assert PosteriorPrior(earlier, np.eye(4), 0.001, floor=0.0)(far)[0] == -np.inf
+
+    def test_more_uncertainty_is_flatter(self, box):
+        earlier = posterior_of(box)
+        T = earlier.grid.T_sensor_object
+        sharp, flat = (np.ptp(PosteriorPrior(earlier, np.eye(4), std_m, 0.0)(T)) for std_m in (0.005, 0.05))
+        assert flat < 0.2 * sharp
+
+    def test_beside_touches_only_what_touches_told_is_tempered(self, box):
+        earlier = dataclasses.replace(posterior_of(box), touches=3)
+        prior, vision = PosteriorPrior(earlier, np.eye(4)), GaussianPrior(np.eye(4), 0.01, 0.5)
+        both = (prior * vision).seen_from(random_poses(1, 15)[0])
+        asked = []
+        found = tempered(both, lambda touches: asked.append(touches) or 0.25)
+        T = random_poses(20, 16)
+        there = both.T_base_sensor @ T
+        np.testing.assert_allclose(found(T), 0.25 * prior(there) + vision(there))
+        assert asked == [touches_behind(both)] == [3]
+        assert tempered(len, lambda _: 0.25) is len
+        assert touches_behind(len) == touches_behind(None) == touches_behind(vision) == 0
+
+    def test_two_grids_do_not_miss_one_another(self, box):
+        """A motion without uncertainty, and a grid half a spacing off."""
+        x = np.stack(np.meshgrid(np.arange(5), np.arange(5), [0]), -1).reshape(-1, 3) * 0.004
+        metric = PoseMetric(box)
+        earlier = PosePosterior(PoseGrid(translation(x), metric), np.where(np.arange(25) == 12, 0.0, -40.0))
+        prior = PosteriorPrior(earlier, np.eye(4))(translation(x + np.array([0.002, 0, 0])))
+        assert set(np.flatnonzero(prior > prior.max() - 1e-9)) == {11, 12}
+        assert prior.max() - prior.min() > 4
+
+    @pytest.mark.parametrize(
+        "change", [{"std_m": -1.0}, {"std_m": np.inf}, {"floor": 1.0}, {"T_new_old": np.ones((4, 4))}]
+    )
+    def test_nonsense_is_refused(self, box, change):
+        with pytest.raises(ConfigError, match="posterior prior"):
+            PosteriorPrior(**{"posterior": posterior_of(box), "T_new_old": np.eye(4), **change})
+
+
+def _distances(metric: PoseMetric, T1: np.ndarray, T2: np.ndarray) -> np.ndarray:
+    """Distances (M, N) up to symmetry, one pair after another."""
+    return np.array([[metric.symmetric_distance(a[None], b[None])[0] for b in T2] for a in T1])
+
+
+def test_what_an_earlier_posterior_left_elsewhere_is_anywhere(box):
+    grid = PoseGrid(np.stack([translation([x, 0, 0]) for x in (0.0, 0.01)]), PoseMetric(box))
+    far = translation([0.1, 0, 0])[None]
+    sure, doubtful = (PosteriorPrior(PosePosterior(grid, np.zeros(2), elsewhere=e), np.eye(4)) for e in (0.0, 0.4))
+    assert np.exp(sure(far)) == pytest.approx(1e-3 / 2)
+    assert np.exp(doubtful(far)) == pytest.approx((1e-3 + 0.999 * 0.4) / 2)
+
+
+@pytest.mark.parametrize("std_m", [1e-300, 1e300])
+def test_a_gaussian_of_any_width_has_weights(std_m):
+    prior = GaussianPrior(np.eye(4), std_m, 1.0)
+    away = make_transform(np.eye(3), [0.1, 0, 0])
+    weights = prior(np.stack([np.eye(4), away]))
+    assert weights[0] == 0
+    assert weights[1] == (-np.inf if std_m < 1 else 0)

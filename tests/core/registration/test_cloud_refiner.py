@@ -1,0 +1,122 @@
+"""What all refiners by registration share, tried on one whose registration is given."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.geometry.rigid import translation
+from tactile_loc.core.registration.cloud_refiner import CloudRefiner, Registration, orthonormal
+from tactile_loc.core.slots.registry import registry
+from tactile_loc.testing.problems import OFFSETS, pressed_block, with_depth
+
+
+class Given(CloudRefiner):
+    """Returns a registration that was decided before, and remembers the clouds."""
+
+    answer = Registration()
+
+    def register(self, source, target):
+        self.source, self.target = source, target
+        return self.answer
+
+
+def answering(T_mm, converged=True) -> Given:
+    refiner = Given()
+    refiner.answer = Registration(T_mm, converged, 3)
+    return refiner
+
+
+def test_the_transform_moves_the_candidate_in_the_sensors_frame():
+    problem = pressed_block()
+    candidate = problem.candidate((0.0008, 0.0, 0.3))
+    result = answering(translation([-0.8, 0.0, 0.0])).refine(problem.touch, candidate, problem.scene)
+    expected = translation([-0.0008, 0.0, 0.0]) @ candidate.T_sensor_object
+    np.testing.assert_allclose(result.T_sensor_object, expected, atol=1e-12)
+    assert (result.converged, result.iterations) == (True, 3)
+
+
+def test_a_registration_that_explains_less_is_not_returned():
+    problem = pressed_block()
+    candidate = problem.candidate(OFFSETS[0])
+    result = answering(translation([5.0, 0.0, 0.0])).refine(problem.touch, candidate, problem.scene)
+    np.testing.assert_array_equal(result.T_sensor_object, candidate.T_sensor_object)
+    assert (result.converged, result.iterations) == (False, 3)
+
+
+def test_without_a_registration_the_candidate_stays():
+    problem = pressed_block()
+    candidate = problem.candidate(OFFSETS[0])
+    result = answering(None, converged=False).refine(problem.touch, candidate, problem.scene)
+    np.testing.assert_array_equal(result.T_sensor_object, candidate.T_sensor_object)
+    assert not result.converged
+
+
+def test_what_does_not_overlap_has_not_converged():
+    problem = pressed_block()
+    away = dataclasses.replace(problem.candidate(), T_sensor_object=translation([0.2, 0, 0]) @ problem.truth)
+    result = answering(np.eye(4)).refine(problem.touch, away, problem.scene)
+    assert (result.contact_iou, result.converged) == (0.0, False)
+
+
+def test_clouds_are_in_mm_and_know_their_spacing():
+    problem = pressed_block()
+    refiner = answering(np.eye(4))
+    refiner.refine(problem.touch, problem.candidate(), problem.scene)
+    standoff_mm = 1e3 * problem.touch.geometry.standoff_m
+    assert refiner.target.points_mm[:, 2].min() == pytest.approx(standoff_mm, abs=0.01)
+    assert refiner.target.spacing_mm == pytest.approx(0.4)  # pixels of 0.4 mm, none left out
+    np.testing.assert_allclose(np.linalg.norm(refiner.source.normals, axis=1), 1.0)
+
+
+def test_clouds_are_thinned_to_about_what_is_asked():
+    problem = pressed_block()
+    refiner = Given(Given.Options(moving_points=100, fixed_points=200))
+    refiner.refine(problem.touch, problem.candidate(), problem.scene)
+    assert 65 < len(refiner.source) < 150
+    assert 130 < len(refiner.target) < 300
+    assert refiner.source.spacing_mm > refiner.target.spacing_mm > 0.4
+
+
+@pytest.mark.parametrize("pixels", [1, 2])
+def test_a_touch_of_hardly_a_point_is_not_registered(pixels):
+    problem = pressed_block()
+    depth = np.full(problem.touch.geometry.shape, problem.touch.press_depth_m, np.float32)
+    depth[30, 30 : 30 + pixels] = 0.0
+    refiner = Given(Given.Options(walls=False))
+    result = refiner.refine(with_depth(problem.touch, depth), problem.candidate(), problem.scene)
+    assert not hasattr(refiner, "source")
+    assert not result.converged
+
+
+def test_each_candidate_gets_its_own_registration():
+    """One of several has no contact, and is left out of what is registered."""
+
+    class Numbering(Given):
+        def register_many(self, sources, target):
+            return [Registration(translation([0.01 * i, 0.0, 0.0]), True, i) for i in range(len(sources))]
+
+    problem = pressed_block()
+    away = dataclasses.replace(problem.candidate(), T_sensor_object=translation([0.2, 0, 0]) @ problem.truth)
+    candidates = [problem.candidate(), away, problem.candidate()]
+    many = Numbering().refine_many(problem.touch, candidates, problem.scene)
+    assert [result.iterations for result in many] == [0, 0, 1]
+    assert [result.converged for result in many] == [True, False, True]
+    np.testing.assert_allclose(many[2].T_sensor_object, translation([1e-5, 0, 0]) @ problem.truth, atol=1e-9)
+
+
+def test_orthonormal_clears_rounding():
+    T = np.round(pressed_block().truth, 3)
+    cleared = orthonormal(T)
+    np.testing.assert_allclose(cleared[:3, :3] @ cleared[:3, :3].T, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(cleared, T, atol=1e-3)
+    assert np.linalg.det(cleared[:3, :3]) > 0
+
+
+@pytest.mark.parametrize("name", ["icp", "filterreg", "kiss-icp"])
+def test_unknown_options_are_refused(name):
+    with pytest.raises(ConfigError, match="reach"):
+        registry().create("refiner", name, {"reach": 3})

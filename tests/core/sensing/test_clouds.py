@@ -1,0 +1,176 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_loc.core.geometry.rigid import translation
+from tactile_loc.core.sensing.clouds import contact_cloud
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape, contact_depth
+from tactile_loc.plugins.renderers.raycast import RaycastRenderer
+
+RADIUS_M = 0.008
+CAMERAS = {
+    "pinhole": SensorGeometry("pinhole", 90, 70, 82.0, 80.0, 41.0, 36.5, 0.021, 0.002),
+    "orthographic": SensorGeometry("orthographic", 90, 70, 4000.0, 3900.0, 41.0, 36.5, 0.021, 0.002),
+}
+
+
+@pytest.fixture(params=list(CAMERAS))
+def camera(request: pytest.FixtureRequest) -> SensorGeometry:
+    return CAMERAS[request.param]
+
+
+def square(geometry: SensorGeometry, low: int, high: int, press_m: float = 0.002) -> ContactShape:
+    """Flat contact at depth 0 on rows and columns low ... high - 1, nothing elsewhere."""
+    depth = np.full(geometry.shape, press_m, np.float32)
+    depth[low:high, low:high] = 0.0
+    return ContactShape(depth, press_m)
+
+
+def test_a_balls_cloud_lies_on_the_ball_and_its_normals_point_out_of_it(camera, make_object):
+    ball = make_object(trimesh.creation.icosphere(6, RADIUS_M)).mesh
+    centre = np.array([0.001, -0.002, camera.standoff_m + RADIUS_M])
+    depth = contact_depth(
+        RaycastRenderer().render(ball, translation(centre)[None], camera), camera, camera.max_depth_m
+    )[0]
+    shape = ContactShape(depth, camera.max_depth_m)
+    points, normals = contact_cloud(shape, camera, walls=False)
+    assert len(points) == len(normals) == shape.contact.sum() > 500
+    radial = (points - centre) / RADIUS_M
+    np.testing.assert_allclose(np.linalg.norm(radial, axis=1), 1.0, atol=2e-3)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-9)
+    alike = np.einsum("pk,pk->p", normals, radial)
+    assert np.median(alike) > 0.9995
+    assert alike.min() > 0.95, "at the rim a difference is one-sided"
+    assert (normals[:, 2] < 0).all()
+
+
+def test_a_balls_gentle_rim_has_no_walls(camera, make_object):
+    ball = make_object(trimesh.creation.icosphere(6, RADIUS_M)).mesh
+    T = translation([0, 0, camera.standoff_m + RADIUS_M])[None]
+    shape = ContactShape(contact_depth(RaycastRenderer().render(ball, T, camera), camera, 0.0005)[0], 0.0005)
+    assert len(contact_cloud(shape, camera)[0]) == shape.contact.sum()
+
+
+def walls_of(shape: ContactShape, camera: SensorGeometry) -> tuple[np.ndarray, np.ndarray]:
+    """The points (P, 3) and normals (P, 3) that walls add to the surface's."""
+    flat, _ = contact_cloud(shape, camera, walls=False)
+    points, normals = contact_cloud(shape, camera)
+    np.testing.assert_array_equal(points[: len(flat)], flat)
+    return points[len(flat) :], normals[len(flat) :]
+
+
+def test_a_flat_square_faces_the_sensor(camera):
+    points, normals = contact_cloud(square(camera, 20, 50), camera, walls=False)
+    assert len(points) == 900
+    np.testing.assert_allclose(normals, np.broadcast_to([0, 0, -1.0], points.shape), atol=1e-9)
+
+
+def test_a_flat_square_has_walls_on_its_outline_with_lateral_normals(camera):
+    walls, normals = walls_of(square(camera, 20, 50), camera)
+    pitch = camera.pixel_pitch_m
+    levels = int(camera.max_depth_m / pitch)
+    assert len(walls) == 4 * 30 * levels
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+    assert not normals[:, 2].any()
+    sx, sy = camera.scale_at_surface
+    sides = [
+        (0, -1, (20 - camera.cx) / sx),
+        (0, 1, (50 - camera.cx) / sx),
+        (1, -1, (20 - camera.cy) / sy),
+        (1, 1, (50 - camera.cy) / sy),
+    ]
+    for axis, sign, where in sides:
+        outward = sign * normals[:, axis] > 0.99
+        assert outward.sum() > 20 * levels, "most of a side; its ends may turn the corner"
+        np.testing.assert_allclose(walls[outward][:, axis], where, atol=0.05 * pitch)
+    z = np.unique(walls[:, 2].round(9)) - camera.standoff_m
+    np.testing.assert_allclose(z, pitch * np.arange(1, levels + 1), atol=1e-9)
+
+
+def test_walls_face_away_from_what_they_bound(camera):
+    """A step along the normal leaves contact, a step against it stays in."""
+    x, y = np.meshgrid(np.arange(90) - 45.0, np.arange(70) - 35.0)
+    for inside in (np.hypot(x, y) < 22, np.hypot(x, y) > 22, np.abs(x * np.cos(0.4) + y * np.sin(0.4)) < 8):
+        shape = ContactShape(np.where(inside, 0.0, 0.002).astype(np.float32), 0.002)
+        points, normals = walls_of(shape, camera)
+        sx, sy = camera.scale_at_surface
+        for sign, expected in ((1, False), (-1, True)):
+            at = points[:, :2] * [sx, sy] + [camera.cx, camera.cy] + 2.5 * sign * normals[:, :2]
+            columns, rows = np.clip(np.floor(at).astype(int), 0, [89, 69]).T
+            assert (inside[rows, columns] == expected).mean() > 0.97
+
+
+@pytest.mark.parametrize("degrees", [0, 20, 45, 70])
+def test_walls_of_an_oblique_edge_have_its_direction(degrees):
+    camera = SensorGeometry("orthographic", 90, 70, 4000.0, 4000.0, 41.0, 36.5, 0.021, 0.002)
+    direction = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
+    x, y = np.meshgrid(np.arange(90) - 44.8, np.arange(70) - 34.6)
+    shape = ContactShape(np.where(x * direction[0] + y * direction[1] < 0, 0.0, 0.002).astype(np.float32), 0.002)
+    points, normals = walls_of(shape, camera)
+    middle = (np.abs(points[:, 0]) < 0.008) & (np.abs(points[:, 1]) < 0.006)
+    assert np.degrees(np.arccos(normals[middle, :2] @ direction)).mean() < 10.0, "pixels' own sides are 20 and more off"
+
+
+def test_a_line_one_pixel_wide_has_walls_on_both_sides(camera):
+    depth = np.full(camera.shape, 0.002, np.float32)
+    depth[20:50, 40] = 0.0
+    _, normals = walls_of(ContactShape(depth, 0.002), camera)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+    assert (normals[:, 0] > 0.9).sum() == (normals[:, 0] < -0.9).sum() > 100
+
+
+def test_a_square_in_the_corner_has_no_walls_at_the_sensors_border(camera):
+    points, normals = walls_of(square(camera, 0, 30), camera)
+    assert len(points) > 0
+    assert (normals[:, :2] > -0.2).all(), "only the sides towards the middle end in a wall"
+    sx, sy = camera.scale_at_surface
+    at = np.column_stack([points[:, 0] * sx + camera.cx, points[:, 1] * sy + camera.cy])
+    np.testing.assert_allclose(at.max(axis=1), 30.0, atol=0.1)
+
+
+def test_masked_pixels_have_no_points_and_their_border_no_walls(camera):
+    observed = np.ones(camera.shape, bool)
+    observed[:, 35:] = False
+    masked = dataclasses.replace(camera, observed=observed)
+    assert len(contact_cloud(square(camera, 20, 50), masked, walls=False)[0]) == 30 * 15
+    points, normals = walls_of(square(camera, 20, 50), masked)
+    assert len(points) == (30 + 2 * 15) * int(camera.max_depth_m / camera.pixel_pitch_m)
+    assert points[:, 0].max() < (35 - camera.cx) / camera.scale_at_surface[0]
+    assert normals[:, 0].max() < 0.3
+
+
+def test_a_deeper_step_is_not_a_wall_unless_contact_ends_there(camera):
+    shape = square(camera, 20, 50)
+    shape.depth_m[30:40, 30:40] = 0.001
+    points, _ = contact_cloud(shape, camera)
+    assert len(points) == len(contact_cloud(square(camera, 20, 50), camera)[0])
+
+
+def test_no_contact_is_an_empty_cloud(camera):
+    for walls in (False, True):
+        points, normals = contact_cloud(square(camera, 0, 0), camera, walls)
+        assert points.shape == normals.shape == (0, 3)
+
+
+def test_a_lone_pixel_faces_the_sensor(camera):
+    points, normals = contact_cloud(square(camera, 30, 31), camera, walls=False)
+    sx, sy = camera.scale_at_surface
+    np.testing.assert_allclose(
+        points, [[(30.5 - camera.cx) / sx, (30.5 - camera.cy) / sy, camera.standoff_m]], atol=1e-9
+    )
+    np.testing.assert_allclose(normals, [[0, 0, -1]])
+
+
+def test_metres_and_millimetres_agree():
+    """Points and walls scale with the unit: nothing in the cloud knows how long a metre is."""
+    metres = CAMERAS["orthographic"]
+    milli = dataclasses.replace(metres, fx=metres.fx / 1e3, fy=metres.fy / 1e3, standoff_m=21.0, max_depth_m=2.0)
+    small, large = square(metres, 20, 50, 0.002), square(milli, 20, 50, 2.0)
+    (p, n), (q, m) = contact_cloud(small, metres), contact_cloud(large, milli)
+    np.testing.assert_allclose(1e3 * p, q, rtol=1e-5)
+    np.testing.assert_allclose(n, m, atol=1e-6)

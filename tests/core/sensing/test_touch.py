@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape, Touch, contact_depth, contact_shape_from_array
+
+MM = 1e-3
+PINHOLE = SensorGeometry("pinhole", 8, 6, fx=40.0, fy=50.0, cx=3.7, cy=3.1, standoff_m=20 * MM, max_depth_m=2 * MM)
+
+
+def slope() -> np.ndarray:
+    """A contact shape that rises to the right from 0 and leaves contact in the last columns."""
+    row = np.linspace(0.0, 1.2 * PINHOLE.max_depth_m, PINHOLE.width_px)
+    return np.tile(row, (PINHOLE.height_px, 1))
+
+
+def test_contact_depth_is_clipped_between_the_surface_and_the_press_depth() -> None:
+    z = np.array([[19.0, 20.0, 20.5, 21.5, 25.0, np.inf]]) * MM
+    depth = contact_depth(z, PINHOLE, 1 * MM)
+    assert depth.dtype == np.float32
+    np.testing.assert_allclose(depth, np.array([[0.0, 0.0, 0.5, 1.0, 1.0, 1.0]]) * MM, atol=5e-9)
+    np.testing.assert_array_equal(ContactShape(depth, 1 * MM).contact, [[True, True, True, False, False, False]])
+
+
+def test_a_lighter_press_cuts_the_same_depths() -> None:
+    shape = ContactShape(np.array([[0.0, 0.4, 0.8, 2.0]], np.float32) * np.float32(MM), 2 * MM)
+    light = shape.pressed_to(0.5 * MM)
+    assert light.press_depth_m == 0.5 * MM
+    np.testing.assert_allclose(light.depth_m, np.array([[0.0, 0.4, 0.5, 0.5]]) * MM, rtol=1e-6)
+    np.testing.assert_array_equal(light.contact, [[True, True, False, False]])
+
+
+def test_a_shape_cannot_be_pressed_deeper_afterwards() -> None:
+    shape = ContactShape(np.array([[0.0, 0.5]], np.float32) * np.float32(MM), 0.5 * MM)
+    same = shape.pressed_to(2 * MM)
+    assert same.press_depth_m == 0.5 * MM
+    np.testing.assert_array_equal(same.contact, shape.contact)
+
+
+@pytest.mark.parametrize("marker", [np.nan, np.inf, 2 * MM, 50 * MM])
+def test_the_press_depth_is_the_deepest_step_in_contact(marker: float) -> None:
+    shape = contact_shape_from_array([[0.0, 0.7 * MM, 1.3 * MM, marker]], 2 * MM)
+    assert shape.press_depth_m == pytest.approx(1.3 * MM, rel=1e-3)
+    np.testing.assert_array_equal(shape.contact, [[True, True, True, False]])
+    np.testing.assert_allclose(shape.depth_m, np.array([[0.0, 0.7, 1.3, 1.3]]) * MM, rtol=1e-3)
+
+
+def test_a_flat_imprint_counts_as_a_quarter_of_the_range() -> None:
+    shape = contact_shape_from_array([[0.0, 0.01 * MM, np.nan]], 2 * MM)
+    assert shape.press_depth_m == pytest.approx(0.5 * MM)
+    np.testing.assert_array_equal(shape.contact, [[True, True, False]])
+
+
+def test_without_a_mark_the_shape_is_cut_at_its_largest_depth() -> None:
+    shape = contact_shape_from_array([[0.0, 0.7 * MM, 1.5 * MM, 1.5 * MM]], 2 * MM)
+    assert shape.press_depth_m == pytest.approx(1.5 * MM)
+    np.testing.assert_array_equal(shape.contact, [[True, True, False, False]])
+
+
+def test_a_given_press_depth_is_believed() -> None:
+    shape = contact_shape_from_array([[0.0, 0.7 * MM, 1.3 * MM, np.nan]], 2 * MM, press_depth_m=1 * MM)
+    assert shape.press_depth_m == 1 * MM
+    np.testing.assert_array_equal(shape.contact, [[True, True, False, False]])
+
+
+def test_rounding_makes_no_contact() -> None:
+    nearly = np.array([[0.0, 1.0 * (1 - 1e-7) * MM]])
+    np.testing.assert_array_equal(contact_shape_from_array(nearly, 2 * MM, 1 * MM).contact, [[True, False]])
+
+
+@pytest.mark.parametrize(
+    ("values", "press_depth_m", "words"),
+    [
+        (np.zeros((2, 3, 3)), None, "shape"),
+        (np.zeros((0, 3)), None, "shape"),
+        (np.zeros((2, 3), bool), None, "bool"),
+        (np.array([["a", "b"]]), None, "type"),
+        ([[-0.1 * MM, 1 * MM]], None, "negative"),
+        ([[0.1, 1.5]], None, "unit"),
+        ([[0.0, 1 * MM]], 3 * MM, "press depth"),
+        ([[0.0, 1 * MM]], 0.0, "press depth"),
+        ([[0.0, 1 * MM]], float("nan"), "press depth"),
+    ],
+)
+def test_bad_arrays_are_refused(values: object, press_depth_m: float | None, words: str) -> None:
+    with pytest.raises(TouchError, match=words):
+        contact_shape_from_array(values, 2 * MM, press_depth_m)
+
+
+@pytest.mark.parametrize("name", ["T_base_sensor", "T_sensor_object"])
+@pytest.mark.parametrize("T", [np.diag([-1.0, 1, 1, 1]), 2 * np.eye(4), np.eye(3), np.full((4, 4), np.nan)])
+def test_a_touch_is_refused_at_poses_that_are_none(name: str, T: np.ndarray) -> None:
+    shape = ContactShape(np.full(PINHOLE.shape, 2 * MM, np.float32), 2 * MM)
+    shape.depth_m[2:4, 2:5] = 0
+    with pytest.raises(TouchError, match=f"{name} of press 3 is no rigid transform.*no reflection"):
+        Touch(shape, PINHOLE, "press 3", **{name: T})
+
+
+def test_a_touch_must_fit_its_sensor() -> None:
+    shape = contact_shape_from_array(slope(), 2 * MM)
+    assert Touch(shape, PINHOLE).press_depth_m == shape.press_depth_m
+    with pytest.raises(TouchError, match=r"6 x 8 pixels.*12 x 16"):
+        Touch(shape, PINHOLE.resized(16, 12))
+
+
+def test_contact_must_be_seen_where_the_sensor_observes() -> None:
+    shape = contact_shape_from_array(slope(), 2 * MM)
+    blind = np.zeros((6, 8), bool)
+    blind[:, -1] = True
+    with pytest.raises(TouchError, match="no contact"):
+        Touch(shape, dataclasses.replace(PINHOLE, observed=blind))
+
+
+def test_nothing_but_flat_contact_is_refused() -> None:
+    with pytest.raises(TouchError, match="nothing but contact"):
+        Touch(contact_shape_from_array(np.zeros((6, 8)), 2 * MM), PINHOLE)
+    tilted = np.tile(np.linspace(0, 1 * MM, 8), (6, 1))
+    assert Touch(contact_shape_from_array(tilted, 2 * MM, 1.5 * MM), PINHOLE).contact_shape.contact.all()

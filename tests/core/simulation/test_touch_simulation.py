@@ -1,0 +1,176 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_loc.core.errors import TouchError
+from tactile_loc.core.geometry.rigid import is_rigid
+from tactile_loc.core.simulation import touch_simulation as simulation
+from tactile_loc.core.simulation.noise import NOISE, TouchNoise
+from tactile_loc.core.simulation.touch_simulation import draw_touches, simulate_touches
+from tactile_loc.plugins.grids.face import FaceGrid
+
+
+@pytest.fixture
+def sampler() -> FaceGrid:
+    return FaceGrid(FaceGrid.Options(face="+z"))
+
+
+def test_touches_are_what_their_true_poses_look_like(make_scene, pinhole, box, sampler):
+    scene = make_scene(box, pinhole)
+    touches = simulate_touches(sampler, scene, 5, np.random.default_rng(0), 0.001)
+    assert len(touches) == 5
+    assert len({t.name for t in touches}) == 5
+    for touch in touches:
+        assert touch.press_depth_m == touch.indentation_m == 0.001
+        assert touch.geometry.surface_m == pinhole.standoff_m
+        assert is_rigid(touch.T_sensor_object)
+        again = scene.contact_shape(touch.T_sensor_object, 0.001).depth_m
+        np.testing.assert_allclose(touch.contact_shape.depth_m, again, atol=1e-6)
+        in_contact, touching = scene.pressed(0.001).in_contact(touch.T_sensor_object[None])
+        assert touching.all()
+        np.testing.assert_allclose(in_contact[0], touch.T_sensor_object, atol=1e-12)
+
+
+def test_the_deepest_press_is_the_default(make_scene, pinhole, box, sampler):
+    (touch,) = simulate_touches(sampler, make_scene(box, pinhole), 1, np.random.default_rng(1))
+    assert touch.press_depth_m == pinhole.max_depth_m
+
+
+def test_the_same_seed_makes_the_same_touches(make_scene, pinhole, box, sampler):
+    a, b, c = (
+        simulate_touches(sampler, make_scene(box, pinhole), 3, np.random.default_rng(seed)) for seed in (2, 2, 3)
+    )
+    for x, y, z in zip(a, b, c, strict=True):
+        assert np.array_equal(x.contact_shape.depth_m, y.contact_shape.depth_m)
+        assert not np.allclose(x.T_sensor_object, z.T_sensor_object)
+
+
+@pytest.mark.parametrize("press_m", [0.0, -0.001, 0.0021, float("nan")])
+def test_a_press_beyond_the_sensors_range_is_refused(make_scene, pinhole, box, sampler, press_m):
+    with pytest.raises(TouchError, match="outside the sensor's range of 0 to 2 mm"):
+        simulate_touches(sampler, make_scene(box, pinhole), 1, np.random.default_rng(0), press_m)
+
+
+def test_imprints_of_a_face_that_covers_the_sensor_are_no_touches(make_scene, flat_camera, make_box, sampler):
+    """They fit any flat face; what comes has an edge in view."""
+    scene = make_scene(make_box(0.08, 0.06, 0.01), flat_camera)
+    for touch in simulate_touches(sampler, scene, 10, np.random.default_rng(4)):
+        contact = touch.contact_shape.contact
+        assert 0 < contact.mean() < 1
+
+
+def test_presses_that_are_no_touches_are_counted(make_scene, flat_camera, make_box, sampler):
+    """Of a face that covers the sensor at most places; a small one is a touch wherever it is."""
+    large, small = (make_scene(make_box(side, side, 0.01), flat_camera) for side in (0.06, 0.01))
+    touches, refused = draw_touches(sampler, large, 10, np.random.default_rng(4))
+    assert refused > 0
+    again = simulate_touches(sampler, large, 10, np.random.default_rng(4))
+    assert all((a.T_sensor_object == b.T_sensor_object).all() for a, b in zip(touches, again, strict=True))
+    assert draw_touches(sampler, small, 10, np.random.default_rng(4))[1] == 0
+    shy = TouchNoise(missing=4.0, patch_m=0.008)
+    assert draw_touches(sampler, small, 10, np.random.default_rng(4), None, shy)[1] > 0
+
+
+def test_a_press_that_leaves_no_imprint_is_refused(make_scene, flat_camera, make_object, sampler, monkeypatch):
+    """A press of a millionth of a millimetre touches no pixel's centre; this must end."""
+    monkeypatch.setattr(simulation, "MOST_ROUNDS", 5)
+    scene = make_scene(make_object(trimesh.creation.icosphere(4, 0.008)), flat_camera)
+    with pytest.raises(TouchError, match="hardly any press of part"):
+        simulate_touches(sampler, scene, 1, np.random.default_rng(5), 1e-9)
+
+
+def test_no_touches_are_no_work(make_scene, flat_camera, box, sampler):
+    assert simulate_touches(sampler, make_scene(box, flat_camera), 0, np.random.default_rng(6)) == []
+
+
+@pytest.mark.parametrize("press_m", [None, 0.00013, 0.0015])
+def test_no_noise_is_what_was_without(make_scene, pinhole, box, sampler, press_m):
+    scene = make_scene(box, pinhole)
+    a, b = (
+        simulate_touches(sampler, scene, 6, np.random.default_rng(7), press_m, noise) for noise in (None, NOISE["none"])
+    )
+    for x, y in zip(a, b, strict=True):
+        pressed = scene.pressed(press_m or pinhole.max_depth_m)
+        clean = pressed.contact_depths(x.T_sensor_object[None])[0]
+        assert x.contact_shape.depth_m.tobytes() == y.contact_shape.depth_m.tobytes() == clean.tobytes()
+        assert x.press_depth_m == y.press_depth_m == (press_m or pinhole.max_depth_m)
+        assert np.array_equal(x.T_sensor_object, y.T_sensor_object)
+
+
+@pytest.mark.parametrize("level", ["mild", "strong"])
+def test_noisy_touches_are_whole_touches_of_the_same_poses(make_scene, pinhole, box, sampler, level):
+    scene = make_scene(box, pinhole)
+    clean = simulate_touches(sampler, scene, 12, np.random.default_rng(8))
+    noisy, again = (
+        simulate_touches(sampler, scene, 12, np.random.default_rng(8), None, NOISE[level]) for _ in range(2)
+    )
+    least = sampler.options.min_contact_percent / 100 * pinhole.observed_mask.sum()
+    same = 0
+    for a, b, c in zip(noisy, again, clean, strict=True):
+        assert a.contact_shape.depth_m.tobytes() == b.contact_shape.depth_m.tobytes()
+        assert a.press_depth_m == b.press_depth_m
+        assert (a.contact_shape.contact & pinhole.observed_mask).sum() >= least
+        assert a.contact_shape.depth_m.max() <= np.float32(a.press_depth_m)
+        assert not np.array_equal(a.contact_shape.depth_m, c.contact_shape.depth_m)
+        same += any(np.array_equal(a.T_sensor_object[:2], t.T_sensor_object[:2]) for t in clean)  # but for the press
+    assert same > 0
+    assert len({touch.press_depth_m for touch in noisy}) > 6
+    assert len({touch.name for touch in noisy}) == 12
+
+
+def test_a_given_press_is_the_actual_one_and_measured_with_an_error(make_scene, pinhole, box, sampler):
+    """A press that is taken for deeper shows no more; one that is taken for lighter is cut there."""
+    scene, noise = make_scene(box, pinhole), TouchNoise(press_error=0.2)
+    touches = simulate_touches(sampler, scene, 20, np.random.default_rng(9), 0.001, noise)
+    measured = np.array([touch.press_depth_m for touch in touches])
+    assert measured.min() < 0.00095
+    assert measured.max() > 0.00105
+    for touch in touches:
+        clean = scene.pressed(0.001, 0.002).contact_depths(touch.T_sensor_object[None])[0]
+        assert np.array_equal(touch.contact_shape.contact, clean < np.float32(min(0.001, touch.press_depth_m)))
+        shown = touch.contact_shape.contact
+        assert np.array_equal(touch.contact_shape.depth_m[shown], clean[shown])
+
+
+def test_a_misplaced_sensor_sees_another_pose_than_the_true_one(make_scene, pinhole, box, sampler):
+    scene = make_scene(box, pinhole)
+    clean = simulate_touches(sampler, scene, 8, np.random.default_rng(10))
+    shifted = simulate_touches(sampler, scene, 8, np.random.default_rng(10), None, TouchNoise(sensor_m=1e-3))
+    same = [(a, b) for a in clean for b in shifted if np.array_equal(a.T_sensor_object, b.T_sensor_object)]
+    assert len(same) >= 6  # a misplaced sensor may miss an edge, and another touch is drawn
+    for _, b in same:
+        assert b.contact_shape.depth_m.min() < 2e-5  # brought to contact again
+    overlap = [a.contact_shape.contact_iou(b.contact_shape, pinhole.observed_mask) for a, b in same]
+    assert 0.3 < np.mean(overlap) < 0.98
+
+
+def test_noise_that_takes_all_contact_away_is_refused(make_scene, pinhole, box, sampler, monkeypatch):
+    monkeypatch.setattr(simulation, "MOST_ROUNDS", 3)
+    with pytest.raises(TouchError, match="hardly any press"):
+        simulate_touches(
+            sampler, make_scene(box, pinhole), 2, np.random.default_rng(11), None, TouchNoise(least_m=0.01)
+        )
+
+
+def test_spurious_contact_alone_is_no_touch(make_scene, pinhole, box, sampler):
+    """Missing patches take all contact of some touches away; what patches then show does not make them touches."""
+    scene, noise = make_scene(box, pinhole), TouchNoise(missing=3.0, spurious=20.0, patch_m=0.008)
+    for touch in simulate_touches(sampler, scene, 20, np.random.default_rng(12), None, noise):
+        clean = scene.contact_depths(touch.T_sensor_object[None])[0] < np.float32(pinhole.max_depth_m)
+        least = sampler.options.min_contact_percent / 100 * pinhole.observed_mask.sum()
+        assert (touch.contact_shape.contact & clean & pinhole.observed_mask).sum() >= least
+
+
+def test_touches_are_what_is_seen_whatever_poses_are_drawn_like(make_scene, pinhole, box, sampler):
+    scene = make_scene(box, pinhole)
+    pressed, paper = (
+        simulate_touches(sampler, dataclasses.replace(scene, drawing=drawing), 3, np.random.default_rng(1))
+        for drawing in ("pressed", "paper")
+    )
+    for a, b in zip(pressed, paper, strict=True):
+        np.testing.assert_array_equal(a.contact_shape.depth_m, b.contact_shape.depth_m)
+        np.testing.assert_array_equal(a.T_sensor_object, b.T_sensor_object)

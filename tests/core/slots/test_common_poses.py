@@ -1,0 +1,73 @@
+"""Which poses touch all sensors: on a grid that is large enough for contacts to be asked in another order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.geometry.rigid import invert, make_transform, random_rotations, translation
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.slots.common_poses import SAMPLE, common_poses
+
+
+@pytest.fixture(scope="module")
+def grid(box) -> PoseGrid:
+    x = np.stack(np.meshgrid(np.arange(12), np.arange(11), np.arange(5)), -1).reshape(-1, 3) * 0.002
+    assert len(x) > 2 * SAMPLE
+    return PoseGrid(translation(x), PoseMetric(box))
+
+
+def sensors(count: int, seed: int = 0) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return list(make_transform(random_rotations(count, rng), rng.normal(scale=0.1, size=(count, 3))))
+
+
+def parts(grid: PoseGrid, T_base_sensor: list[np.ndarray], keeps: list[np.ndarray]) -> list[PoseGrid]:
+    """Each sensor's grid: those of the first one's poses that `keeps` marks, shuffled."""
+    made = [grid]
+    for T, keep in zip(T_base_sensor[1:], keeps, strict=True):
+        kept = np.random.default_rng(1).permutation(np.flatnonzero(keep))
+        made.append(PoseGrid(invert(T) @ T_base_sensor[0] @ grid.T_sensor_object[kept], grid.metric))
+    return made
+
+
+def test_they_are_the_intersection_and_each_is_found(grid):
+    x, y, z = (grid.T_sensor_object[:, k, 3] for k in range(3))
+    keeps = [x > 0.003, y < 0.009, z + x < 0.02]
+    T_base_sensor = sensors(4)
+    grids = parts(grid, T_base_sensor, keeps)
+    possible = x + y < 0.03
+    common = common_poses(grids, T_base_sensor, 0.3, possible)
+    assert np.array_equal(common.first, np.flatnonzero(np.all([possible, *keeps], axis=0)))
+    for T, other, found in zip(T_base_sensor, grids, common.found, strict=True):
+        seen = invert(T) @ T_base_sensor[0] @ grid.T_sensor_object[common.first]
+        np.testing.assert_allclose(other.T_sensor_object[found], seen, atol=1e-12)
+
+
+def test_the_error_names_the_contact_that_drops_the_last(grid):
+    x = grid.T_sensor_object[:, 0, 3]
+    keeps = [x > 0.011, x > 0.003, x < 0.009]  # the second and fourth exclude one another
+    T_base_sensor = sensors(4)
+    lefts = [int((x < 0.009).sum()), int((x > 0.011).sum())]  # the one that keeps fewer is asked first
+    contact, left = (2, lefts[0]) if lefts[0] < lefts[1] else (4, lefts[1])
+    with pytest.raises(
+        GridError, match=rf"all 4 sensors: contact {contact} drops the last {left} of the first grid's 660"
+    ):
+        common_poses(parts(grid, T_base_sensor, keeps), T_base_sensor, 0.3, np.ones(len(grid), bool))
+
+
+def test_who_excludes_most_of_what_is_left_is_asked_next(grid):
+    """The fourth keeps more poses than the third, but none of the few that the second keeps."""
+    x, y = (grid.T_sensor_object[:, k, 3] for k in range(2))
+    keeps = [x > 0.017, y < 0.009, x < 0.017]
+    assert keeps[0].sum() < keeps[1].sum() < keeps[2].sum()
+    T_base_sensor = sensors(4)
+    with pytest.raises(GridError, match=rf"contact 4 drops the last {keeps[0].sum()} of the first grid's 660"):
+        common_poses(parts(grid, T_base_sensor, keeps), T_base_sensor, 0.3, np.ones(len(grid), bool))
+
+
+def test_nothing_possible_is_for_the_caller_to_say(grid):
+    common = common_poses([grid, grid], sensors(2), 1.5, np.zeros(len(grid), bool))
+    assert common.first.shape == (0,)
+    assert common.found.shape == (2, 0)

@@ -1,0 +1,257 @@
+from __future__ import annotations
+
+import importlib
+import sys
+import textwrap
+from collections.abc import Callable, Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from pydantic import BaseModel, ConfigDict, Field
+
+from tactile_loc.core.errors import (
+    ConfigError,
+    MissingLibraryError,
+    PluginConflictError,
+    PluginLoadError,
+    TactileLocError,
+    UnknownPluginError,
+)
+from tactile_loc.core.slots.component import Component
+from tactile_loc.core.slots.registry import SLOTS, Registry, registry, validate_options
+
+HOOK = """
+from tactile_loc.core.slots.registry import ComponentSpec, hookimpl
+
+@hookimpl
+def tactile_loc_components():
+    return [{specs}]
+"""
+
+
+def spec(slot: str, name: str, target: str, requires: str = "") -> str:
+    return f"ComponentSpec({slot!r}, {name!r}, {target!r}, 'a test', {requires!r})"
+
+
+@pytest.fixture(autouse=True)
+def fresh_registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.delenv("TACTILE_LOC_PLUGINS", raising=False)
+    registry.cache_clear()
+    yield
+    registry.cache_clear()
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Lay out a distribution as pip would: `install("acme-tools", acme_plugin=source)`; `*_plugin` are entry points."""
+    monkeypatch.syspath_prepend(tmp_path)
+    before = set(sys.modules)
+
+    def lay_out(distribution: str, **modules: str) -> None:
+        info = tmp_path / f"{distribution.replace('-', '_')}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 1.0\n")
+        names = [name for name in modules if name.endswith("_plugin")]
+        (info / "entry_points.txt").write_text("[tactile_loc]\n" + "".join(f"{n} = {n}\n" for n in names))
+        for name, source in modules.items():
+            (tmp_path / f"{name}.py").write_text(textwrap.dedent(source))
+        importlib.invalidate_caches()
+
+    yield lay_out
+    for name in set(sys.modules) - before:
+        if Path(getattr(sys.modules[name], "__file__", None) or "/").is_relative_to(tmp_path):
+            del sys.modules[name]
+
+
+def hook(*specs: str) -> str:
+    return HOOK.format(specs=", ".join(specs))
+
+
+def test_every_slot_has_built_in_components_that_fit_it():
+    found = registry()
+    assert found.failures == []
+    built_in = [c for c in found.components if c.distribution == "tactile-loc"]
+    assert {c.spec.slot for c in built_in} == set(SLOTS)
+    for component in built_in:
+        kind = found.load(component.spec.slot, component.spec.name)
+        assert issubclass(kind, Component)
+        assert kind.slot == component.spec.slot
+        assert component.spec.summary
+
+
+def test_create_gives_the_options():
+    grid = registry().create("grid", "face", {"spacing_mm": 3, "face": "+x"})
+    assert (grid.options.spacing_mm, grid.options.face) == (3.0, "+x")
+
+
+def test_an_unknown_name_is_answered_with_near_ones():
+    with pytest.raises(UnknownPluginError, match=r"no refiner 'icpp'; there are .*none.* Did you mean 'icp'"):
+        registry().load("refiner", "icpp")
+
+
+def test_an_unknown_slot_is_answered_with_the_slots():
+    with pytest.raises(UnknownPluginError, match="no slot 'painter'; the slots are sensor, renderer, grid"):
+        registry().find("painter", "icp")
+
+
+def test_a_strangers_component_is_found_and_imported_only_when_it_is_used(install):
+    install(
+        "acme-tools",
+        acme_plugin=hook(spec("refiner", "acme", "acme_impl:Acme")),
+        acme_impl="""
+        from tactile_loc.plugins.refiners.none import NoRefiner
+        class Acme(NoRefiner):
+            pass
+        """,
+    )
+    found = registry().find("refiner", "acme")
+    assert found.distribution == "acme-tools"
+    assert "acme_impl" not in sys.modules
+    assert registry().create("refiner", "acme").describe()["class"] == "acme_impl:Acme"
+    assert registry().names("refiner")[-1] == "acme", "the built-in ones come first"
+
+
+def test_two_of_one_name_conflict_only_when_that_name_is_asked_for(install):
+    install("acme-tools", acme_plugin=hook(spec("refiner", "twin", "a:A"), spec("refiner", "alone", "a:A")))
+    install("brand-tools", brand_plugin=hook(spec("refiner", "twin", "b:B"), spec("matcher", "alone", "b:B")))
+    with pytest.raises(PluginConflictError, match="the refiner 'twin': one of acme-tools, one of brand-tools"):
+        registry().find("refiner", "twin")
+    assert registry().find("refiner", "alone").distribution == "acme-tools"
+    assert registry().find("matcher", "alone").distribution == "brand-tools"
+
+
+def test_a_strangers_component_cannot_replace_a_built_in_unnoticed(install):
+    install("acme-tools", acme_plugin=hook(spec("refiner", "icp", "a:A")))
+    with pytest.raises(PluginConflictError, match="one of tactile-loc, one of acme-tools"):
+        registry().create("refiner", "icp")
+
+
+BROKEN = {
+    "raises": "raise RuntimeError('no licence')",
+    "syntax": "def",
+    "missing": "import a_library_that_nobody_has",
+    "wrong slot": hook(spec("painter", "x", "a:A")),
+    "no spec": HOOK.format(specs="'icp'"),
+    "no list": HOOK.replace("[{specs}]", "None"),
+    "no hook": "x = 1",
+    "wrong arguments": HOOK.replace("components()", "components(colour)").replace("{specs}", ""),
+    "misspelt hook": HOOK.replace("components()", "component()").replace("{specs}", ""),
+}
+
+
+@pytest.mark.parametrize("how", BROKEN)
+def test_a_plugin_that_fails_hurts_nobody_else(install, how):
+    install("broken-tools", broken_plugin=BROKEN[how])
+    found = registry()
+    (failure,) = found.failures
+    assert (failure.plugin, failure.distribution) == ("broken_plugin", "broken-tools")
+    assert ":" in failure.error, "its type and message"
+    assert found.create("refiner", "none") is not None
+    with pytest.raises(UnknownPluginError, match="The plugin broken_plugin could not be loaded"):
+        found.load("refiner", "of-the-broken-one")
+
+
+@pytest.mark.parametrize(
+    ("source", "error", "words"),
+    [
+        ("import a_library_nobody_has", MissingLibraryError, "'acme' needs a_library_nobody_has.*pip install acme-lib"),
+        ("raise OSError('libusb.so')", PluginLoadError, r"'acme' of acme-tools failed on import \(OSError: libusb"),
+        ("def", PluginLoadError, "SyntaxError"),
+        ("Other = 1", PluginLoadError, "AttributeError"),
+        ("import acme_impl.lost", PluginLoadError, "'acme' of acme-tools failed on import .*acme_impl.lost"),
+        ("class Acme: pass", PluginLoadError, "does not derive from the refiner interface"),
+        (
+            "from tactile_loc.plugin import Matcher as Acme",
+            PluginLoadError,
+            "does not derive from the refiner",
+        ),
+        ("from tactile_loc.plugin import Refiner as Acme", PluginLoadError, "does not implement refine"),
+    ],
+)
+def test_a_component_that_cannot_be_imported_says_why_when_it_is_selected(install, source, error, words):
+    install("acme-tools", acme_plugin=hook(spec("refiner", "acme", "acme_impl:Acme", "acme-lib")), acme_impl=source)
+    found = registry()
+    assert found.failures == []
+    assert "acme" in found.names("refiner")
+    with pytest.raises(error, match=words):
+        found.load("refiner", "acme")
+
+
+def test_a_missing_library_without_a_named_distribution_is_asked_for_by_its_module(install):
+    source = "import a_library_that_nobody_has"
+    install("acme-tools", acme_plugin=hook(spec("refiner", "acme", "acme_impl:Acme")), acme_impl=source)
+    with pytest.raises(MissingLibraryError, match="pip install a_library_that_nobody_has"):
+        registry().load("refiner", "acme")
+
+
+@pytest.mark.parametrize(
+    ("allowed", "names"),
+    [
+        (None, {"acme", "brand"}),
+        ("", set()),
+        ("nobody", set()),
+        ("acme_plugin", {"acme"}),
+        ("brand-tools", {"brand"}),
+        (" acme-tools , brand_plugin", {"acme", "brand"}),
+    ],
+)
+def test_the_environment_restricts_what_is_loaded_but_never_the_built_in(install, monkeypatch, allowed, names):
+    install("acme-tools", acme_plugin=hook(spec("refiner", "acme", "a:A")))
+    install("brand-tools", brand_plugin=hook(spec("refiner", "brand", "b:B")))
+    if allowed is not None:
+        monkeypatch.setenv("TACTILE_LOC_PLUGINS", allowed)
+    found = set(registry().names("refiner"))
+    assert found & {"acme", "brand"} == names
+    assert "icp" in found
+
+
+def test_a_plugin_that_is_not_allowed_is_not_even_imported(install, monkeypatch):
+    install("broken-tools", broken_plugin="raise RuntimeError('imported')")
+    monkeypatch.setenv("TACTILE_LOC_PLUGINS", "")
+    assert registry().failures == []
+
+
+def test_an_entry_point_without_a_distribution_is_taken():
+    found = Registry([EntryPoint("lone", "tactile_loc.plugins", "tactile_loc")])
+    assert "icp" in found.names("refiner")
+
+
+class Paint(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    colour: str = "red"
+    coats: int = Field(default=2, ge=1)
+    finish: Literal["matt", "gloss"] = "matt"
+
+
+def test_good_options_are_taken():
+    assert validate_options(Paint, {"coats": 3}, "brush 'b'").coats == 3
+
+
+def test_an_unknown_option_is_answered_with_the_near_and_the_known():
+    with pytest.raises(
+        ConfigError,
+        match=r"the brush 'b' has no option 'color'. Did you mean 'colour'\?.*colour \(str\), coats \(int\), finish",
+    ):
+        validate_options(Paint, {"color": "blue"}, "brush 'b'")
+
+
+@pytest.mark.parametrize(("values", "words"), [
+    ({"coats": "many"}, "cannot take coats = 'many': .*integer"), ({"coats": 0}, "cannot take coats = 0: .*greater"),
+    ({"finish": "satin"}, "cannot take finish = 'satin'.*'matt'"), ({"colour": 5}, "cannot take colour = 5"),
+])  # fmt: skip
+def test_an_ill_typed_option_is_answered_with_what_is_wrong(values, words):
+    with pytest.raises(ConfigError, match=words) as refused:
+        validate_options(Paint, values, "brush 'b'")
+    assert "\n" not in str(refused.value)
+
+
+def test_a_component_without_options_says_so():
+    with pytest.raises(ConfigError, match=r"refiner 'none' has no option 'reach'.*none at all"):
+        registry().create("refiner", "none", {"reach": 1})
+
+
+def test_all_errors_are_the_projects_own():
+    for error in (ConfigError, MissingLibraryError, PluginConflictError, PluginLoadError, UnknownPluginError):
+        assert issubclass(error, TactileLocError)

@@ -1,0 +1,188 @@
+"""Which object touches are of: the right one, none when it is left out, whatever the order; one object: as located."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_loc.core.errors import ConfigError, ObjectError, StoreError, TouchError
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.simulation.noise import NOISE
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.io.config import RunConfig
+from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.plugins.renderers.raycast import RaycastRenderer
+from tactile_loc.tasks import identify as module
+from tactile_loc.tasks.identify import KnownAnswer, NullEvidence, fit_null_evidence, identify, shortfall
+from tactile_loc.tasks.library import Library
+
+FEW = {"name": "whole", "directions": 300, "turns": 24}
+
+CLEAN = NullEvidence(alone=1.1, together=3.5, temperature=0.3)  # of touches without noise
+
+
+def solids() -> dict[str, trimesh.Trimesh]:
+    """A plate, a rod and a ring, none of which looks like another."""
+    return {
+        "plate": trimesh.creation.box((0.03, 0.02, 0.006)),
+        "rod": trimesh.creation.cylinder(0.004, 0.04, sections=32),
+        "ring": trimesh.creation.annulus(0.006, 0.011, 0.008, sections=32),
+    }
+
+
+@pytest.fixture(scope="module")
+def models(make_object, store) -> list[Localizer]:
+    config = RunConfig.from_dict({"grid": FEW, "sensor": "gelsight-mini", "temperature": 0.05})
+    declared = {"plate": "x2*y2", "rod": "zinf*x2", "ring": "zinf*x2"}
+    return [Localizer(config, make_object(s, declared[n], n), store) for n, s in solids().items()]
+
+
+@pytest.fixture(scope="module")
+def touches(models) -> dict[str, list]:
+    """Two touches of each object, drawn by another renderer."""
+    raycast, rng = RaycastRenderer(), np.random.default_rng(3)
+    return {
+        model.object.name: RobotTouches(model.object, model.scene.geometry, raycast, (0.7, 0.9)).example(2, rng)[0]
+        for model in models
+    }
+
+
+@pytest.fixture(scope="module")
+def library(models) -> Library:
+    return Library(models)
+
+
+@pytest.mark.parametrize("name", list(solids()))
+def test_touches_tell_which_object_they_are_of(library, touches, name):
+    said = identify(touches[name], library, null=CLEAN)
+    assert said.best is not None
+    assert said.best.name == name
+    assert sum(one.probability for one in said.objects) + said.none == pytest.approx(1.0)
+    assert said.best.shortfall == min(one.shortfall for one in said.objects)
+
+
+@pytest.mark.parametrize("name", list(solids()))
+def test_an_object_that_is_left_out_is_rejected(models, touches, name):
+    said = identify(touches[name], [model for model in models if model.object.name != name], null=CLEAN)
+    assert said.best is None
+    assert said.none > 0.5
+
+
+def test_the_order_of_objects_changes_nothing(models, touches):
+    one, other = (identify(touches["ring"][:1], some) for some in (models, models[::-1]))
+    assert [o.name for o in one.objects] == [o.name for o in other.objects]
+    assert [o.probability for o in one.objects] == [o.probability for o in other.objects]
+
+
+def test_a_single_object_is_where_it_would_be_located(models, touches):
+    said = identify(touches["plate"], models[:1])
+    alone = localize_together([(models[0], touch) for touch in touches["plate"]])
+    assert np.array_equal(said.objects[0].found.best.T_sensor_object, alone.best.T_sensor_object)
+
+
+def test_only_those_that_explain_most_roughly_are_located(library, touches):
+    said = identify(touches["ring"], library, located=1)
+    located = [one for one in said.objects if one.found is not None]
+    assert [one.rough_iou for one in located] == [max(one.rough_iou for one in said.objects)]
+    assert {one.probability for one in said.objects if one.found is None} == {0.0}
+
+
+def test_only_those_most_alike_at_a_glance_are_looked_into(library, touches, monkeypatch):
+    monkeypatch.setattr("tactile_loc.tasks.identify.LOOKED_INTO", 1)
+    said = identify(touches["ring"], library, located=1)
+    looked_into = [one for one in said.objects if one.rough_iou > 0]
+    assert [one.alike for one in looked_into] == [max(one.alike for one in said.objects)]
+
+
+@pytest.mark.parametrize("name", list(solids()))
+def test_noisy_touches_are_explained_best_by_their_own_object(library, name):
+    own = library.names.index(name)
+    model = library.models[own]
+    source = RobotTouches(model.object, model.scene.geometry, RaycastRenderer(), (0.7, 0.9), noise=NOISE["mild"])
+    noisy, _ = source.example(2, np.random.default_rng(8))
+    glances = [library.glance(touch) for touch in noisy]
+    rough = [library.look_into(k, glances) for k in range(len(library))]
+    assert int(np.argmax(rough)) == own
+    assert 0.5 < rough[own] <= 1
+
+
+def test_a_glance_proposes_poses_near_the_true_one(library, touches):
+    for k, model in enumerate(library.models):
+        touch = touches[model.object.name][0]
+        poses = library.glance(touch).poses(k, library.searches[k], 300)
+        true = np.broadcast_to(touch.T_sensor_object, poses.shape)
+        assert len(poses) == 300
+        assert PoseMetric(model.object).symmetric_distance(poses, true).min() < 4e-3
+
+
+def test_several_touches_need_the_sensors_poses(library, touches):
+    lost = [dataclasses.replace(touch, T_base_sensor=None) for touch in touches["ring"]]
+    with pytest.raises(ConfigError, match="does not say where its sensor was"):
+        identify(lost, library)
+
+
+def test_a_pose_that_explains_all_falls_short_by_nothing(models, touches):
+    touch = touches["plate"][0]
+    found = models[0].localize(touch)
+    exact = dataclasses.replace(found.best.refined, T_sensor_object=np.asarray(touch.T_sensor_object))
+    true = dataclasses.replace(found, hypotheses=(dataclasses.replace(found.best, refined=exact),))
+    assert shortfall(models[0], true) < 0.5
+    turned = np.asarray(touch.T_sensor_object) @ make_transform(rotation_about([0, 0, 1], 0.3), np.zeros(3))
+    wrong = dataclasses.replace(found.best, refined=dataclasses.replace(exact, T_sensor_object=turned))
+    assert shortfall(models[0], dataclasses.replace(found, hypotheses=(wrong,))) > 0.5
+
+
+def test_none_of_these_is_as_one_object_more():
+    null = NullEvidence(alone=1.0, together=2.0, temperature=0.5)
+    p, none = null.probabilities(np.array([4.0, np.inf]), touches=2)
+    assert p.tolist() == pytest.approx([0.5, 0.0])
+    assert none == pytest.approx(0.5)
+    assert null.probabilities(np.array([1.0 + 0.5 * np.log(3)]), touches=1)[1] == pytest.approx(0.75)
+    p, none = null.probabilities(np.array([np.inf, np.inf]), touches=1)
+    assert (p.tolist(), none) == ([0.0, 0.0], 1.0)
+
+
+def test_the_null_evidence_is_fitted_to_what_tells_known_from_left_out():
+    rng = np.random.default_rng(0)
+    answers = []
+    for touches, nats in ((1, 3.0), (2, 16.0)):  # strangers fall short by as much on the mean
+        own, other = rng.uniform(0, 0.2, (20, 1)) * nats, rng.uniform(0.7, 1.3, (20, 3)) * nats
+        answers += [KnownAnswer(s, 0, touches) for s in np.concatenate([own, other], axis=1)]
+        answers += [KnownAnswer(s, -1, touches) for s in other]
+    null = fit_null_evidence(answers)
+    assert 0.6 < null.alone < 2.2
+    assert 1.6 < null.together < 6
+    left_out = [answer for answer in answers if answer.truth < 0]
+    assert all(null.probabilities(answer.shortfalls, answer.touches)[1] > 0.5 for answer in left_out)
+
+
+def test_a_full_store_makes_no_object_unlikely(monkeypatch):
+    def full(*_: object) -> None:
+        raise StoreError("no space left")
+
+    monkeypatch.setattr(module, "localize_together", full)
+    with pytest.raises(StoreError, match="no space left"):
+        module._located(None, [])
+
+
+def test_what_cannot_be_identified_is_refused(models, touches, library):
+    with pytest.raises(ObjectError, match="there is no object to identify"):
+        identify(touches["plate"], [])
+    with pytest.raises(ObjectError, match="'pin' is no Localizer; make one of each"):
+        Library(["pin", "hook"])
+    with pytest.raises(ObjectError, match="two objects are called plate"):
+        identify(touches["plate"], [models[0], models[0]])
+    with pytest.raises(TouchError, match="there is no touch to identify"):
+        identify([], library)
+    with pytest.raises(ConfigError, match="0 objects cannot be located"):
+        identify(touches["plate"], library, located=0)
+    listed = Localizer(models[0].config.model_copy(update={"grid": RunConfig.from_dict({"grid": "face"}).grid}),
+                       models[0].object, models[0].store)  # fmt: skip
+    with pytest.raises(ConfigError, match="choose the grid whole"):
+        Library([listed])
+    with pytest.raises(ConfigError, match="its numbers must be positive"):
+        NullEvidence(alone=0.0)

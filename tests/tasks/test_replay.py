@@ -1,0 +1,227 @@
+"""A recording, located frame by frame: poses in the sensor's or the base's frame, and what becomes of other images."""
+
+from __future__ import annotations
+
+import errno
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import FrameError, GridError, OutputError, RecordingError, StoreError
+from tactile_loc.core.geometry.rigid import covariance_along, make_transform, rotation_about
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.refiner import RefinedPose
+from tactile_loc.io.recordings import Recording, RecordingWriter, image_topic, write_recording
+from tactile_loc.io.ros_messages import IMAGE, TF, pose_of, stamp_ns
+from tactile_loc.io.ros_types import image_message, transform_message
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result import Hypothesis
+from tactile_loc.tasks.replay import Outcome, Replay, ReplaySummary
+from tactile_loc.tasks.replay_files import replay_to
+from tactile_loc.tasks.replay_journal import journal
+
+S = 1_000_000_000
+FIRST, LAST = (make_transform(rotation_about([0, 0, 1], yaw), [x, 0, 0.1]) for x, yaw in ((0.0, 0.0), (0.3, 0.6)))
+MOUNT = make_transform(rotation_about([1, 0, 0], 1.0), [0, 0, 0.05])
+C = np.diag([1e-6, 2e-6, 3e-6, 1e-4, 2e-4, 3e-4])
+NOTHING, UPSIDE_DOWN = np.full((200, 200), 0.002, np.float32), np.full((200, 200), -1.0, np.float32)
+
+
+@pytest.fixture(scope="module")
+def touches(localizer) -> list[Touch]:
+    return localizer.simulate(3, seed=1)
+
+
+@pytest.fixture
+def recorded(tmp_path, touches) -> Path:
+    """Three touches, then no contact, then an impossible image, then a touch after the last transform."""
+    images = [
+        *(touch.contact_shape.depth_m for touch in touches),
+        NOTHING,
+        UPSIDE_DOWN,
+        touches[0].contact_shape.depth_m,
+    ]
+
+    def write(writer: RecordingWriter) -> None:
+        writer.write("/tf_static", TF, transform_message({("flange", "gel"): MOUNT}, 0), 0)
+        for stamp, T in ((0, FIRST), (4 * S, LAST)):
+            writer.write("/tf", TF, transform_message({("base", "flange"): T}, stamp), stamp)
+        for k, image in enumerate(images):
+            writer.write("/gel/image", IMAGE, image_message(image, "32FC1", k * S, "gel"), k * S + 5)
+
+    return write_recording(tmp_path / "drive.mcap", write)
+
+
+def replay_of(path: Path, localizer: Localizer, base: str | None = None, frame: str | None = None) -> Replay:
+    recording = Recording(path)
+    topic = image_topic(recording.contents(), path, None)
+    return Replay(recording, topic, localizer, frame, base, recording.frame_tree() if base else None)
+
+
+def at_truth(touch: Touch) -> Hypothesis:
+    """An estimator: always the same pose, the same covariance."""
+    T = make_transform(rotation_about([1, 1, 0], 0.3), [0.001, 0.002, 0.025])
+    return Hypothesis(0.5, T, RefinedPose(T, 1.0, True, 3, covariance=C), 0, 1, 0.9)
+
+
+T_GEL_OBJECT = at_truth(None).T_sensor_object  # type: ignore[arg-type]
+
+
+def test_the_localizer_finds_what_was_touched(recorded, localizer, touches, tmp_path):
+    replay = replace(replay_of(recorded, localizer), press_depth_m=touches[0].press_depth_m)
+    found = replay_to(tmp_path / "out.mcap", replay, 6, "/pose")
+    for record, touch in zip(found.records[:3], touches, strict=True):
+        best = localizer.localize(touch).best
+        np.testing.assert_allclose(record.T, best.T_sensor_object, atol=1e-9)
+        assert record.frame == "gel"
+    outcomes = [record.outcome for record in found.records]
+    assert outcomes == [Outcome.LOCATED] * 3 + [Outcome.NO_CONTACT, Outcome.REFUSED, Outcome.LOCATED]
+    assert "negative depths" in found.records[4].says
+    assert found.summary.reasons == ((found.records[4].says, 1),)
+
+
+def test_poses_and_covariances_are_moved_to_the_base(recorded, localizer, tmp_path):
+    out = tmp_path / "out.mcap"
+    found = replay_to(out, replay_of(recorded, localizer, "base"), 6, "/pose", estimator=at_truth)
+    T_base_flange = make_transform(rotation_about([0, 0, 1], 0.3), [0.15, 0, 0.1])  # at 2 s, half way
+    T_base_gel = T_base_flange @ MOUNT
+    (third,) = [m for m in Recording(out).messages("/pose") if m.log_time_ns == 2 * S + 5]
+    message = third.decoded()
+    assert (stamp_ns(message.header), message.header.frame_id) == (2 * S, "base")
+    np.testing.assert_allclose(pose_of(message).T, T_base_gel @ T_GEL_OBJECT, atol=1e-9)
+    covariance = np.reshape(pose_of(message).covariance, (6, 6))
+    np.testing.assert_allclose(covariance, covariance_along(C, T_base_gel[:3, :3]), atol=1e-12)
+    assert found.records[5].outcome is Outcome.REFUSED  # 5 s is after the last transform
+    assert "known from 0.000 s to 4.000 s, not at 5.000 s" in found.records[5].says
+
+
+def test_the_poses_stand_beside_what_was_recorded_or_alone(recorded, localizer, tmp_path):
+    replay = replay_of(recorded, localizer)
+    replay_to(tmp_path / "all.mcap", replay, 6, "/pose", estimator=at_truth)
+    replay_to(tmp_path / "alone.mcap", replay, 6, "/pose", poses_only=True, estimator=at_truth)
+    before = [(m.topic, m.log_time_ns, m.data) for m in Recording(recorded).messages()]
+    written = [(m.topic, m.log_time_ns, m.data) for m in Recording(tmp_path / "all.mcap").messages()]
+    poses = [one for one in written if one[0].name == "/pose"]
+    assert [one for one in written if one not in poses] == before
+    assert [m.data for m in Recording(tmp_path / "alone.mcap").messages()] == [data for _, _, data in poses]
+    assert [time for _, time, _ in poses] == [5, S + 5, 2 * S + 5, 5 * S + 5]
+    after = [written[written.index(pose) - 1][:2] for pose in poses]
+    assert [(topic.name, time) for topic, time in after] == [("/gel/image", time) for _, time, _ in poses]
+
+
+def test_an_estimator_that_finds_nothing_is_told(recorded, localizer, tmp_path):
+    def lost(touch: Touch) -> Hypothesis:
+        raise GridError("no pose is left")
+
+    with pytest.raises(RecordingError, match=r"none of the 6 images on /gel/image .* most often: no pose is left"):
+        replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer), 6, "/pose", estimator=lost)
+    assert [path.name for path in tmp_path.iterdir()] == ["drive.mcap"]
+
+
+def test_frames_that_lack_are_told_at_once(recorded, localizer):
+    with pytest.raises(FrameError, match=r"no frame 'gol'; there are: base, flange, gel"):
+        next(replay_of(recorded, localizer, "base", "gol").frames(at_truth))
+
+
+@pytest.mark.parametrize(("located", "finished"), [(0, 0), (1, 1), (3, 5)])  # two images need no estimator
+def test_what_was_finished_is_not_done_again(recorded, localizer, tmp_path, located, finished):
+    calls = []
+
+    def interrupted(touch: Touch) -> Hypothesis:
+        if len(calls) == located:
+            raise KeyboardInterrupt
+        calls.append(touch)
+        return at_truth(touch)
+
+    def counting(touch: Touch) -> Hypothesis:
+        calls.append(touch)
+        return at_truth(touch)
+
+    out, replay = tmp_path / "out.mcap", replay_of(recorded, localizer)
+    whole = replay_to(tmp_path / "whole.mcap", replay, 6, "/pose", estimator=at_truth)
+    with pytest.raises(KeyboardInterrupt):
+        replay_to(out, replay, 6, "/pose", estimator=interrupted)
+    assert not out.exists()
+    found = replay_to(out, replay, 6, "/pose", estimator=counting)
+    assert (found.resumed, len(calls)) == (finished, 4)
+    assert found.records == whole.records
+    assert out.read_bytes() == (tmp_path / "whole.mcap").read_bytes()
+    assert not list(tmp_path.glob("*.journal"))
+
+
+def test_a_full_store_refuses_no_frame_for_good(recorded, localizer, tmp_path):
+    estimates = iter([at_truth])
+
+    def starved(touch: Touch) -> Hypothesis:
+        for estimate in estimates:
+            return estimate(touch)
+        raise StoreError("no space left")
+
+    out, replay = tmp_path / "out.mcap", replay_of(recorded, localizer)
+    with pytest.raises(StoreError, match="no space left"):
+        replay_to(out, replay, 6, "/pose", estimator=starved)
+    found = replay_to(out, replay, 6, "/pose", estimator=at_truth)
+    assert (found.resumed, found.summary.located) == (1, 4)
+
+
+def test_a_journal_cut_anywhere_holds_what_was_whole(recorded, localizer, tmp_path):
+    replay, path = replay_of(recorded, localizer), tmp_path / "out.mcap.journal"
+    with journal(path, replay) as kept:
+        for record in replay.frames(at_truth):
+            kept.append(record)
+    data = path.read_bytes()
+    for length in {0, 5, data.index(b"\n"), *range(data.index(b"\n") + 1, len(data), 97), len(data)}:
+        path.write_bytes(data[:length])
+        with journal(path, replay) as found:
+            assert found.records == kept.records[: len(found.records)]
+            assert len(found.records) == max(0, data[:length].count(b"\n") - 1)
+        assert not found.records or data.startswith(path.read_bytes())
+
+
+def test_a_full_disk_leaves_a_journal_of_whole_lines(recorded, localizer, tmp_path, monkeypatch):
+    replay, path, write = replay_of(recorded, localizer), tmp_path / "out.mcap.journal", os.write
+
+    def full(descriptor: int, text: bytes) -> int:
+        if len(text) > 9:
+            return write(descriptor, text[:-9])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with journal(path, replay) as kept, monkeypatch.context() as patch:
+        first, second, *_ = replay.frames(at_truth)
+        kept.append(first)
+        before = path.read_bytes()
+        patch.setattr(os, "write", full)
+        with pytest.raises(OutputError, match="No space left on device"):
+            kept.append(second)
+        assert path.read_bytes() == before
+        assert kept.records == [first]
+
+
+def test_the_journal_of_another_replay_is_not_used(recorded, localizer, tmp_path, caplog):
+    path = tmp_path / "out.mcap.journal"
+    with journal(path, replay_of(recorded, localizer)) as kept:
+        kept.append(next(replay_of(recorded, localizer).frames(at_truth)))
+    found = replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer, "base"), 6, "/pose", estimator=at_truth)
+    assert found.resumed == 0
+    assert "was of another replay" in caplog.text
+
+
+def test_two_processes_do_not_write_one_journal(recorded, localizer, tmp_path):
+    replay, path = replay_of(recorded, localizer), tmp_path / "out.mcap.journal"
+    with journal(path, replay), pytest.raises(OutputError, match="another process"), journal(path, replay):
+        pass
+
+
+def test_a_clock_that_goes_back_is_counted(tmp_path, localizer, touches):
+    def write(writer: RecordingWriter) -> None:
+        for k, stamp in enumerate((10, 11, 2, 3)):
+            depth = touches[0].contact_shape.depth_m
+            writer.write("/gel/image", IMAGE, image_message(depth, "32FC1", stamp * S, "gel"), k)
+
+    path = write_recording(tmp_path / "drive.mcap", write)
+    records = list(replay_of(path, localizer).frames(at_truth))
+    assert [record.stamp_ns for record in records] == [10 * S, 11 * S, 2 * S, 3 * S]
+    assert ReplaySummary.of(records).jumps_back == 1

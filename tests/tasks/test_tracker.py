@@ -1,0 +1,201 @@
+"""A track: held while the sensor slides, up to symmetry; lost and found after a jump; predicted without contact."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.errors import ConfigError, TouchError
+from tactile_loc.core.geometry.hand_eye import moved, pose_errors
+from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about, translation
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.simulation.noise import NOISE
+from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.evaluation.sequences import SlidingTouches
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
+from tactile_loc.tasks.tracker import Motion, Tracker
+
+STD = np.array([5e-4] * 3 + [1e-2] * 3)
+SETTINGS = {"shape_px": 60, "sensor": {"name": "gelslim", "image_size_px": [100, 100]},
+            "grid": {"name": "face", "min_contact_percent": 2.0, "spacing_mm": 4.0}, "temperature": 0.005}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def pin(store) -> Localizer:
+    return Localizer.create("pin", store=store, **SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def sure(pin):
+    """Two touches of different poses that are each located by itself, and what was found."""
+    metric = PoseMetric(pin.object)
+    good = []
+    for touch in pin.simulate(12, seed=1):
+        found = pin.localize(touch)
+        off_m = metric.symmetric_distance(found.best.T_sensor_object[None], touch.T_sensor_object[None])[0]
+        if off_m < 5e-4 and found.best.probability > 0.95:
+            good.append(touch)
+        if len(good) == 2:
+            return good
+    raise AssertionError("hardly any touch of the pin shows where it is")
+
+
+@pytest.fixture(scope="module")
+def slide(pin):
+    source = RobotTouches(
+        pin.object, pin.sensor.geometry, ZBufferRenderer(), noise=NOISE["mild"], sensor_std_m=1e-4, sensor_std_rad=2e-3
+    )
+    return SlidingTouches(source).example(80, np.random.default_rng(3))
+
+
+def started(localizer: Localizer, frames, seed: int = 0) -> Tracker:
+    tracker = Tracker(localizer)
+    truth = frames[0].T_base_sensor @ frames[0].T_sensor_object
+    tracker.start(moved(truth, STD * np.random.default_rng(seed).normal(size=6)), np.diag(STD**2))
+    return tracker
+
+
+def off_mm(localizer: Localizer, T: np.ndarray, truth: np.ndarray) -> float:
+    return 1e3 * float(PoseMetric(localizer.object).symmetric_distance(T[None], truth[None])[0])
+
+
+def test_a_slide_is_tracked_and_the_truth_is_where_the_covariance_says(pin, slide):
+    tracker = started(pin, slide)
+    found = [tracker.update(frame.time_s, frame.touch, frame.T_base_sensor) for frame in slide]
+    assert {one.state for one in found} == {"tracking"}
+    errors = [off_mm(pin, one.T_sensor_object, f.T_sensor_object) for one, f in zip(found, slide, strict=True)]
+    assert np.median(errors) < 0.3
+    assert errors[-1] < 0.5
+    nees = [
+        normalised_error_squared(PoseMetric(pin.object), one.T_sensor_object, one.covariance, f.T_sensor_object)
+        for one, f in zip(found, slide, strict=True)
+    ]
+    assert np.median(nees) < 16.8  # 99 % of chi-squared; the frames of one slide err alike
+
+
+def test_motions_serve_as_well_as_poses(pin, slide):
+    tracker = Tracker(pin)
+    tracker.start(slide[0].T_sensor_object, np.diag(STD**2))  # the base is the first sensor
+    motion, last = None, slide[0]
+    for frame in slide:
+        T = invert(last.T_base_sensor) @ frame.T_base_sensor
+        motion = None if frame is slide[0] else Motion(T, np.diag([1e-10] * 3 + [1e-8] * 3))
+        touch = None if frame.touch is None else replace(frame.touch, T_base_sensor=None)
+        found, last = tracker.update(frame.time_s, touch, motion=motion), frame
+    assert off_mm(pin, found.T_sensor_object, slide[-1].T_sensor_object) < 0.5
+
+
+def test_the_first_touch_is_searched_for_and_found_up_to_symmetry(pin, sure):
+    tracker = Tracker(pin)
+    found = tracker.update(0.0, sure[0], np.eye(4))
+    assert found.searched
+    assert off_mm(pin, found.T_sensor_object, sure[0].T_sensor_object) < 1.0
+    assert np.all(np.diff(found.probabilities) <= 0)
+    assert found.probabilities.sum() <= 1 + 1e-9
+    again = tracker.update(0.01, sure[0], np.eye(4))
+    assert not again.searched
+
+
+def test_an_object_that_jumps_is_found_again_at_once(pin, sure):
+    before, after = sure
+    tracker = Tracker(pin)
+    for k in range(3):
+        found = tracker.update(0.01 * k, before, np.eye(4))
+    assert not found.searched
+    found = tracker.update(0.03, after, np.eye(4))
+    assert found.searched
+    assert off_mm(pin, found.T_sensor_object, after.T_sensor_object) < 1.0
+    assert not tracker.update(0.04, after, np.eye(4)).searched
+
+
+def test_an_object_that_slips_is_found_nearby(pin, slide):
+    """No place elsewhere that would explain the touch as well is taken."""
+    source = RobotTouches(pin.object, pin.sensor.geometry, ZBufferRenderer())
+    tracker, frame = started(pin, slide), slide[0]
+    for k in range(3):
+        tracker.update(0.01 * k, frame.touch, frame.T_base_sensor)
+    slipped = translation([2e-3, 1e-3, 0.0]) @ frame.T_sensor_object
+    touch = source.shown(slipped, frame.touch.indentation_m, "slipped", np.random.default_rng(0))
+    found = tracker.update(0.03, touch, frame.T_base_sensor)
+    assert found.searched
+    assert off_mm(pin, found.T_sensor_object, slipped) < 1.0
+
+
+def test_without_contact_the_pose_is_predicted_exactly_and_becomes_less_sure(pin, slide):
+    tracker = started(pin, slide)
+    first = slide[0]
+    held = tracker.update(0.0, first.touch, first.T_base_sensor)
+    T_base_sensor = first.T_base_sensor @ make_transform(rotation_about([0, 1, 2], 0.3), [0.01, 0.0, -0.03])
+    found = tracker.update(0.5, None, T_base_sensor)
+    assert found.state == "no contact"
+    assert np.isnan(found.imprint_iou)
+    expected = invert(T_base_sensor) @ first.T_base_sensor @ held.T_sensor_object
+    assert np.linalg.norm(pose_errors(found.T_sensor_object, expected)[:3]) < 1e-4  # but for the sensor pose's error
+    values = np.linalg.eigvalsh(found.covariance)
+    assert values.min() > 0
+    later = tracker.update(5.0, None, T_base_sensor)
+    assert np.trace(later.covariance) > np.trace(found.covariance)
+
+
+def test_nothing_is_known_before_the_first_touch(pin):
+    found = Tracker(pin).update(0.0, None, np.eye(4))
+    assert found.state == "no contact"
+    assert found.T_sensor_object is None
+    assert found.covariance is None
+    assert len(found.probabilities) == 0
+
+
+def test_a_static_touch_repeated_does_not_become_certain(pin, slide):
+    tracker = started(pin, slide)
+    touch, T = slide[0].touch, slide[0].T_base_sensor
+    traces = [np.sqrt(np.trace(tracker.update(0.01 * k, touch, T).covariance[:3, :3])) for k in range(60)]
+    assert traces[-1] <= traces[0]
+    assert traces[-1] > 0.5 * traces[1]
+
+
+def test_bad_input_is_one_sentence(pin, slide):
+    tracker = started(pin, slide)
+    touch, T = slide[0].touch, slide[0].T_base_sensor
+    nowhere = replace(touch, T_base_sensor=None)
+    tracker.update(1.0, touch)
+    with pytest.raises(TouchError, match="cannot follow one at 1 s"):
+        tracker.update(0.5, touch)
+    with pytest.raises(TouchError, match="cannot follow"):
+        tracker.update(np.nan, touch)
+    with pytest.raises(TouchError, match="does not say where its sensor was"):
+        tracker.update(1.1, nowhere)
+    with pytest.raises(TouchError, match="no rigid transform"):
+        tracker.update(1.1, touch, 2.0 * T)
+    with pytest.raises(TouchError, match="another sensor"):
+        tracker.update(1.1, replace(touch, geometry=replace(touch.geometry, fx=2 * touch.geometry.fx)))
+    assert tracker.update(1.2, touch, T).state == "tracking", "a refused frame changes nothing"
+
+
+def test_what_is_no_pose_or_covariance_or_creep_is_refused(pin):
+    for T, covariance, words in (
+        (np.eye(3), np.eye(6), "T_base_object is no rigid"), (np.eye(4), -np.eye(6), "T_base_object is no covariance")
+    ):  # fmt: skip
+        with pytest.raises(TouchError, match=words):
+            Tracker(pin).start(T, covariance)
+    with pytest.raises(TouchError, match="motion is no rigid transform"):
+        Motion(2 * np.eye(4), np.eye(6))
+    with pytest.raises(TouchError, match="motion is no covariance"):
+        Motion(np.eye(4), np.eye(3))
+    for creep in (-1e-3, np.nan, np.inf):
+        with pytest.raises(ConfigError, match="cannot creep"):
+            Tracker(pin, creep_m=creep)
+
+
+def test_a_sensor_that_told_motions_must_go_on_telling_them(pin, sure):
+    tracker = Tracker(pin)
+    touch = replace(sure[0], T_base_sensor=None)
+    tracker.start(touch.T_sensor_object, np.diag(STD**2))
+    tracker.update(0.0, touch)
+    with pytest.raises(TouchError, match="or their motions"):
+        tracker.update(0.1, touch)
+    with pytest.raises(TouchError, match="or their motions"):
+        tracker.update(0.1, touch, translation([0.0, 0.0, 0.1]))
