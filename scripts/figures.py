@@ -90,18 +90,16 @@ def written(value: float, before: str) -> str:
 
 def with_tables(text: str, results: Results) -> str:
     """Return a page's text with every marked table as it is kept. Raises LookupError for one that is not."""
-    parts, end = [], 0
-    for marker in MARKER.finditer(text):
-        if marker["number"] is None:
-            continue
-        if marker["run"] not in results:
-            raise LookupError(f"there is no run {marker['run']}; there are {', '.join(results)}")
-        columns = [column.strip() for column in marker["columns"].split(" | ")[1:]]
-        table = results[marker["run"]].table(int(marker["number"])).markdown(columns)
-        shown = TABLE.match(text, marker.end() + 1) if text[marker.end() :].startswith("\n") else None
-        parts += [text[end : marker.end()], "\n", table]
-        end = shown.end() if shown else marker.end() + 1
-    return "".join([*parts, text[end:]])
+
+    def renewed_table(shown: re.Match[str]) -> str:
+        if shown["number"] is None:
+            return shown[0]
+        if shown["run"] not in results:
+            raise LookupError(f"there is no run {shown['run']}; there are {', '.join(results)}")
+        columns = [column.strip() for column in shown["columns"].split(" | ")[1:]]
+        return shown["marker"] + "\n" + results[shown["run"]].table(int(shown["number"])).markdown(columns)
+
+    return re.sub(rf"(?P<marker>{MARKER.pattern})(?:\n(?:^\|.*\n)*)?", renewed_table, text, flags=re.MULTILINE)
 
 
 def unmarked(text: str) -> list[str]:

@@ -10,7 +10,7 @@ import ast
 from collections.abc import Iterator
 from dataclasses import dataclass
 from random import Random
-from typing import NamedTuple, Protocol
+from typing import Any
 
 NOUNS, CURVED = "tests/test_nouns.py", "tests/core/sensing/test_curved_contact.py"
 STORE = ("artifact", "files", "keys", "line_files", "packed", "store", "workspace")
@@ -19,7 +19,9 @@ PROCESSES = "any_step or two_processes or killed_build"  # several, started one 
 LOGGERS = {"log", "logger", "logging", "warnings"}
 BITS = ("BitOr", "BitAnd", "BitXor", "LShift", "RShift")  # of floats: a TypeError, which any test would notice
 
+Mutation = Any  # cosmic-ray's MutationSpec: operator_name, occurrence, start_pos and end_pos
 Place = tuple[int, int]  # line, from 1, and character of the line, from 0
+Span = tuple[Place, Place]  # a part of a file, from its start to before its end
 
 
 @dataclass(frozen=True)
@@ -49,28 +51,12 @@ TARGETS = (
 )  # fmt: skip
 
 
-class Mutation(Protocol):
-    """What cosmic-ray knows of a mutant."""
-
-    operator_name: str
-    occurrence: int
-    start_pos: Place
-    end_pos: Place
-
-
-class Span(NamedTuple):
-    """A part of a file, from `start` to before `end`."""
-
-    start: Place
-    end: Place
-
-
 def counts(mutation: Mutation, spans: list[Span]) -> bool:
     """Tell whether a mutant counts, given the parts of its file that `uncounted` found."""
     kind, _, change = mutation.operator_name.rpartition("/")[2].partition("_")
     before, _, after = change.partition("_")
     mixes_bits = kind == "ReplaceBinaryOperator" and (before in BITS) != (after in BITS)
-    return not mixes_bits and not any(s.start <= mutation.start_pos and mutation.end_pos <= s.end for s in spans)
+    return not mixes_bits and not any(start <= mutation.start_pos and mutation.end_pos <= end for start, end in spans)
 
 
 def sample(mutations: list[tuple[str, Mutation]], count: int, seed: int) -> list[int]:
@@ -111,6 +97,7 @@ def _is_log(node: ast.AST) -> bool:
 def _span(node: ast.AST, lines: list[str]) -> Span:
     """Where a node is: Python counts a line's bytes, cosmic-ray its characters; a decorator is the whole line."""
     if lines[node.lineno - 1].startswith("@"):
-        return Span((node.lineno, 0), (node.end_lineno + 1, 0))
+        return (node.lineno, 0), (node.end_lineno + 1, 0)
     start, end = (node.lineno, node.col_offset), (node.end_lineno, node.end_col_offset)
-    return Span(*((line, len(lines[line - 1].encode()[:column].decode())) for line, column in (start, end)))
+    first, last = ((line, len(lines[line - 1].encode()[:column].decode())) for line, column in (start, end))
+    return first, last
