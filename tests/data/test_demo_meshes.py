@@ -8,7 +8,7 @@ import demo_meshes
 import numpy as np
 import pytest
 import trimesh
-from demo_meshes import COTTER, DAMPING_PIN, ELBOW_PIPE, HEAD, HOOK, PIN, CotterDimensions
+from demo_meshes import COTTER, DAMPING_PIN, ELBOW_PIPE, HEAD, HOOK, PIN, Dimensions
 
 from tactile_loc.core.errors import MissingLibraryError, ObjectError, OutputError
 from tactile_loc.data import DEMO_OBJECTS, demo_object_path
@@ -242,8 +242,7 @@ def test_writing_twice_gives_the_same_bytes(tmp_path, written):
 
 
 def test_dimensions_shape_the_object():
-    d = CotterDimensions(long_leg_m=0.030, short_leg_m=0.030)
-    even = demo_meshes.cotter(d)
+    even = demo_meshes.cotter(Dimensions(**{**vars(COTTER), "long_leg_m": 0.030, "short_leg_m": 0.030}))
     assert even.bounds[0, 2] == pytest.approx(-0.030)
     assert maps_onto_itself(even, np.pi, np.array([0, 0, 1]), np.zeros(3))
 
