@@ -38,7 +38,7 @@ def test_a_name_that_no_file_can_have(reader, name):
 
 def test_a_pipe_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "list.toml")
-    with pytest.raises(ConfigError, match="it is no file"):
+    with pytest.raises(ConfigError, match=r"list\.toml"):
         read_toml(tmp_path / "list.toml")
-    with pytest.raises(ConfigError, match="it is no file"):
+    with pytest.raises(ConfigError, match="/dev/zero"):
         read_toml("/dev/zero")
