@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import socket
@@ -49,7 +50,8 @@ def test_every_frame_of_a_folder_is_a_line(cli, touches):
     words = ["live", touches, *LOCATED, "--once", "--no-view", "--out", "found.jsonl"]
     done = cli(*words)
     assert done.exit_code == 0, done.stderr
-    assert not missing(done.stdout, "5 frames", "3 located", "1 without", "1 refused", "0 dropped")
+    assert not missing(done.stdout, "5 frames", "3 located", "1 refused", "0 dropped")
+    assert re.search(r"\b1 \w+ contact", done.stdout)
     assert not missing(done.stdout, "touch-strange.npz", "50 x 200")
     found = records("found.jsonl")
     assert [record["state"] for record in found] == ["located"] * 3 + ["no contact", "refused"]
@@ -68,7 +70,8 @@ def test_frames_that_are_all_refused_are_an_error(cli, touches):
     shutil.copy(touches / "touch-strange.npz", "in")
     done = cli("live", "in", *LOCATED, "--once", "--no-view", "--out", "found.jsonl")
     assert done.exit_code == 2
-    assert not missing(done.stdout, "1 frame", "0 located", "0 without", "1 refused")
+    assert not missing(done.stdout, "1 frame", "0 located", "1 refused")
+    assert re.search(r"\b0 \w+ contact", done.stdout)
     assert "touch-strange.npz" in done.stderr
     assert [record["state"] for record in records("found.jsonl")] == ["refused"]
 
@@ -160,7 +163,8 @@ def test_it_waits_for_more_shows_the_newest_and_ends_with_ctrl_c(going, touches,
         assert stream.read() == b"event: end\ndata: {}\n\n"
     out, err = live.communicate(timeout=HANGS_S)
     assert (live.returncode, err) == (0, "")
-    assert not missing(out, "2 frames", "1 located", "1 without", "0 refused", "0 dropped")
+    assert not missing(out, "2 frames", "1 located", "0 refused", "0 dropped")
+    assert re.search(r"\b1 \w+ contact", out)
     assert [record["state"] for record in records(tmp_path / "found.jsonl")] == ["located", "no contact"]
 
 

@@ -63,7 +63,7 @@ def test_what_cannot_be_used_is_one_sentence(cli, tables):
     for lines, mentioned in (
         (tables[:3], ("4 touches", " 3")),
         ([*tables, no_flange], ("touch 9", "T_base_flange")),
-        (turned, ("axis", "z of")),
+        (turned, ("axis", " z ")),
         ([f'sensor = "digit"\n{tables[0]}'], ("'sensor'",)),
         ([tables[0] + 'sensor = "digit"\n', *tables[1:]], ("digit",)),
     ):

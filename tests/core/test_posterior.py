@@ -190,7 +190,7 @@ def test_turned_parts_are_one_mode_however_they_are_turned(cylinder):
 def test_a_training_distribution_is_finite_and_one_a_pose(box, log_train):
     grid = PoseGrid(translation([[0.001 * k, 0, 0] for k in range(3)]), PoseMetric(box))
     assert PosePosterior(grid, np.zeros(3)).log_train is None
-    with pytest.raises(GridError, match=naming(np.shape(log_train), "3 poses")):
+    with pytest.raises(GridError, match=naming(np.shape(log_train), 3)):
         PosePosterior(grid, np.zeros(3), log_train)
 
 
