@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import make_transform
@@ -57,7 +58,7 @@ def test_the_most_uncertain_quarter_vouches_for_its_like():
 
 @pytest.mark.parametrize("coverage", [0.81, 0.99, 1.0, 0.0, -1.0, math.nan])
 def test_what_so_few_examples_cannot_promise_is_refused(coverage):
-    with pytest.raises(ConfigError, match=r"from 4 simulated examples; ask for one above 0 and at most 0\.8"):
+    with pytest.raises(ConfigError, match=naming(f"{coverage:g}", 4, 0.8)):
         ConformalSets([0.4, 0.1, 0.3, 0.2], [1.0] * 4).level(coverage, 1.0)
 
 

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
+from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError, GridError
 from tactile_loc.core.geometry.rigid import make_transform
@@ -61,7 +62,7 @@ def test_a_posterior_is_over_the_grid(make_object):
     np.testing.assert_allclose(
         TemperatureScaling(0.1, 0.2).posterior(grid, SCORES).log_p, TemperatureScaling(0.1, 0.2).log_p(SCORES)
     )
-    with pytest.raises(GridError, match="no pose"):
+    with pytest.raises(GridError):
         TemperatureScaling(0.1).posterior(grid, np.full(6, -np.inf))
 
 
@@ -168,7 +169,7 @@ def test_one_impossible_truth_does_not_decide_alone():
 
 @pytest.mark.parametrize("values", [(0.0,), (-1.0,), (np.inf,), (np.nan,), (1.0, 1.0), (1.0, -0.1)])
 def test_what_gives_no_probabilities_is_refused(values):
-    with pytest.raises(ConfigError, match="give no probabilities"):
+    with pytest.raises(ConfigError, match=naming(*values)):
         TemperatureScaling(*values)
 
 

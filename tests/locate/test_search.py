@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about, translation
@@ -165,20 +166,20 @@ def test_the_deepest_point_is_the_anchor(examples):
 
 def test_searched_and_listed_touches_are_not_mixed(localizer, examples, store):
     listed = Localizer.create("pin", store=store, sensor="gelsight-mini", grid={"name": "face", "spacing_mm": 8})
-    with pytest.raises(ConfigError, match="give all their localizers the grid whole"):
+    with pytest.raises(ConfigError, match="whole"):
         localize_together([(localizer, examples[0][0]), (listed, examples[0][1])])
 
 
 def test_an_encoder_that_learns_from_listed_poses_is_refused(store):
     pytest.importorskip("torch")
     localizer = Localizer.create("pin", store=store, **WHOLE, encoder="moco")
-    with pytest.raises(ConfigError, match="face or hopf"):
+    with pytest.raises(ConfigError, match=naming("MocoEncoder", "pixel", "face", "hopf")):
         localizer.localize(dataclasses.replace(localizer.simulate(1)[0], name="t"))
 
 
 def test_a_matcher_that_cannot_weigh_says_so(store):
     localizer = Localizer.create("pin", store=store, **WHOLE, matcher="faiss", temperature=0.02)
-    with pytest.raises(ConfigError, match="dense"):
+    with pytest.raises(ConfigError, match=naming("FaissMatcher", "dense", "face", "hopf")):
         localizer.localize(localizer.simulate(1)[0])
 
 
@@ -228,5 +229,5 @@ def test_a_prior_that_excludes_everything_adds_nothing_and_a_wrong_one_is_refuse
     touch = examples[0][0]
     (alone,) = search.propose(touch, 100, lambda poses: np.full(len(poses), -np.inf))
     assert len(alone[0]) == 100
-    with pytest.raises(ConfigError, match="one log-weight a pose"):
+    with pytest.raises(ConfigError, match=naming("()", 30000, "(N,)")):
         search.score(touch, StageTimes(), lambda poses: 0.0)
