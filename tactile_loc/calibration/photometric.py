@@ -222,7 +222,7 @@ class PhotometricEstimator(GelEstimator):
         """Return the slope (H, W, 2) of the gel's surface along x and y, unitless."""
         pixels = torch.from_numpy(self._features(image).reshape(-1, FEATURES))
         with torch.inference_mode():
-            parts = [self._network(part) for part in pixels.split(PIXELS_AT_ONCE)]
+            parts = [self._network(part) for part in torch.split(pixels, PIXELS_AT_ONCE)]
         return torch.cat(parts).numpy().reshape(*image.shape[:2], 2)
 
     def indentation(self, image: Image) -> Float32:

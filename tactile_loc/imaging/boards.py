@@ -181,7 +181,7 @@ def _torus(radius_m: float, height_m: float) -> trimesh.Trimesh:
 
     thick = 0.25 * radius_m
     solid: trimesh.Trimesh = trimesh.creation.torus(radius_m - thick, thick, major_sections=48, minor_sections=24)
-    solid.apply_scale([1, 1, (height_m + SUNK_M) / (2 * thick)])
+    solid.apply_transform(np.diag([1, 1, (height_m + SUNK_M) / (2 * thick), 1]))
     solid.apply_translation([0, 0, (height_m - SUNK_M) / 2])
     return solid
 

@@ -176,7 +176,7 @@ class RecordingWriter:
         require_libraries()
         from mcap.writer import Writer
 
-        self._writer = Writer(file)
+        self._writer: Any = Writer(file)  # whose methods are untyped
         self._writer.start(profile="ros2", library="tactile-loc")
         self._channels: dict[Topic, int] = {}
         self._schemas: dict[tuple[str, bytes], int] = {}
