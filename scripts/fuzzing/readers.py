@@ -190,9 +190,9 @@ def _artifact(folder: Path) -> None:
     store = StageStore(folder)
     store.entries()
     found = store.build(corpora.STAGE, corpora.make_stage)
-    mapped, packed = found.array("mapped"), found.array("packed")
+    mapped, packed = found.load_array("mapped"), found.load_array("packed")
     same = np.array_equal(mapped, np.arange(30.0)) and np.array_equal(packed, np.arange(40))
-    if not (same and found.json("sizes") == [3, 4]):
+    if not (same and found.load_json("sizes") == [3, 4]):
         raise AssertionError("a damaged artifact was read")
 
 

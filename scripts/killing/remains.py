@@ -125,7 +125,7 @@ def _damage(entry: Entry) -> str:
         return ""
     try:
         artifact = read_artifact(entry.path)
-        artifact.signature()
+        artifact.read_signature()
         artifact.verify()
     except TactileLocError as error:
         return str(error)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 NOUNS = "tests/test_nouns.py"
-STORE = ("artifact", "files", "keys", "line_files", "packed", "store", "workspace")
+STORE = ("artifact", "files", "keys", "line_files", "store", "workspace")
 SLOW = "imprint or first_use or dense or sizes"  # without a compiler, or of renderers and sensors
 PROCESSES = "any_step or two_processes or killed_build"  # several, started one after the other
 

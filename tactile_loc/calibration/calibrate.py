@@ -158,5 +158,5 @@ def learned(
 
     artifact = store.build(key, learn)
     made = kind(geometry, background, chosen)
-    made.load(artifact.file(WEIGHTS))
-    return made, artifact.json(RECORD)
+    made.load(artifact.find_file(WEIGHTS))
+    return made, artifact.load_json(RECORD)

@@ -23,7 +23,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.imaging.optics import Optics
 from tactile_loc.io.images import read_colour_image, write_image
 from tactile_loc.io.sensor_files import CALIBRATION, read_sensor_file, write_sensor_file
-from tactile_loc.store.files import is_unfinished, read_json, recover_folder, replacing_folder
+from tactile_loc.store.files import is_unfinished, read_json, recover_folder, replace_folder
 from tactile_loc.store.keys import hash_arrays, hash_file
 
 SCHEMA_VERSION = 1
@@ -182,7 +182,7 @@ def write_calibration(
     options = estimator.options.model_dump(mode="json")
     whole = {"schema_version": SCHEMA_VERSION, "estimator": estimator.name, "options": options, **record}
     try:
-        with replacing_folder(folder) as temporary:
+        with replace_folder(folder) as temporary:
             write_sensor_file(temporary / SENSOR, geometry)
             write_image(temporary / BACKGROUND, background)
             estimator.save(temporary / WEIGHTS)

@@ -19,7 +19,7 @@ from tactile_loc.calibration.reading import reduced
 from tactile_loc.core.errors import CalibrationError, TactileLocError
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_colour_image, write_image
 from tactile_loc.io.videos import VIDEO_SUFFIXES, video_frames
-from tactile_loc.store.files import replacing_folder
+from tactile_loc.store.files import replace_folder
 
 SHEET = "labels.png"
 THUMBNAIL_PX = 64  # longer side
@@ -102,7 +102,7 @@ def take_frames(video: Path) -> Path:
     if not chosen:
         raise CalibrationError(f"{video} shows no touch: its frames hardly differ; film the ball while it is pressed")
     digits = len(str(len(thumbnails)))
-    with replacing_folder(folder, fresh=True) as temporary:
+    with replace_folder(folder, fresh=True) as temporary:
         for number, image in enumerate(video_frames(video)):
             if number in chosen:
                 write_image(temporary / f"{number:0{digits}d}.png", image)

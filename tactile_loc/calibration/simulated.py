@@ -99,7 +99,7 @@ def simulated_presses(
                 advance(size)
 
     artifact = store.build(key, render)
-    images, codes = ([artifact.array(name(n)) for n in range(len(_sizes(count)))] for name in (_images, _codes))
+    images, codes = ([artifact.load_array(name(n)) for n in range(len(_sizes(count)))] for name in (_images, _codes))
     return SimulatedPresses(geometry, untouched, images, codes, key)
 
 

@@ -28,7 +28,7 @@ from tactile_loc.io.images import (
     why_unreadable,
 )
 from tactile_loc.io.meshes import METRES_PER_UNIT
-from tactile_loc.store.files import replacing
+from tactile_loc.store.files import replace_file
 
 if TYPE_CHECKING:
     from tactile_loc.core.slots.sensor import SensorModel
@@ -182,7 +182,7 @@ def write_touch(path: str | Path, touch: Touch) -> Path:
         **{name: np.asarray(T, np.float64) for name, T in poses.items() if T is not None},
     }
     try:
-        with replacing(path) as temporary, temporary.open("xb") as file:
+        with replace_file(path) as temporary, temporary.open("xb") as file:
             np.savez_compressed(file, allow_pickle=False, **arrays)
     except OSError as error:
         raise OutputError(f"{path} cannot be written ({error.strerror}); choose another place") from error

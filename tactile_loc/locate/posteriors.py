@@ -161,7 +161,7 @@ class TouchPosteriors:
         if self.config.temperature is not None:
             return TemperatureScaling(self.config.temperature)
         artifact = self.store.build(self.temperature_key(), self._fit_temperature)
-        return TemperatureScaling(**artifact.json(probabilities.STAGE))
+        return TemperatureScaling(**artifact.load_json(probabilities.STAGE))
 
     def temperature_key(self) -> StageKey:
         """Return the key under which the temperature scaling is stored: everything that decides it."""
@@ -199,7 +199,7 @@ class TouchPosteriors:
         numbers, count, seed = self._fused_examples
         described = self._describe_examples(numbers, count, seed)
         key = StageKey(probabilities.FUSED_STAGE, probabilities.FUSED_VERSION, described)
-        return FusedScaling(**self.store.build(key, self._fit_fused_scaling).json(probabilities.FUSED_STAGE))
+        return FusedScaling(**self.store.build(key, self._fit_fused_scaling).load_json(probabilities.FUSED_STAGE))
 
     @property
     def _fused_examples(self) -> tuple[tuple[int, ...], int, int]:
@@ -241,7 +241,7 @@ class TouchPosteriors:
                 entropies.append(UNKNOWN if posterior is None else posterior.entropy)
             work.save_json(conformal.STAGE, {"scores": scores, "entropies": entropies})
 
-        return ConformalSets(**self.store.build(key, score).json(conformal.STAGE))
+        return ConformalSets(**self.store.build(key, score).load_json(conformal.STAGE))
 
     def _describe_examples(self, touches: Sequence[int], count: int, seed: int) -> dict[str, Any]:
         """What decides what is fused of so many simulated touches, as JSON values."""

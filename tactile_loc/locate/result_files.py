@@ -26,7 +26,7 @@ from tactile_loc.io.arrays import load_npz
 from tactile_loc.io.meshes import simplified
 from tactile_loc.locate import result_json
 from tactile_loc.locate.result_json import ResultRecord
-from tactile_loc.store.files import json_value, read_json, write_atomically
+from tactile_loc.store.files import parse_json, read_json, write_atomically
 
 if TYPE_CHECKING:
     from tactile_loc.core.poses.posterior import PosePosterior
@@ -214,7 +214,7 @@ def _touch_arrays(touch: TouchArrays) -> dict[str, NDArray[Any]]:
 
 
 def _touch(arrays: dict[str, NDArray[Any]]) -> TouchArrays:
-    camera = json_value(str(arrays["geometry"]))
+    camera = parse_json(str(arrays["geometry"]))
     if camera["rectangle_m"] is not None:
         camera["rectangle_m"] = tuple(camera["rectangle_m"])
     geometry = SensorGeometry(**camera, observed=arrays.get("observed"), relief_m=arrays.get("relief_m"))

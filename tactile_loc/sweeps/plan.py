@@ -24,7 +24,7 @@ from tactile_loc.io.config import (
     parse_overrides,
 )
 from tactile_loc.io.toml import read_toml
-from tactile_loc.store.keys import canonical_json
+from tactile_loc.store.keys import write_canonical_json
 
 SETTINGS = ("shape_px", "temperature", "drawing")  # of all combinations of a sweep
 KEYS = ("object", *SLOTS, "noise", "seed", "count", "option", *SETTINGS)
@@ -155,7 +155,7 @@ def expand(slot: str, named: Sequence[SlotConfig], options: Mapping[str, Sequenc
         own = {option: values for option, values in options.items() if option in known[chosen.name]}
         for values in itertools.product(*own.values()):
             choice = _resolved(slot, chosen.name, {**chosen.options, **dict(zip(own, values, strict=True))})
-            found.setdefault(canonical_json(choice.model_dump()), choice)
+            found.setdefault(write_canonical_json(choice.model_dump()), choice)
     return tuple(found.values())
 
 
