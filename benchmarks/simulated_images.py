@@ -31,9 +31,9 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.imaging.gel import contact_indentation, gel_surface
+from tactile_loc.imaging.gel import find_indentation, press_gel
 from tactile_loc.imaging.optics import Optics
-from tactile_loc.imaging.simulate import touch_images
+from tactile_loc.imaging.simulate import render_touches
 from tactile_loc.io.config import RunConfig, parse_overrides
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer
@@ -49,11 +49,11 @@ def measure(estimator: GelEstimator, noise_m: float, touches: list[Touch], lamps
     for start in range(0, len(touches), BATCH):
         some = touches[start : start + BATCH]
         depth_m, press_m = np.stack([t.contact_shape.depth_m for t in some]), [t.press_depth_m for t in some]
-        images = touch_images(depth_m, press_m, estimator.geometry, lamps, rng)
+        images = render_touches(depth_m, press_m, estimator.geometry, lamps, rng)
         known = (
-            gel_surface(depth_m, press_m, estimator.geometry)
+            press_gel(depth_m, press_m, estimator.geometry)
             if estimator.sees_skirt
-            else contact_indentation(depth_m, press_m)
+            else find_indentation(depth_m, press_m)
         )
         rows += [
             errors(estimator, noise_m, t, image, truth) for t, image, truth in zip(some, images, known, strict=True)

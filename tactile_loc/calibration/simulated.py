@@ -21,9 +21,9 @@ from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.imaging.gel import SOFTNESS_M
-from tactile_loc.imaging.optics import OPTICS, Optics, optics, optics_of
-from tactile_loc.imaging.shading import background
-from tactile_loc.imaging.simulate import board_presses
+from tactile_loc.imaging.optics import OPTICS, Optics, choose_optics, find_optics
+from tactile_loc.imaging.shading import render_background
+from tactile_loc.imaging.simulate import press_boards
 from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
@@ -71,11 +71,11 @@ def simulated_presses(
 ) -> SimulatedPresses:  # fmt: skip
     """Press the boards `count` times on a sensor, or fetch from the store what was pressed with the same `seed`.
 
-    `variation` (unitless) is how far the lamps of each SHARD of presses are from `optics`, see `Optics.varied`; the
+    `variation` (unitless) is how far the lamps of each SHARD of presses are from `optics`, see `Optics.vary`; the
     untouched gel is that of `optics` in all of them. Raises TouchError when the boards leave no imprint on the sensor.
     """
     renderer = registry().create("renderer", "heightmap", {})
-    untouched = background(geometry, optics)
+    untouched = render_background(geometry, optics)
     key = StageKey("board-presses", STAGE_VERSION, {
         "geometry": geometry.describe(), "optics": optics.describe(), "variation": variation, "count": count,
         "seed": seed, "softness_m": SOFTNESS_M, "renderer": renderer.describe(), "shard": SHARD,
@@ -83,8 +83,8 @@ def simulated_presses(
 
     def shard(number: int, size: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
         rng = np.random.default_rng([seed, number])
-        lamps = optics.varied(rng, variation)
-        done = list(board_presses(geometry, size, lamps, rng, renderer, background=untouched))
+        lamps = optics.vary(rng, variation)
+        done = list(press_boards(geometry, size, lamps, rng, renderer, background=untouched))
         indentation = np.concatenate([batch.indentation_m for batch in done])
         codes = np.ceil(indentation * np.float32(DEEPEST / geometry.max_depth_m))  # no contact is rounded away
         return np.concatenate([batch.images for batch in done]), np.minimum(codes, DEEPEST).astype(np.uint16)
@@ -121,7 +121,7 @@ def simulated_sensor(sensor: str, lamps: str | None = None) -> tuple[SensorGeome
     By default the optics are the sensor's own, or a usual sensor's. Raises SensorError, ConfigError or
     UnknownPluginError for what there is not, CalibrationError for a sensor that reads no images of its own.
     """
-    chosen = optics(lamps) if lamps else optics_of(sensor)
+    chosen = find_optics(lamps) if lamps else choose_optics(sensor)
     if sensor.endswith(".toml"):
         return read_sensor_file(Path(sensor)), chosen
     if sensor not in OPTICS:

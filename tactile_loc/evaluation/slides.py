@@ -20,7 +20,7 @@ from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.evaluation.simulated_touches import true_pose
 from tactile_loc.imaging.optics import Optics
-from tactile_loc.imaging.simulate import touch_images
+from tactile_loc.imaging.simulate import render_touches
 from tactile_loc.io.recordings import RecordingWriter, write_recording
 from tactile_loc.io.ros_messages import IMAGE, NS, TF
 from tactile_loc.io.ros_types import POSE_STAMPED, image_message, plain_pose_message, transform_message
@@ -141,7 +141,7 @@ class Photos:
     def __call__(self, depth_m: NDArray[np.float32], press_m: float) -> tuple[NDArray[Any], str]:
         """Return the photo (H, W, 3) of a contact shape (H, W), metres."""
         press = press_m if press_m > 0 else self._geometry.max_depth_m
-        return touch_images(depth_m[None], [press], self._geometry, self._optics, self._rng)[0], "rgb8"
+        return render_touches(depth_m[None], [press], self._geometry, self._optics, self._rng)[0], "rgb8"
 
 
 def as_depths(depth_m: NDArray[np.float32], press_m: float) -> tuple[NDArray[Any], str]:

@@ -10,7 +10,7 @@ from press_sets import BALL_M, ball_indentation, gel_under, sensor, visible_radi
 
 from tactile_loc.calibration.circles import Circle, colour_change, concentration, contrast, find_imprint, find_rim
 from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import background, render_images
+from tactile_loc.imaging.shading import render_background, render_images
 
 GEOMETRY = sensor(160)
 SCALE = GEOMETRY.scale_at_surface[0]
@@ -22,7 +22,7 @@ def photos(places=PLACES, optics=OPTICS["gelslim"], seed=0, together=False) -> t
     balls = np.stack([ball_indentation(GEOMETRY, x, y, press) for x, y, press in places])
     balls = balls.max(axis=0, keepdims=True) if together else balls
     pictures = render_images(gel_under(balls, GEOMETRY), GEOMETRY, optics, np.random.default_rng(seed))
-    return background(GEOMETRY, optics), pictures
+    return render_background(GEOMETRY, optics), pictures
 
 
 def found(picture: np.ndarray, gel: np.ndarray) -> Circle:
@@ -48,7 +48,7 @@ def brighter_on_one_side(optics):
 @pytest.mark.parametrize(
     ("optics", "most_px"),
     [
-        (OPTICS["gelslim"].noiseless(), 0.5),
+        (OPTICS["gelslim"].remove_noise(), 0.5),
         (OPTICS["gelslim"], 0.5),
         (OPTICS["gelsight-mini"], 0.5),
         (OPTICS["digit"], 0.7),

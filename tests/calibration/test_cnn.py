@@ -20,8 +20,8 @@ from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.encoder import Checkpoints
 from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import background
-from tactile_loc.imaging.simulate import touch_images
+from tactile_loc.imaging.shading import render_background
+from tactile_loc.imaging.simulate import render_touches
 from tactile_loc.store.store import StageStore
 
 LAMPS = OPTICS["gelslim"]
@@ -50,7 +50,7 @@ class Tips(LabelledPresses):
         half_m, (cx, cy) = rng.uniform(3.5e-3, 4.5e-3), rng.uniform(-6e-3, 6e-3, 2)
         contact = (np.abs(x - cx) < half_m) & (np.abs(y - cy) < half_m)
         depth = np.where(contact, 0, PRESS_M).astype(np.float32)
-        image = touch_images(depth[None], [PRESS_M], sensor(), LAMPS, rng)[0]
+        image = render_touches(depth[None], [PRESS_M], sensor(), LAMPS, rng)[0]
         return image, surface_label(PRESS_M - depth, contact, sensor())
 
 
@@ -60,7 +60,7 @@ class Untouched(LabelledPresses):
         return 6
 
     def press(self, number: int):
-        return background(sensor(), LAMPS), untouched_label(sensor())
+        return render_background(sensor(), LAMPS), untouched_label(sensor())
 
 
 class Notes(Progress):
@@ -100,7 +100,7 @@ def presses(tmp_path_factory):
 
 
 def made(**options) -> CnnEstimator:
-    return CnnEstimator(sensor(), background(sensor(), LAMPS), CnnEstimator.Options(**{**SMALL, **options}))
+    return CnnEstimator(sensor(), render_background(sensor(), LAMPS), CnnEstimator.Options(**{**SMALL, **options}))
 
 
 def fitted(presses: LabelledPresses, checkpoints: Checkpoints | None = None, **options) -> CnnEstimator:
@@ -163,7 +163,7 @@ def test_the_middle_of_a_flat_contact_is_known_by_its_far_edge():
     image, label = Tips().press(1001)
     x, y = np.nonzero(label.contact)
     middle = np.s_[int(x.mean()) - 2 : int(x.mean()) + 3, int(y.mean()) - 2 : int(y.mean()) + 3]
-    assert np.abs(image[middle].astype(int) - background(sensor(), LAMPS)[middle]).mean() < 3  # looks untouched
+    assert np.abs(image[middle].astype(int) - render_background(sensor(), LAMPS)[middle]).mean() < 3  # looks untouched
     sees_far, sees_near = (fitted(Tips(), epochs=20, dilations=d) for d in ((1, 2, 4, 8, 16), (1,) * 5))
     assert sees_far.indentation(image)[middle].mean() > 0.5 * PRESS_M
     assert sees_near.indentation(image)[middle].mean() < 0.25 * PRESS_M

@@ -22,12 +22,12 @@ from tactile_loc.calibration.reading import (
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import background
+from tactile_loc.imaging.shading import render_background
 
 GEOMETRY = sensor(128)
 PITCH_M = GEOMETRY.pixel_pitch_m
 PRESS_M = 6e-4
-GEL = background(GEOMETRY, OPTICS["gelslim"])
+GEL = render_background(GEOMETRY, OPTICS["gelslim"])
 
 
 def flat_punch(half_m: float = 3e-3, press_m: float = PRESS_M, softness_m: float = 0.0) -> np.ndarray:
@@ -221,5 +221,5 @@ def test_a_gel_that_is_saturated_itself_is_no_reason_to_refuse():
 
 
 def test_another_sensors_image_is_refused():
-    refused(background(GEOMETRY, OPTICS["digit"]), "another sensor", "calibrate")
+    refused(render_background(GEOMETRY, OPTICS["digit"]), "another sensor", "calibrate")
     refused(np.random.default_rng(0).integers(0, 250, GEL.shape).astype(np.uint8), "another sensor")

@@ -15,9 +15,9 @@ from tactile_loc.calibration.relief import learn_relief
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import contact_depth
-from tactile_loc.imaging.gel import gel_surface
+from tactile_loc.imaging.gel import press_gel
 from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import background, render_images
+from tactile_loc.imaging.shading import render_background, render_images
 from tactile_loc.io.images import write_image
 from tactile_loc.plugins.sensors.presets import CurvedDigit
 
@@ -46,12 +46,12 @@ def presses(tmp_path_factory) -> PressFolder:
     folder: Path = tmp_path_factory.mktemp("presses")
     rng = np.random.default_rng(0)
     optics = OPTICS["digit"]
-    write_image(folder / "untouched.png", background(CURVED, optics))
+    write_image(folder / "untouched.png", render_background(CURVED, optics))
     rows = [["untouched.png", "background", "", "", "", ""]]
     for number in range(30):
         press_m = rng.uniform(4e-4, 9e-4)
         depth_m = pressed(CURVED, *rng.uniform([-5.5e-3, -8e-3], [5.5e-3, 8e-3]), press_m)
-        surface_m = gel_surface(depth_m[None], [press_m], CURVED)
+        surface_m = press_gel(depth_m[None], [press_m], CURVED)
         write_image(folder / f"{number}.png", render_images(surface_m, CURVED, optics, rng)[0])
         (x, y), radius = circle_px(depth_m < press_m)
         rows.append([f"{number}.png", "ball", str(x), str(y), str(radius), str(1e3 * BALL_M)])

@@ -10,8 +10,8 @@ from tactile_loc.calibration.simulated import SHARD, simulated_presses
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import background
-from tactile_loc.imaging.simulate import board_presses
+from tactile_loc.imaging.shading import render_background
+from tactile_loc.imaging.simulate import press_boards
 from tactile_loc.store.store import StageStore
 
 LAMPS = OPTICS["gelslim"]
@@ -32,8 +32,8 @@ def rendered(count: int, seed: int):
     """Images and indentations of the first presses, as the simulator makes them."""
     renderer = registry().create("renderer", "heightmap", {})
     rng = np.random.default_rng([seed, 0])
-    untouched = background(sensor(), LAMPS)
-    done = list(board_presses(sensor(), count, LAMPS, rng, renderer, background=untouched))
+    untouched = render_background(sensor(), LAMPS)
+    done = list(press_boards(sensor(), count, LAMPS, rng, renderer, background=untouched))
     press = np.concatenate([batch.press_depth_m for batch in done])
     return *(np.concatenate([getattr(b, name) for b in done]) for name in ("images", "indentation_m")), press
 
@@ -53,7 +53,7 @@ def test_labels_are_press_minus_depth_where_the_board_touches(store):
 
 def test_the_untouched_gel_is_the_same_under_lamps_that_differ(store):
     presses = simulated_presses(sensor(), LAMPS, SHARD + 8, 0, store, variation=1.0)
-    assert np.array_equal(presses.background, background(sensor(), LAMPS))
+    assert np.array_equal(presses.background, render_background(sensor(), LAMPS))
     for image, label in presses.presses():
         far = label.known & ~label.contact  # 3 mm from any contact
         changed = np.abs(image[far].astype(int) - presses.background[far])
@@ -84,13 +84,13 @@ def test_a_seed_gives_the_same_presses_and_another_others(tmp_path):
 
 def test_what_is_in_the_store_is_not_rendered_again(store, monkeypatch):
     first = simulated_presses(sensor(), LAMPS, 8, 0, store)
-    monkeypatch.setattr(module, "board_presses", lambda *a, **k: pytest.fail("rendered again"))
+    monkeypatch.setattr(module, "press_boards", lambda *a, **k: pytest.fail("rendered again"))
     assert np.array_equal(simulated_presses(sensor(), LAMPS, 8, 0, store).images[0], first.images[0])
 
 
 def test_an_interruption_keeps_the_shards_that_were_done(tmp_path, monkeypatch):
     whole = simulated_presses(sensor(), LAMPS, SHARD + 8, 0, StageStore(tmp_path / "whole"))
-    asked, real = [], module.board_presses
+    asked, real = [], module.press_boards
 
     def interrupted(geometry, count, *rest, **more):
         asked.append(count)
@@ -98,7 +98,7 @@ def test_an_interruption_keeps_the_shards_that_were_done(tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return real(geometry, count, *rest, **more)
 
-    monkeypatch.setattr(module, "board_presses", interrupted)
+    monkeypatch.setattr(module, "press_boards", interrupted)
     store = StageStore(tmp_path / "resumed")
     with pytest.raises(KeyboardInterrupt):
         simulated_presses(sensor(), LAMPS, SHARD + 8, 0, store)

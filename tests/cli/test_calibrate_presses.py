@@ -20,7 +20,7 @@ from tactile_loc.calibration.calibrate import split  # noqa: E402
 from tactile_loc.calibration.folder import read_calibration  # noqa: E402
 from tactile_loc.calibration.photometric import PhotometricEstimator  # noqa: E402
 from tactile_loc.imaging.optics import OPTICS  # noqa: E402
-from tactile_loc.imaging.shading import background  # noqa: E402
+from tactile_loc.imaging.shading import render_background  # noqa: E402
 from tactile_loc.io.sensor_files import write_sensor_file  # noqa: E402
 from tactile_loc.plugins.sensors.calibrated import CalibratedSensor  # noqa: E402
 from tactile_loc.store.store import StageStore  # noqa: E402
@@ -36,7 +36,7 @@ NOT_ITS_IMAGES = {
     "black": (0 * BALLS.background, "the image is black"),
     "grey": (BALLS.background[..., 0], "image"),
     "alpha": (np.dstack([BALLS.background, BALLS.background[..., 0]]), "image"),
-    "other": (background(BALLS.geometry, OPTICS["digit"]), "another sensor"),
+    "other": (render_background(BALLS.geometry, OPTICS["digit"]), "another sensor"),
 }
 
 

@@ -47,11 +47,11 @@ class CalibratedSensor(DepthSensor):
 
         Raises CalibrationError for a sensor that was calibrated on others.
         """
-        from tactile_loc.imaging.simulate import touch_images
+        from tactile_loc.imaging.simulate import render_touches
 
         press_m, background = np.array([shape.press_depth_m]), self.calibration.background
         optics = self.calibration.optics
-        return touch_images(shape.depth_m[None], press_m, self.geometry, optics, rng, background=background)[0]
+        return render_touches(shape.depth_m[None], press_m, self.geometry, optics, rng, background=background)[0]
 
     def _make_geometry(self) -> SensorGeometry:
         zero = None if self.options.zero is None else Path(self.options.zero).expanduser()
