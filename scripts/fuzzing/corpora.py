@@ -298,13 +298,12 @@ def _images() -> np.ndarray:
 def mcap(folder: Path) -> None:
     """Write a recording of images and transforms."""
     from tactile_loc.io.recordings import RecordingWriter, write_recording
-    from tactile_loc.io.ros_messages import IMAGE, TF
-    from tactile_loc.io.ros_types import image_message, transform_message
+    from tactile_loc.io.ros_messages import IMAGE, TF, make_image, make_transforms
 
     def fill(writer: RecordingWriter) -> None:
-        writer.write("/tf_static", TF, transform_message({("flange", "gel"): np.eye(4)}, 0), 0)
+        writer.write("/tf_static", TF, make_transforms({("flange", "gel"): np.eye(4)}, 0), 0)
         for k, image in enumerate(_images()):
-            writer.write("/gel/image", IMAGE, image_message(image, "rgb8", k, "gel"), k)
+            writer.write("/gel/image", IMAGE, make_image(image, "rgb8", k, "gel"), k)
 
     write_recording(folder / "drive.mcap", fill)
 
@@ -314,14 +313,13 @@ def bag1(folder: Path) -> None:
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
 
-    from tactile_loc.io.ros_messages import IMAGE
-    from tactile_loc.io.ros_types import image_message
+    from tactile_loc.io.ros_messages import IMAGE, make_image
 
     store = get_typestore(Stores.ROS1_NOETIC)
     with Writer(folder / "drive.bag") as writer:
         connection = writer.add_connection("/gel/image", IMAGE, typestore=store)
         for k, image in enumerate(_images()):
-            message = image_message(image, "rgb8", k, "gel")
+            message = make_image(image, "rgb8", k, "gel")
             stamp = store.types["builtin_interfaces/msg/Time"](k, 7)
             message.header = store.types["std_msgs/msg/Header"](k, stamp, "gel")
             writer.write(connection, k, store.serialize_ros1(message, IMAGE))
@@ -332,14 +330,13 @@ def bag2(folder: Path) -> None:
     from rosbags.rosbag2 import Writer
     from rosbags.typesys import Stores, get_typestore
 
-    from tactile_loc.io.ros_messages import IMAGE
-    from tactile_loc.io.ros_types import image_message
+    from tactile_loc.io.ros_messages import IMAGE, make_image
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     with Writer(folder / "drive", version=9) as writer:
         connection = writer.add_connection("/gel/image", IMAGE, typestore=store)
         for k, image in enumerate(_images()):
-            writer.write(connection, k, store.serialize_cdr(image_message(image, "rgb8", k, "gel"), IMAGE))
+            writer.write(connection, k, store.serialize_cdr(make_image(image, "rgb8", k, "gel"), IMAGE))
 
 
 def video(folder: Path) -> None:

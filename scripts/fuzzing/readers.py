@@ -132,7 +132,7 @@ def _mount(folder: Path) -> None:
 
     mount = read_mount(folder / "mount.toml")
     _require_rigid(mount.T_flange_sensor)
-    if not np.isfinite(mount.std_at(np.array([0, 0, 0.02]))).all():
+    if not np.isfinite(mount.find_std_at(np.array([0, 0, 0.02]))).all():
         raise AssertionError("a mount was accepted whose error is no number")
 
 
@@ -227,15 +227,15 @@ def _recording(folder: Path) -> None:
     recording = Recording(_only(folder, "drive*"))
     recording.contents()
     _every(partial(_image, message) for message in recording.messages() if message.topic.type in IMAGE_TYPES)
-    list(recording.extras())
+    list(recording.read_extras())
     recording.frame_tree()
 
 
 def _image(message: Message) -> None:
-    from tactile_loc.io.ros_messages import image_array, stamp_ns
+    from tactile_loc.io.ros_messages import image_array, read_stamp_ns
 
-    image = message.decoded()
-    stamp_ns(image.header)
+    image = message.decode()
+    read_stamp_ns(image.header)
     image_array(image)
 
 

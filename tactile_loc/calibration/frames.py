@@ -18,7 +18,7 @@ from tactile_loc.calibration.labels import Image
 from tactile_loc.calibration.reading import reduced
 from tactile_loc.core.errors import CalibrationError, TactileLocError
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_colour_image, write_image
-from tactile_loc.io.videos import VIDEO_SUFFIXES, video_frames
+from tactile_loc.io.videos import VIDEO_SUFFIXES, read_video
 from tactile_loc.store.files import replace_folder
 
 SHEET = "labels.png"
@@ -97,13 +97,13 @@ def take_frames(video: Path) -> Path:
     folder = frames_folder(video)
     if folder.is_dir():
         return folder
-    thumbnails = np.stack([_thumbnail(image) for image in video_frames(video)])
+    thumbnails = np.stack([_thumbnail(image) for image in read_video(video)])
     chosen = set(choose_frames(thumbnails))
     if not chosen:
         raise CalibrationError(f"{video} shows no touch: its frames hardly differ; film the ball while it is pressed")
     digits = len(str(len(thumbnails)))
     with replace_folder(folder, fresh=True) as temporary:
-        for number, image in enumerate(video_frames(video)):
+        for number, image in enumerate(read_video(video)):
             if number in chosen:
                 write_image(temporary / f"{number:0{digits}d}.png", image)
     return folder

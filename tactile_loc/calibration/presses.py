@@ -23,8 +23,7 @@ from tactile_loc.core.geometry.rigid import make_transform
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene
-from tactile_loc.io.arrays import load_npz
-from tactile_loc.io.images import read_colour_image, write_image
+from tactile_loc.io.images import load_npz, read_colour_image, write_image
 from tactile_loc.io.meshes import load_object
 
 TABLE, SENSOR = "presses.csv", "sensor.toml"

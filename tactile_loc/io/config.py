@@ -13,8 +13,8 @@ from pydantic_core import PydanticCustomError
 from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.sensing.sensor_geometry import Drawing
 from tactile_loc.core.simulation.noise import NoiseLevel
-from tactile_loc.core.slots.registry import SLOTS
-from tactile_loc.io.toml import read_toml, toml_value
+from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
+from tactile_loc.io.toml import parse_value, read_toml
 from tactile_loc.store.files import recover_folder
 
 
@@ -30,7 +30,7 @@ class SlotConfig(_Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _flat(cls, value: Any) -> Any:
+    def _unfold(cls, value: Any) -> Any:
         """Accept "icp" and {name = "icp", max_iterations = 30} beside the full form."""
         if isinstance(value, str):
             return {"name": value}
@@ -68,7 +68,7 @@ OF_WHOLE = {  # what suits the places of a whole object, where nothing is given
 }
 
 
-def default_component(slot: str, grid: str = WHOLE.name) -> SlotConfig:
+def choose_component(slot: str, grid: str = WHOLE.name) -> SlotConfig:
     """Return what fills a slot that is not given, with a grid of that name, by default the default one."""
     chosen: SlotConfig = RunConfig.model_fields[slot].default
     return OF_WHOLE.get(slot, chosen) if grid == WHOLE.name else chosen
@@ -105,13 +105,13 @@ class RunConfig(_Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _suiting_the_grid(cls, value: Any) -> Any:
+    def _suit_the_grid(cls, value: Any) -> Any:
         """What is not given is what suits the grid."""
         if not isinstance(value, dict):
             return value
         grid = value.get("grid", WHOLE)
         named = grid.get("name") if isinstance(grid, dict) else getattr(grid, "name", grid)
-        return {slot: default_component(slot, str(named)) for slot in OF_WHOLE} | value
+        return {slot: choose_component(slot, str(named)) for slot in OF_WHOLE} | value
 
     @classmethod
     def from_toml(cls, path: str | Path) -> RunConfig:
@@ -121,8 +121,6 @@ class RunConfig(_Strict):
     @classmethod
     def from_dict(cls, values: dict[str, Any], source: str = "the configuration") -> RunConfig:
         """Validate nested values; raises ConfigError in one sentence that names `source` and what is allowed."""
-        from tactile_loc.core.slots.registry import validate_options
-
         unknown = set(values) - set(cls.model_fields)
         if unknown:
             key = sorted(unknown)[0]
@@ -132,10 +130,8 @@ class RunConfig(_Strict):
         return result
 
 
-def kind_of_sensor(name: str) -> str | None:
+def find_sensor_kind(name: str) -> str | None:
     """Return the component that reads a sensor given by its path; None when it is the name of one."""
-    from tactile_loc.core.slots.registry import registry
-
     if name in registry().names("sensor"):
         return None
     if name.endswith(".toml"):
@@ -154,7 +150,7 @@ def parse_settings(assignments: Iterable[str]) -> tuple[dict[str, Any], list[str
     for word in assignments:
         name, equals, text = word.partition("=")
         if equals and name.strip() in plain:
-            settings[name.strip()] = toml_value(text.strip())
+            settings[name.strip()] = parse_value(text.strip())
         else:
             others.append(word)
     return settings, others
@@ -175,5 +171,5 @@ def parse_overrides(assignments: Iterable[str]) -> dict[str, dict[str, Any]]:
             raise ConfigError(
                 f"there is no slot {slot!r} in {word!r}.{did_you_mean(slot, SLOTS)} Slots: {', '.join(SLOTS)}"
             )
-        overrides.setdefault(slot, {})[option] = toml_value(text.strip())
+        overrides.setdefault(slot, {})[option] = parse_value(text.strip())
     return overrides

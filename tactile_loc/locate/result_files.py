@@ -22,8 +22,8 @@ from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.objects.mesh import TriangleMesh, check_surface
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.io.arrays import load_npz
-from tactile_loc.io.meshes import simplified
+from tactile_loc.io.images import load_npz
+from tactile_loc.io.meshes import simplify_mesh
 from tactile_loc.locate import result_json
 from tactile_loc.locate.result_json import ResultRecord
 from tactile_loc.store.files import parse_json, read_json, write_atomically
@@ -102,7 +102,7 @@ def gather(contacts: Sequence[Observation], localization: Localization) -> Resul
 
 def drawn_mesh(mesh: TriangleMesh) -> TriangleMesh:
     """Return a surface as pages draw it: decimated if it has more than MOST_FACES faces."""
-    return mesh if len(mesh.faces) <= MOST_FACES else simplified(mesh, MOST_FACES)
+    return mesh if len(mesh.faces) <= MOST_FACES else simplify_mesh(mesh, MOST_FACES)
 
 
 def most_probable(posterior: PosePosterior, most: int = MOST_POSES) -> NDArray[np.int64]:

@@ -19,8 +19,8 @@ from tactile_loc.io.config import (
     ObjectConfig,
     RunConfig,
     SlotConfig,
-    default_component,
-    kind_of_sensor,
+    choose_component,
+    find_sensor_kind,
     parse_overrides,
 )
 from tactile_loc.io.toml import read_toml
@@ -97,7 +97,7 @@ def _objects(entries: Sequence[Any], source: str) -> tuple[ObjectConfig, ...]:
 
 
 def _choices(slot: str, values: Mapping[str, Any], options: Mapping[str, list[Any]], source: str) -> Any:
-    default = LISTED.name if slot == "grid" else default_component(slot, LISTED.name).name
+    default = LISTED.name if slot == "grid" else choose_component(slot, LISTED.name).name
     named = [_component(slot, entry, source) for entry in as_list(values.get(slot, default), slot, source)]
     return expand(slot, named, options)
 
@@ -114,7 +114,7 @@ def _component(slot: str, entry: Any, source: str) -> SlotConfig:
 def _sensor(chosen: SlotConfig) -> SlotConfig:
     """A sensor by its name, or by the path of its description or calibration, which becomes absolute."""
     path = chosen.options.get("path")
-    if kind := kind_of_sensor(chosen.name):
+    if kind := find_sensor_kind(chosen.name):
         path = chosen.name
         chosen = SlotConfig(name=kind, options=chosen.options)
     if isinstance(path, str):

@@ -134,8 +134,8 @@ def test_every_frame_of_a_video(tmp_path):
 @pytest.fixture
 def film(monkeypatch) -> list[int]:
     """A video of 50 frames, at 1000 Hz; its facts may be changed."""
-    monkeypatch.setattr(frame_sources, "video_frames", lambda _: iter([picture((k, k, k)) for k in range(50)]))
-    monkeypatch.setattr(frame_sources, "video_facts", lambda _: VideoFacts(1000.0, 50))
+    monkeypatch.setattr(frame_sources, "read_video", lambda _: iter([picture((k, k, k)) for k in range(50)]))
+    monkeypatch.setattr(frame_sources, "read_video_facts", lambda _: VideoFacts(1000.0, 50))
     return list(range(50))
 
 
@@ -144,7 +144,7 @@ def test_of_a_video_that_plays_on_the_newest_counts(film, tmp_path):
     found = []
     for frame in source.frames():
         found.append(frame.number)
-        while not source._place._ended:
+        while not source._newest._ended:
             time.sleep(0.001)
     assert found[-1] == 49
     assert len(found) <= 3
@@ -152,12 +152,12 @@ def test_of_a_video_that_plays_on_the_newest_counts(film, tmp_path):
 
 
 def test_a_video_that_breaks_off_is_told_after_its_frames(film, tmp_path, monkeypatch):
-    monkeypatch.setattr(frame_sources, "video_facts", lambda _: VideoFacts(1000.0, 80))
+    monkeypatch.setattr(frame_sources, "read_video_facts", lambda _: VideoFacts(1000.0, 80))
     for every in (True, False):
         found, says = until_it_fails(Video(tmp_path / "film.mp4", every).frames())
         assert found[-1].number == 49
         assert "breaks off after 50 of 80 frames" in says
-    monkeypatch.setattr(frame_sources, "video_facts", lambda _: VideoFacts(1000.0, 51))  # containers miscount
+    monkeypatch.setattr(frame_sources, "read_video_facts", lambda _: VideoFacts(1000.0, 51))  # containers miscount
     assert len(list(Video(tmp_path / "film.mp4", every=True).frames())) == 50
 
 

@@ -11,7 +11,7 @@ from tactile_loc.calibration.folder import read_calibration
 from tactile_loc.calibration.frames import read_frames
 from tactile_loc.core.errors import ConfigError, TactileLocError
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.io.config import kind_of_sensor
+from tactile_loc.io.config import find_sensor_kind
 from tactile_loc.io.meshes import load_object
 from tactile_loc.io.recordings import Recording
 from tactile_loc.io.toml import read_toml
@@ -23,7 +23,7 @@ READERS = {
     "mesh": load_object, "toml": read_toml, "touch": lambda name: read_contents(Path(name)),
     "calibration": lambda name: read_calibration(Path(name)), "recording": Recording,
     "result": lambda name: find_source(Path(name)), "frames": lambda name: read_frames(Path(name)),
-    "sensor": lambda name: registry().create("sensor", kind_of_sensor(name) or name, {"path": name}),
+    "sensor": lambda name: registry().create("sensor", find_sensor_kind(name) or name, {"path": name}),
 }  # fmt: skip
 
 

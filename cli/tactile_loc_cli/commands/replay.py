@@ -77,7 +77,7 @@ def replay(
     and the poses as a table (.csv) and as JSON. Interrupted, the same command goes on where it was.
     """
     from tactile_loc.io.recordings import Recording
-    from tactile_loc.io.recordings import image_topic as chosen
+    from tactile_loc.io.recordings import choose_image_topic as chosen
     from tactile_loc.tasks.replay import Replay
     from tactile_loc.tasks.replay_files import replay_to
 
