@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tactile_loc.calibration.labels import LabelledPresses, PressLabel, ball_label
+from tactile_loc.calibration.labels import LabelledPresses, PressLabel, label_ball
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.imaging.gel import press_gel
 from tactile_loc.imaging.optics import OPTICS
@@ -70,6 +70,13 @@ def photographed(indentation_m: np.ndarray, geometry: SensorGeometry) -> np.ndar
     return render_images(gel_under(indentation_m, geometry), geometry, optics, np.random.default_rng(0))
 
 
+def label_untouched(geometry: SensorGeometry) -> PressLabel:
+    """The label of an image without contact."""
+    none = np.zeros(geometry.shape, bool)
+    slope = np.zeros((*geometry.shape, 2), np.float32)
+    return PressLabel(np.zeros(geometry.shape, np.float32), slope, none, ~none)
+
+
 @dataclass(frozen=True, eq=False)
 class BallSet(LabelledPresses):
     """Presses of one ball: images (N, H, W, 3), visible circles (N, 3) of x, y, radius in pixels, and the truth.
@@ -95,7 +102,7 @@ class BallSet(LabelledPresses):
 
     def press(self, number: int) -> tuple[np.ndarray, PressLabel]:
         x, y, radius = self.circles[number]
-        return self.images[number], ball_label(self.geometry, (x, y), radius, BALL_M)
+        return self.images[number], label_ball(self.geometry, (x, y), radius, BALL_M)
 
     def rows(self) -> list[dict[str, object]]:
         """The rows of the table."""
@@ -149,7 +156,7 @@ def ball_set(count: int = 12, px: int = 64, seed: int = 0) -> BallSet:
 def write_calibrated(folder: Path, learned_from: BallSet | None = None, **options: object) -> Path:
     """Write a calibrated sensor, trained on a set of presses or not at all, and return the folder; needs torch."""
     from tactile_loc.calibration.calibrate import calibrate
-    from tactile_loc.calibration.estimator import estimator_options
+    from tactile_loc.calibration.estimator import validate_estimator_options
     from tactile_loc.calibration.folder import write_calibration
     from tactile_loc.calibration.photometric import PhotometricEstimator
 
@@ -157,7 +164,7 @@ def write_calibrated(folder: Path, learned_from: BallSet | None = None, **option
     if learned_from is None:
         geometry = sensor()
         gel = render_background(geometry, OPTICS["gelslim"])
-        estimator = PhotometricEstimator(geometry, gel, estimator_options(PhotometricEstimator, chosen))
+        estimator = PhotometricEstimator(geometry, gel, validate_estimator_options(PhotometricEstimator, chosen))
         return write_calibration(folder, geometry, gel, estimator, {"noise_m": 5e-6})
     made = calibrate(learned_from, learned_from.geometry, learned_from.background, "photometric", chosen)
     return write_calibration(folder, learned_from.geometry, learned_from.background, made.estimator, made.record())

@@ -49,7 +49,7 @@ def installed_closure(root: str, extras: frozenset[str]) -> dict[str, str]:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:  # a development tool that this environment does without
             continue
-        queue += [(canonicalize_name(r.name), frozenset(r.read_extras)) for r in requirements(name, wanted)]
+        queue += [(canonicalize_name(r.name), frozenset(r.extras)) for r in requirements(name, wanted)]
     del found[root]
     return found
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.calibration.calibrate import learned
-from tactile_loc.calibration.estimator import GelEstimator, estimator_class, estimator_options
-from tactile_loc.calibration.labels import Image, LabelledPresses, PressLabel, surface_label
+from tactile_loc.calibration.calibrate import learn_stage
+from tactile_loc.calibration.estimator import GelEstimator, load_estimator, validate_estimator_options
+from tactile_loc.calibration.labels import Image, LabelledPresses, PressLabel, label_surface
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -30,6 +30,7 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 STAGE_VERSION = 3
+PIECES = "images-{:04d}", "indentation-{:04d}"  # by the number of a shard
 SHARD = 64  # presses rendered, saved and resumed at once, under lamps of their own
 DEEPEST = 65535  # indentations are 16-bit shares of the sensor's deepest press
 VARIATION = 0.25  # of the lamps, of what one make's specimens differ by
@@ -57,7 +58,7 @@ class SimulatedPresses(LabelledPresses):
         """Return an image (H, W, 3) and its label, the indentation of what touches: press - depth, metres."""
         shard, place = divmod(number, SHARD)
         indentation = self.codes[shard][place] * np.float32(self.geometry.max_depth_m / DEEPEST)
-        label = surface_label(indentation, indentation > 0, self.geometry)
+        label = label_surface(indentation, indentation > 0, self.geometry)
         return np.array(self.images[shard][place]), label
 
     def name(self, number: int) -> str:
@@ -65,7 +66,7 @@ class SimulatedPresses(LabelledPresses):
         return f"simulated press {number}"
 
 
-def simulated_presses(
+def simulate_presses(
     geometry: SensorGeometry, optics: Optics, count: int, seed: int, store: StageStore,
     progress: Progress | None = None, variation: float = VARIATION,
 ) -> SimulatedPresses:  # fmt: skip
@@ -91,31 +92,25 @@ def simulated_presses(
 
     def render(work: Workspace) -> None:
         with (progress or Progress()).task("pressing the calibration boards", count) as advance:
-            for number, size in enumerate(_sizes(count)):
-                if work.load(_images(number)) is None or work.load(_codes(number)) is None:
+            for number, size in enumerate(_split_shards(count)):
+                names = [name.format(number) for name in PIECES]
+                if any(work.load(name) is None for name in names):
                     images, codes = shard(number, size)
-                    work.save_array(_images(number), images)
-                    work.save_array(_codes(number), codes)
+                    work.save_array(names[0], images)
+                    work.save_array(names[1], codes)
                 advance(size)
 
     artifact = store.build(key, render)
-    images, codes = ([artifact.load_array(name(n)) for n in range(len(_sizes(count)))] for name in (_images, _codes))
+    shards = range(len(_split_shards(count)))
+    images, codes = ([artifact.load_array(name.format(number)) for number in shards] for name in PIECES)
     return SimulatedPresses(geometry, untouched, images, codes, key)
 
 
-def _sizes(count: int) -> list[int]:
+def _split_shards(count: int) -> list[int]:
     return [min(SHARD, count - start) for start in range(0, count, SHARD)]
 
 
-def _images(number: int) -> str:
-    return f"images-{number:04d}"
-
-
-def _codes(number: int) -> str:
-    return f"indentation-{number:04d}"
-
-
-def simulated_sensor(sensor: str, lamps: str | None = None) -> tuple[SensorGeometry, Optics]:
+def find_sensor(sensor: str, lamps: str | None = None) -> tuple[SensorGeometry, Optics]:
     """Return the geometry of a sensor, by its name or its file (.toml), and the optics called `lamps`.
 
     By default the optics are the sensor's own, or a usual sensor's. Raises SensorError, ConfigError or
@@ -133,7 +128,7 @@ def simulated_sensor(sensor: str, lamps: str | None = None) -> tuple[SensorGeome
     return geometry, chosen
 
 
-def camera_px(sensor: str) -> list[int] | None:
+def find_camera_px(sensor: str) -> list[int] | None:
     """Return the size (rows, columns) of the images of a sensor by its name; None for one in a file: its own."""
     return list(registry().create("sensor", sensor, {}).native.shape) if sensor in OPTICS else None
 
@@ -147,11 +142,11 @@ def calibrate_simulated(
     Return the presses, the estimator, and a record of JSON values: its errors, and the optics. Raises CalibrationError,
     ConfigError or TrainingError.
     """
-    estimator_options(estimator_class(estimator), options)  # what is wrong is said before anything is rendered
+    validate_estimator_options(load_estimator(estimator), options)  # what is wrong is said before anything is rendered
     watcher = progress or Progress()
-    presses = simulated_presses(geometry, lamps, count or PRESSES[estimator], seed, store, watcher)
+    presses = simulate_presses(geometry, lamps, count or PRESSES[estimator], seed, store, watcher)
     inputs = {"presses": presses.key.digest}
-    made, record = learned(
+    made, record = learn_stage(
         presses, geometry, presses.background, inputs, estimator, options, seed, store, watcher
     )  # fmt: skip
     return presses, made, {**record, "simulated": {"optics": lamps.describe(), "variation": VARIATION}}

@@ -7,14 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import torch
+from press_sets import label_untouched
 
 from tactile_loc.calibration.calibrate import calibrate
 from tactile_loc.calibration.cnn import PLANES, CnnEstimator, GelNetwork
 from tactile_loc.calibration.estimator import CalibrationProblem
-from tactile_loc.calibration.labels import LabelledPresses, surface_label, untouched_label
+from tactile_loc.calibration.labels import LabelledPresses, label_surface
 from tactile_loc.calibration.photometric import PhotometricEstimator
-from tactile_loc.calibration.reading import LEAST_M, contact_shape
-from tactile_loc.calibration.simulated import simulated_presses
+from tactile_loc.calibration.reading import LEAST_M, find_contact_shape
+from tactile_loc.calibration.simulated import simulate_presses
 from tactile_loc.core.errors import CalibrationError, TrainingError, WeightsError
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -51,7 +52,7 @@ class Tips(LabelledPresses):
         contact = (np.abs(x - cx) < half_m) & (np.abs(y - cy) < half_m)
         depth = np.where(contact, 0, PRESS_M).astype(np.float32)
         image = render_touches(depth[None], [PRESS_M], sensor(), LAMPS, rng)[0]
-        return image, surface_label(PRESS_M - depth, contact, sensor())
+        return image, label_surface(PRESS_M - depth, contact, sensor())
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +61,7 @@ class Untouched(LabelledPresses):
         return 6
 
     def press(self, number: int):
-        return render_background(sensor(), LAMPS), untouched_label(sensor())
+        return render_background(sensor(), LAMPS), label_untouched(sensor())
 
 
 class Notes(Progress):
@@ -94,7 +95,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 @pytest.fixture(scope="module")
 def presses(tmp_path_factory):
-    done = simulated_presses(sensor(), LAMPS, 40, 0, StageStore(tmp_path_factory.mktemp("store")))
+    done = simulate_presses(sensor(), LAMPS, 40, 0, StageStore(tmp_path_factory.mktemp("store")))
     torch.set_num_threads(1)  # the renderer's threads have set it
     return done
 
@@ -165,8 +166,8 @@ def test_the_middle_of_a_flat_contact_is_known_by_its_far_edge():
     middle = np.s_[int(x.mean()) - 2 : int(x.mean()) + 3, int(y.mean()) - 2 : int(y.mean()) + 3]
     assert np.abs(image[middle].astype(int) - render_background(sensor(), LAMPS)[middle]).mean() < 3  # looks untouched
     sees_far, sees_near = (fitted(Tips(), epochs=20, dilations=d) for d in ((1, 2, 4, 8, 16), (1,) * 5))
-    assert sees_far.indentation(image)[middle].mean() > 0.5 * PRESS_M
-    assert sees_near.indentation(image)[middle].mean() < 0.25 * PRESS_M
+    assert sees_far.read_indentation(image)[middle].mean() > 0.5 * PRESS_M
+    assert sees_near.read_indentation(image)[middle].mean() < 0.25 * PRESS_M
 
 
 def test_the_default_sees_31_pixels_to_each_side():
@@ -186,11 +187,11 @@ def test_what_was_saved_is_read_again(tmp_path, presses):
     second = made(seed=9)
     second.load(tmp_path / "w.safetensors")
     image, _ = presses.press(0)
-    found = second.indentation(image)
+    found = second.read_indentation(image)
     assert found.dtype == np.float32
     assert found.shape == sensor().shape
     assert found.min() >= 0
-    assert np.array_equal(found, first.indentation(image))
+    assert np.array_equal(found, first.read_indentation(image))
 
 
 def test_damaged_weights_and_those_of_another_estimator_are_refused(tmp_path):
@@ -216,10 +217,10 @@ def test_presses_that_show_nothing_are_refused():
 def test_a_contact_without_skirt_is_cut_where_it_stands_out_of_the_noise():
     _, label = Tips().press(0)
     slope = np.linspace(0, PRESS_M, 64, dtype=np.float32)[None, :] * label.contact  # from nothing to all of the press
-    shape = contact_shape(slope, sensor(), 0.0, CnnEstimator.sees_skirt)
+    shape = find_contact_shape(slope, sensor(), 0.0, CnnEstimator.sees_skirt)
     assert np.array_equal(shape.contact, slope > LEAST_M)
     assert shape.press_depth_m == pytest.approx(slope.max(), rel=0.1)
     assert np.allclose(shape.depth_m[shape.contact], np.maximum(shape.press_depth_m - slope, 0)[shape.contact])
-    noisy = contact_shape(slope, sensor(), 5e-5, CnnEstimator.sees_skirt)
+    noisy = find_contact_shape(slope, sensor(), 5e-5, CnnEstimator.sees_skirt)
     assert np.array_equal(noisy.contact, slope > 2e-4)
-    assert contact_shape(slope, sensor(), 0.0).contact.sum() < shape.contact.sum()  # half the press is cut off
+    assert find_contact_shape(slope, sensor(), 0.0).contact.sum() < shape.contact.sum()  # half the press is cut off

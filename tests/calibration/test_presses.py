@@ -14,8 +14,8 @@ import trimesh
 from PIL import Image
 from press_sets import BALL_M, COLUMNS, MM, ball_set, magnified, places, write_image, write_table
 
-from tactile_loc.calibration.calibrate import calibrate, mean_errors
-from tactile_loc.calibration.presses import FOR_MEDIAN, FORMATS, convert, read_presses, reading_size_px
+from tactile_loc.calibration.calibrate import average_errors, calibrate
+from tactile_loc.calibration.presses import FOR_MEDIAN, FORMATS, choose_size_px, convert, read_presses
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import read_colour_image
@@ -465,7 +465,7 @@ def test_public_sets_are_read_as_they_are(public, name):
 def test_a_real_sensor_is_learned_in_a_few_steps(public):
     presses = public("gelslim_balls")
     found = calibrate(presses, presses.geometry, presses.background, "photometric", {"steps": 150, "hidden": 16})
-    mean = mean_errors(found.errors)
+    mean = average_errors(found.errors)
     assert mean["slope_deg"] < 5
     assert mean["shape_m"] < 8e-5
 
@@ -484,4 +484,4 @@ def test_a_real_sensor_is_learned_in_a_few_steps(public):
 def test_images_are_reduced_to_what_locating_takes(camera, reading):
     width, height = camera
     geometry = SensorGeometry("orthographic", width, height, 1e4, 1e4, width / 2, height / 2, 0.01, 1e-3)
-    assert reading_size_px(geometry) == reading
+    assert choose_size_px(geometry) == reading

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_loc.calibration.labels import ball_label
+from tactile_loc.calibration.labels import label_ball
 from tactile_loc.calibration.presses import PressFolder, read_presses
 from tactile_loc.calibration.relief import learn_relief
 from tactile_loc.core.errors import CalibrationError
@@ -82,7 +82,7 @@ def test_a_balls_label_on_a_curved_gel_is_what_it_presses_in(place):
     press_m = 7e-4
     depth_m = pressed(CURVED, *place, press_m)
     contact = depth_m < press_m
-    label = ball_label(CURVED, *circle_px(contact), BALL_M)
+    label = label_ball(CURVED, *circle_px(contact), BALL_M)
     both = contact & label.contact
     assert both.sum() > 0.95 * contact.sum()
     assert label.indentation_m[both] == pytest.approx((press_m - depth_m)[both], abs=8e-5)
@@ -93,6 +93,6 @@ def test_a_balls_label_on_a_curved_gel_is_what_it_presses_in(place):
 
 def test_a_flat_gels_label_is_the_one_of_no_relief():
     level = dataclasses.replace(FLAT, relief_m=np.zeros(FLAT.shape, np.float32))
-    ours, theirs = (ball_label(geometry, (40.0, 60.0), 9.0, BALL_M) for geometry in (level, FLAT))
+    ours, theirs = (label_ball(geometry, (40.0, 60.0), 9.0, BALL_M) for geometry in (level, FLAT))
     assert ours.slope == pytest.approx(theirs.slope, abs=1e-6)
     assert ours.indentation_m == pytest.approx(theirs.indentation_m, abs=3e-5)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactile_loc.calibration import simulated as module
-from tactile_loc.calibration.simulated import SHARD, simulated_presses
+from tactile_loc.calibration.simulated import SHARD, simulate_presses
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.imaging.optics import OPTICS
@@ -39,7 +39,7 @@ def rendered(count: int, seed: int):
 
 
 def test_labels_are_press_minus_depth_where_the_board_touches(store):
-    presses = simulated_presses(sensor(), LAMPS, 18, 3, store, variation=0.0)
+    presses = simulate_presses(sensor(), LAMPS, 18, 3, store, variation=0.0)
     images, indentation_m, press_m = rendered(18, 3)
     assert len(presses) == 18
     for number, (image, label) in enumerate(presses.presses()):
@@ -52,7 +52,7 @@ def test_labels_are_press_minus_depth_where_the_board_touches(store):
 
 
 def test_the_untouched_gel_is_the_same_under_lamps_that_differ(store):
-    presses = simulated_presses(sensor(), LAMPS, SHARD + 8, 0, store, variation=1.0)
+    presses = simulate_presses(sensor(), LAMPS, SHARD + 8, 0, store, variation=1.0)
     assert np.array_equal(presses.background, render_background(sensor(), LAMPS))
     for image, label in presses.presses():
         far = label.known & ~label.contact  # 3 mm from any contact
@@ -61,13 +61,13 @@ def test_the_untouched_gel_is_the_same_under_lamps_that_differ(store):
 
 
 def test_lamps_differ_from_shard_to_shard(store):
-    even, varied = (simulated_presses(sensor(), LAMPS, 8, 0, store, variation=v) for v in (0.0, 1.0))
+    even, varied = (simulate_presses(sensor(), LAMPS, 8, 0, store, variation=v) for v in (0.0, 1.0))
     assert even.key != varied.key
     assert not np.array_equal(even.images[0], varied.images[0])
 
 
 def test_all_shards_are_there_and_the_last_may_be_short(store):
-    presses = simulated_presses(sensor(), LAMPS, SHARD + 3, 0, store)
+    presses = simulate_presses(sensor(), LAMPS, SHARD + 3, 0, store)
     assert [len(shard) for shard in presses.images] == [SHARD, 3]
     image, label = presses.press(SHARD + 2)
     assert np.array_equal(image, presses.images[1][2])
@@ -76,20 +76,20 @@ def test_all_shards_are_there_and_the_last_may_be_short(store):
 
 
 def test_a_seed_gives_the_same_presses_and_another_others(tmp_path):
-    one, same, other = (simulated_presses(sensor(), LAMPS, 8, s, StageStore(tmp_path / n)) for s, n in zip(
+    one, same, other = (simulate_presses(sensor(), LAMPS, 8, s, StageStore(tmp_path / n)) for s, n in zip(
         (1, 1, 2), "abc", strict=True))  # fmt: skip
     assert np.array_equal(one.images[0], same.images[0])
     assert not np.array_equal(one.codes[0], other.codes[0])
 
 
 def test_what_is_in_the_store_is_not_rendered_again(store, monkeypatch):
-    first = simulated_presses(sensor(), LAMPS, 8, 0, store)
+    first = simulate_presses(sensor(), LAMPS, 8, 0, store)
     monkeypatch.setattr(module, "press_boards", lambda *a, **k: pytest.fail("rendered again"))
-    assert np.array_equal(simulated_presses(sensor(), LAMPS, 8, 0, store).images[0], first.images[0])
+    assert np.array_equal(simulate_presses(sensor(), LAMPS, 8, 0, store).images[0], first.images[0])
 
 
 def test_an_interruption_keeps_the_shards_that_were_done(tmp_path, monkeypatch):
-    whole = simulated_presses(sensor(), LAMPS, SHARD + 8, 0, StageStore(tmp_path / "whole"))
+    whole = simulate_presses(sensor(), LAMPS, SHARD + 8, 0, StageStore(tmp_path / "whole"))
     asked, real = [], module.press_boards
 
     def interrupted(geometry, count, *rest, **more):
@@ -101,8 +101,8 @@ def test_an_interruption_keeps_the_shards_that_were_done(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "press_boards", interrupted)
     store = StageStore(tmp_path / "resumed")
     with pytest.raises(KeyboardInterrupt):
-        simulated_presses(sensor(), LAMPS, SHARD + 8, 0, store)
-    resumed = simulated_presses(sensor(), LAMPS, SHARD + 8, 0, store)
+        simulate_presses(sensor(), LAMPS, SHARD + 8, 0, store)
+    resumed = simulate_presses(sensor(), LAMPS, SHARD + 8, 0, store)
     assert asked == [SHARD, 8, 8]
     for got, want in zip(resumed.images, whole.images, strict=True):
         assert np.array_equal(got, want)
