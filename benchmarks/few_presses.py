@@ -57,7 +57,7 @@ def error_deg(presses: PressFolder, count: int, choose: Callable[..., list[int]]
     made = PhotometricEstimator(presses.geometry, presses.background)
     some = Chosen(presses, learned)
     made.fit(CalibrationProblem(presses.geometry, presses.background, some, Progress(), Checkpoints()))
-    return float(np.mean([measure_press(made, *presses.press(number)).slope_deg for number in held_out]))
+    return float(np.mean([measure_press(made, *presses.read_press(number)).slope_deg for number in held_out]))
 
 
 def row(name: str, presses: PressFolder, choose: Callable[..., list[int]], counts: Sequence[int], splits: int) -> str:

@@ -71,7 +71,7 @@ def errors_deg(sets: dict[str, PressFolder], known: NDArray[np.bool_], seed: int
         chosen = Chosen(labels, learned)
         made.fit(CalibrationProblem(hand.geometry, hand.background, chosen, Progress(), Checkpoints()))
         for tested in ("hand", "found"):
-            each = [measure_press(made, *sets[tested].press(n)).slope_deg for n in held_out]
+            each = [measure_press(made, *sets[tested].read_press(n)).slope_deg for n in held_out]
             errors[f"{name} on {tested}"] = float(np.mean(each))
     return errors
 

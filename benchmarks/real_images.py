@@ -91,7 +91,7 @@ def _figure(calibrated: Calibrated, presses: PressFolder, number: int, untouched
     estimator.untouched, kept = zero, estimator.untouched
     found: Health = measure_health(image, zero, estimator.read(image)[1], estimator.geometry)
     estimator.untouched = kept
-    return found.figure(calibrated.usual)
+    return found.compare(calibrated.usual)
 
 
 def _resized(image: NDArray[np.uint8], shape: tuple[int, int]) -> NDArray[np.uint8]:

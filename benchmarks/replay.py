@@ -63,9 +63,9 @@ def replayed(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, f
 
     start = time.perf_counter()
     recording = Recording(source)
-    counts = recording.contents().counts
+    counts = recording.read_contents().counts
     topic = next(topic for topic in counts if topic.name == IMAGE_TOPIC)
-    asked = Replay(recording, topic, localizer, base_frame=BASE, frame_tree=recording.frame_tree())
+    asked = Replay(recording, topic, localizer, base_frame=BASE, frame_tree=recording.read_frame_tree())
     found = replay_to(out, asked, counts[topic], POSE_TOPIC, estimator=located)
     return found, time.perf_counter() - start, locating_s
 

@@ -100,7 +100,7 @@ class BallSet(LabelledPresses):
     def __len__(self) -> int:
         return len(self.images)
 
-    def press(self, number: int) -> tuple[np.ndarray, PressLabel]:
+    def read_press(self, number: int) -> tuple[np.ndarray, PressLabel]:
         x, y, radius = self.circles[number]
         return self.images[number], label_ball(self.geometry, (x, y), radius, BALL_M)
 

@@ -225,10 +225,10 @@ def _recording(folder: Path) -> None:
     from tactile_loc.io.ros_messages import IMAGE_TYPES
 
     recording = Recording(_only(folder, "drive*"))
-    recording.contents()
-    _every(partial(_image, message) for message in recording.messages() if message.topic.type in IMAGE_TYPES)
+    recording.read_contents()
+    _every(partial(_image, message) for message in recording.read_messages() if message.topic.type in IMAGE_TYPES)
     list(recording.read_extras())
-    recording.frame_tree()
+    recording.read_frame_tree()
 
 
 def _image(message: Message) -> None:

@@ -170,7 +170,7 @@ def _read(path: Path, ended: bool) -> None:
     elif path.suffix in (".npz", ".npy"):
         np.load(path, allow_pickle=False)
     elif path.suffix == ".mcap":
-        if damage := Recording(path).contents().damage:
+        if damage := Recording(path).read_contents().damage:
             raise ValueError(damage)
     elif path.suffix in (".csv", ".md", ".html") and not path.read_bytes().endswith(b"\n"):
         raise ValueError("ends in half a line")

@@ -91,14 +91,14 @@ def calibrate(
         geometry, background, Chosen(presses, learned), progress or Progress(), checkpoints or Checkpoints()
     )
     made.fit(problem)
-    errors = tuple(measure_press(made, *presses.press(number)) for number in held_out)
+    errors = tuple(measure_press(made, *presses.read_press(number)) for number in held_out)
     return Calibrated(made, held_out, errors, _measure_usual_health(made, presses, learned))
 
 
 def _measure_usual_health(estimator: GelEstimator, presses: LabelledPresses, learned: Sequence[int]) -> Health:
     """The worst health of the presses that were learned from, or of some of many."""
     some = learned[:: -(-len(learned) // LOOKED_AT)]
-    images = (presses.press(number)[0] for number in some)
+    images = (presses.read_press(number)[0] for number in some)
     return find_worst(measure_health(i, estimator.untouched, estimator.read(i)[1], estimator.geometry) for i in images)
 
 

@@ -96,7 +96,7 @@ class Samples:
         images = np.empty((len(problem.presses), *geometry.shape, 3), np.uint8)
         shares = np.empty(images.shape[:3], np.float16)
         with problem.progress.task("reading presses", len(images)) as advance:
-            for number, (image, label) in enumerate(problem.presses.presses()):
+            for number, (image, label) in enumerate(problem.presses.read_presses()):
                 images[number], shares[number] = image, label.indentation_m / np.float32(deepest_m)
                 advance(1)
         if not shares[:, geometry.observed_mask].any():

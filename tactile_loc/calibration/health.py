@@ -40,16 +40,16 @@ class Health:
     light: float
     unfit: float
 
-    def figure(self, usual: Health) -> float:
+    def compare(self, usual: Health) -> float:
         """Return how many times as far off this is as the calibration's worst press, `usual`; the worse of both."""
         return float(np.fmax(self._compare_light(usual), self.unfit / np.fmax(usual.unfit, LEAST_UNFIT)))
 
     def _compare_light(self, usual: Health) -> float:
         return self.light / max(usual.light, LEAST_LIGHT)
 
-    def reason(self, usual: Health) -> str:
+    def explain(self, usual: Health) -> str:
         """Return which of both is the worse, in words."""
-        return "the light has changed" if self._compare_light(usual) >= self.figure(usual) else "no surface looks so"
+        return "the light has changed" if self._compare_light(usual) >= self.compare(usual) else "no surface looks so"
 
     def record(self) -> dict[str, float | None]:
         """Return it as JSON values."""
@@ -92,11 +92,11 @@ def require_healthy(found: Health, usual: Health) -> None:
 
     Raises TouchError.
     """
-    figure = found.figure(usual)
+    figure = found.compare(usual)
     if figure <= WARNED:
         return
     said = (
-        f"{figure:.1f} times as far off as the calibration's worst press ({found.reason(usual)}): a worn gel, a moved "
+        f"{figure:.1f} times as far off as the calibration's worst press ({found.explain(usual)}): a worn gel, a moved "
         "lamp, or another sensor? Give a new image of the untouched gel (--zero), or calibrate again"
     )
     if figure > REFUSED:

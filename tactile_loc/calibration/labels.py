@@ -130,16 +130,16 @@ class LabelledPresses(ABC):
         """Return the number of presses."""
 
     @abstractmethod
-    def press(self, number: int) -> tuple[Image, PressLabel]:
+    def read_press(self, number: int) -> tuple[Image, PressLabel]:
         """Return an image (H, W, 3) and what is known of the gel in it."""
 
     def name(self, number: int) -> str:
         """Return what people know a press by."""
         return f"press {number}"
 
-    def presses(self) -> Iterator[tuple[Image, PressLabel]]:
+    def read_presses(self) -> Iterator[tuple[Image, PressLabel]]:
         """Yield every press."""
-        return (self.press(number) for number in range(len(self)))
+        return (self.read_press(number) for number in range(len(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,9 +153,9 @@ class Chosen(LabelledPresses):
         """Return the number of presses."""
         return len(self.numbers)
 
-    def press(self, number: int) -> tuple[Image, PressLabel]:
+    def read_press(self, number: int) -> tuple[Image, PressLabel]:
         """Return an image (H, W, 3) and what is known of the gel in it."""
-        return self.whole.press(self.numbers[number])
+        return self.whole.read_press(self.numbers[number])
 
     def name(self, number: int) -> str:
         """Return what people know a press by."""

@@ -122,7 +122,7 @@ class PhotometricEstimator(GelEstimator):
         """Features (P, FEATURES) and slopes (P, 2) of all known pixels in contact and of some without."""
         rng = np.random.default_rng(self.options.seed)
         features, slopes, touched = [], [], 0
-        for image, label in problem.presses.presses():
+        for image, label in problem.presses.read_presses():
             inside = label.contact & label.known
             touched += int(inside.sum())
             outside = np.flatnonzero(label.known & ~label.contact)

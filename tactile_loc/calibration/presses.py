@@ -90,7 +90,7 @@ class PressFolder(LabelledPresses):
         """Return the number of presses."""
         return len(self.rows)
 
-    def press(self, number: int) -> tuple[Image, PressLabel]:
+    def read_press(self, number: int) -> tuple[Image, PressLabel]:
         """Return an image (H, W, 3) and its label. Raises CalibrationError that names the row when it cannot be so."""
         return self.images[number], self.label(number)
 

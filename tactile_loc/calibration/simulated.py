@@ -54,7 +54,7 @@ class SimulatedPresses(LabelledPresses):
         """Return the number of presses."""
         return sum(len(shard) for shard in self.images)
 
-    def press(self, number: int) -> tuple[Image, PressLabel]:
+    def read_press(self, number: int) -> tuple[Image, PressLabel]:
         """Return an image (H, W, 3) and its label, the indentation of what touches: press - depth, metres."""
         shard, place = divmod(number, SHARD)
         indentation = self.codes[shard][place] * np.float32(self.geometry.max_depth_m / DEEPEST)

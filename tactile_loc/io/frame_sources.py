@@ -44,7 +44,7 @@ class SourceFrame:
     path: Path | None = None
     problem: TactileLocError | None = None
 
-    def touch(self, sensor: SensorModel, unit: str | None = None, press_depth_m: float | None = None) -> Touch:
+    def read_touch(self, sensor: SensorModel, unit: str | None = None, press_depth_m: float | None = None) -> Touch:
         """Return what a sensor reads in it, as `read_touch` does. Raises NoContactError, or TouchError."""
         if self.problem is not None:
             raise self.problem
@@ -67,7 +67,7 @@ class FrameSource(Protocol):
     def dropped(self) -> int:
         """How many frames nobody got so far."""
 
-    def frames(self) -> Frames:
+    def read_frames(self) -> Frames:
         """Yield frames as they come, until there are no more. Raises SourceError when the source goes away."""
 
 
@@ -130,7 +130,7 @@ class Camera:
         """How many frames nobody got so far."""
         return self._newest.dropped
 
-    def frames(self) -> Frames:
+    def read_frames(self) -> Frames:
         """Yield the newest frame, again and again. Raises SourceError where there is no camera, or it goes away."""
         return self._newest.follow(self._grab(self._open()))
 
@@ -173,7 +173,7 @@ class Video:
         """How many frames nobody got so far."""
         return self._newest.dropped
 
-    def frames(self) -> Frames:
+    def read_frames(self) -> Frames:
         """Yield its frames. Raises SourceError when it cannot be read, or breaks off before its end."""
         return self._read() if self.every else self._newest.follow(self._play())
 
@@ -210,7 +210,7 @@ class ImageFolder:
         self._seen: dict[str, int] = {}  # when each file was written, ns
         self._growing: dict[str, tuple[int, float]] = {}  # size, and since when it has been that
 
-    def frames(self) -> Frames:
+    def read_frames(self) -> Frames:
         """Yield its files as frames. Raises SourceError when the folder is not there, or vanishes."""
         while True:
             waiting = self._list_waiting()

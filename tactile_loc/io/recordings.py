@@ -86,7 +86,7 @@ class Recording:
         if not (self._in_mcap or os.path.isdir(self.path) or self.path.suffix.lower() == ".bag"):
             raise RecordingError(f"{self.path} is no recording; give {FORMATS}")
 
-    def messages(self, *names: str) -> Iterator[Message]:
+    def read_messages(self, *names: str) -> Iterator[Message]:
         """Yield the messages of the topics of these names, or all. Raises RecordingError when there is none to read."""
         self.damage = ""
         found = 0
@@ -99,17 +99,17 @@ class Recording:
         if self.damage:
             self.damage = f"{self.path} is damaged or ends early ({self.damage}); its first {found} messages are read"
 
-    def contents(self) -> Contents:
+    def read_contents(self) -> Contents:
         """Return what the recording holds. Raises RecordingError when there is nothing that can be read."""
         counts: dict[Topic, int] = {}
-        for message in self.messages():
+        for message in self.read_messages():
             counts[message.topic] = counts.get(message.topic, 0) + 1
         return Contents(counts, self.damage)
 
-    def frame_tree(self) -> FrameTree:
+    def read_frame_tree(self) -> FrameTree:
         """Return the frames that topics of type TFMessage speak of. Raises FrameError when they are no tree."""
         tree = FrameTree()
-        for message in self.messages():
+        for message in self.read_messages():
             if message.topic.type == TF:
                 add_transforms(tree, message.decode(), fixed=message.topic.name.endswith(STATIC))
         return tree

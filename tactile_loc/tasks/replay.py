@@ -76,7 +76,7 @@ class Replay:
     """What is located: the images on a `topic` of a recording, by a localizer's sensor.
 
     Poses are in `frame`, by default the one that each image's header names; with `base_frame` they are moved there by
-    the `frame_tree`. `press_depth_m` is as for `read_touch`.
+    the `read_frame_tree`. `press_depth_m` is as for `read_touch`.
     """
 
     recording: Recording
@@ -92,13 +92,13 @@ class Replay:
 
         Raises RecordingError for images that cannot be read at all, FrameError where the frames are not connected.
         """
-        for number, message in enumerate(self.recording.messages(self.topic.name)):
+        for number, message in enumerate(self.recording.read_messages(self.topic.name)):
             if number >= first:
                 yield self._located(number, message, estimator)
 
     def views(self) -> Iterator[FrameView]:
         """Yield the topic's images, in order. Raises RecordingError for those that cannot be read."""
-        for message in self.recording.messages(self.topic.name):
+        for message in self.recording.read_messages(self.topic.name):
             image = message.decode()
             T = None
             with suppress(FrameError):

@@ -87,7 +87,7 @@ def write_poses(
     def write(writer: RecordingWriter) -> None:
         poses = {record.number: record for record in records if record.T_frame_object is not None}
         number = 0
-        for message in replay.recording.messages():
+        for message in replay.recording.read_messages():
             if not alone:
                 writer.copy(message)
             if message.topic.name == replay.topic.name:

@@ -74,7 +74,7 @@ class Oracle(GelEstimator):
 
     def read(self, image):
         number = self._number(image)
-        return self.truth.indentation_m[number] + np.float32(self.offset_m), self.truth.press(number)[1].slope
+        return self.truth.indentation_m[number] + np.float32(self.offset_m), self.truth.read_press(number)[1].slope
 
     def save(self, path):
         raise NotImplementedError
@@ -107,7 +107,7 @@ def test_what_is_held_out_is_not_learned_from(oracle):
 def test_a_constant_error_shows_where_it_should(oracle, monkeypatch):
     monkeypatch.setattr(oracle, "offset_m", 2e-5)
     made = oracle(GEOMETRY, BALLS.background)
-    image, label = BALLS.press(0)
+    image, label = BALLS.read_press(0)
     errors = measure_press(made, image, label)
     assert errors.shape_m == pytest.approx(0, abs=1e-9)
     assert errors.untouched_m == pytest.approx(2e-5, rel=1e-4)
@@ -116,7 +116,7 @@ def test_a_constant_error_shows_where_it_should(oracle, monkeypatch):
 
 
 def test_the_slopes_error_is_in_degrees_of_the_surface(oracle, monkeypatch):
-    image, label = BALLS.press(0)
+    image, label = BALLS.read_press(0)
     tilted = np.tan(np.arctan(label.slope) + np.radians([2.0, -4.0]))
     monkeypatch.setattr(oracle, "read", lambda self, image: (label.indentation_m, tilted))
     assert measure_press(oracle(GEOMETRY, BALLS.background), image, label).slope_deg == pytest.approx(3.0, rel=1e-4)
@@ -129,7 +129,7 @@ def test_what_cannot_be_said_is_no_number(oracle):
     assert math.isnan(errors.shape_m)
     assert math.isnan(errors.slope_deg)
     assert errors.untouched_m > 0
-    image, label = BALLS.press(0)
+    image, label = BALLS.read_press(0)
     everywhere = PressLabel(label.indentation_m, label.slope, ~np.zeros_like(label.contact), label.known)
     assert math.isnan(measure_press(oracle(GEOMETRY, BALLS.background), image, everywhere).untouched_m)
 
@@ -158,7 +158,7 @@ class Few(LabelledPresses):
     def __len__(self) -> int:
         return FEWEST - 1
 
-    def press(self, number: int):
+    def read_press(self, number: int):
         raise AssertionError("they are counted first")
 
 
@@ -174,7 +174,7 @@ def test_bad_options_are_refused():
 
 def test_a_simulated_sensor_is_calibrated_and_the_errors_are_those_measured():
     found = calibrate(BALLS, GEOMETRY, BALLS.background, "photometric", TINY)
-    measured = [measure_press(found.estimator, *BALLS.press(number)) for number in found.held_out]
+    measured = [measure_press(found.estimator, *BALLS.read_press(number)) for number in found.held_out]
     np.testing.assert_array_equal([dataclasses.astuple(e) for e in measured], [*map(dataclasses.astuple, found.errors)])
     assert average_errors(found.errors)["slope_deg"] < 6
 

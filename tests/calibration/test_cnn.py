@@ -45,7 +45,7 @@ class Tips(LabelledPresses):
     def __len__(self) -> int:
         return self.count
 
-    def press(self, number: int):
+    def read_press(self, number: int):
         rng = np.random.default_rng(number)
         x, y = np.meshgrid(*sensor().pixel_slopes)
         half_m, (cx, cy) = rng.uniform(3.5e-3, 4.5e-3), rng.uniform(-6e-3, 6e-3, 2)
@@ -60,7 +60,7 @@ class Untouched(LabelledPresses):
     def __len__(self) -> int:
         return 6
 
-    def press(self, number: int):
+    def read_press(self, number: int):
         return render_background(sensor(), LAMPS), label_untouched(sensor())
 
 
@@ -122,7 +122,7 @@ def test_the_loss_falls_and_held_out_depths_are_better_than_none(presses):
     losses_mm = [float(note.split()[2]) for note in notes.notes]
     assert len(losses_mm) == options["epochs"]
     assert losses_mm[-1] < 0.95 * losses_mm[0]
-    held_out = [presses.press(number) for number in done.held_out]
+    held_out = [presses.read_press(number) for number in done.held_out]
     none_m = np.mean([np.sqrt(np.mean(label.indentation_m[label.contact] ** 2)) for _, label in held_out])
     assert done.record()["held_out"]["mean"]["depth_m"] < 0.8 * none_m
     assert "slope_deg" not in done.record()["held_out"]["mean"]
@@ -130,10 +130,10 @@ def test_the_loss_falls_and_held_out_depths_are_better_than_none(presses):
 
 def test_statistics_are_those_of_the_presses(presses):
     network = fitted(presses, epochs=1)._network
-    indentation_m = np.stack([label.indentation_m for _, label in presses.presses()])
+    indentation_m = np.stack([label.indentation_m for _, label in presses.read_presses()])
     assert float(network.output_mean) == pytest.approx(indentation_m.mean(), rel=1e-3)
     assert float(network.output_std) == pytest.approx(indentation_m.std(), rel=1e-3)
-    difference = np.stack([image - presses.background.astype(float) for image, _ in presses.presses()]) / 64
+    difference = np.stack([image - presses.background.astype(float) for image, _ in presses.read_presses()]) / 64
     assert network.input_mean.numpy()[:3, 0, 0] == pytest.approx(difference.mean(axis=(0, 1, 2)), abs=1e-4)
     assert network.input_std.numpy()[:3, 0, 0] == pytest.approx(difference.std(axis=(0, 1, 2)), rel=1e-3)
 
@@ -161,7 +161,7 @@ def test_the_callers_randomness_is_left_alone():
 
 
 def test_the_middle_of_a_flat_contact_is_known_by_its_far_edge():
-    image, label = Tips().press(1001)
+    image, label = Tips().read_press(1001)
     x, y = np.nonzero(label.contact)
     middle = np.s_[int(x.mean()) - 2 : int(x.mean()) + 3, int(y.mean()) - 2 : int(y.mean()) + 3]
     assert np.abs(image[middle].astype(int) - render_background(sensor(), LAMPS)[middle]).mean() < 3  # looks untouched
@@ -186,7 +186,7 @@ def test_what_was_saved_is_read_again(tmp_path, presses):
     first.save(tmp_path / "w.safetensors")
     second = made(seed=9)
     second.load(tmp_path / "w.safetensors")
-    image, _ = presses.press(0)
+    image, _ = presses.read_press(0)
     found = second.read_indentation(image)
     assert found.dtype == np.float32
     assert found.shape == sensor().shape
@@ -215,7 +215,7 @@ def test_presses_that_show_nothing_are_refused():
 
 
 def test_a_contact_without_skirt_is_cut_where_it_stands_out_of_the_noise():
-    _, label = Tips().press(0)
+    _, label = Tips().read_press(0)
     slope = np.linspace(0, PRESS_M, 64, dtype=np.float32)[None, :] * label.contact  # from nothing to all of the press
     shape = find_contact_shape(slope, sensor(), 0.0, CnnEstimator.sees_skirt)
     assert np.array_equal(shape.contact, slope > LEAST_M)

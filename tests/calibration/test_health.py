@@ -46,10 +46,10 @@ def test_the_light_is_what_half_of_the_image_differs_by():
 
 
 def test_the_figure_is_the_worse_of_both():
-    assert Health(8.0, 0.2).figure(USUAL) == pytest.approx(2.0)
-    assert Health(4.0, 0.6).figure(USUAL) == pytest.approx(3.0)
-    assert Health(4.0, np.nan).figure(USUAL) == pytest.approx(1.0)
-    assert Health(8.0, 0.9).figure(Health(4.0, np.nan)) == pytest.approx(9.0)  # nothing steep was learned from
+    assert Health(8.0, 0.2).compare(USUAL) == pytest.approx(2.0)
+    assert Health(4.0, 0.6).compare(USUAL) == pytest.approx(3.0)
+    assert Health(4.0, np.nan).compare(USUAL) == pytest.approx(1.0)
+    assert Health(8.0, 0.9).compare(Health(4.0, np.nan)) == pytest.approx(9.0)  # nothing steep was learned from
 
 
 def test_the_worst_of_presses_and_what_is_kept():

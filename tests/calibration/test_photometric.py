@@ -16,7 +16,6 @@ from press_sets import (  # noqa: E402
     label_untouched,
     photographed,
     places,
-    sensor,
 )
 
 from tactile_loc.calibration.calibrate import measure_press  # noqa: E402
@@ -64,7 +63,7 @@ def same(a: PhotometricEstimator, b: PhotometricEstimator) -> bool:
 
 
 def test_it_learns_the_slope_of_presses_that_it_has_not_seen(estimator):
-    errors = [measure_press(estimator, *BALLS.press(number)) for number in (9, 10, 11)]
+    errors = [measure_press(estimator, *BALLS.read_press(number)) for number in (9, 10, 11)]
     assert np.mean([e.slope_deg for e in errors]) < 1.5
     assert np.mean([e.shape_m for e in errors]) < 2e-5
     assert np.mean([e.untouched_m for e in errors]) < 1e-5
@@ -141,7 +140,7 @@ class Untouched(LabelledPresses):
     def __len__(self) -> int:
         return 6
 
-    def press(self, number: int):
+    def read_press(self, number: int):
         return BALLS.background, label_untouched(GEOMETRY)
 
 

@@ -42,7 +42,7 @@ def test_labels_are_press_minus_depth_where_the_board_touches(store):
     presses = simulate_presses(sensor(), LAMPS, 18, 3, store, variation=0.0)
     images, indentation_m, press_m = rendered(18, 3)
     assert len(presses) == 18
-    for number, (image, label) in enumerate(presses.presses()):
+    for number, (image, label) in enumerate(presses.read_presses()):
         assert np.array_equal(image, images[number])
         assert np.array_equal(label.contact, indentation_m[number] > 0)
         assert np.allclose(label.indentation_m, indentation_m[number], atol=2e-3 / 65535)
@@ -54,7 +54,7 @@ def test_labels_are_press_minus_depth_where_the_board_touches(store):
 def test_the_untouched_gel_is_the_same_under_lamps_that_differ(store):
     presses = simulate_presses(sensor(), LAMPS, SHARD + 8, 0, store, variation=1.0)
     assert np.array_equal(presses.background, render_background(sensor(), LAMPS))
-    for image, label in presses.presses():
+    for image, label in presses.read_presses():
         far = label.known & ~label.contact  # 3 mm from any contact
         changed = np.abs(image[far].astype(int) - presses.background[far])
         assert changed.sum() <= 8 * changed.size
@@ -69,7 +69,7 @@ def test_lamps_differ_from_shard_to_shard(store):
 def test_all_shards_are_there_and_the_last_may_be_short(store):
     presses = simulate_presses(sensor(), LAMPS, SHARD + 3, 0, store)
     assert [len(shard) for shard in presses.images] == [SHARD, 3]
-    image, label = presses.press(SHARD + 2)
+    image, label = presses.read_press(SHARD + 2)
     assert np.array_equal(image, presses.images[1][2])
     assert np.array_equal(label.contact, presses.codes[1][2] > 0)
     assert presses.name(7) == "simulated press 7"

@@ -88,15 +88,15 @@ def test_another_library_reads_what_is_written(recorded):
 
 def test_what_is_written_is_read(recorded):
     recording = Recording(recorded)
-    contents = recording.contents()
+    contents = recording.read_contents()
     assert {topic.name: count for topic, count in contents.counts.items()} == {
         "/tf_static": 1, "/tf": 6, "/gel/image": 6, "/object/pose": 6
     }  # fmt: skip
     assert choose_image_topic(contents, recorded, None).name == "/gel/image"
-    for k, message in enumerate(recording.messages("/gel/image")):
+    for k, message in enumerate(recording.read_messages("/gel/image")):
         assert message.log_time_ns == k * S + 9
         np.testing.assert_array_equal(image_array(message.decode()), IMAGES[k])
-    np.testing.assert_allclose(recording.frame_tree().lookup("base", "gel", S), T @ T, atol=1e-12)
+    np.testing.assert_allclose(recording.read_frame_tree().lookup("base", "gel", S), T @ T, atol=1e-12)
     assert recording.damage == ""
 
 
@@ -112,7 +112,7 @@ def test_a_copy_is_the_same_with_its_attachments(recorded, tmp_path):
         writer.finish()
 
     def copy(writer: RecordingWriter) -> None:
-        for message in Recording(recorded).messages():
+        for message in Recording(recorded).read_messages():
             writer.copy(message)
         for extra in Recording(noted).read_extras():
             writer.copy_extra(extra)
@@ -141,9 +141,9 @@ def test_bags_are_read(tmp_path, kind):
             else:
                 writer.write(connection, k * S + 9, store.serialize_cdr(message, IMAGE))
     recording = Recording(path)
-    ((topic, count),) = recording.contents().counts.items()
+    ((topic, count),) = recording.read_contents().counts.items()
     assert (topic.name, topic.type, count) == ("/gel/image", IMAGE, 6)
-    for k, found in enumerate(recording.messages()):
+    for k, found in enumerate(recording.read_messages()):
         message = found.decode()
         assert (found.log_time_ns, read_stamp_ns(message.header)) == (k * S + 9, k * S + 7)
         np.testing.assert_array_equal(image_array(message), IMAGES[k])
@@ -158,7 +158,7 @@ def test_bags_without_definitions_are_read(tmp_path):
     with closing(sqlite3.connect(tmp_path / "drive" / "drive.db3")) as database, database:
         database.execute("DROP TABLE message_definitions")
         database.execute("UPDATE schema SET schema_version = 3")
-    (message,) = Recording(tmp_path / "drive").messages()
+    (message,) = Recording(tmp_path / "drive").read_messages()
     assert message.topic == make_topic("/gel/image", IMAGE)
     np.testing.assert_array_equal(image_array(message.decode()), IMAGES[0])
 
@@ -172,7 +172,7 @@ def test_channels_of_one_topic_are_one_topic(tmp_path):
             data = encode(make_image(IMAGES[k], "rgb8", k, "gel"), IMAGE)
             writer.copy(Message(replace(topic, metadata=(("offered_qos_profiles", quality),)), k, k, data))
 
-    contents = Recording(write_recording(path, write)).contents()
+    contents = Recording(write_recording(path, write)).read_contents()
     assert contents.counts == {topic: 2}
     assert choose_image_topic(contents, path, None) == topic
 
@@ -185,11 +185,11 @@ def test_of_a_recording_that_breaks_off_the_beginning_is_read(tmp_path, compress
     for share in (0.3, 0.6, 0.9):
         (cut := tmp_path / "cut.mcap").write_bytes(whole[: int(share * len(whole))])
         recording = Recording(cut)
-        contents = recording.contents()
+        contents = recording.read_contents()
         assert "damaged or ends early" in contents.damage
         counts.append(sum(contents.counts.values()))
         assert f"its first {counts[-1]} messages" in contents.damage
-        for k, message in enumerate(recording.messages()):
+        for k, message in enumerate(recording.read_messages()):
             np.testing.assert_array_equal(image_array(message.decode()), IMAGES[k])
     assert counts[0] >= 1
     assert counts[0] < counts[1] < counts[2] <= 6
@@ -201,14 +201,14 @@ def test_a_damaged_chunk_is_not_read(tmp_path):
     data[len(data) // 2] ^= 0xFF
     path.write_bytes(data)
     recording = Recording(path)
-    found = list(recording.messages())
+    found = list(recording.read_messages())
     assert 0 < len(found) < 6
     assert "crc" in recording.damage.lower()
 
 
 def test_a_lost_index_is_no_damage(recorded):
     recorded.write_bytes(recorded.read_bytes()[:-20])
-    assert Recording(recorded).contents().damage == ""
+    assert Recording(recorded).read_contents().damage == ""
 
 
 def test_what_is_no_recording_is_one_sentence(tmp_path):
@@ -223,12 +223,12 @@ def test_what_is_no_recording_is_one_sentence(tmp_path):
         ("folder", "cannot be read as a recording"), ("touch.npz", "is no recording; give an MCAP file"),
     ):  # fmt: skip
         with pytest.raises(RecordingError, match=mentioned) as caught:
-            Recording(tmp_path / name).contents()
+            Recording(tmp_path / name).read_contents()
         assert name in str(caught.value)
 
 
 def test_topics_that_lack_are_answered_by_those_there_are(recorded, tmp_path):
-    contents = Recording(recorded).contents()
+    contents = Recording(recorded).read_contents()
     with pytest.raises(RecordingError, match=r"no images on /gel/imag; there are images on /gel/image\. Did you mean"):
         choose_image_topic(contents, recorded, "/gel/imag")
 
@@ -238,10 +238,10 @@ def test_topics_that_lack_are_answered_by_those_there_are(recorded, tmp_path):
 
     several = write_recording(tmp_path / "two.mcap", two)
     with pytest.raises(RecordingError, match="choose one by --image-topic: /left, /right"):
-        choose_image_topic(Recording(several).contents(), several, None)
+        choose_image_topic(Recording(several).read_contents(), several, None)
     moving = write_recording(tmp_path / "tf.mcap", lambda w: w.write("/tf", TF, make_transforms({}, 0), 0))
     with pytest.raises(RecordingError, match=r"holds no images.*it holds /tf \(tf2_msgs/msg/TFMessage\)"):
-        choose_image_topic(Recording(moving).contents(), moving, None)
+        choose_image_topic(Recording(moving).read_contents(), moving, None)
 
 
 def test_messages_of_other_kinds_are_refused_when_they_are_needed(tmp_path):
@@ -254,7 +254,7 @@ def test_messages_of_other_kinds_are_refused_when_they_are_needed(tmp_path):
         schema = writer.register_schema("sensor_msgs/msg/Image", "ros2msg", make_topic("/x", IMAGE).definition)
         writer.add_message(writer.register_channel("/bad", "cdr", schema), 0, b"\0\1\0\0stray bytes", 0)
         writer.finish()
-    other, stray = Recording(path).messages()
+    other, stray = Recording(path).read_messages()
     with pytest.raises(RecordingError, match="written as protobuf; only those of ROS 2"):
         other.decode()
     with pytest.raises(RecordingError, match="a message of /bad is no sensor_msgs/msg/Image"):

@@ -56,8 +56,8 @@ def recorded(tmp_path, touches) -> Path:
 
 def replay_of(path: Path, localizer: Localizer, base: str | None = None, frame: str | None = None) -> Replay:
     recording = Recording(path)
-    topic = choose_image_topic(recording.contents(), path, None)
-    return Replay(recording, topic, localizer, frame, base, recording.frame_tree() if base else None)
+    topic = choose_image_topic(recording.read_contents(), path, None)
+    return Replay(recording, topic, localizer, frame, base, recording.read_frame_tree() if base else None)
 
 
 def at_truth(touch: Touch) -> Hypothesis:
@@ -87,7 +87,7 @@ def test_poses_and_covariances_are_moved_to_the_base(recorded, localizer, tmp_pa
     found = replay_to(out, replay_of(recorded, localizer, "base"), 6, "/pose", estimator=at_truth)
     T_base_flange = make_transform(rotation_about([0, 0, 1], 0.3), [0.15, 0, 0.1])  # at 2 s, half way
     T_base_gel = T_base_flange @ MOUNT
-    (third,) = [m for m in Recording(out).messages("/pose") if m.log_time_ns == 2 * S + 5]
+    (third,) = [m for m in Recording(out).read_messages("/pose") if m.log_time_ns == 2 * S + 5]
     message = third.decode()
     assert (read_stamp_ns(message.header), message.header.frame_id) == (2 * S, "base")
     np.testing.assert_allclose(read_pose(message).T, T_base_gel @ T_GEL_OBJECT, atol=1e-9)
@@ -101,11 +101,11 @@ def test_the_poses_stand_beside_what_was_recorded_or_alone(recorded, localizer, 
     replay = replay_of(recorded, localizer)
     replay_to(tmp_path / "all.mcap", replay, 6, "/pose", estimator=at_truth)
     replay_to(tmp_path / "alone.mcap", replay, 6, "/pose", poses_only=True, estimator=at_truth)
-    before = [(m.topic, m.log_time_ns, m.data) for m in Recording(recorded).messages()]
-    written = [(m.topic, m.log_time_ns, m.data) for m in Recording(tmp_path / "all.mcap").messages()]
+    before = [(m.topic, m.log_time_ns, m.data) for m in Recording(recorded).read_messages()]
+    written = [(m.topic, m.log_time_ns, m.data) for m in Recording(tmp_path / "all.mcap").read_messages()]
     poses = [one for one in written if one[0].name == "/pose"]
     assert [one for one in written if one not in poses] == before
-    assert [m.data for m in Recording(tmp_path / "alone.mcap").messages()] == [data for _, _, data in poses]
+    assert [m.data for m in Recording(tmp_path / "alone.mcap").read_messages()] == [data for _, _, data in poses]
     assert [time for _, time, _ in poses] == [5, S + 5, 2 * S + 5, 5 * S + 5]
     after = [written[written.index(pose) - 1][:2] for pose in poses]
     assert [(topic.name, time) for topic, time in after] == [("/gel/image", time) for _, time, _ in poses]

@@ -194,7 +194,7 @@ def _viewed(localizer: Localizer, about: str, port: int) -> Iterator[Show]:
 
 def _run(locator: LiveLocator, source: FrameSource, shows: Sequence[Show]) -> None:
     """Locate frames until there are no more, or Ctrl-C is pressed."""
-    frames = source.frames()
+    frames = source.read_frames()
     locator.prepare()
     with suppress(KeyboardInterrupt), closing(frames):
         for frame in frames:

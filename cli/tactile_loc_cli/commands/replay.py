@@ -91,10 +91,10 @@ def replay(
     options.require_rerun(rerun)
     out = _out(recording, out)
     recorded = Recording(recording)
-    contents = recorded.contents()
+    contents = recorded.read_contents()
     topic = chosen(contents, recording, image_topic)
     _require_free(contents, recording, pose_topic, poses_only)
-    tree = recorded.frame_tree() if base_frame is not None else None
+    tree = recorded.read_frame_tree() if base_frame is not None else None
     if tree is not None:
         tree.require(*(name for name in (base_frame, frame) if name is not None))
     if contents.damage:
