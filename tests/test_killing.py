@@ -11,7 +11,7 @@ from killing.commands import FLAT, Life, Moment, Place
 from killing.trials import Plan, Trials, kill
 from record import Done, Record
 
-from tactile_loc.store.files import replacing
+from tactile_loc.store.files import replace_file
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 
@@ -82,7 +82,7 @@ def test_what_was_finished_and_is_gone_is_lost_unless_something_was_made_of_it(p
 
 def test_what_is_left_beside_is_told(place):
     assert remains.leftovers(place) == ["HEX.partial"]
-    with replacing(place.work / "a.txt") as temporary:
+    with replace_file(place.work / "a.txt") as temporary:
         temporary.touch()
         (place.temporary / "tmpabc").mkdir()
         assert remains.leftovers(place) == [".tmp-new-a.txt", "HEX.partial", "tmpabc"]

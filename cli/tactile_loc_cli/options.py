@@ -198,12 +198,12 @@ def _component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, A
 
     What neither gives is the default with the `grid` of that name.
     """
-    from tactile_loc.io.config import default_component, kind_of_sensor
+    from tactile_loc.io.config import choose_component, find_sensor_kind
 
     given: dict[str, Any] = {"name": in_file} if isinstance(in_file, str) else dict(_table(in_file or {}, slot))
     given |= given.pop("options", {}) if isinstance(given.get("options"), dict) else {}
     if "name" not in given and flag is None:
-        default = default_component(slot, grid)
+        default = choose_component(slot, grid)
         given = {"name": default.name, **default.options, **given}
     if slot == "sensor" and flag is not None:
         _warn_of_namesake(flag)
@@ -211,7 +211,7 @@ def _component(slot: str, in_file: Any, flag: str | None, overrides: dict[str, A
         given = {}
     if flag is not None:
         given["name"] = flag
-    if slot == "sensor" and (kind := kind_of_sensor(str(given["name"]))):
+    if slot == "sensor" and (kind := find_sensor_kind(str(given["name"]))):
         given = {**given, "name": kind, "path": given["name"]}
     return {**given, **overrides}
 

@@ -14,8 +14,7 @@ from report_helpers import sweep_rows, write_run, write_sweep
 
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.recordings import RecordingWriter, write_recording
-from tactile_loc.io.ros_messages import IMAGE, TF
-from tactile_loc.io.ros_types import image_message, transform_message
+from tactile_loc.io.ros_messages import IMAGE, TF, make_image, make_transforms
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
@@ -140,9 +139,9 @@ def mcap(folder: Path) -> None:
     """Write a recording of images and transforms."""
 
     def fill(writer: RecordingWriter) -> None:
-        writer.write("/tf_static", TF, transform_message({("flange", "gel"): np.eye(4)}, 0), 0)
+        writer.write("/tf_static", TF, make_transforms({("flange", "gel"): np.eye(4)}, 0), 0)
         for k, image in enumerate(IMAGES):
-            writer.write("/gel/image", IMAGE, image_message(image, "rgb8", k, "gel"), k)
+            writer.write("/gel/image", IMAGE, make_image(image, "rgb8", k, "gel"), k)
 
     write_recording(folder / "drive.mcap", fill)
 
@@ -155,7 +154,7 @@ def bag1(folder: Path) -> None:
     with rosbag1.Writer(folder / "drive.bag") as writer:
         connection = writer.add_connection("/gel/image", IMAGE, typestore=store)
         for k, image in enumerate(IMAGES):
-            message = image_message(image, "rgb8", k, "gel")
+            message = make_image(image, "rgb8", k, "gel")
             stamp = store.types["builtin_interfaces/msg/Time"](k, 7)
             message.header = store.types["std_msgs/msg/Header"](k, stamp, "gel")
             writer.write(connection, k, store.serialize_ros1(message, IMAGE))
@@ -169,7 +168,7 @@ def bag2(folder: Path) -> None:
     with rosbag2.Writer(folder / "drive", version=9) as writer:
         connection = writer.add_connection("/gel/image", IMAGE, typestore=store)
         for k, image in enumerate(IMAGES):
-            writer.write(connection, k, store.serialize_cdr(image_message(image, "rgb8", k, "gel"), IMAGE))
+            writer.write(connection, k, store.serialize_cdr(make_image(image, "rgb8", k, "gel"), IMAGE))
 
 
 def video(folder: Path) -> None:

@@ -23,7 +23,7 @@ from tactile_loc.io.meshes import load_object
 from tactile_loc.io.mount_files import read_mount
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.recordings import Message, Recording
-from tactile_loc.io.ros_messages import IMAGE_TYPES, image_array, stamp_ns
+from tactile_loc.io.ros_messages import IMAGE_TYPES, image_array, read_stamp_ns
 from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.io.touches import read_touch
@@ -116,7 +116,7 @@ def _prior(path: Path) -> None:
 def _mount(folder: Path) -> None:
     mount = read_mount(folder / "mount.toml")
     _require_rigid(mount.T_flange_sensor)
-    assert np.isfinite(mount.std_at(np.array([0, 0, 0.02]))).all(), "a mount was accepted whose error is no number"
+    assert np.isfinite(mount.find_std_at(np.array([0, 0, 0.02]))).all(), "a mount was accepted whose error is no number"
 
 
 def _configuration(folder: Path) -> None:
@@ -147,9 +147,9 @@ def _artifact(folder: Path) -> None:
     store = StageStore(folder)
     store.entries()
     found = store.build(corpora.STAGE, corpora.make_stage)
-    assert np.array_equal(found.array("mapped"), np.arange(30.0)), "a damaged artifact was read"
-    assert np.array_equal(found.array("packed"), np.arange(40)), "a damaged artifact was read"
-    assert found.json("sizes") == [3, 4], "a damaged artifact was read"
+    assert np.array_equal(found.load_array("mapped"), np.arange(30.0)), "a damaged artifact was read"
+    assert np.array_equal(found.load_array("packed"), np.arange(40)), "a damaged artifact was read"
+    assert found.load_json("sizes") == [3, 4], "a damaged artifact was read"
 
 
 def _approaches(folder: Path, T_base_sensor: np.ndarray | None):
@@ -173,15 +173,15 @@ def _compared(folder: Path) -> None:
 def _recording(folder: Path) -> None:
     """Read every image and transform of a recording; of a damaged one those before the damage."""
     recording = Recording(next(iter(sorted(folder.glob("drive*")))))
-    recording.contents()
-    _every(partial(_image, message) for message in recording.messages() if message.topic.type in IMAGE_TYPES)
-    list(recording.extras())
-    recording.frame_tree()
+    recording.read_contents()
+    _every(partial(_image, message) for message in recording.read_messages() if message.topic.type in IMAGE_TYPES)
+    list(recording.read_extras())
+    recording.read_frame_tree()
 
 
 def _image(message: Message) -> None:
-    image = message.decoded()
-    stamp_ns(image.header)
+    image = message.decode()
+    read_stamp_ns(image.header)
     image_array(image)
 
 

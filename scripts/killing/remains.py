@@ -118,7 +118,7 @@ def _damage(entry: Entry) -> str:
     try:
         if entry.complete:
             artifact = read_artifact(entry.path)
-            artifact.signature()
+            artifact.read_signature()
             artifact.verify()
     except TactileLocError as error:
         return str(error)

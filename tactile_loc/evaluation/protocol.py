@@ -220,7 +220,7 @@ def contact_share(touch: Touch) -> float:
 
 
 def _read(artifact: Artifact) -> Evaluation:
-    return Evaluation(*(artifact.array(name, mmap=False) for name in ARRAYS))
+    return Evaluation(*(artifact.load_array(name, mmap=False) for name in ARRAYS))
 
 
 def save_in_shards(

@@ -13,9 +13,9 @@ from pydantic_core import PydanticCustomError
 from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.sensing.sensor_geometry import Drawing
 from tactile_loc.core.simulation.noise import NoiseLevel
-from tactile_loc.core.slots.registry import SLOTS
+from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
 from tactile_loc.io.options import TUNABLE, HypothesisOptions, SearchOptions, TrackerOptions
-from tactile_loc.io.toml import read_toml, toml_value
+from tactile_loc.io.toml import parse_value, read_toml
 from tactile_loc.store.files import recover_folder
 
 
@@ -31,7 +31,7 @@ class SlotConfig(_Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _flat(cls, value: Any) -> Any:
+    def _unfold(cls, value: Any) -> Any:
         """Accept "icp" and {name = "icp", max_iterations = 30} beside the full form."""
         if isinstance(value, str):
             return {"name": value}
@@ -69,7 +69,7 @@ OF_WHOLE = {  # what suits the places of a whole object, where nothing is given
 }
 
 
-def default_component(slot: str, grid: str = WHOLE.name) -> SlotConfig:
+def choose_component(slot: str, grid: str = WHOLE.name) -> SlotConfig:
     """Return what fills a slot that is not given, with a grid of that name, by default the default one."""
     chosen: SlotConfig = RunConfig.model_fields[slot].default
     return OF_WHOLE.get(slot, chosen) if grid == WHOLE.name else chosen
@@ -110,13 +110,13 @@ class RunConfig(_Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _suiting_the_grid(cls, value: Any) -> Any:
+    def _suit_the_grid(cls, value: Any) -> Any:
         """What is not given is what suits the grid."""
         if not isinstance(value, dict):
             return value
         grid = value.get("grid", WHOLE)
         named = grid.get("name") if isinstance(grid, dict) else getattr(grid, "name", grid)
-        return {slot: default_component(slot, str(named)) for slot in OF_WHOLE} | value
+        return {slot: choose_component(slot, str(named)) for slot in OF_WHOLE} | value
 
     @classmethod
     def from_toml(cls, path: str | Path) -> RunConfig:
@@ -126,8 +126,6 @@ class RunConfig(_Strict):
     @classmethod
     def from_dict(cls, values: dict[str, Any], source: str = "the configuration") -> RunConfig:
         """Validate nested values; raises ConfigError in one sentence that names `source` and what is allowed."""
-        from tactile_loc.core.slots.registry import validate_options
-
         unknown = set(values) - set(cls.model_fields)
         if unknown:
             key = sorted(unknown)[0]
@@ -137,10 +135,8 @@ class RunConfig(_Strict):
         return result
 
 
-def kind_of_sensor(name: str) -> str | None:
+def find_sensor_kind(name: str) -> str | None:
     """Return the component that reads a sensor given by its path; None when it is the name of one."""
-    from tactile_loc.core.slots.registry import registry
-
     if name in registry().names("sensor"):
         return None
     if name.endswith(".toml"):
@@ -159,7 +155,7 @@ def parse_settings(assignments: Iterable[str]) -> tuple[dict[str, Any], list[str
     for word in assignments:
         name, equals, text = word.partition("=")
         if equals and name.strip() in plain:
-            settings[name.strip()] = toml_value(text.strip())
+            settings[name.strip()] = parse_value(text.strip())
         else:
             others.append(word)
     return settings, others
@@ -180,5 +176,5 @@ def parse_overrides(assignments: Iterable[str], tables: Sequence[str] = SLOTS) -
             raise ConfigError(
                 f"there is no slot {slot!r} in {word!r}.{did_you_mean(slot, tables)} Slots: {', '.join(tables)}"
             )
-        overrides.setdefault(slot, {})[option] = toml_value(text.strip())
+        overrides.setdefault(slot, {})[option] = parse_value(text.strip())
     return overrides

@@ -74,7 +74,7 @@ class FittedProbabilities:
         if self.temperature is not None:
             return TemperatureScaling(self.temperature)
         artifact = self.store.build(self.temperature_key(), self._fit_temperature)
-        return TemperatureScaling(**artifact.json(probabilities.STAGE))
+        return TemperatureScaling(**artifact.load_json(probabilities.STAGE))
 
     def temperature_key(self) -> StageKey:
         """Return the key under which the temperature scaling is stored: everything that decides it."""
@@ -105,7 +105,7 @@ class FittedProbabilities:
             return FusedScaling()
         described = self._describe_examples(self.plan.fused_touches, self.plan.fused_examples, probabilities.FUSED_SEED)
         key = StageKey(probabilities.FUSED_STAGE, probabilities.FUSED_VERSION, described)
-        return FusedScaling(**self.store.build(key, self._fit_fused_scaling).json(probabilities.FUSED_STAGE))
+        return FusedScaling(**self.store.build(key, self._fit_fused_scaling).load_json(probabilities.FUSED_STAGE))
 
     def _fit_fused_scaling(self, work: Workspace) -> None:
         """Fuse simulated touches of known pose, and save how sure they are to make."""
@@ -126,7 +126,7 @@ class FittedProbabilities:
         described = self._describe_examples([number], conformal.EXAMPLES, conformal.SEED)
         key = StageKey(conformal.STAGE, conformal.STAGE_VERSION, described)
         artifact = self.store.build(key, lambda work: self._score_sets(work, number))
-        return ConformalSets(**artifact.json(conformal.STAGE))
+        return ConformalSets(**artifact.load_json(conformal.STAGE))
 
     def _score_sets(self, work: Workspace, touches: int) -> None:
         """Save how much probability is likelier than the truth in held-out examples of so many touches."""

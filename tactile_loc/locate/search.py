@@ -53,7 +53,7 @@ def build_places(sampler: GridSampler, scene: Scene, store: StageStore, progress
         work.save_array("patches", places.patches)
 
     stored = store.build(key, build)
-    return Places(np.array(stored.array("T_place_object")), stored.array("patches")), key
+    return Places(np.array(stored.load_array("T_place_object")), stored.load_array("patches")), key
 
 
 class PlaceSearch:

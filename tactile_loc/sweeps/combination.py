@@ -20,7 +20,7 @@ from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, TouchConf
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.model import bank_key, encoder_key, grid_key, shapes_key
-from tactile_loc.store.keys import StageKey, canonical_json
+from tactile_loc.store.keys import StageKey, write_canonical_json
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.plan import Plan
 
@@ -79,7 +79,7 @@ def in_running_order(combinations: Iterable[Combination]) -> list[Combination]:
 def combination_key(config: RunConfig, obj: ObjectModel, count: int, components: Mapping[str, Any]) -> str:
     """Return a hash of all that decides a row; `components` is what `describe_components` says of its slots."""
     settings = config.model_dump(mode="json", exclude={"object", "top"})
-    text = canonical_json({
+    text = write_canonical_json({
         "version": ROW_VERSION, "tactile-loc": __version__, "protocol": PROTOCOL_VERSION, "count": count,
         "object": {"name": obj.name, **obj.describe()}, "settings": settings, "components": components,
         "noise": noise_level(config.touch.noise).describe(),
@@ -146,7 +146,7 @@ class _Descriptions:
         return {slot: self._one(slot, getattr(config, slot)) for slot in SLOTS}
 
     def _one(self, slot: str, chosen: SlotConfig) -> Any:
-        name = canonical_json({"slot": slot, **chosen.model_dump()})
+        name = write_canonical_json({"slot": slot, **chosen.model_dump()})
         if name not in self._known:
             component = registry().create(slot, chosen.name, chosen.options)
             geometry = {"geometry": component.geometry.describe()} if slot == "sensor" else {}

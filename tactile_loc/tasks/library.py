@@ -152,7 +152,7 @@ def _codes(model: Localizer, search: PlaceSearch) -> Codes:
         return np.stack(levels).astype(np.float16)
 
     stored = model.store.build(key, lambda work: work.save_array("codes", encoded()))
-    return stored.array("codes")
+    return stored.load_array("codes")
 
 
 def _step(search: PlaceSearch) -> int:

@@ -17,7 +17,7 @@ from PIL import Image  # noqa: E402
 from press_sets import TINY, ball_set, sensor, write_image  # noqa: E402
 
 from tactile_loc.calibration import folder as module  # noqa: E402
-from tactile_loc.calibration.estimator import estimator_options  # noqa: E402
+from tactile_loc.calibration.estimator import validate_estimator_options  # noqa: E402
 from tactile_loc.calibration.folder import (  # noqa: E402
     BACKGROUND,
     OURS,
@@ -41,7 +41,7 @@ NOISE = {"noise_m": 7e-6, "presses": 12}
 
 
 def untrained(seed: int = 0) -> PhotometricEstimator:
-    options = estimator_options(PhotometricEstimator, {**TINY, "seed": seed})
+    options = validate_estimator_options(PhotometricEstimator, {**TINY, "seed": seed})
     return PhotometricEstimator(GEOMETRY, BALLS.background, options)
 
 
@@ -69,7 +69,7 @@ def test_what_was_written_comes_back(folder):
     assert found.record["presses"] == 12
     assert found.estimator.options == untrained().options
     np.testing.assert_array_equal(
-        found.estimator.indentation(BALLS.images[0]), untrained().indentation(BALLS.images[0])
+        found.estimator.read_indentation(BALLS.images[0]), untrained().read_indentation(BALLS.images[0])
     )
 
 

@@ -18,12 +18,12 @@ from tactile_loc.calibration.unlabelled import FoundPresses, find_presses, write
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.drawing.labels import draw_labels
 from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import background, render_images
+from tactile_loc.imaging.shading import render_background, render_images
 
 GEOMETRY = sensor(80)
 MM_PER_PX = 0.2
 PLACES = np.array([(-3, 2), (0, 0), (3, -3), (4, 3), (-4, -3), (1, 4), (-1, -4), (4, -1)]) * 1e-3
-GEL = background(GEOMETRY, OPTICS["gelslim"])
+GEL = render_background(GEOMETRY, OPTICS["gelslim"])
 
 
 def pressed(*balls: tuple[float, float], press_m: float = 7e-4, seed: int = 0) -> np.ndarray:

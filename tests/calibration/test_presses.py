@@ -15,8 +15,8 @@ from message_helpers import naming
 from PIL import Image
 from press_sets import BALL_M, COLUMNS, MM, ball_set, magnified, places, write_image, write_table
 
-from tactile_loc.calibration.calibrate import calibrate, mean_errors
-from tactile_loc.calibration.presses import FOR_MEDIAN, FORMATS, convert, read_presses, reading_size_px
+from tactile_loc.calibration.calibrate import average_errors, calibrate
+from tactile_loc.calibration.presses import FOR_MEDIAN, FORMATS, choose_size_px, convert, read_presses
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import read_colour_image
@@ -54,9 +54,9 @@ def test_balls_are_read_as_they_were_written(folder):
     presses = read_presses(folder, GEOMETRY)
     assert len(presses) == 3
     np.testing.assert_array_equal(presses.background, BALLS.background)
-    for number, (image, label) in enumerate(presses.presses()):
+    for number, (image, label) in enumerate(presses.read_presses()):
         np.testing.assert_array_equal(image, BALLS.images[number])
-        known = BALLS.press(number)[1]
+        known = BALLS.read_press(number)[1]
         np.testing.assert_allclose(label.indentation_m, known.indentation_m, atol=1e-9)
         deeper = (BALLS.indentation_m[number] - label.indentation_m)[label.contact]
         np.testing.assert_allclose(deeper, deeper[0], atol=1e-9)  # how deep the visible circle lies
@@ -69,9 +69,9 @@ def test_a_cameras_images_are_reduced_and_their_labels_with_them(tmp_path):
     assert presses.geometry.is_same_sensor(GEOMETRY)
     assert presses.camera is larger.geometry
     np.testing.assert_array_equal(presses.background, BALLS.background)
-    for number, (image, label) in enumerate(presses.presses()):
+    for number, (image, label) in enumerate(presses.read_presses()):
         np.testing.assert_array_equal(image, BALLS.images[number])
-        np.testing.assert_allclose(label.indentation_m, BALLS.press(number)[1].indentation_m, atol=1e-9)
+        np.testing.assert_allclose(label.indentation_m, BALLS.read_press(number)[1].indentation_m, atol=1e-9)
 
 
 @pytest.mark.parametrize("size_px", [(64, 32), (128, 128), (0, 0)])
@@ -269,7 +269,7 @@ def test_a_table_without_presses_or_without_the_untouched_gel(folder):
 
 def test_the_ball_is_the_tables(folder):
     change(folder, 3, ball_radius_mm=2 * BALL_M / MM)
-    flatter, ball = read_presses(folder, GEOMETRY).label(0), BALLS.press(0)[1]
+    flatter, ball = read_presses(folder, GEOMETRY).label(0), BALLS.read_press(0)[1]
     assert flatter.indentation_m.max() < 0.6 * ball.indentation_m.max()
     np.testing.assert_array_equal(flatter.contact, ball.contact)
 
@@ -455,7 +455,7 @@ def test_public_sets_are_read_as_they_are(public, name):
     *_, count, (x, y, radius) = PUBLIC[name]
     presses = public(name)
     assert len(presses) == count
-    image, label = presses.press(0)
+    image, label = presses.read_press(0)
     row, column = np.argwhere(label.contact).mean(axis=0) + 0.5
     assert (column, row) == pytest.approx((x, y), abs=0.1)
     assert label.contact.sum() == pytest.approx(np.pi * radius**2, rel=0.02)
@@ -466,7 +466,7 @@ def test_public_sets_are_read_as_they_are(public, name):
 def test_a_real_sensor_is_learned_in_a_few_steps(public):
     presses = public("gelslim_balls")
     found = calibrate(presses, presses.geometry, presses.background, "photometric", {"steps": 150, "hidden": 16})
-    mean = mean_errors(found.errors)
+    mean = average_errors(found.errors)
     assert mean["slope_deg"] < 5
     assert mean["shape_m"] < 8e-5
 
@@ -485,4 +485,4 @@ def test_a_real_sensor_is_learned_in_a_few_steps(public):
 def test_images_are_reduced_to_what_locating_takes(camera, reading):
     width, height = camera
     geometry = SensorGeometry("orthographic", width, height, 1e4, 1e4, width / 2, height / 2, 0.01, 1e-3)
-    assert reading_size_px(geometry) == reading
+    assert choose_size_px(geometry) == reading

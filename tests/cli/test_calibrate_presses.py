@@ -21,7 +21,7 @@ from tactile_loc.calibration.calibrate import split  # noqa: E402
 from tactile_loc.calibration.folder import read_calibration  # noqa: E402
 from tactile_loc.calibration.photometric import PhotometricEstimator  # noqa: E402
 from tactile_loc.imaging.optics import OPTICS  # noqa: E402
-from tactile_loc.imaging.shading import background  # noqa: E402
+from tactile_loc.imaging.shading import render_background  # noqa: E402
 from tactile_loc.io.sensor_files import write_sensor_file  # noqa: E402
 from tactile_loc.plugins.sensors.calibrated import CalibratedSensor  # noqa: E402
 from tactile_loc.store.store import StageStore  # noqa: E402
@@ -37,7 +37,7 @@ NOT_ITS_IMAGES = {
     "black": (0 * BALLS.background, "black"),
     "grey": (BALLS.background[..., 0], "image"),
     "alpha": (np.dstack([BALLS.background, BALLS.background[..., 0]]), "image"),
-    "other": (background(BALLS.geometry, OPTICS["digit"]), "sensor"),
+    "other": (render_background(BALLS.geometry, OPTICS["digit"]), "sensor"),
 }
 
 
@@ -116,9 +116,9 @@ def test_a_camera_of_more_pixels_is_calibrated_at_the_size_asked_for(cli, presse
     sensors = [CalibratedSensor(CalibratedSensor.Options(path=name)) for name in ("mine", "reduced")]
     assert sensors[1].calibration.camera_px == (160, 160)
     assert sensors[1].geometry.is_same_sensor(BALLS.geometry)
-    of_small, of_large = (s.indentation(b.images[3]) for s, b in zip(sensors, (BALLS, larger), strict=True))
+    of_small, of_large = (s.read_indentation(b.images[3]) for s, b in zip(sensors, (BALLS, larger), strict=True))
     np.testing.assert_allclose(of_large, of_small, atol=1e-7)
-    np.testing.assert_array_equal(sensors[1].indentation(BALLS.images[3]), of_large)
+    np.testing.assert_array_equal(sensors[1].read_indentation(BALLS.images[3]), of_large)
     assert_refused(cli("calibrate", presses, *FEW, "--image-size", 90, 80), "80 x 80", "90 x 80")
 
 

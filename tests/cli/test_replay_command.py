@@ -18,8 +18,7 @@ from rerun_helpers import read
 from tactile_loc.core.geometry.hand_eye import pose_errors
 from tactile_loc.evaluation.slides import T_BASE_OBJECT, T_FLANGE_GEL
 from tactile_loc.io.recordings import Recording, write_recording
-from tactile_loc.io.ros_messages import IMAGE, TF, pose_of, stamp_ns, transform
-from tactile_loc.io.ros_types import image_message, transform_message
+from tactile_loc.io.ros_messages import IMAGE, TF, make_image, make_transforms, read_pose, read_stamp_ns, read_transform
 
 HEAD = ["--object", "head", "--sensor", "gelslim"]
 LOCATED = [*HEAD, *TINY, "-o", "temperature=0.001"]  # which need not be fitted then
@@ -54,10 +53,10 @@ def test_poses_are_near_the_truth_in_the_base_frame(cli, slide):
     images, poses = decoded("slide-poses.mcap", "/gel/image"), decoded("slide-poses.mcap", "/object/pose")
     assert len(images) == IMAGES
     assert [time for time, _ in poses] == [time for time, _ in images[1:-1]]
-    errors = np.array([pose_errors(pose_of(pose).T, T_BASE_OBJECT) for _, pose in poses])
+    errors = np.array([pose_errors(read_pose(pose).T, T_BASE_OBJECT) for _, pose in poses])
     assert np.median(np.linalg.norm(errors[:, :3], axis=1)) < 1e-3
     for (_, image), (_, pose) in zip(images[1:-1], poses, strict=True):
-        assert stamp_ns(pose.header) == stamp_ns(image.header)
+        assert read_stamp_ns(pose.header) == read_stamp_ns(image.header)
         assert pose.header.frame_id == "base"
         assert np.linalg.eigvalsh(np.reshape(pose.pose.covariance, (6, 6))).min() > 0
     rows = list(csv.DictReader(Path("slide-poses.csv").read_text().splitlines()))
@@ -69,11 +68,11 @@ def test_poses_are_near_the_truth_in_the_base_frame(cli, slide):
 
 def test_the_simulated_recording_says_the_truth(slide):
     """What it says of the object in the sensor's frame, its TF puts at one place of the base."""
-    tree = Recording(slide).frame_tree()
+    tree = Recording(slide).read_frame_tree()
     for _, message in decoded(slide, "/object/truth"):
         p, q = message.pose.position, message.pose.orientation
-        T_gel_object = transform(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
-        T_base_gel = tree.lookup("base", "gel", stamp_ns(message.header))
+        T_gel_object = read_transform(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
+        T_base_gel = tree.lookup("base", "gel", read_stamp_ns(message.header))
         np.testing.assert_allclose(T_base_gel @ T_gel_object, T_BASE_OBJECT, atol=1e-9)
     np.testing.assert_allclose(tree.lookup("flange", "gel", 0), T_FLANGE_GEL, atol=1e-12)
 
@@ -133,11 +132,11 @@ def test_of_a_recording_that_breaks_off_what_is_there_is_located(cli, slide):
 
 def test_what_cannot_be_replayed_is_one_sentence(cli, slide):
     def images(name: str, encoding: str) -> str:
-        message = image_message(np.zeros((200, 200), np.uint8), "mono8", 0, "gel")
+        message = make_image(np.zeros((200, 200), np.uint8), "mono8", 0, "gel")
         message.encoding = encoding
         return str(write_recording(Path(name), lambda w: w.write("/gel/image", IMAGE, message, 0)))
 
-    moving = write_recording(Path("tf.mcap"), lambda w: w.write("/tf", TF, transform_message({}, 0), 0))
+    moving = write_recording(Path("tf.mcap"), lambda w: w.write("/tf", TF, make_transforms({}, 0), 0))
     for words, mentioned in (
         (["none.mcap"], "none.mcap"),
         ([slide, "--image-topic", "/gel/imag"], "'/gel/image'"),

@@ -12,7 +12,7 @@ from PIL import Image
 
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import background
+from tactile_loc.imaging.shading import render_background
 from tactile_loc.plugins.sensors.presets import Digit, GelSlim
 
 SENSOR = """\
@@ -42,7 +42,7 @@ def test_every_touch_has_its_image_and_there_is_a_background(cli):
     files = ["background.png", "poses.json", *(f"{n}.{e}" for n in names for e in ("npz", "png")), "touches.png"]
     assert sorted(p.name for p in Path("out").iterdir()) == files
     unpressed = image("out/background.png")
-    assert np.array_equal(unpressed, background(GelSlim().geometry, OPTICS["gelslim"]))
+    assert np.array_equal(unpressed, render_background(GelSlim().geometry, OPTICS["gelslim"]))
     for name in names:
         seen = image(f"out/{name}.png")
         assert seen.shape == unpressed.shape
@@ -86,7 +86,7 @@ def test_one_seed_gives_the_same_images(cli):
 )
 def test_the_optics_are_the_sensors_or_those_asked_for(cli, words, geometry: SensorGeometry, style):
     simulate(cli, *words, "--out", "out")
-    assert np.array_equal(image("out/background.png"), background(geometry, OPTICS[style]))
+    assert np.array_equal(image("out/background.png"), render_background(geometry, OPTICS[style]))
 
 
 def test_a_sensor_of_ones_own_has_images_too(cli):

@@ -21,7 +21,7 @@ from tactile_loc.core.errors import (
     UnknownPluginError,
 )
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.io.config import kind_of_sensor
+from tactile_loc.io.config import find_sensor_kind
 from tactile_loc.io.meshes import load_object
 from tactile_loc.io.recordings import Recording
 from tactile_loc.io.toml import read_toml
@@ -38,7 +38,7 @@ READERS = {
     "result": (lambda name: find_source(Path(name)), ResultError),
     "frames": (lambda name: read_frames(Path(name)), CalibrationError),
     "sensor": (
-        lambda name: registry().create("sensor", kind_of_sensor(name) or name, {"path": name}),
+        lambda name: registry().create("sensor", find_sensor_kind(name) or name, {"path": name}),
         (CalibrationError, SensorError, UnknownPluginError),
     ),
 }

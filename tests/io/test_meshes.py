@@ -13,7 +13,7 @@ from message_helpers import missing, naming
 from tactile_loc.core.errors import ObjectError, SymmetryError
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.io.meshes import load_object, simplified
+from tactile_loc.io.meshes import load_object, simplify_mesh
 
 SIDES_M = np.array([0.030, 0.020, 0.012])
 TWO_FACES = (
@@ -245,7 +245,7 @@ def test_catalogue_parts_in_millimetres_are_read_as_such(shared_data):
 def test_a_simplified_surface_has_fewer_faces_and_the_same_shape():
     ball = trimesh.creation.icosphere(4, 0.02)
     mesh = TriangleMesh(np.array(ball.vertices), np.array(ball.faces, np.int64))
-    fewer = simplified(mesh, 1000)
+    fewer = simplify_mesh(mesh, 1000)
     assert 500 < len(fewer.faces) <= 1000
     assert np.linalg.norm(fewer.vertices_m, axis=1) == pytest.approx(0.02, rel=0.02)
     assert fewer.face_areas.sum() == pytest.approx(mesh.face_areas.sum(), rel=0.02)

@@ -35,11 +35,11 @@ def test_a_nominal_mount_is_a_pose(tmp_path):
     path.write_text("xyz_mm = [10, -20, 100]\nrpy_deg = [0, 0, 90]\n")
     found = read_mount(path)
     np.testing.assert_allclose(found.T_flange_sensor, X, atol=1e-15)
-    assert found.std_at(np.zeros(3)) == (0.0, 0.0)
+    assert found.find_std_at(np.zeros(3)) == (0.0, 0.0)
 
 
 def test_the_error_of_a_turn_grows_with_the_distance():
-    near, far = (Mount(X, COVARIANCE).std_at(np.array([0, 0, z])) for z in (0.0, 0.1))
+    near, far = (Mount(X, COVARIANCE).find_std_at(np.array([0, 0, z])) for z in (0.0, 0.1))
     assert near == pytest.approx((1e-4, 2e-3))
     assert far == pytest.approx((np.sqrt(1e-8 + 2 / 3 * 0.01 * 4e-6), 2e-3))
 

@@ -15,7 +15,7 @@ from tactile_loc.core.errors import FrameError, RecordingError, TouchError
 from tactile_loc.core.geometry.frame_tree import FrameTree
 from tactile_loc.core.geometry.hand_eye import moved
 from tactile_loc.core.geometry.rigid import covariance_along, make_transform, random_rotations
-from tactile_loc.io.ros_messages import RosPose, add_transforms, image_array, transform
+from tactile_loc.io.ros_messages import RosPose, add_transforms, image_array, read_transform
 
 RGB = np.random.default_rng(0).integers(0, 256, (5, 4, 3), np.uint8)
 
@@ -101,10 +101,12 @@ def test_the_covariance_in_the_base_is_that_of_samples_about_the_fixed_axes():
 
 
 def test_transforms_that_are_none_are_refused():
-    np.testing.assert_allclose(transform(np.zeros(3), np.array([0, 0, 3.0, 0])), np.diag([-1, -1, 1, 1]), atol=1e-12)
+    np.testing.assert_allclose(
+        read_transform(np.zeros(3), np.array([0, 0, 3.0, 0])), np.diag([-1, -1, 1, 1]), atol=1e-12
+    )
     for t, q in (([0, 0, 0], [0, 0, 0, 0]), ([np.nan, 0, 0], [0, 0, 0, 1]), ([0, 0, 0], [np.nan, 0, 0, 1])):
         with pytest.raises(FrameError, match="'gel'"):
-            transform(np.array(t, float), np.array(q, float), "gel")
+            read_transform(np.array(t, float), np.array(q, float), "gel")
 
 
 def test_the_slash_of_old_frame_names_is_dropped():

@@ -123,7 +123,7 @@ def test_poses_and_shapes_stay_together(make_pin_scene, own_store):
     scene = make_pin_scene()
     module.SHARD = 8
     model = build(scene, FaceGrid(FaceGrid.Options(spacing_mm=8.0, min_contact_percent=9.0)), own_store)
-    assert 0 in model.shapes.artifact.json("sizes")
+    assert 0 in model.shapes.artifact.load_json("sizes")
     assert all(len(depths) for depths in model.shapes.shards()), "an encoder is not asked about nothing"
     rendered = scene.grid_depths(model.grid.T_sensor_object)
     np.testing.assert_allclose(np.concatenate(list(model.shapes.shards())), rendered, atol=1e-7)

@@ -122,7 +122,7 @@ def test_checksums_are_read_once_while_the_files_are_unchanged(
     for _ in range(3):
         assert store.get(KEY) == built
     assert sorted(hashed) == list(built.names)
-    os.utime(built.file("sum.npy"), (1e9, 1e9 + 1))
+    os.utime(built.find_file("sum.npy"), (1e9, 1e9 + 1))
     assert store.get(KEY) == built
     assert len(hashed) == 2 * len(built.names)
 
@@ -136,11 +136,11 @@ def test_pickled_arrays_are_refused(store: StageStore) -> None:
     )
     for mmap in (True, False):
         with pytest.raises(StoreError, match=r"x\.npy"):
-            artifact.array("x", mmap=mmap)
+            artifact.load_array("x", mmap=mmap)
 
 
 def test_a_change_within_one_tick_of_the_clock_is_seen(store: StageStore) -> None:
-    path = store.build(KEY, Five()).file("sum.npy")
+    path = store.build(KEY, Five()).find_file("sum.npy")
     assert store.get(KEY) is not None
     stat = path.stat()
     flip("sum.npy", -1)(path.parent)

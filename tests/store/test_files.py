@@ -11,11 +11,11 @@ from message_helpers import naming
 from tactile_loc.core.errors import OutputError
 from tactile_loc.store import files
 from tactile_loc.store.files import (
-    alone_in,
+    lock_folder,
     read_json,
     recover_folder,
     remove_abandoned,
-    replacing_folder,
+    replace_folder,
     require_writable,
     write_atomically,
     write_json,
@@ -106,7 +106,7 @@ def test_a_process_killed_at_any_step_leaves_the_old_file_or_the_new_and_the_nex
 
 def test_what_another_process_writes_to_the_same_file_is_left_alone(tmp_path):
     path = tmp_path / "a.txt"
-    with files.replacing(path) as slow:
+    with files.replace_file(path) as slow:
         slow.write_text("slow")
         for _ in killed_at_every_step(lambda: write_atomically(path, lambda p: p.write_text("fast"))):
             assert slow.read_text() == "slow"
@@ -135,7 +135,7 @@ def test_who_writes_files_that_belong_together_is_alone_in_their_folder(tmp_path
     folder, seen = tmp_path / "new" / "folder", []
 
     def write(number):
-        with alone_in(folder):
+        with lock_folder(folder):
             for name in "ab":
                 (folder / name).write_text(str(number))
                 time.sleep(0.005)
@@ -149,7 +149,7 @@ def test_who_writes_files_that_belong_together_is_alone_in_their_folder(tmp_path
 
 def test_there_is_no_folder_where_a_file_stands(tmp_path):
     (tmp_path / "a").touch()
-    with pytest.raises(OutputError, match=naming(tmp_path / "a", "--out")), alone_in(tmp_path / "a"):
+    with pytest.raises(OutputError, match=naming(tmp_path / "a", "--out")), lock_folder(tmp_path / "a"):
         pass
 
 
@@ -157,7 +157,7 @@ NAMES = ("a.txt", "deep/b.txt")
 
 
 def replace(folder: Path, text: str, **options: bool) -> None:
-    with replacing_folder(folder, **options) as new:
+    with replace_folder(folder, **options) as new:
         (new / "deep").mkdir()
         for name in NAMES:
             (new / name).write_text(text)
@@ -216,8 +216,8 @@ def test_a_process_killed_at_any_step_leaves_the_old_folder_or_the_new(tmp_path)
 
 def test_what_was_set_aside_is_back_before_it_is_replaced(tmp_path):
     replace(tmp_path / "folder", "old")
-    (tmp_path / "folder").rename(files._aside(tmp_path / "folder"))
-    with pytest.raises(ZeroDivisionError), replacing_folder(tmp_path / "folder"):
+    (tmp_path / "folder").rename(files._name_aside(tmp_path / "folder"))
+    with pytest.raises(ZeroDivisionError), replace_folder(tmp_path / "folder"):
         raise ZeroDivisionError
     assert text(tmp_path / "folder") == "old"
     assert names(tmp_path) == ["folder"]
@@ -244,7 +244,7 @@ def test_the_second_of_two_renames_fails(tmp_path, monkeypatch):
     replace(folder, "old")
 
     def refuse(self: Path, target: Path) -> Path:
-        if target == folder and self != files._aside(folder):
+        if target == folder and self != files._name_aside(folder):
             raise OSError(5, "Input/output error")
         return rename(self, target)
 
@@ -257,7 +257,7 @@ def test_the_second_of_two_renames_fails(tmp_path, monkeypatch):
 
 
 def test_what_another_process_is_writing_is_left_alone(tmp_path):
-    with replacing_folder(tmp_path / "folder") as slow:
+    with replace_folder(tmp_path / "folder") as slow:
         (slow / "a.txt").write_text("slow")
         replace(tmp_path / "folder", "fast")
         assert (slow / "a.txt").read_text() == "slow"

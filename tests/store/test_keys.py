@@ -9,7 +9,7 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.errors import StoreError
-from tactile_loc.store.keys import StageKey, canonical_json, hash_arrays, hash_file
+from tactile_loc.store.keys import StageKey, hash_arrays, hash_file, write_canonical_json
 
 
 def test_digest_is_that_of_the_canonical_json() -> None:
@@ -75,7 +75,7 @@ def test_refuses_stage_names_that_leave_the_store(name: str) -> None:
 
 
 def test_numpy_float_is_a_float() -> None:
-    assert canonical_json({"a": np.float64(0.1)}) == canonical_json({"a": 0.1}) == '{"a":0.1}'
+    assert write_canonical_json({"a": np.float64(0.1)}) == write_canonical_json({"a": 0.1}) == '{"a":0.1}'
 
 
 def test_hash_arrays_sees_values_dtype_shape_and_name() -> None:

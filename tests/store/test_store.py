@@ -12,7 +12,7 @@ from store_helpers import KEY, Five, folder_of, forbidden, run_python
 
 from tactile_loc.core.errors import StoreError
 from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import StageStore, default_root
+from tactile_loc.store.store import StageStore, find_root
 from tactile_loc.store.workspace import Workspace
 
 
@@ -48,16 +48,16 @@ def test_artifact_gives_back_what_was_saved(store: StageStore) -> None:
     artifact = store.build(KEY, make)
     for name, array in arrays.items():
         for mmap in (True, False):
-            found = artifact.array(name, mmap=mmap)
+            found = artifact.load_array(name, mmap=mmap)
             assert found.dtype == array.dtype
             np.testing.assert_array_equal(found, array)
-    assert isinstance(artifact.array("f32"), np.memmap)
-    assert not isinstance(artifact.array("f32", mmap=False), np.memmap)
+    assert isinstance(artifact.load_array("f32"), np.memmap)
+    assert not isinstance(artifact.load_array("f32", mmap=False), np.memmap)
     with pytest.raises(ValueError, match="read-only"):
-        artifact.array("f32")[0, 0] = 1
-    np.testing.assert_array_equal(np.load(artifact.file("both.npz"))["a"], arrays["f32"])
+        artifact.load_array("f32")[0, 0] = 1
+    np.testing.assert_array_equal(np.load(artifact.find_file("both.npz"))["a"], arrays["f32"])
     assert artifact.names == ("both.npz", *sorted(f"{name}.npy" for name in arrays))
-    assert artifact.nbytes == sum(artifact.file(name).stat().st_size for name in artifact.names)
+    assert artifact.nbytes == sum(artifact.find_file(name).stat().st_size for name in artifact.names)
 
 
 def test_folder_holds_the_kept_pieces_and_the_manifest_only(store: StageStore) -> None:
@@ -71,7 +71,7 @@ def test_folder_holds_the_kept_pieces_and_the_manifest_only(store: StageStore) -
     assert artifact.path == folder_of(store)
     assert {path.name for path in artifact.path.iterdir()} == {*artifact.names, "manifest.json"}
     assert (artifact.path / "meta.json").read_text() == '{\n "a": [\n  1.5,\n  null\n ],\n "n": 5\n}\n'
-    assert artifact.json("meta") == {"n": 5, "a": [1.5, None]}
+    assert artifact.load_json("meta") == {"n": 5, "a": [1.5, None]}
     manifest = json.loads((artifact.path / "manifest.json").read_text())
     assert manifest["inputs"] == KEY.inputs
     assert (manifest["stage"], manifest["version"]) == ("bank", 1)
@@ -83,7 +83,7 @@ def test_other_inputs_are_another_artifact(store: StageStore) -> None:
     store.build(KEY, lambda workspace: workspace.save_json("x", 1))
     store.build(other, lambda workspace: workspace.save_json("x", 2))
     found = [store.get(key) for key in (KEY, other)]
-    assert [artifact.json("x") for artifact in found if artifact] == [1, 2]
+    assert [artifact.load_json("x") for artifact in found if artifact] == [1, 2]
 
 
 def test_a_label_is_kept_and_is_no_part_of_the_key(store: StageStore) -> None:
@@ -96,7 +96,7 @@ def test_a_label_is_kept_and_is_no_part_of_the_key(store: StageStore) -> None:
 def test_asking_for_what_is_not_there(store: StageStore) -> None:
     artifact = store.build(KEY, Five())
     with pytest.raises(StoreError, match=naming("bank", "'nothing.npy'", "piece0.npy", "sum.npy")):
-        artifact.array("nothing")
+        artifact.load_array("nothing")
     with pytest.raises(StoreError, match=naming("bank", "'manifest.json'", "piece0.npy")):
         artifact.json("manifest")
 
@@ -135,8 +135,8 @@ def compute():
     return np.random.default_rng(os.getpid()).normal(size=100)
 
 store = StageStore(root)
-artifact = store.build(StageKey("bank", 1, {}), lambda workspace: workspace.array("x", compute))
-print("RESULT", len(store.built), artifact.array("x").tobytes().hex())
+artifact = store.build(StageKey("bank", 1, {}), lambda workspace: workspace.load_or_make("x", compute))
+print("RESULT", len(store.built), artifact.load_array("x").tobytes().hex())
 """
 
 
@@ -161,7 +161,7 @@ def test_what_is_being_built_is_neither_waited_for_by_get_nor_removed(store: Sta
         assert other.is_being_built(entry)
         workspace.save_json("x", 1)
 
-    assert store.build(KEY, make).json("x") == 1
+    assert store.build(KEY, make).load_json("x") == 1
     (entry,) = store.entries()
     assert not store.is_being_built(entry)
 
@@ -171,9 +171,9 @@ def test_one_stage_may_build_another(store: StageStore) -> None:
 
     def make(workspace: Workspace) -> None:
         inner = store.build(grid, lambda inside: inside.save_array("poses", np.arange(3)))
-        workspace.save_array("bank", inner.array("poses") * 2)
+        workspace.save_array("bank", inner.load_array("poses") * 2)
 
-    np.testing.assert_array_equal(store.build(KEY, make).array("bank"), [0, 2, 4])
+    np.testing.assert_array_equal(store.build(KEY, make).load_array("bank"), [0, 2, 4])
     assert store.built == [grid, KEY]
 
 
@@ -227,11 +227,11 @@ def test_default_root(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("TACTILE_LOC_STORE", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert default_root() == tmp_path / ".cache" / "tactile-loc"
+    assert find_root() == tmp_path / ".cache" / "tactile-loc"
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
-    assert default_root() == tmp_path / ".cache" / "tactile-loc"
+    assert find_root() == tmp_path / ".cache" / "tactile-loc"
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
-    assert default_root() == tmp_path / "xdg" / "tactile-loc"
+    assert find_root() == tmp_path / "xdg" / "tactile-loc"
     monkeypatch.setenv("TACTILE_LOC_STORE", "~/mine")
     assert StageStore().root == tmp_path / "mine"
     assert StageStore(Path("~/other")).root == tmp_path / "other"

@@ -84,7 +84,7 @@ def test_a_checkpoint_may_be_replaced(store: StageStore) -> None:
     artifact = store.build(KEY, lambda workspace: train(workspace, None, ran))
     assert ran == [0, 1, 2, 3, 4]
     assert artifact.names == ("weights.npy",)
-    np.testing.assert_array_equal(artifact.array("weights"), [5, 10])
+    np.testing.assert_array_equal(artifact.load_array("weights"), [5, 10])
 
 
 def test_a_training_that_is_over_takes_its_checkpoint_up_and_leaves_it_out(store: StageStore) -> None:
@@ -107,7 +107,7 @@ def test_a_training_that_is_over_takes_its_checkpoint_up_and_leaves_it_out(store
         store.build(KEY, interrupted)
     other = StageKey("bank", 2, {})
     for artifact in (store.build(KEY, resumed), store.build(other, uninterrupted)):
-        assert artifact.json("state") == "epoch 5"
+        assert artifact.load_json("state") == "epoch 5"
         assert artifact.names == ("state.json",)
 
 
@@ -145,8 +145,8 @@ def test_a_kill_between_record_and_rename_keeps_the_earlier_checkpoint(
     with pytest.raises(KeyboardInterrupt):
         store.build(KEY, make)
     monkeypatch.undo()
-    artifact = store.build(KEY, lambda workspace: workspace.array("x", lambda: np.array([3])))
-    np.testing.assert_array_equal(artifact.array("x"), [1])
+    artifact = store.build(KEY, lambda workspace: workspace.load_or_make("x", lambda: np.array([3])))
+    np.testing.assert_array_equal(artifact.load_array("x"), [1])
 
 
 def test_a_build_killed_at_any_step_of_its_end_is_not_done_again(store: StageStore, tmp_path: Path) -> None:
@@ -256,8 +256,8 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))
 store, key = StageStore(Path(sys.argv[1])), StageKey("bank", 1, {})
 
 def make(workspace):
-    workspace.array("small", lambda: np.arange(100))
-    workspace.array("large", lambda: np.zeros(1_000_000))
+    workspace.load_or_make("small", lambda: np.arange(100))
+    workspace.load_or_make("large", lambda: np.zeros(1_000_000))
 
 try:
     store.build(key, make)
@@ -266,7 +266,7 @@ except StoreError as error:
 print(sorted(path.name for path in (store.root / "bank").iterdir() if path.suffix == ""))
 print(sorted(path.name for path in (store.root / "bank" / f"{key.short}.partial").iterdir()))
 resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-print(store.build(key, make).array("large").shape)
+print(store.build(key, make).load_array("large").shape)
 """
 
 
@@ -307,7 +307,7 @@ def test_file_in_the_place_of_a_folder(store: StageStore, blocked: str) -> None:
 
 def test_errors_of_make_pass_through(store: StageStore) -> None:
     def make(workspace: Workspace) -> None:
-        workspace.array("x", lambda: np.load("/nowhere/x.npy"))
+        workspace.load_or_make("x", lambda: np.load("/nowhere/x.npy"))
 
     with pytest.raises(FileNotFoundError):
         store.build(KEY, make)

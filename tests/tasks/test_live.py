@@ -31,7 +31,7 @@ def frames_of(folder: Path, *touches: Touch | None) -> list[SourceFrame]:
             np.savez(folder / f"{k}.npz", depth=NOTHING, unit="m", press_depth=0.001)
         else:
             write_touch(folder / f"{k}.npz", touch)
-    return list(ImageFolder(folder, every=True).frames())
+    return list(ImageFolder(folder, every=True).read_frames())
 
 
 def test_a_frame_is_located_as_its_touch_is(localizer, touch, tmp_path):

@@ -15,9 +15,8 @@ from tactile_loc.core.errors import FrameError, GridError, OutputError, Recordin
 from tactile_loc.core.geometry.rigid import covariance_along, make_transform, rotation_about
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.refiner import RefinedPose
-from tactile_loc.io.recordings import Recording, RecordingWriter, image_topic, write_recording
-from tactile_loc.io.ros_messages import IMAGE, TF, pose_of, stamp_ns
-from tactile_loc.io.ros_types import image_message, transform_message
+from tactile_loc.io.recordings import Recording, RecordingWriter, choose_image_topic, write_recording
+from tactile_loc.io.ros_messages import IMAGE, TF, make_image, make_transforms, read_pose, read_stamp_ns
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Hypothesis
 from tactile_loc.tasks.replay import Outcome, Replay, ReplaySummary
@@ -47,19 +46,19 @@ def recorded(tmp_path, touches) -> Path:
     ]
 
     def write(writer: RecordingWriter) -> None:
-        writer.write("/tf_static", TF, transform_message({("flange", "gel"): MOUNT}, 0), 0)
+        writer.write("/tf_static", TF, make_transforms({("flange", "gel"): MOUNT}, 0), 0)
         for stamp, T in ((0, FIRST), (4 * S, LAST)):
-            writer.write("/tf", TF, transform_message({("base", "flange"): T}, stamp), stamp)
+            writer.write("/tf", TF, make_transforms({("base", "flange"): T}, stamp), stamp)
         for k, image in enumerate(images):
-            writer.write("/gel/image", IMAGE, image_message(image, "32FC1", k * S, "gel"), k * S + 5)
+            writer.write("/gel/image", IMAGE, make_image(image, "32FC1", k * S, "gel"), k * S + 5)
 
     return write_recording(tmp_path / "drive.mcap", write)
 
 
 def replay_of(path: Path, localizer: Localizer, base: str | None = None, frame: str | None = None) -> Replay:
     recording = Recording(path)
-    topic = image_topic(recording.contents(), path, None)
-    return Replay(recording, topic, localizer, frame, base, recording.frame_tree() if base else None)
+    topic = choose_image_topic(recording.read_contents(), path, None)
+    return Replay(recording, topic, localizer, frame, base, recording.read_frame_tree() if base else None)
 
 
 def at_truth(touch: Touch) -> Hypothesis:
@@ -89,11 +88,11 @@ def test_poses_and_covariances_are_moved_to_the_base(recorded, localizer, tmp_pa
     found = replay_to(out, replay_of(recorded, localizer, "base"), 6, "/pose", estimator=at_truth)
     T_base_flange = make_transform(rotation_about([0, 0, 1], 0.3), [0.15, 0, 0.1])  # at 2 s, half way
     T_base_gel = T_base_flange @ MOUNT
-    (third,) = [m for m in Recording(out).messages("/pose") if m.log_time_ns == 2 * S + 5]
-    message = third.decoded()
-    assert (stamp_ns(message.header), message.header.frame_id) == (2 * S, "base")
-    np.testing.assert_allclose(pose_of(message).T, T_base_gel @ T_GEL_OBJECT, atol=1e-9)
-    covariance = np.reshape(pose_of(message).covariance, (6, 6))
+    (third,) = [m for m in Recording(out).read_messages("/pose") if m.log_time_ns == 2 * S + 5]
+    message = third.decode()
+    assert (read_stamp_ns(message.header), message.header.frame_id) == (2 * S, "base")
+    np.testing.assert_allclose(read_pose(message).T, T_base_gel @ T_GEL_OBJECT, atol=1e-9)
+    covariance = np.reshape(read_pose(message).covariance, (6, 6))
     np.testing.assert_allclose(covariance, covariance_along(C, T_base_gel[:3, :3]), atol=1e-12)
     assert found.records[5].outcome is Outcome.REFUSED  # 5 s is after the last transform
     assert not missing(found.records[5].says, "0.000 s", "4.000 s", "5.000 s")
@@ -103,11 +102,11 @@ def test_the_poses_stand_beside_what_was_recorded_or_alone(recorded, localizer, 
     replay = replay_of(recorded, localizer)
     replay_to(tmp_path / "all.mcap", replay, 6, "/pose", estimator=at_truth)
     replay_to(tmp_path / "alone.mcap", replay, 6, "/pose", poses_only=True, estimator=at_truth)
-    before = [(m.topic, m.log_time_ns, m.data) for m in Recording(recorded).messages()]
-    written = [(m.topic, m.log_time_ns, m.data) for m in Recording(tmp_path / "all.mcap").messages()]
+    before = [(m.topic, m.log_time_ns, m.data) for m in Recording(recorded).read_messages()]
+    written = [(m.topic, m.log_time_ns, m.data) for m in Recording(tmp_path / "all.mcap").read_messages()]
     poses = [one for one in written if one[0].name == "/pose"]
     assert [one for one in written if one not in poses] == before
-    assert [m.data for m in Recording(tmp_path / "alone.mcap").messages()] == [data for _, _, data in poses]
+    assert [m.data for m in Recording(tmp_path / "alone.mcap").read_messages()] == [data for _, _, data in poses]
     assert [time for _, time, _ in poses] == [5, S + 5, 2 * S + 5, 5 * S + 5]
     after = [written[written.index(pose) - 1][:2] for pose in poses]
     assert [(topic.name, time) for topic, time in after] == [("/gel/image", time) for _, time, _ in poses]
@@ -224,7 +223,7 @@ def test_a_clock_that_goes_back_is_counted(tmp_path, localizer, touches):
     def write(writer: RecordingWriter) -> None:
         for k, stamp in enumerate((10, 11, 2, 3)):
             depth = touches[0].contact_shape.depth_m
-            writer.write("/gel/image", IMAGE, image_message(depth, "32FC1", stamp * S, "gel"), k)
+            writer.write("/gel/image", IMAGE, make_image(depth, "32FC1", stamp * S, "gel"), k)
 
     path = write_recording(tmp_path / "drive.mcap", write)
     records = list(replay_of(path, localizer).frames(at_truth))

@@ -206,7 +206,7 @@ def _report(
     from tactile_loc.drawing.pictures import draw_result, save_figure
     from tactile_loc.locate.result_files import NAME, gather, write_arrays
     from tactile_loc.locate.result_json import doubts, pose_errors_m, result_record, write_result
-    from tactile_loc.store.files import alone_in
+    from tactile_loc.store.files import lock_folder
     from tactile_loc_cli.results import say_result, title
 
     observations = [pair for pair in observations if any(pair[1] is touch for touch in localization.touches)]
@@ -219,7 +219,7 @@ def _report(
         logger.warning("--drop-outliers locates the object without what contradicts the other touches")
     figure = draw_result(localization, localizer.scene, title(record), pose_errors_m(localizer.object, localization))
     arrays = gather(observations, localization)
-    with alone_in(out):
+    with lock_folder(out):
         written = [
             write_result(out / "result.json", record),
             write_arrays(out / NAME, arrays, record),

@@ -28,7 +28,7 @@ from tactile_loc.core.errors import CalibrationError, ConfigError, NoContactErro
 from tactile_loc.core.sensing.touch import ContactShape, Touch  # noqa: E402
 from tactile_loc.core.slots.registry import registry  # noqa: E402
 from tactile_loc.imaging.optics import OPTICS  # noqa: E402
-from tactile_loc.imaging.shading import background  # noqa: E402
+from tactile_loc.imaging.shading import render_background  # noqa: E402
 from tactile_loc.io.touches import read_touch  # noqa: E402
 from tactile_loc.plugins.sensors.calibrated import CalibratedSensor  # noqa: E402
 from tactile_loc.testing import checks_for  # noqa: E402
@@ -138,7 +138,7 @@ def test_contact_shapes_stay_what_they_are(sensor, truth):
         (lambda image: image[..., 1], "(64, 64)"),
         (lambda image: np.dstack([image, image[..., 0]]), "(64, 64, 4)"),
         (lambda image: image / 255.0, "float64"),
-        (lambda image: background(BALLS.geometry, OPTICS["digit"]), "calibrate"),
+        (lambda image: render_background(BALLS.geometry, OPTICS["digit"]), "calibrate"),
         (lambda image: 0 * image, "black"),
         (lambda image: image[0, 0], "(3,)"),
         (lambda image: image[:0], "64 x 0"),
