@@ -21,6 +21,7 @@ from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import noise_level
 from tactile_loc.core.simulation.touch_simulation import simulate_touches
+from tactile_loc.core.slots.compatibility import require_compatible
 from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene, View
@@ -72,6 +73,9 @@ class TouchPosteriors:
         self.encoder = self._component("encoder")
         self.fuser = self._component("fuser")
         renderer = self._component("renderer")
+        made = {"sensor": self.sensor, "grid": self.sampler, "encoder": self.encoder, "fuser": self.fuser,
+                "renderer": renderer, "matcher": self._component("matcher")}  # fmt: skip
+        require_compatible(made, {slot: getattr(config, slot).name for slot in made})
         self.scene = Scene(obj, self.sensor.geometry, renderer, config.drawing)
         coarse = self.sensor.geometry.with_long_side(config.shape_px)
         coarse = coarse.pressed(coarse.max_depth_m)  # the grid's, at full press

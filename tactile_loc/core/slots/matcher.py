@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.slots.component import Component, Float32
 
 
@@ -15,20 +14,13 @@ class Matcher(Component):
 
     @abstractmethod
     def index(self, bank: Float32) -> None:
-        """Take the bank (N, D), one row a grid pose."""
+        """Take the bank (N, D), one row a pose; it replaces an earlier one."""
 
     @abstractmethod
-    def scores(self, queries: Float32) -> Float32:
-        """Return scores (M, N) of queries (M, D), unitless, higher is more alike; -inf where it did not look."""
+    def scores(self, queries: Float32, weights: Float32 | None = None) -> Float32:
+        """Return scores (M, N) of queries (M, D), unitless, higher is more alike; -inf where it did not look.
 
-    def weighted_scores(self, queries: Float32, weights: Float32) -> Float32:
-        """Return scores (M, N), -1/2 sum w (q - b)^2, of queries (M, D) of which weights (M, D), 0 to 1, are known.
-
-        Raises ConfigError for a matcher that cannot weigh.
+        The weights (M, D), 0 to 1, say how far each number of a query q is known: the score of a row b is
+        -1/2 sum_d w (q - b)^2. None stands for ones. A matcher that cannot weigh declares `Capabilities(weights=False)`
+        and is never given weights.
         """
-        if (weights == 1).all():
-            return self.scores(queries)
-        raise ConfigError(
-            f"the matcher {type(self).__name__} cannot leave out what a sensor does not see; choose dense, or a grid "
-            "that lists its poses, such as face or hopf"
-        )

@@ -1,4 +1,4 @@
-"""Exact matching with every row of the bank: one matrix product."""
+"""Exact matching with every row of the bank: one matrix product, or two where queries have weights."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ class DenseMatcher(Matcher):
         self.__dict__.pop("_half_squares", None)
         self._half_norms = 0.5 * np.einsum("nd,nd->n", self._bank, self._bank)
 
-    def scores(self, queries: Float32) -> Float32:
-        """Return scores (M, N) of queries (M, D), unitless; higher is more alike."""
+    def scores(self, queries: Float32, weights: Float32 | None = None) -> Float32:
+        """Return scores (M, N), -1/2 sum w (q - b)^2, of queries (M, D) and weights (M, D); None: ones. Unitless."""
         q = np.asarray(queries, np.float32)
+        if weights is not None:
+            return self._weighted(q, np.asarray(weights, np.float32))
         half_norms = 0.5 * np.einsum("md,md->m", q, q)
         scores: Float32 = q @ self._bank.T - self._half_norms - half_norms[:, None]
         return scores
 
-    def weighted_scores(self, queries: Float32, weights: Float32) -> Float32:
-        """Return scores (M, N), -1/2 sum w (q - b)^2, of queries (M, D) and weights (M, D): two matrix products."""
-        q, w = np.asarray(queries, np.float32), np.asarray(weights, np.float32)
+    def _weighted(self, q: Float32, w: Float32) -> Float32:
         weighed = np.multiply(w, q, dtype=np.float32)
         of_queries = 0.5 * np.einsum("md,md->m", weighed, q)
         scores: Float32 = weighed @ self._bank.T - w @ self._half_squares.T - of_queries[:, None]

@@ -17,7 +17,6 @@ from pydantic import Field
 from tactile_loc.plugin import (
     Blocks,
     Candidate,
-    Capabilities,
     ComponentOptions,
     NearestTriangles,
     RefinedPose,
@@ -42,8 +41,6 @@ Floats = NDArray[np.float64]
 
 class JointRefiner(Refiner):
     """Registers the object's surface to all touches at once; knows how sure the pose is."""
-
-    capabilities = Capabilities(uses_normals=True)
 
     class Options(ComponentOptions):
         """What is measured of a touch and how far to trust it, and how the registration becomes narrower."""
