@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 from tactile_loc.core.lazy import lazy_names
 
 if TYPE_CHECKING:
-    # what a package says it offers
+    # what a package says it offers, and for which version of this interface
+    from tactile_loc.core.slots.interface import INTERFACE_VERSION as INTERFACE_VERSION
     from tactile_loc.core.slots.registry import ComponentSpec as ComponentSpec
     from tactile_loc.core.slots.registry import hookimpl as hookimpl
     from tactile_loc.core.slots.registry import registry as registry

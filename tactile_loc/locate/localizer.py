@@ -22,6 +22,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import noise_level
 from tactile_loc.core.simulation.touch_simulation import simulate_touches
 from tactile_loc.core.slots.common_poses import require_sensor_poses
+from tactile_loc.core.slots.compatibility import require_compatible
 from tactile_loc.core.slots.matcher import ExactMatcher
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose, Refiner
 from tactile_loc.core.slots.registry import registry
@@ -55,8 +56,10 @@ class Localizer:
         self.encoder = self._create("encoder")
         self.refiner: Refiner = self._create("refiner")
         self.fuser = self._create("fuser")
+        renderer = self._create("renderer")
+        self._require_compatible(renderer)
         self.registration = JointRegistration()
-        self.scene = Scene(obj, self.sensor.geometry, self._create("renderer"), config.drawing)
+        self.scene = Scene(obj, self.sensor.geometry, renderer, config.drawing)
         coarse = self.sensor.geometry.with_long_side(config.shape_px)
         coarse = coarse.pressed(coarse.max_depth_m)  # the grid's, at full press
         self.coarse_scene = replace(self.scene, geometry=coarse)
@@ -79,6 +82,14 @@ class Localizer:
     def _create(self, slot: str) -> Any:
         chosen = getattr(self.config, slot)
         return registry().create(slot, chosen.name, chosen.options)
+
+    def _require_compatible(self, renderer: Any) -> None:
+        """Raise ConfigError for components that cannot work together."""
+        made = {
+            "sensor": self.sensor, "grid": self.sampler, "encoder": self.encoder, "refiner": self.refiner,
+            "fuser": self.fuser, "renderer": renderer, "matcher": self._create("matcher"),
+        }  # fmt: skip
+        require_compatible(made, {slot: getattr(self.config, slot).name for slot in made})
 
     # touches
 

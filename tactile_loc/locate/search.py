@@ -127,8 +127,9 @@ class PlaceSearch:
         depths_m, seen = turned_patches(touch, anchor_m, R_sensor_gel, self.yaws_rad)
         cut_m = np.minimum(depths_m, np.float32(press_m))
         queries, weights = self.encoder.encode_seen(cut_m, seen, press_m, CAMERA)
-        scores = matcher.weighted_scores(queries, weights)
+        scores = matcher.scores(queries, weights)
         best = np.argpartition(-scores, min(count, scores.size) - 1, axis=None)[:count]
+        best = best[scores.ravel()[best] > -np.inf]  # a matcher may look at fewer
         yaw, number = np.unravel_index(best, scores.shape)
         poses = make_transform(R_sensor_gel, anchor_m) @ self.places.poses(number, self.yaws_rad[yaw])
         return poses, scores.ravel()[best].astype(float)

@@ -13,6 +13,8 @@ from tactile_loc import __version__
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.simulation.noise import noise_level
+from tactile_loc.core.slots.compatibility import require_compatible
+from tactile_loc.core.slots.component import Component
 from tactile_loc.core.slots.registry import SLOTS, registry
 from tactile_loc.evaluation.protocol import PROTOCOL_VERSION, evaluation_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
@@ -50,7 +52,8 @@ class Combination:
 def combine(plan: Plan) -> tuple[list[Combination], dict[str, ObjectModel]]:
     """Return all combinations, ordered by object, slots, noise and seed, and the objects by name.
 
-    Everything that they need is tried: meshes are read and components made. Raises TactileLocError.
+    Everything that they need is tried: meshes are read and components made. Raises TactileLocError, also for
+    components that exclude each other and for a grid that lists no poses.
     """
     objects = _load(plan.objects)
     described = _Descriptions()
@@ -139,18 +142,26 @@ class _Descriptions:
     """Makes every choice of a component once, to see that it can be made and what it says of itself."""
 
     def __init__(self) -> None:
-        self._known: dict[str, Any] = {}
+        self._known: dict[str, tuple[Component, Any]] = {}
 
     def of(self, config: RunConfig) -> dict[str, Any]:
-        """What describes the components of all slots."""
-        return {slot: self._one(slot, getattr(config, slot)) for slot in SLOTS}
+        """What describes the components of all slots, which do not exclude each other, and list poses to compare."""
+        made = {slot: self._one(slot, getattr(config, slot)) for slot in SLOTS}
+        components = {slot: component for slot, (component, _) in made.items()}
+        if components["grid"].capabilities.places:
+            raise ConfigError(
+                f"a sweep compares with all poses of a grid, and the grid {config.grid.name!r} lists none; choose a "
+                "grid that lists its poses, such as face"
+            )
+        require_compatible(components, {slot: getattr(config, slot).name for slot in SLOTS})
+        return {slot: described for slot, (_, described) in made.items()}
 
-    def _one(self, slot: str, chosen: SlotConfig) -> Any:
+    def _one(self, slot: str, chosen: SlotConfig) -> tuple[Component, Any]:
         name = write_canonical_json({"slot": slot, **chosen.model_dump()})
         if name not in self._known:
             component = registry().create(slot, chosen.name, chosen.options)
             geometry = {"geometry": component.geometry.describe()} if slot == "sensor" else {}
-            self._known[name] = {**component.describe(), **geometry}
+            self._known[name] = component, {**component.describe(), **geometry}
         return self._known[name]
 
 

@@ -11,9 +11,11 @@ import pytest
 import typer
 from cli_helpers import Cli, assert_refused
 from message_helpers import missing
+from strange_matchers import installed
 from tactile_loc_cli.commands.plugins import plugins
 
 from tactile_loc.core.slots import registry
+from tactile_loc.core.slots.interface import WEIGHTS_CHANGE
 from tactile_loc.core.slots.registry import ComponentSpec, hookimpl
 from tactile_loc.testing import checks_for, properties_for
 
@@ -26,16 +28,17 @@ from tactile_loc.plugins.matchers.dense import DenseMatcher
 class Doubled(DenseMatcher):
     class Options(ComponentOptions):
         factor: float = Field(default=2.0, description="what scores are multiplied by")
-    def scores(self, queries):
-        return (self.options.factor * super().scores(queries)).astype("float32")
+    def scores(self, queries, weights=None):
+        return (self.options.factor * super().scores(queries, weights)).astype("float32")
 
 class Raising(DenseMatcher):
-    def scores(self, queries):
+    def scores(self, queries, weights=None):
         return {}["key"]
 
 class Uneven(DenseMatcher):
-    def scores(self, queries):
-        return super().scores(queries) - 1e-3 * (queries[:, :1] > 0) * np.arange(len(self._bank), dtype="float32")
+    def scores(self, queries, weights=None):
+        along = np.arange(len(self._bank), dtype="float32")
+        return super().scores(queries, weights) - 1e-3 * (queries[:, :1] > 0) * along
 
 class Unmade(DenseMatcher):
     def __init__(self, options=None):
@@ -51,7 +54,7 @@ class Stranger:
 
     def load(self) -> Any:
         specs = [
-            ComponentSpec("matcher", name.lower(), f"strange_parts:{name}", "made up")
+            ComponentSpec("matcher", name.lower(), f"strange_parts:{name}", "made up", interface=2)
             for name in ("Doubled", "Raising", "Uneven", "Unmade")
         ]
         return SimpleNamespace(tactile_loc_components=hookimpl(lambda: specs))
@@ -144,10 +147,38 @@ def test_options_are_for_the_check_of_their_component(cli):
     assert_refused(cli("plugins", "matcher", "dens", "--check"), "'dense'")
 
 
+def test_plugins_of_other_interfaces_are_named_where_components_are_listed(cli):
+    with installed():
+        done = cli("plugins", "matcher")
+    told = [line for line in done.stdout.splitlines() if line.startswith("interface: ")]
+    assert [line.split("'")[1] for line in told] == ["plain", "weighing", "ahead"]
+    assert "was written for plugin interface 1, this tactile-loc has 2" in told[0]
+    assert "pip install --upgrade tactile-loc" in told[2]
+    assert not any(line.startswith("interface: ") for line in cli("plugins").stdout.splitlines())
+
+
+@pytest.mark.parametrize("words", [[], ["--check"]])
+def test_one_component_of_an_earlier_interface_says_what_to_change(cli, words):
+    with installed():
+        done = cli("plugins", "matcher", "plain", *words)
+        outcome = plugins("matcher", "plain", bool(words))
+    assert done.exit_code == 0, done.output
+    assert "was written for plugin interface 1" in done.stdout.splitlines()[1]
+    assert WEIGHTS_CHANGE in done.stdout.splitlines()[1]
+    assert (outcome["interface"], outcome["outdated"]) == (1, WEIGHTS_CHANGE)
+
+
+@pytest.mark.parametrize("words", [[], ["--check"]])
+def test_one_component_of_a_later_interface_is_refused(cli, words):
+    with installed():
+        assert_refused(cli("plugins", "matcher", "ahead", *words), "'ahead'", "plugin interface 99 or newer")
+
+
 def test_what_it_returns(strange):
     listed = plugins("matcher")
     assert listed["components"][0] == {
         "slot": "matcher", "name": "doubled", "distribution": "strange-matchers", "summary": "made up",
+        "interface": 2,
     }  # fmt: skip
     assert listed["conflicts"] == listed["not_loaded"] == []
     (option,) = plugins("matcher", "doubled")["options"]

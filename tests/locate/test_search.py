@@ -20,6 +20,7 @@ from tactile_loc.core.simulation.noise import noise_level
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import View
 from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.io.config import RunConfig, SlotConfig
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.search import PlaceSearch, search_together
 from tactile_loc.store.store import StageStore
@@ -51,8 +52,6 @@ def off_mm(localizer: Localizer, poses: np.ndarray, touch: Touch) -> np.ndarray:
 
 
 def test_the_whole_object_is_searched_unless_told_otherwise():
-    from tactile_loc.io.config import RunConfig
-
     config = RunConfig()
     assert config.grid.name == "whole"
     assert config.encoder.options == {"signal": "depth", "cells": 16}
@@ -177,10 +176,45 @@ def test_an_encoder_that_learns_from_listed_poses_is_refused(store):
         localizer.localize(dataclasses.replace(localizer.simulate(1)[0], name="t"))
 
 
-def test_a_matcher_that_cannot_weigh_says_so(store):
-    localizer = Localizer.create("pin", store=store, **WHOLE, matcher="faiss", temperature=0.02)
-    with pytest.raises(ConfigError, match=naming("FaissMatcher", "dense", "face", "hopf")):
-        localizer.localize(localizer.simulate(1)[0])
+@pytest.mark.parametrize("options", [{}, {"kind": "ivf"}, {"kind": "hnsw"}], ids=str)
+def test_faiss_finds_the_turned_places_that_dense_finds(localizer, search, examples, options):
+    pytest.importorskip("faiss")
+    other = Localizer(with_faiss(localizer.config, **options), localizer.object, localizer.store).search
+    assert other is not None
+    for touch in examples[0]:
+        exact, found = (one.alike(touch, 1000) for one in (search, other))
+        missed = len(exact[1]) - len(common(exact[0], found[0]))
+        assert missed <= (2 if not options else 30)  # of 1000; equally alike ones may be exchanged
+        assert found[1].max() == pytest.approx(exact[1].max(), abs=1e-5)
+
+
+def test_faiss_locates_what_dense_locates(localizer, examples):
+    pytest.importorskip("faiss")
+    other = Localizer(with_faiss(localizer.config), localizer.object, localizer.store)
+    for touch in examples[1][:2]:
+        exact, found = (one.localize(touch).best.T_sensor_object for one in (localizer, other))
+        assert found == pytest.approx(exact, abs=1e-6)
+
+
+def test_a_matcher_that_looks_at_few_poses_proposes_only_those(localizer, examples):
+    pytest.importorskip("faiss")
+    few = Localizer(with_faiss(localizer.config, top_k=3), localizer.object, localizer.store).search
+    assert few is not None
+    poses, scores = few.alike(examples[0][0], 1000)
+    assert len(poses) == len(scores) == 3 * len(few.yaws_rad)
+    assert np.isfinite(scores).all()
+    grid, ious = few.score(examples[0][0], StageTimes())
+    assert len(grid) == len(ious) > 0
+
+
+def with_faiss(config: RunConfig, **options: object) -> RunConfig:
+    return config.model_copy(update={"matcher": SlotConfig(name="faiss", options=options)})
+
+
+def common(first: np.ndarray, second: np.ndarray) -> set:
+    """Poses that are in both."""
+    one, other = ({tuple(T.ravel().round(9)) for T in poses} for poses in (first, second))
+    return one & other
 
 
 @pytest.fixture(scope="module")
