@@ -93,7 +93,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.slots.depth_sensor import DepthSensor as DepthSensor
     from tactile_loc.core.sensing.touch import contact_depth as contact_depth
     from tactile_loc.core.sensing.touch import contact_shape_from_array as contact_shape_from_array
-    from tactile_loc.core.objects.surface_field import NearestTriangles as NearestTriangles
+    from tactile_loc.core.objects.blocks import NearestTriangles as NearestTriangles
     from tactile_loc.core.objects.surface_field import SurfaceField as SurfaceField
     from tactile_loc.core.objects.surface_field import closest_on_triangle as closest_on_triangle
     from tactile_loc.core.objects.surface_field import downhill as downhill

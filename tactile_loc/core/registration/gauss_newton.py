@@ -7,18 +7,15 @@ sensor's frame, or about the object's centre in the first sensor's frame.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.core.objects.blocks import Blocks
+from tactile_loc.core.objects.blocks import Blocks, NearestTriangles
 from tactile_loc.core.registration.observations import Observed
 from tactile_loc.core.registration.twists import adjoint, exponential, logarithm
-
-if TYPE_CHECKING:
-    from tactile_loc.core.objects.surface_field import NearestTriangles
 
 SETTLED_MM = 1e-3  # a pose that moves less has arrived
 COARSELY = 3  # one point of so many is looked at at first

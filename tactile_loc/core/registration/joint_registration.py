@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactile_loc.core.geometry.rigid import Poses, covariance_at
-from tactile_loc.core.objects.blocks import Blocks, blocks_of
+from tactile_loc.core.objects.blocks import Blocks, NearestTriangles, blocks_of
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.registration.gauss_newton import SETTLED_MM, Registered, Registration
 from tactile_loc.core.registration.observations import MILLI, Seen, observe
@@ -25,7 +25,7 @@ from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.core.slots.scene import View
 
 if TYPE_CHECKING:
-    from tactile_loc.core.objects.surface_field import NearestTriangles, SurfaceField
+    from tactile_loc.core.objects.surface_field import SurfaceField
 
 VERSION = 1  # of what comes out, for the store's keys
 ROUGHLY = 0.02  # IoUs are counted in pixels: a loss this small is none
