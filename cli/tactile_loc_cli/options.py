@@ -230,11 +230,14 @@ def open_localizer(config: RunConfig, store: Path | None, obj: ObjectModel | Non
     from tactile_loc.locate.localizer import Localizer
     from tactile_loc.locate.stored_object import stored_object
     from tactile_loc.store.store import StageStore
-    from tactile_loc_cli.console import progress
+    from tactile_loc_cli.console import complain, is_shown, progress
 
     kept, chosen = StageStore(store), config.object
     obj = obj or stored_object(chosen.path, chosen.units, chosen.symmetry, kept)
-    return Localizer(config, obj, kept, progress())
+    localizer = Localizer(config, obj, kept, progress())
+    if localizer.other_refinement and is_shown(logging.WARNING):
+        complain("note", localizer.other_refinement)
+    return localizer
 
 
 def load_object(config: RunConfig) -> ObjectModel:

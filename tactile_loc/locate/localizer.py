@@ -254,6 +254,23 @@ class Localizer:
         one_at_a_time = type(self.refiner).refine_together is Refiner.refine_together
         return one_at_a_time and self.refiner.capabilities.refines and self.config.together == "joint"
 
+    @property
+    def other_refinement(self) -> str:
+        """Which parts of locating the joint registration does instead of the chosen refiner, and why; "" if none."""
+        refiner = self.refiner.capabilities
+        parts = [
+            "the rough search" if self.sampler.capabilities.places else "",
+            "touches together" if self.refines_jointly else "",
+            "covariances" if refiner.refines and not refiner.covariances else "",
+        ]
+        named = ", ".join(part for part in parts if part)
+        if refiner.covariances or not named:
+            return ""
+        return (
+            f"the joint registration does {named}; the refiner {self.config.refiner.name} refines one touch's "
+            "hypotheses, as it gives no covariance and is too slow for hundreds of poses"
+        )
+
     def add_covariances(self, views: Sequence[View], hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
         """Return hypotheses with the joint registration's covariances where the refiner gives none.
 

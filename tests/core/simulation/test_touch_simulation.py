@@ -9,9 +9,9 @@ from message_helpers import naming
 
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import is_rigid
+from tactile_loc.core.simulation import touch_simulation as simulation
 from tactile_loc.core.simulation.noise import NOISE, TouchNoise
 from tactile_loc.core.simulation.touch_simulation import draw_touches, simulate_touches
-from tactile_loc.core.simulation import touch_simulation as simulation
 from tactile_loc.plugins.grids.face import FaceGrid
 
 
