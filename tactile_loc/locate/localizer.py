@@ -257,14 +257,15 @@ class Localizer:
     @property
     def other_refinement(self) -> str:
         """Which parts of locating the joint registration does instead of the chosen refiner, and why; "" if none."""
-        refiner = self.refiner.capabilities
+        if self.refiner.capabilities.covariances:
+            return ""
         parts = [
             "the rough search" if self.sampler.capabilities.places else "",
             "touches together" if self.refines_jointly else "",
-            "covariances" if refiner.refines and not refiner.covariances else "",
+            "covariances" if self.refiner.capabilities.refines else "",
         ]
         named = ", ".join(part for part in parts if part)
-        if refiner.covariances or not named:
+        if not named:
             return ""
         return (
             f"the joint registration does {named}; the refiner {self.config.refiner.name} refines one touch's "
