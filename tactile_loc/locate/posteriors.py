@@ -19,8 +19,11 @@ from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.listed_training import ListedProblem
 from tactile_loc.core.simulation.noise import noise_level
+from tactile_loc.core.simulation.place_training import PlaceProblem
 from tactile_loc.core.simulation.touch_simulation import simulate_touches
+from tactile_loc.core.slots.encoder import Checkpoints
 from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene, View
@@ -35,6 +38,9 @@ from tactile_loc.locate.model import (
     ObjectPoseModel,
     build_bank,
     build_model,
+    build_place_bank,
+    encoder_key,
+    place_encoder_key,
     train_encoder,
 )
 from tactile_loc.locate.probabilities import (
@@ -127,8 +133,17 @@ class TouchPosteriors:
         settler = registry().create("refiner", "joint", SETTLING)
         places, key = build_places(self.sampler, self.scene, self.store, self.progress)
         return PlaceSearch(
-            places, key, self.scene, self.encoder, lambda: self._component("matcher"), settler, self.sampler.options
-        )
+            places, key, self.scene, self.encoder, lambda: self._component("matcher"), settler, self.sampler.options,
+            self._place_bank,
+        )  # fmt: skip
+
+    def _place_bank(self, press_depth_m: float) -> Scores | None:
+        """The bank of the object's places, if the encoder learns: from the store, or built now, after training."""
+        key = place_encoder_key(self.search.key, self.encoder, self.scene) if self.search else None
+        if self.search is None or key is None:
+            return None
+        _ = self.trained
+        return build_place_bank(self.search.places, key, self.encoder, press_depth_m, self.store, self.progress)
 
     @cached_property
     def model(self) -> ObjectPoseModel:
@@ -138,7 +153,21 @@ class TouchPosteriors:
     @cached_property
     def trained(self) -> str:
         """What identifies what the encoder learned: trained now, or read from the store; empty if it learns nothing."""
-        return train_encoder(self.encoder, self.model, self.coarse_scene, self.sampler, self.store, self.progress)
+        encoder, sampler = self.encoder, self.sampler
+        if self.search is None:
+            return self._trained_on_grid() if encoder.capabilities.needs_training else ""
+        places, key = self.search.places, place_encoder_key(self.search.key, encoder, self.scene)
+        return train_encoder(
+            encoder, key, lambda kept: PlaceProblem(places, self.scene, sampler, self.progress, kept), self.store
+        )
+
+    def _trained_on_grid(self) -> str:
+        model, scene, sampler = self.model, self.coarse_scene, self.sampler
+
+        def problem(kept: Checkpoints) -> ListedProblem:
+            return ListedProblem(model.grid, scene, sampler, model.shapes.shards, self.progress, kept)
+
+        return train_encoder(self.encoder, encoder_key(model.key, self.encoder, sampler), problem, self.store)
 
     @cached_property
     def grid_scores(self) -> GridScores:
@@ -289,7 +318,7 @@ class TouchPosteriors:
         """
         searched = {"model": self.model.key.digest} if self.search is None else self.search.describe()
         return {
-            **searched, "sensor": self.sensor.geometry.describe(), "trained": "" if self.search else self.trained,
+            **searched, "sensor": self.sensor.geometry.describe(), "trained": self.trained,
             "encoder": self.encoder.describe(), "training": STAGE_VERSIONS["encoder"], "bank": STAGE_VERSIONS["bank"],
         }  # fmt: skip
 

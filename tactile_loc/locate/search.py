@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import Poses, invert, make_transform
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
@@ -68,18 +67,15 @@ class PlaceSearch:
 
     def __init__(
         self, places: Places, key: StageKey, scene: Scene, encoder: Encoder, new_matcher: Callable[[], Matcher],
-        settler: Any, options: Any,
+        settler: Any, options: Any, learned_bank: Callable[[float], Scores | None],
     ) -> None:  # fmt: skip
-        if encoder.capabilities.needs_training:
-            raise ConfigError(
-                f"the encoder {type(encoder).__name__} learns from poses that are listed; choose pixel, or a grid that "
-                "lists its poses, such as face or hopf"
-            )
+        """`learned_bank` returns the bank of a press depth, metres, if the encoder learns; else None."""
         self.places, self.key, self.scene, self.encoder, self.settler = places, key, scene, encoder, settler
         self.metric, spacing_m = PoseMetric(scene.object), 1e-3 * options.spacing_mm
         self.radius_m, self.found_m = 0.5 * spacing_m, spacing_m  # between starts; how near the truth is found
         self.yaws_rad = 2 * np.pi * np.arange(options.turns) / options.turns
-        self._banks = GridScores(encoder, new_matcher, self._bank, HIGHEST_M)
+        self._learned_bank = learned_bank
+        self._banks = GridScores(encoder, new_matcher, self._bank, HIGHEST_M, follow=True)
 
     def found(self, touch: Touch, times: StageTimes, prior: Prior | None = None) -> tuple[PoseGrid, Scores]:
         """Return the likeliest poses of a touch, and their imprint IoUs (K,), drawn coarsely; adds to `times`.
@@ -137,6 +133,8 @@ class PlaceSearch:
         return poses, scores.ravel()[best].astype(float)
 
     def _bank(self, press_depth_m: float) -> Scores:
+        if (learned := self._learned_bank(press_depth_m)) is not None:
+            return learned
         starts = range(0, len(self.places), ENCODED)
         depths = (self.places.depths(press_depth_m, slice(start, start + ENCODED)) for start in starts)
         return np.concatenate([self.encoder.encode(some, press_depth_m, CAMERA) for some in depths])

@@ -17,6 +17,7 @@ from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.simulation.listed_training import ListedProblem
 from tactile_loc.core.slots.component import Float32
 from tactile_loc.core.slots.encoder import TrainingProblem
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose
@@ -327,4 +328,4 @@ def training_problem(seed: int = 0) -> TrainingProblem:
     grid = small_grid(seed=seed, scene=scene)
     shapes = scene.grid_depths(grid.T_sensor_object)
     sampler = registry().create("grid", "face", {"spacing_mm": 4.0, "face": "-z"})
-    return TrainingProblem(grid, scene, sampler, lambda: iter([shapes]))
+    return ListedProblem(grid, scene, sampler, lambda: iter([shapes]))

@@ -14,7 +14,8 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from tactile_loc.core.errors import ConfigError, GridError, TrainingError, WeightsError  # noqa: E402
-from tactile_loc.core.slots.encoder import Checkpoints, TrainingProblem  # noqa: E402
+from tactile_loc.core.simulation.listed_training import ListedProblem  # noqa: E402
+from tactile_loc.core.slots.encoder import Checkpoints  # noqa: E402
 from tactile_loc.locate.localizer import Localizer  # noqa: E402
 from tactile_loc.plugins.encoders.moco import encoder as module  # noqa: E402
 from tactile_loc.plugins.encoders.moco import recipe, training  # noqa: E402
@@ -40,7 +41,7 @@ def problem(tmp_path_factory):
         grid={"name": "face", "spacing_mm": 8},
     )  # fmt: skip
     model = localizer.model
-    return TrainingProblem(model.grid, localizer.coarse_scene, localizer.sampler, model.shapes.shards)
+    return ListedProblem(model.grid, localizer.coarse_scene, localizer.sampler, model.shapes.shards)
 
 
 def make(**options) -> MocoEncoder:
