@@ -184,5 +184,8 @@ def test_what_cannot_be_identified_is_refused(models, touches, library):
                        models[0].object, models[0].store)  # fmt: skip
     with pytest.raises(ConfigError, match="choose the grid whole"):
         Library([listed])
+    learned = RunConfig.from_dict({"encoder": "moco"}).encoder
+    with pytest.raises(ConfigError, match="choose --encoder pixel"):
+        Library([Localizer(models[0].config.model_copy(update={"encoder": learned}), models[0].object)])
     with pytest.raises(ConfigError, match="its numbers must be positive"):
         NullEvidence(alone=0.0)

@@ -199,6 +199,7 @@ def unmasked_pixels(self, depth, seen, press, geometry):
     return embeddings, np.ones_like(embeddings)
 
 
+LEARNS = Capabilities(follows_press_depth=True, needs_training=True)
 ENCODER = [
     (encoders.check_output, then(PixelEncoder, "encode", lambda e, *_: e.astype(float))),
     (encoders.check_output, made(PixelEncoder, encode=lambda self, d, p, g: d)),
@@ -210,6 +211,7 @@ ENCODER = [
     (encoders.check_image_size, made(PixelEncoder, encode=raw_pixels)),
     (encoders.check_ignores_masked_pixels, made(PixelEncoder, encode=unmasked)),
     (encoders.check_unseen_pixels, made(PixelEncoder, encode_seen=unmasked_pixels)),
+    (encoders.check_learns_places, made(PixelEncoder, encode_seen=unmasked_pixels, capabilities=LEARNS)),
     (encoders.check_deterministic, drifting(PixelEncoder, "encode", lambda e, n: e + np.float32(1e-3 * n))),
 ]  # fmt: skip
 

@@ -39,7 +39,7 @@ MOST_ROUNDS = 50
 
 
 class Labels(NamedTuple):
-    """Of M touches the nearest places (M,), the yaws (M,), rad, by which they are turned, and how far they are, metres."""
+    """Of M touches: the nearest places (M,), the yaws (M,), rad, by which they are turned, how far they are (M,), m."""
 
     numbers: NDArray[np.int64]
     yaw_rad: NDArray[np.float64]
