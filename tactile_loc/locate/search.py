@@ -34,7 +34,7 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 STAGE, STAGE_VERSION = "places", 1
-SEARCH_VERSION = 3
+SEARCH_VERSION = 4
 ALIKE = 1000  # turned places that are most alike
 POOL = 30_000  # turned places among which those are that a prior finds likeliest
 SETTLED = 300  # poses that are registered to a touch
