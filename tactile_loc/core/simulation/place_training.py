@@ -106,11 +106,7 @@ class PlaceProblem(TrainingProblem):
 
         for _ in range(MOST_ROUNDS):
             for poses, depths in random_contacts(self.sampler, self.fine, missing, rng, misplaced):
-                touches = [self.touch(depth, self.fine.geometry.max_depth_m) for depth in depths]
-                near = np.array([touch is not None for touch in touches], np.bool_)
-                some = [touch for touch in touches if touch is not None]
-                if some:
-                    near[near] = self.labels(some, poses[near]).off_m <= self.reach_m
+                near = self._near_a_place(depths, poses)
                 kept_depths.append(depths[near])
                 kept_poses.append(poses[near])
                 missing -= int(near.sum())
@@ -120,6 +116,15 @@ class PlaceProblem(TrainingProblem):
             f"hardly any random touch of {self.scene.object.name} is near one of the grid's places; raise "
             "grid.directions"
         )
+
+    def _near_a_place(self, depths_m: Float32, T_sensor_object: Poses) -> NDArray[np.bool_]:
+        """Which (M,) of contact depths (M, H, W) at full press are touches that a place is near to; metres."""
+        touches = [self.touch(depth, self.fine.geometry.max_depth_m) for depth in depths_m]
+        near = np.array([touch is not None for touch in touches], np.bool_)
+        some = [touch for touch in touches if touch is not None]
+        if some:
+            near[near] = self.labels(some, T_sensor_object[near]).off_m <= self.reach_m
+        return near
 
     def key_distances(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return how far apart places `first` (K,) and `second` (K,) are as poses, metres, at the best yaw."""
