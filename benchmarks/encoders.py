@@ -68,7 +68,7 @@ def measure(obj: ObjectModel, arguments: argparse.Namespace) -> tuple[dict[str, 
         localizer = Localizer(config_for(arguments, settings, spacing_mm), obj, store)
         row["poses"] = localizer.model.size
         start = time.perf_counter()
-        localizer.matcher(localizer.scene.geometry.max_depth_m)
+        localizer.listed.matcher(localizer.scene.geometry.max_depth_m)
         if any(key.stage == "encoder" for key in store.built):
             row["train_s"] = time.perf_counter() - start
             _note(arguments.out, obj.name, row["train_s"])
@@ -158,7 +158,7 @@ def search_whole(obj: ObjectModel, arguments: argparse.Namespace, name: str) -> 
     search = localizer.search
     assert search is not None
     start = time.perf_counter()
-    _ = localizer.trained
+    _ = localizer.source.trained
     if any(key.stage == "encoder" for key in localizer.store.built):
         _note(arguments.out, obj.name, time.perf_counter() - start)
     row: dict[str, Any] = {"object": obj.name, "places": len(search.places), "encoder": name}
@@ -172,7 +172,7 @@ def search_whole(obj: ObjectModel, arguments: argparse.Namespace, name: str) -> 
         for number in range(arguments.touches):
             (touch,), _ = source.example(1, np.random.default_rng([arguments.seed, number]))
             found = np.stack([h.T_sensor_object for h in localizer.localize(touch).hypotheses])
-            alike, _ = search.alike(touch)
+            alike, _ = search.alike(touch, localizer.config.search.candidates)
             for within_m, poses, said in ((NEAR_M, alike, near), (LISTED_M, found, listed)):
                 truth = np.broadcast_to(np.asarray(touch.T_sensor_object), poses.shape)
                 said.append(bool((search.metric.symmetric_distance(poses, truth) < within_m).any()))

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.slots.component import Float32 as Float32
     from tactile_loc.core.slots.fuser import Fuser as Fuser
     from tactile_loc.core.slots.grid import GridSampler as GridSampler
+    from tactile_loc.core.slots.matcher import ExactMatcher as ExactMatcher
     from tactile_loc.core.slots.matcher import Matcher as Matcher
     from tactile_loc.core.poses.priors import Prior as Prior
     from tactile_loc.core.slots.refiner import RefinedPose as RefinedPose
@@ -124,7 +125,9 @@ if TYPE_CHECKING:
     from tactile_loc.core.simulation.noise import TouchNoise as TouchNoise
     from tactile_loc.core.simulation.noise import noise_level as noise_level
 
-    # for refiners that register point clouds
+    # for refiners that register
+    from tactile_loc.core.registration.joint_registration import JointRegistration as JointRegistration
+    from tactile_loc.core.registration.joint_registration import RegistrationOptions as RegistrationOptions
     from tactile_loc.core.sensing.clouds import contact_cloud as contact_cloud
     from tactile_loc.core.registration.cloud_refiner import Cloud as Cloud
     from tactile_loc.core.registration.cloud_refiner import CloudRefiner as CloudRefiner

@@ -155,6 +155,7 @@ class RunOptions:
 def run_config(given: RunOptions) -> RunConfig:
     """Merge options over the configuration file that they name, if any. Raises ConfigError for unknown settings."""
     from tactile_loc.io.config import WHOLE, RunConfig, parse_overrides, parse_settings
+    from tactile_loc.io.options import TUNABLE
     from tactile_loc.io.toml import read_toml
 
     settings = {} if given.config is None else read_toml(given.config)
@@ -166,7 +167,9 @@ def run_config(given: RunOptions) -> RunConfig:
     for name, table in tables.items():
         settings[name] = {**_table(settings.get(name, {}), name), **_without_none(table)}
     plain, words = parse_settings(given.option or [])
-    overrides = parse_overrides(words)
+    overrides = parse_overrides(words, (*SLOTS, *TUNABLE))
+    for name in TUNABLE:
+        settings[name] = {**_table(settings.get(name, {}), name), **overrides.get(name, {})}
     grid = WHOLE.name
     for slot in sorted(SLOTS, key=lambda slot: slot != "grid"):  # what suits it is known then
         settings[slot] = _component(slot, settings.get(slot), getattr(given, slot), overrides.get(slot, {}), grid)

@@ -1,7 +1,7 @@
 """What a robot meets and a model does not know: parts that are not quite their mesh, and noise of another kind.
 
 A scan is off by smooth errors along its normals, and a mesh for simulation has lost its small faces. `UnseenNoise` has
-nothing of what `tactile_loc.core.simulation.noise` draws and encoders and probabilities are fitted to.
+nothing of what `tactile_loc.core.simulation.touch_simulation.noise` draws and encoders and probabilities are fitted to.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,6 +14,7 @@ from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.sensing.sensor_geometry import Drawing
 from tactile_loc.core.simulation.noise import NoiseLevel
 from tactile_loc.core.slots.registry import SLOTS
+from tactile_loc.io.options import TUNABLE, HypothesisOptions, SearchOptions, TrackerOptions
 from tactile_loc.io.toml import read_toml, toml_value
 from tactile_loc.store.files import recover_folder
 
@@ -81,6 +82,7 @@ class RunConfig(_Strict):
     `drop_outliers` leaves out those of several touches that contradict the others.
     `coverage` asks for all modes of a set of poses that holds the true one with that probability, 0 to 1.
     An `encoder` that is not given suits the grid: of a whole object, pixel with its options.
+    `search`, `hypotheses` and `tracker` are numbers to tune: see their classes.
     `drawing` is what touches are compared with: the object "pressed", as the sensor sees it, or where it just touches,
     as in the "paper".
     """
@@ -102,6 +104,9 @@ class RunConfig(_Strict):
     coverage: float | None = Field(default=None, gt=0, lt=1)
     drawing: Drawing = "pressed"
     drop_outliers: bool = False
+    search: SearchOptions = SearchOptions()
+    hypotheses: HypothesisOptions = HypothesisOptions()
+    tracker: TrackerOptions = TrackerOptions()
 
     @model_validator(mode="before")
     @classmethod
@@ -149,7 +154,7 @@ def parse_settings(assignments: Iterable[str]) -> tuple[dict[str, Any], list[str
 
     Values are read as TOML, else as text.
     """
-    plain = RunConfig.model_fields.keys() - {*SLOTS, "object", "touch"}
+    plain = RunConfig.model_fields.keys() - {*SLOTS, *TUNABLE, "object", "touch"}
     settings, others = {}, []
     for word in assignments:
         name, equals, text = word.partition("=")
@@ -160,10 +165,10 @@ def parse_settings(assignments: Iterable[str]) -> tuple[dict[str, Any], list[str
     return settings, others
 
 
-def parse_overrides(assignments: Iterable[str]) -> dict[str, dict[str, Any]]:
+def parse_overrides(assignments: Iterable[str], tables: Sequence[str] = SLOTS) -> dict[str, dict[str, Any]]:
     """Turn "slot.option=value" words into {slot: {option: value}}; values are read as TOML, else as text.
 
-    Raises ConfigError for words of another form or an unknown slot.
+    `tables` are the slots, and perhaps TUNABLE. Raises ConfigError for words of another form or an unknown slot.
     """
     overrides: dict[str, dict[str, Any]] = {}
     for word in assignments:
@@ -171,9 +176,9 @@ def parse_overrides(assignments: Iterable[str]) -> dict[str, dict[str, Any]]:
         slot, dot, option = (part.strip() for part in target.partition("."))
         if not (equals and dot and option):
             raise ConfigError(f"cannot read the option {word!r}; write it as slot.option=value, as grid.spacing_mm=3")
-        if slot not in SLOTS:
+        if slot not in tables:
             raise ConfigError(
-                f"there is no slot {slot!r} in {word!r}.{did_you_mean(slot, SLOTS)} Slots: {', '.join(SLOTS)}"
+                f"there is no slot {slot!r} in {word!r}.{did_you_mean(slot, tables)} Slots: {', '.join(tables)}"
             )
         overrides.setdefault(slot, {})[option] = toml_value(text.strip())
     return overrides

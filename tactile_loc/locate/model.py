@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.progress import Progress, rank
-from tactile_loc.core.sensing.places import CAMERA, Places
 from tactile_loc.core.simulation.contact_poses import contact_grid, enough_contact
 from tactile_loc.core.slots.encoder import Checkpoints, Encoder, TrainingProblem
 from tactile_loc.core.slots.grid import GridSampler
@@ -25,7 +24,6 @@ from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
 SHARD = 1024  # poses rendered, saved and resumed at once
 NO_CONTACT = 65535
-PLACES_VERSION = 1  # of how touches are drawn that an encoder learns places from
 STAGE_VERSIONS = {"grid": 5, "shapes": 3, "encoder": 3, "bank": 3}
 
 
@@ -210,16 +208,6 @@ def encoder_key(shapes: StageKey, encoder: Encoder, sampler: GridSampler) -> Sta
     })  # fmt: skip
 
 
-def place_encoder_key(places: StageKey, encoder: Encoder, scene: Scene) -> StageKey | None:
-    """Return the key under which what `encoder` learned from places is stored; None if it needs no training."""
-    if not encoder.capabilities.needs_training:
-        return None
-    return StageKey("encoder", STAGE_VERSIONS["encoder"], {
-        "places": places.digest, "learned_from": PLACES_VERSION, "encoder": encoder.describe(),
-        "sensor": scene.geometry.describe(), "renderer": scene.renderer.describe(),
-    }, scene.object.name)  # fmt: skip
-
-
 def train_encoder(
     encoder: Encoder, key: StageKey | None, problem: Callable[[Checkpoints], TrainingProblem], store: StageStore
 ) -> str:
@@ -240,24 +228,3 @@ def train_encoder(
     else:
         encoder.load_weights(store.build(key, fit).file(WEIGHTS))
     return key.digest
-
-
-def build_place_bank(
-    places: Places, key: StageKey, encoder: Encoder, press_depth_m: float, store: StageStore, progress: Progress
-) -> NDArray[np.float32]:
-    """Return the bank (N, D) of an object's places cut at `press_depth_m` metres.
-
-    `key` is that of what the encoder learned. It is stored: a network takes longer to encode a place than to read it.
-    """
-
-    def encode(work: Workspace) -> None:
-        rows = []
-        with progress.task("encoding places", len(places)) as advance:
-            for start in range(0, len(places), SHARD):
-                depths = places.depths(press_depth_m, slice(start, start + SHARD))
-                rows.append(encoder.encode(depths, press_depth_m, CAMERA))
-                advance(len(depths))
-        work.save_array("bank", np.concatenate(rows))
-
-    bank = StageKey("bank", STAGE_VERSIONS["bank"], {"trained": key.digest, "press_depth_m": press_depth_m})
-    return np.asarray(store.build(bank, encode).array("bank"))

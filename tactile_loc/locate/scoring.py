@@ -15,6 +15,7 @@ from tactile_loc.core.slots.encoder import Encoder
 from tactile_loc.core.slots.matcher import Matcher
 
 Scores = NDArray[np.float32]
+NewMatcher = Callable[[], Matcher]
 
 MOST_MATCHERS = 8  # as many are kept in memory, the last used
 
@@ -27,7 +28,7 @@ class GridScores:
     """
 
     def __init__(
-        self, encoder: Encoder, new_matcher: Callable[[], Matcher], bank: Callable[[float], Any], max_depth_m: float,
+        self, encoder: Encoder, new_matcher: NewMatcher, bank: Callable[[float], Any], max_depth_m: float,
         follow: bool = False,
     ) -> None:  # fmt: skip
         self.follow = follow or encoder.capabilities.follows_press_depth

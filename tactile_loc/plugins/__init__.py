@@ -29,7 +29,7 @@ BUILT_IN = [
     ("matcher", "dense", "matchers.dense:DenseMatcher", "exact, one matrix product"),
     ("matcher", "faiss", "matchers.faiss:FaissMatcher", "faiss: exact (flat) or approximate"),
     ("refiner", "none", "refiners.none:NoRefiner", "the grid pose as it is"),
-    ("refiner", "joint", "refiners.joint.refiner:JointRefiner",
+    ("refiner", "joint", "refiners.joint:JointRefiner",
      "point to plane on the object's surface, one pose against all touches at once; knows how sure it is"),
     ("refiner", "icp", "refiners.icp:IcpRefiner", "point-to-plane ICP (open3d)"),
     ("refiner", "filterreg", "refiners.filterreg.refiner:FilterRegRefiner",

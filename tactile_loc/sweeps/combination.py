@@ -124,7 +124,9 @@ def _missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]]:
     has = localizer.store.get
     missing = {(key.stage, key.digest) for key in (*learned, bank) if has(key) is None}
     whole = all(has(key) is not None for key in learned)  # then asking the localizer for keys builds nothing
-    fitted = one.config.temperature is not None or (whole and has(localizer.temperature_key()) is not None)
+    fitted = one.config.temperature is not None
+    if not fitted and whole:
+        fitted = has(localizer.probabilities.temperature_key()) is not None
     if not fitted:
         missing.add(("temperature", bank.digest))
     touches = SimulatedTouches(one.config.touch.noise, one.config.seed)

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from message_helpers import naming
 from press_sets import BALL_M, ball_indentation, contact_radius, places, sensor
 
 from tactile_loc.calibration.labels import SKIRT, SKIRT_M, ball_label, mesh_label, surface_label, untouched_label
@@ -92,19 +93,19 @@ def test_a_circle_may_be_cut_by_the_images_border():
 
 @pytest.mark.parametrize("radius_px", [14.8, 100.0])
 def test_a_circle_larger_than_the_ball_is_refused(radius_px):
-    with pytest.raises(CalibrationError, match=r"radius of .* px is .* mm, but the ball's is 3 mm"):
+    with pytest.raises(CalibrationError, match=naming(f"{radius_px:.3g} px", "3 mm", "radius")):
         ball_label(GEOMETRY, (40, 40), radius_px, BALL_M)
 
 
 @pytest.mark.parametrize(("radius_px", "ball_m"), [(0.0, BALL_M), (-3.0, BALL_M), (5.0, 0.0), (5.0, -1e-3)])
 def test_sizes_must_be_positive(radius_px, ball_m):
-    with pytest.raises(CalibrationError, match="positive"):
+    with pytest.raises(CalibrationError, match=naming(f"{radius_px:.3g} px", f"{1e3 * ball_m:.3g} mm")):
         ball_label(GEOMETRY, (40, 40), radius_px, ball_m)
 
 
 @pytest.mark.parametrize("centre", [(-1, 40), (40, -0.5), (80.5, 40), (40, 81)])
 def test_a_centre_outside_the_image_is_refused(centre):
-    with pytest.raises(CalibrationError, match=r"outside the image of 80 x 80 px"):
+    with pytest.raises(CalibrationError, match=naming(centre, "80 x 80 px")):
         ball_label(GEOMETRY, centre, RADIUS_PX, BALL_M)
 
 
@@ -140,13 +141,13 @@ def test_around_a_mesh_the_skirt_is_not_known(make_scene, make_box):
 
 
 def test_a_mesh_that_does_not_touch_is_refused(make_scene, make_box):
-    with pytest.raises(CalibrationError, match="box does not touch the sensor"):
+    with pytest.raises(CalibrationError, match="box"):
         label_of_box(make_scene, make_box, 0.0, x_m=0.05)
 
 
 @pytest.mark.parametrize("press_m", [0.0, -1e-4])
 def test_a_mesh_is_pressed_in(make_scene, make_box, press_m):
-    with pytest.raises(CalibrationError, match=r"press depth .* positive"):
+    with pytest.raises(CalibrationError, match=naming("press depth", f"{1e3 * press_m:.3g} mm")):
         label_of_box(make_scene, make_box, 0.0, press_m=press_m)
 
 

@@ -9,6 +9,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from message_helpers import naming
 from scipy.ndimage import binary_fill_holes, gaussian_filter
 
 torch = pytest.importorskip("torch")
@@ -148,7 +149,7 @@ def test_weights_that_do_not_fit_are_refused(estimator, tmp_path, damage):
 
         save_file({"layers.0.weight": torch.zeros(3)}, path)
     reader = make(hidden=8) if damage == "another network" else make()
-    with pytest.raises(WeightsError, match=r"e\.safetensors .* photometric .* calibrate"):
+    with pytest.raises(WeightsError, match=naming("e.safetensors", "photometric", "calibrate")):
         reader.load(path)
 
 
@@ -161,7 +162,7 @@ class Untouched(LabelledPresses):
 
 
 def test_presses_without_contact_teach_nothing():
-    with pytest.raises(CalibrationError, match="no press shows any contact"):
+    with pytest.raises(CalibrationError, match="contact"):
         make().fit(problem(Untouched()))
 
 
@@ -169,16 +170,16 @@ def test_a_loss_that_is_no_number_stops_with_advice(monkeypatch):
     monkeypatch.setattr(
         torch.nn.functional, "huber_loss", lambda *a, **k: torch.tensor(float("nan"), requires_grad=True)
     )
-    with pytest.raises(TrainingError, match="lower the estimator's rate"):
+    with pytest.raises(TrainingError, match=naming("NaN", "rate")):
         make().fit(problem())
 
 
 def test_unknown_options_and_estimators_are_named():
-    with pytest.raises(ConfigError, match=r"'photometric' has no option 'stepz'.*'steps'.*hidden \(int\)"):
+    with pytest.raises(ConfigError, match=naming("'photometric'", "'stepz'", "'steps'", "hidden (int)")):
         make(stepz=3)
-    with pytest.raises(ConfigError, match="steps = 0"):
+    with pytest.raises(ConfigError, match=naming("'photometric'", "steps", 0)):
         make(steps=0)
-    with pytest.raises(CalibrationError, match=r"'photometrik'.*Did you mean 'photometric'"):
+    with pytest.raises(CalibrationError, match=naming("'photometrik'", "'photometric'", "cnn")):
         estimator_class("photometrik")
 
 

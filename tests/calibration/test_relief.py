@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.calibration.labels import ball_label
 from tactile_loc.calibration.presses import PressFolder, read_presses
@@ -73,7 +74,7 @@ def test_balls_teach_the_surface_of_a_curved_gel(presses):
 
 def test_too_few_balls_are_said(presses):
     few = dataclasses.replace(presses, rows=presses.rows[:7], images=presses.images[:7])
-    with pytest.raises(CalibrationError, match="7 presses of a ball; the surface of a curved gel needs 8"):
+    with pytest.raises(CalibrationError, match=naming("7 presses", 8)):
         learn_relief(few)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import typer
 from cli_helpers import Cli, assert_refused
+from message_helpers import missing
 from tactile_loc_cli.commands.plugins import plugins
 
 from tactile_loc.core.slots import registry
@@ -71,7 +72,7 @@ def test_a_built_in_passes(cli: Cli):
     assert heading.startswith("matcher dense of tactile-loc: ")
     checks = checks_for(registry.registry().create("matcher", "dense"))
     assert lines == [f"ok      {check.__name__}" for check in checks]
-    assert summary == f"{len(checks)} of {len(checks)} checks passed"
+    assert summary.startswith(f"{len(checks)} of {len(checks)} ")
 
 
 def test_properties_are_tried_if_asked_for(cli: Cli):
@@ -87,23 +88,24 @@ def test_a_property_that_fails_is_one_line_that_names_a_case(cli, strange):
     assert done.exit_code == 1
     lines = [line for line in done.stdout.splitlines() if line.startswith("FAILED  property_equal_rows: ")]
     assert len(lines) == 1
-    assert "(with row=" in lines[0]
+    assert "row=" in lines[0]
 
 
 def test_properties_without_hypothesis_are_one_sentence(cli, monkeypatch):
     monkeypatch.setitem(sys.modules, "hypothesis", None)
     assert_refused(cli("plugins", "fuser", "product", "--check", "--properties"), "pip install 'tactile-loc[testing]'")
-    assert_refused(cli("plugins", "fuser", "product", "--properties"), "--properties is for --check")
+    assert_refused(cli("plugins", "fuser", "product", "--properties"), "--properties", "--check")
 
 
 def test_a_broken_plugin_fails_with_exit_code_1(cli, strange):
     done = cli("plugins", "matcher", "doubled", "--check")
     assert done.exit_code == 1
     lines = {line.split()[1].rstrip(":"): line for line in done.stdout.splitlines()[1:-1]}
-    assert lines["check_definition"].startswith("FAILED  check_definition: a score must be -1/2 ||query - row||^2")
+    assert lines["check_definition"].startswith("FAILED  check_definition: ")
+    assert "||query - row||^2" in lines["check_definition"]
     assert lines["check_output"] == "ok      check_output"
     failed = sum(line.startswith("FAILED") for line in lines.values())
-    assert done.stdout.splitlines()[-1] == f"{len(lines) - failed} of {len(lines)} checks passed, {failed} failed"
+    assert not missing(done.stdout.splitlines()[-1], f"{len(lines) - failed} of {len(lines)}", f"{failed} failed")
     assert "Traceback" not in done.output
 
 
@@ -133,7 +135,7 @@ def test_an_encoder_that_learns_is_trained(cli, monkeypatch):
 
 @pytest.mark.parametrize("words", [[], ["matcher"]])
 def test_check_is_of_one_component(cli, words):
-    assert_refused(cli("plugins", *words, "--check"), "--check", "one component")
+    assert_refused(cli("plugins", *words, "--check"), "--check")
 
 
 def test_options_are_for_the_check_of_their_component(cli):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from cli_helpers import TINY, assert_refused
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from message_helpers import missing
 from rerun_helpers import read
 
 from tactile_loc.core.geometry.hand_eye import pose_errors
@@ -81,7 +83,7 @@ def test_a_rerun_file_has_the_poses_where_the_sensor_was(cli, slide):
     pytest.importorskip("rerun", reason="rerun is not installed")
     done = cli("replay", slide, *LOCATED, "--base-frame", "base", "--rerun", "slide.rrd", "--out", "out.mcap")
     assert done.exit_code == 0, done.stderr
-    assert "out.json, slide.rrd" in done.stdout
+    assert not missing(done.stdout, "out.json", "slide.rrd")
     found = read(Path("slide.rrd"))
     below = found["base/sensor/object"]["Transform3D:translation"]
     places, turns = (found["base/sensor"][f"Transform3D:{name}"] for name in ("translation", "mat3x3"))
@@ -110,10 +112,10 @@ def test_an_interrupted_replay_is_resumed(cli, slide, monkeypatch):
         patch.setattr(Localizer, "localize", interrupted)
         done = cli(*words)
     assert (done.exit_code, Path("out.mcap").exists()) == (130, False)
-    assert "run the same command again to resume" in done.stderr
+    assert "resume" in done.stderr
     done = cli(*words)
     assert done.exit_code == 0, done.stderr
-    assert "; 6 of them were finished before" in done.stdout
+    assert not missing(done.stdout, 6)
     assert len(decoded("out.mcap", "/object/pose")) == IMAGES - 2
     assert decoded("out.mcap", "/gel/image") == []
     assert sorted(path.name for path in Path().iterdir()) == ["out.csv", "out.json", "out.mcap"]
@@ -123,7 +125,7 @@ def test_of_a_recording_that_breaks_off_what_is_there_is_located(cli, slide):
     Path("cut.mcap").write_bytes(slide.read_bytes()[: slide.stat().st_size // 2])
     done = cli("replay", "cut.mcap", *LOCATED, "--frame", "sensor")
     assert done.exit_code == 0, done.stderr
-    assert "warning: cut.mcap is damaged or ends early" in done.stderr
+    assert re.search(r"^warning: .*\bcut\.mcap\b", done.stderr, re.MULTILINE)
     poses = decoded("cut-poses.mcap", "/object/pose")
     assert 0 < len(poses) < IMAGES - 2
     assert {pose.header.frame_id for _, pose in poses} == {"sensor"}
@@ -137,18 +139,18 @@ def test_what_cannot_be_replayed_is_one_sentence(cli, slide):
 
     moving = write_recording(Path("tf.mcap"), lambda w: w.write("/tf", TF, transform_message({}, 0), 0))
     for words, mentioned in (
-        (["none.mcap"], "there is no recording none.mcap"),
-        ([slide, "--image-topic", "/gel/imag"], "there are images on /gel/image. Did you mean"),
-        ([slide, "--base-frame", "bass"], "there is no frame 'bass'; there are: base, flange, gel"),
-        ([slide, "--base-frame", "base", "--frame", "gol"], "there is no frame 'gol'"),
-        ([slide, "--pose-topic", "/object/truth"], "has messages on /object/truth already"),
-        ([slide, "--out", slide], "is the recording that is to be read"),
-        ([slide, "--out", "poses.csv"], "written as .mcap"),
-        ([moving], "holds no images"),
-        ([images("yuv.mcap", "yuv422")], "encoding 'yuv422' cannot be read; convert them to one of rgb8"),
-        ([images("grey.mcap", "mono8")], "has no calibration for images"),
+        (["none.mcap"], "none.mcap"),
+        ([slide, "--image-topic", "/gel/imag"], "'/gel/image'"),
+        ([slide, "--base-frame", "bass"], "'bass'"),
+        ([slide, "--base-frame", "base", "--frame", "gol"], "'gol'"),
+        ([slide, "--pose-topic", "/object/truth"], "/object/truth"),
+        ([slide, "--out", slide], slide.name),
+        ([slide, "--out", "poses.csv"], "poses.csv"),
+        ([moving], "sensor_msgs/msg/Image"),
+        ([images("yuv.mcap", "yuv422")], "'yuv422'"),
+        ([images("grey.mcap", "mono8")], "--sensor"),
     ):
         assert_refused(cli("replay", *words, *LOCATED), mentioned)
-    assert_refused(cli("simulate", *HEAD, "--recording", "slide.bag"), "a recording is written as .mcap")
-    assert_refused(cli("simulate", *HEAD, "--recording", "slide.mcap", "--out", "here"), "leave --out away")
+    assert_refused(cli("simulate", *HEAD, "--recording", "slide.bag"), "slide.bag", ".mcap")
+    assert_refused(cli("simulate", *HEAD, "--recording", "slide.mcap", "--out", "here"), "--out")
     assert sorted(path.name for path in Path().iterdir()) == ["grey.mcap", "tf.mcap", "yuv.mcap"]

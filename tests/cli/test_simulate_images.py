@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_helpers import assert_refused, write_box
+from message_helpers import missing
 from PIL import Image
 
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -66,7 +67,7 @@ def test_without_asking_there_are_no_images_and_the_touches_are_the_same(cli):
 def test_older_touches_in_the_folder_are_told_of(cli):
     assert "older" not in simulate(cli, "--out", "out").stderr
     done = cli("simulate", "--count", 1, "--seed", 4, "--out", "out")
-    assert "out holds 1 older touches, too, from touch-0001.npz on" in done.stderr
+    assert not missing(done.stderr, "out", 1, "touch-0001.npz")
     assert len(list(Path("out").glob("*.npz"))) == 2
 
 

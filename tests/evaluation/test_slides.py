@@ -60,5 +60,5 @@ def test_photos_are_colour_images_of_the_sensors_size(over_a_box, flat_camera, t
 def test_an_object_that_slides_off_is_refused(make_scene, box, flat_camera):
     beside = START.copy()
     beside[0, 3] = 0.03
-    with pytest.raises(TouchError, match="box slides off the sensor"):
+    with pytest.raises(TouchError, match="box"):
         slide(make_scene(box, flat_camera), beside, IMAGES)

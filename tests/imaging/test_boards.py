@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import invert, is_rigid, transform_points
@@ -47,7 +48,7 @@ def test_boards_are_always_the_same_and_differ_from_one_another(numbered):
 
 @pytest.mark.parametrize("number", [0, 3])
 def test_there_are_two_boards(number):
-    with pytest.raises(ConfigError, match=f"no calibration board {number}"):
+    with pytest.raises(ConfigError, match=naming(number, 1, 2)):
         board(number)
 
 

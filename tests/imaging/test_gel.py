@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from imaging_helpers import BALL_M, PRESS_M, ball_depth, places, presses, sensor, tip_depth
+from message_helpers import naming
 from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.errors import ConfigError
@@ -107,15 +108,15 @@ def test_off_the_rectangle_there_is_no_gel():
 
 
 @pytest.mark.parametrize(
-    ("depth", "press", "softness_m", "words"),
+    ("depth", "press", "softness_m", "values"),
     [
-        (np.zeros((80, 80)), [1e-3], 1e-3, "one for each"),
-        (np.zeros((2, 80, 80)), [1e-3], 1e-3, "one for each"),
-        (np.zeros((1, 40, 80)), [1e-3], 1e-3, "do not fit"),
-        (np.zeros((1, 80, 80)), [1e-3], -1e-3, "softness_m is -0.001"),
-        (np.zeros((1, 80, 80)), [1e-3], np.nan, "softness_m is nan"),
+        (np.zeros((80, 80)), [1e-3], 1e-3, ("(80, 80)", "(1,)")),
+        (np.zeros((2, 80, 80)), [1e-3], 1e-3, ("(2, 80, 80)", "(1,)")),
+        (np.zeros((1, 40, 80)), [1e-3], 1e-3, ("(40, 80)", "(80, 80)")),
+        (np.zeros((1, 80, 80)), [1e-3], -1e-3, ("softness_m", "-0.001")),
+        (np.zeros((1, 80, 80)), [1e-3], np.nan, ("softness_m", "nan")),
     ],
 )
-def test_what_does_not_fit_is_refused(depth, press, softness_m, words):
-    with pytest.raises(ConfigError, match=words):
+def test_what_does_not_fit_is_refused(depth, press, softness_m, values):
+    with pytest.raises(ConfigError, match=naming(*values)):
         gel_surface(depth, press, sensor(), softness_m)

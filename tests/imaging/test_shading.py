@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 from imaging_helpers import BALL_M, PRESS_M, ball_depth, lamp, lit, places, presses, rng, sensor, tip_depth
+from message_helpers import naming
 from scipy.special import ndtr
 
 from tactile_loc.core.errors import ConfigError
@@ -241,15 +242,15 @@ def test_off_the_rectangle_nothing_changes():
 
 
 @pytest.mark.parametrize(
-    ("indentation", "photo", "words"),
+    ("indentation", "photo", "values"),
     [
-        (np.zeros((80, 80)), None, "do not fit the sensor"),
-        (np.zeros((1, 40, 80)), None, "do not fit the sensor"),
-        (np.zeros((1, 80, 80)), np.zeros((80, 80), np.uint8), "the background is"),
-        (np.zeros((1, 80, 80)), np.zeros((40, 80, 3), np.uint8), "the background is"),
-        (np.zeros((1, 80, 80)), np.zeros((80, 80, 3)), "float64"),
+        (np.zeros((80, 80)), None, ("(80, 80)", "(N, H, W)")),
+        (np.zeros((1, 40, 80)), None, ("(1, 40, 80)", "(N, H, W)")),
+        (np.zeros((1, 80, 80)), np.zeros((80, 80), np.uint8), ("background", "(80, 80)")),
+        (np.zeros((1, 80, 80)), np.zeros((40, 80, 3), np.uint8), ("background", "(40, 80, 3)")),
+        (np.zeros((1, 80, 80)), np.zeros((80, 80, 3)), ("(80, 80, 3)", "float64")),
     ],
 )
-def test_images_that_do_not_fit_are_refused(indentation, photo, words):
-    with pytest.raises(ConfigError, match=words):
+def test_images_that_do_not_fit_are_refused(indentation, photo, values):
+    with pytest.raises(ConfigError, match=naming(*values)):
         rendered(indentation, sensor(), lit("right"), photo=photo)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from imaging_helpers import ball_depth, presses, rng, sensor, tip_depth
+from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.imaging.boards import board
@@ -98,7 +99,7 @@ def test_the_boards_take_turns():
 
 
 def test_a_negative_number_of_presses_is_refused():
-    with pytest.raises(ConfigError, match="-1 presses"):
+    with pytest.raises(ConfigError, match=naming("-1")):
         next(board_presses(sensor(), -1, GELSLIM, rng(), HeightmapRenderer()))
 
 

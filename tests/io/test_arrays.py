@@ -46,9 +46,9 @@ LIES = [
 @pytest.mark.parametrize(("descr", "shape"), LIES)
 def test_a_header_that_says_more_than_there_is(tmp_path, descr, shape):
     (tmp_path / "a.npy").write_bytes(lying(descr, shape))
-    with pytest.raises(ValueError, match=r"it says to hold|allow_pickle|shape is not valid"):
+    with pytest.raises(ValueError, match=r"96|allow_pickle"):
         load_npy(tmp_path / "a.npy")
-    with pytest.raises(ValueError, match=r"it says to hold|allow_pickle|shape is not valid"):
+    with pytest.raises(ValueError, match=r"96|allow_pickle"):
         load_npz(zipped(tmp_path / "a.npz", depth=lying(descr, shape)))
 
 

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from message_helpers import missing, naming
 from PIL import Image
 
 from tactile_loc.core.errors import MissingLibraryError, SourceError, TouchError
@@ -104,7 +105,7 @@ def test_a_file_that_stays_damaged_is_a_frame_that_says_so(tmp_path, monkeypatch
     (folder / "cut.png").write_bytes(whole[: len(whole) // 2])
     monkeypatch.setattr(frame_sources, "SETTLED_S", 0.0)
     (frame,) = ImageFolder(folder, every=True).frames()
-    with pytest.raises(TouchError, match=r"cut\.png cannot be read as png"):
+    with pytest.raises(TouchError, match=naming("cut.png", "png")):
         frame.touch(None)  # type: ignore[arg-type]
 
 
@@ -113,7 +114,7 @@ def test_a_folder_that_vanishes_is_told(tmp_path, meanwhile):
     meanwhile(lambda: shutil.rmtree(tmp_path / "in"))
     frames = ImageFolder(tmp_path / "in", every=False).frames()
     assert next(frames).name == "0.png"
-    with pytest.raises(SourceError, match=r"in cannot be read any more .*still there"):
+    with pytest.raises(SourceError, match=naming(tmp_path / "in")):
         next(frames)
 
 
@@ -156,7 +157,7 @@ def test_a_video_that_breaks_off_is_told_after_its_frames(film, tmp_path, monkey
     for every in (True, False):
         found, says = until_it_fails(Video(tmp_path / "film.mp4", every).frames())
         assert found[-1].number == 49
-        assert "breaks off after 50 of 80 frames" in says
+        assert not missing(says, "film.mp4", "50", "80")
     monkeypatch.setattr(frame_sources, "video_facts", lambda _: VideoFacts(1000.0, 51))  # containers miscount
     assert len(list(Video(tmp_path / "film.mp4", every=True).frames())) == 50
 
@@ -173,7 +174,7 @@ def test_a_film_cut_short_is_told(tmp_path):
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     found, says = until_it_fails(Video(path, every=True).frames())
     assert 0 < len(found) < 60
-    assert f"breaks off after {len(found)} of" in says
+    assert not missing(says, "film.avi", len(found))
 
 
 def test_a_file_that_is_no_video_is_told(tmp_path):
@@ -213,7 +214,7 @@ def test_a_camera_gives_red_first_and_is_told_when_it_goes_away(capture):
     camera = Camera("/dev/video2")
     found, says = until_it_fails(camera.frames())
     assert capture.asked == "/dev/video2"
-    assert "camera /dev/video2 gives no image any more, after 3" in says
+    assert not missing(says, "/dev/video2", 3)
     assert found[-1].number == 2
     assert len(found) + camera.dropped == 3
     np.testing.assert_array_equal(found[-1].image, picture((30, 20, 10)))
@@ -223,22 +224,22 @@ def test_a_camera_gives_red_first_and_is_told_when_it_goes_away(capture):
 
 def test_a_camera_that_is_not_there_is_told_at_once(capture, monkeypatch):
     monkeypatch.setattr(capture, "opens", False)
-    with pytest.raises(SourceError, match="camera 3 cannot be opened"):
+    with pytest.raises(SourceError, match="camera 3"):
         Camera("3").frames()
 
 
 def test_without_opencv_a_camera_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(MissingLibraryError, match=r"pip install 'tactile-loc\[camera\]'"):
+    with pytest.raises(MissingLibraryError, match=naming("pip install 'tactile-loc[camera]'")):
         Camera("0").frames()
 
 
 def test_there_is_one_source(tmp_path):
     for given in ((None, None, False), (tmp_path, "0", False)):
-        with pytest.raises(SourceError, match="one source"):
+        with pytest.raises(SourceError, match="--camera"):
             open_source(*given)
-    with pytest.raises(SourceError, match="--once is for folders and videos"):
+    with pytest.raises(SourceError, match="--once"):
         open_source(None, "0", True)
-    with pytest.raises(SourceError, match=r"there is no .*nowhere"):
+    with pytest.raises(SourceError, match=naming(tmp_path / "nowhere")):
         open_source(tmp_path / "nowhere", None, True)
     assert isinstance(open_source(tmp_path, None, True), ImageFolder)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
@@ -44,22 +45,25 @@ def test_the_error_of_a_turn_grows_with_the_distance():
 
 
 @pytest.mark.parametrize(
-    ("text", "sentence"),
+    ("text", "values"),
     [
-        ("", "the mount is missing"),
-        ("xyz_mm = [0, 0, 0]\n", "not xyz_mm"),
-        (f"T_flange_sensor = {(2 * np.eye(4)).tolist()}\n", "T_flange_sensor is no rigid transform"),
-        ("T_sensor_flange = 3\n", "a mount has no key 'T_sensor_flange'. Did you mean .*'T_flange_sensor'"),
-        (f"T_flange_sensor = {X.tolist()}\ncovariance = [[1]]\n", "covariance = .* is wrong; it must be six rows"),
-        (f"T_flange_sensor = {X.tolist()}\ncovariance = {json.dumps((-np.eye(6)).tolist())}\n", "no negative variance"),
+        ("", ("T_flange_sensor", "xyz_mm", "rpy_deg")),
+        ("xyz_mm = [0, 0, 0]\n", ("T_flange_sensor", "xyz_mm", "rpy_deg")),
+        (f"T_flange_sensor = {(2 * np.eye(4)).tolist()}\n", ("T_flange_sensor", "rigid")),
+        ("T_sensor_flange = 3\n", ("'T_sensor_flange'", "'T_flange_sensor'")),
+        (f"T_flange_sensor = {X.tolist()}\ncovariance = [[1]]\n", ("covariance", "[[1]]")),
+        (
+            f"T_flange_sensor = {X.tolist()}\ncovariance = {json.dumps((-np.eye(6)).tolist())}\n",
+            ("covariance", "symmetric"),
+        ),
     ],
 )
-def test_a_wrong_file_is_one_sentence(tmp_path: Path, text, sentence):
+def test_a_wrong_file_is_one_sentence(tmp_path: Path, text, values):
     path = tmp_path / "mount.toml"
     path.write_text(text)
-    with pytest.raises(ConfigError, match=sentence) as caught:
+    with pytest.raises(ConfigError, match=naming(*values)) as caught:
         read_mount(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
-    with pytest.raises(ConfigError, match="there is no file"):
+    with pytest.raises(ConfigError, match=naming(tmp_path / "none.toml")):
         read_mount(tmp_path / "none.toml")

@@ -13,6 +13,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
+from message_helpers import missing, naming
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
@@ -174,9 +175,8 @@ def test_of_a_recording_that_breaks_off_the_beginning_is_read(tmp_path, compress
         (cut := tmp_path / "cut.mcap").write_bytes(whole[: int(share * len(whole))])
         recording = Recording(cut)
         contents = recording.contents()
-        assert "damaged or ends early" in contents.damage
         counts.append(sum(contents.counts.values()))
-        assert f"its first {counts[-1]} messages" in contents.damage
+        assert not missing(contents.damage, counts[-1])
         for k, message in enumerate(recording.messages()):
             np.testing.assert_array_equal(image_array(message.decoded()), IMAGES[k])
     assert counts[0] >= 1
@@ -205,19 +205,16 @@ def test_what_is_no_recording_is_one_sentence(tmp_path):
     (tmp_path / "text.bag").write_text("no bag")
     (tmp_path / "folder").mkdir()
     (tmp_path / "touch.npz").touch()
-    for name, mentioned in (
-        ("none.mcap", "there is no recording"), ("text.mcap", "cannot be read as a recording"),
-        ("empty.mcap", "cannot be read as a recording"), ("text.bag", "cannot be read as a recording"),
-        ("folder", "cannot be read as a recording"), ("touch.npz", "is no recording; give an MCAP file"),
-    ):  # fmt: skip
-        with pytest.raises(RecordingError, match=mentioned) as caught:
+    with pytest.raises(RecordingError, match=naming(tmp_path / "none.mcap")):
+        Recording(tmp_path / "none.mcap").contents()
+    for name in ("text.mcap", "empty.mcap", "text.bag", "folder", "touch.npz"):
+        with pytest.raises(RecordingError, match=naming(tmp_path / name, ".mcap", ".bag")):
             Recording(tmp_path / name).contents()
-        assert name in str(caught.value)
 
 
 def test_topics_that_lack_are_answered_by_those_there_are(recorded, tmp_path):
     contents = Recording(recorded).contents()
-    with pytest.raises(RecordingError, match=r"no images on /gel/imag; there are images on /gel/image\. Did you mean"):
+    with pytest.raises(RecordingError, match=naming("drive.mcap", "'/gel/image'") + r".*/gel/imag\b"):
         image_topic(contents, recorded, "/gel/imag")
 
     def two(writer: RecordingWriter) -> None:
@@ -225,10 +222,12 @@ def test_topics_that_lack_are_answered_by_those_there_are(recorded, tmp_path):
             writer.write(name, IMAGE, image_message(IMAGES[0], "rgb8", 0, "gel"), 0)
 
     several = write_recording(tmp_path / "two.mcap", two)
-    with pytest.raises(RecordingError, match="choose one by --image-topic: /left, /right"):
+    with pytest.raises(RecordingError, match=naming("two.mcap", "--image-topic", "/left", "/right")):
         image_topic(Recording(several).contents(), several, None)
     moving = write_recording(tmp_path / "tf.mcap", lambda w: w.write("/tf", TF, transform_message({}, 0), 0))
-    with pytest.raises(RecordingError, match=r"holds no images.*it holds /tf \(tf2_msgs/msg/TFMessage\)"):
+    with pytest.raises(
+        RecordingError, match=naming("tf.mcap", "sensor_msgs/msg/Image", "/tf (tf2_msgs/msg/TFMessage)")
+    ):
         image_topic(Recording(moving).contents(), moving, None)
 
 
@@ -243,18 +242,18 @@ def test_messages_of_other_kinds_are_refused_when_they_are_needed(tmp_path):
         writer.add_message(writer.register_channel("/bad", "cdr", schema), 0, b"\0\1\0\0stray bytes", 0)
         writer.finish()
     other, stray = Recording(path).messages()
-    with pytest.raises(RecordingError, match="written as protobuf; only those of ROS 2"):
+    with pytest.raises(RecordingError, match=naming("/gel/image", "protobuf", "cdr", "ros1")):
         other.decoded()
-    with pytest.raises(RecordingError, match="a message of /bad is no sensor_msgs/msg/Image"):
+    with pytest.raises(RecordingError, match=naming("/bad", "sensor_msgs/msg/Image")):
         stray.decoded()
 
 
 @pytest.mark.parametrize("library", ["mcap", "rosbags"])
 def test_a_library_that_lacks_is_named(recorded, tmp_path, monkeypatch, library):
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(MissingLibraryError, match=rf"{library}, .* pip install 'tactile-loc\[recordings\]'"):
+    with pytest.raises(MissingLibraryError, match=naming(library, "pip install 'tactile-loc[recordings]'")):
         Recording(recorded)
-    with pytest.raises(MissingLibraryError, match="pip install"):
+    with pytest.raises(MissingLibraryError, match=naming(library, "pip install 'tactile-loc[recordings]'")):
         write_recording(tmp_path / "other.mcap", fill)
     assert not (tmp_path / "other.mcap").exists()
 

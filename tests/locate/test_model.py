@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.progress import Progress
@@ -133,7 +134,7 @@ def test_poses_and_shapes_stay_together(make_pin_scene, own_store):
 
 
 def test_nothing_left_is_refused(make_pin_scene, own_store):
-    with pytest.raises(GridError, match=r"no pose of pin makes contact with 95 % of the sensor"):
+    with pytest.raises(GridError, match=naming("pin", "95 %", "grid.min_contact_percent")):
         build(make_pin_scene(), FaceGrid(FaceGrid.Options(spacing_mm=8.0, min_contact_percent=95.0)), own_store)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from kill_steps import killed_at_every_step
+from message_helpers import naming
 
 from tactile_loc.core.errors import OutputError
 from tactile_loc.store import files
@@ -29,7 +30,7 @@ def test_a_folder_that_can_be_made_is_fine_and_not_made(tmp_path):
 def test_a_file_in_the_way_is_not(tmp_path):
     (tmp_path / "a").write_text("mine")
     for folder in (tmp_path / "a", tmp_path / "a" / "b"):
-        with pytest.raises(OutputError, match="not a folder"):
+        with pytest.raises(OutputError, match=naming(tmp_path / "a", "--out")):
             require_writable(folder)
 
 
@@ -38,7 +39,7 @@ def test_a_folder_that_refuses_is_not(tmp_path, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("tempfile.TemporaryFile", refuse)
-    with pytest.raises(OutputError, match="Permission denied"):
+    with pytest.raises(OutputError, match=naming(tmp_path, "Permission denied", "--out")):
         require_writable(tmp_path)
 
 
@@ -56,14 +57,14 @@ def test_a_write_that_fails_halfway_leaves_the_old_file(tmp_path):
         temporary.write_text("new, ha")
         raise OSError(28, "No space left on device")
 
-    with pytest.raises(OutputError, match="No space left on device"):
+    with pytest.raises(OutputError, match=naming("a.txt", "No space left", "--out")):
         write_atomically(path, halfway)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_folder_that_takes_no_files_is_told():
-    with pytest.raises(OutputError, match=r"/proc/a\.txt cannot be written"):
+    with pytest.raises(OutputError, match=naming("/proc/a.txt", "--out")):
         write_atomically(Path("/proc/a.txt"), lambda temporary: temporary.write_text("x"))
 
 
@@ -148,7 +149,7 @@ def test_who_writes_files_that_belong_together_is_alone_in_their_folder(tmp_path
 
 def test_there_is_no_folder_where_a_file_stands(tmp_path):
     (tmp_path / "a").touch()
-    with pytest.raises(OutputError, match="choose another --out"), alone_in(tmp_path / "a"):
+    with pytest.raises(OutputError, match=naming(tmp_path / "a", "--out")), alone_in(tmp_path / "a"):
         pass
 
 

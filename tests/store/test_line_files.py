@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import OutputError
 from tactile_loc.store.line_files import JsonLines
@@ -51,14 +52,14 @@ def test_a_full_disk_leaves_whole_lines(tmp_path, monkeypatch):
     add(path, 1)
     with JsonLines(path) as lines, monkeypatch.context() as patch:
         patch.setattr(os, "write", full)
-        with pytest.raises(OutputError, match="No space left on device"):
+        with pytest.raises(OutputError, match=naming("a.jsonl", "No space left", "--out")):
             lines.append('{"n": 2}')
     assert values(path) == [1]
 
 
 def test_two_writers_and_impossible_places_are_refused(tmp_path):
-    with JsonLines(tmp_path / "a.jsonl"), pytest.raises(OutputError, match="another process is at work"):
+    with JsonLines(tmp_path / "a.jsonl"), pytest.raises(OutputError, match=naming("a.jsonl", "process", "--out")):
         JsonLines(tmp_path / "a.jsonl")
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="cannot be written"):
+    with pytest.raises(OutputError, match=naming("file/a.jsonl", "--out")):
         JsonLines(tmp_path / "file" / "a.jsonl")

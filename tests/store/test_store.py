@@ -2,10 +2,12 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import missing, naming
 from store_helpers import KEY, Five, folder_of, forbidden, run_python
 
 from tactile_loc.core.errors import StoreError
@@ -93,21 +95,21 @@ def test_a_label_is_kept_and_is_no_part_of_the_key(store: StageStore) -> None:
 
 def test_asking_for_what_is_not_there(store: StageStore) -> None:
     artifact = store.build(KEY, Five())
-    with pytest.raises(StoreError, match=r"no 'nothing\.npy'; it holds meta\.json, piece0"):
+    with pytest.raises(StoreError, match=naming("bank", "'nothing.npy'", "piece0.npy", "sum.npy")):
         artifact.array("nothing")
-    with pytest.raises(StoreError, match=r"manifest"):
+    with pytest.raises(StoreError, match=naming("bank", "'manifest.json'", "piece0.npy")):
         artifact.json("manifest")
 
 
 @pytest.mark.parametrize("name", ["../up", "a/b", ".hidden", "", "manifest"])
 def test_names_stay_inside_the_folder(store: StageStore, name: str) -> None:
-    with pytest.raises(StoreError, match="cannot name a file"):
+    with pytest.raises(StoreError, match=naming(f"'{name}.json'", "bank")):
         store.build(KEY, lambda workspace: workspace.save_json(name, 1))
 
 
 @pytest.mark.parametrize("value", [float("nan"), {"a": Path("x")}])
 def test_refuses_json_that_is_none(store: StageStore, value: object) -> None:
-    with pytest.raises(StoreError, match=r"'x' of stage bank .* not a finite JSON value"):
+    with pytest.raises(StoreError, match=naming("'x'", "bank", "JSON")):
         store.build(KEY, lambda workspace: workspace.save_json("x", value))
 
 
@@ -141,7 +143,7 @@ print("RESULT", len(store.built), artifact.array("x").tobytes().hex())
 def test_two_processes_build_once(store: StageStore, tmp_path: Path) -> None:
     processes = [run_python(BUILDER, store.root, tmp_path / "calls") for _ in range(2)]
     first_lines = [process.stdout.readline() for process in processes if process.stdout]
-    assert sorted("waiting for it" in line for line in first_lines) == [False, True]
+    assert sorted("waiting" in line for line in first_lines) == [False, True]
     (tmp_path / "go").touch()
     results = [process.communicate(timeout=60)[0].split("RESULT ")[1].split() for process in processes]
     assert (tmp_path / "calls").read_text() == "made\n"
@@ -153,7 +155,7 @@ def test_what_is_being_built_is_neither_waited_for_by_get_nor_removed(store: Sta
     def make(workspace: Workspace) -> None:
         other = StageStore(store.root)
         assert other.get(KEY) is None
-        with pytest.raises(StoreError, match="being built by another process"):
+        with pytest.raises(StoreError, match=naming(f"{KEY.short}.partial", "process")):
             other.remove(KEY.digest)
         (entry,) = other.entries()
         assert other.is_being_built(entry)
@@ -217,7 +219,7 @@ def test_what_cannot_be_removed_is_named(store: StageStore, monkeypatch: pytest.
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("shutil.rmtree", refuse)
-    with pytest.raises(StoreError, match=f"Cannot remove {folder}: Permission denied; remove it by hand"):
+    with pytest.raises(StoreError, match=naming(folder, "Permission denied")):
         store.remove(KEY.digest)
 
 
@@ -245,7 +247,7 @@ def test_reading_creates_nothing(store: StageStore) -> None:
 def test_says_what_it_does(store: StageStore, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.INFO):
         store.build(KEY, Five())
-    assert [record.getMessage().split(KEY.short)[1][:12] for record in caplog.records] == [
-        " is being bu",
-        " is built: 0",
-    ]
+    begins, ends = (record.getMessage() for record in caplog.records)
+    assert not missing(begins, "bank", KEY.short)
+    assert not missing(ends, "bank", KEY.short)
+    assert re.search(r"\b0", ends), "how long it took"

@@ -7,7 +7,7 @@ from collections import Counter
 import pytest
 import trimesh
 
-from tactile_loc.core.errors import ObjectError, PluginError, SensorError
+from tactile_loc.core.errors import ObjectError, SensorError, UnknownPluginError
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps import combination as module
@@ -81,7 +81,7 @@ def test_a_component_of_another_version_makes_another_row(monkeypatch):
     [
         ({"object": ["hok"]}, ObjectError, "hok"),
         ({"object": ["pin"], "sensor": ["none.toml"]}, SensorError, r"none\.toml"),
-        ({"object": ["pin"], "sensor": ["gelslm"]}, PluginError, "gelslm"),
+        ({"object": ["pin"], "sensor": ["gelslm"]}, UnknownPluginError, "gelslm"),
     ],
 )
 def test_what_cannot_be_made_is_refused(values, kind, said):
@@ -90,9 +90,9 @@ def test_what_cannot_be_made_is_refused(values, kind, said):
 
 
 def test_two_objects_of_one_name_are_refused():
-    values = {"object": ["pin", {"path": "pin", "symmetry": "none"}]}
-    with pytest.raises(module.ConfigError, match="both called pin"):
-        combine(Plan.from_values(values))
+    plan = Plan.from_values({"object": ["pin", {"path": "pin", "symmetry": "none"}]})
+    with pytest.raises(module.ConfigError, match="pin"):
+        combine(plan)
 
 
 VALUES = {"object": "pin", "noise": "none", "count": 1}

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import missing, naming
 
 from tactile_loc.core.errors import FrameError, GridError, OutputError, RecordingError, StoreError
 from tactile_loc.core.geometry.rigid import covariance_along, make_transform, rotation_about
@@ -79,7 +80,7 @@ def test_the_localizer_finds_what_was_touched(recorded, localizer, touches, tmp_
         assert record.frame == "gel"
     outcomes = [record.outcome for record in found.records]
     assert outcomes == [Outcome.LOCATED] * 3 + [Outcome.NO_CONTACT, Outcome.REFUSED, Outcome.LOCATED]
-    assert "negative depths" in found.records[4].says
+    assert not missing(found.records[4].says, "-1 m")
     assert found.summary.reasons == ((found.records[4].says, 1),)
 
 
@@ -95,7 +96,7 @@ def test_poses_and_covariances_are_moved_to_the_base(recorded, localizer, tmp_pa
     covariance = np.reshape(pose_of(message).covariance, (6, 6))
     np.testing.assert_allclose(covariance, covariance_along(C, T_base_gel[:3, :3]), atol=1e-12)
     assert found.records[5].outcome is Outcome.REFUSED  # 5 s is after the last transform
-    assert "known from 0.000 s to 4.000 s, not at 5.000 s" in found.records[5].says
+    assert not missing(found.records[5].says, "0.000 s", "4.000 s", "5.000 s")
 
 
 def test_the_poses_stand_beside_what_was_recorded_or_alone(recorded, localizer, tmp_path):
@@ -114,15 +115,15 @@ def test_the_poses_stand_beside_what_was_recorded_or_alone(recorded, localizer, 
 
 def test_an_estimator_that_finds_nothing_is_told(recorded, localizer, tmp_path):
     def lost(touch: Touch) -> Hypothesis:
-        raise GridError("no pose is left")
+        raise GridError("hopeless")
 
-    with pytest.raises(RecordingError, match=r"none of the 6 images on /gel/image .* most often: no pose is left"):
+    with pytest.raises(RecordingError, match=naming(6, "/gel/image", "drive.mcap", "hopeless")):
         replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer), 6, "/pose", estimator=lost)
     assert [path.name for path in tmp_path.iterdir()] == ["drive.mcap"]
 
 
 def test_frames_that_lack_are_told_at_once(recorded, localizer):
-    with pytest.raises(FrameError, match=r"no frame 'gol'; there are: base, flange, gel"):
+    with pytest.raises(FrameError, match=naming("'gol'", "base", "flange", "'gel'")):
         next(replay_of(recorded, localizer, "base", "gol").frames(at_truth))
 
 
@@ -158,10 +159,10 @@ def test_a_full_store_refuses_no_frame_for_good(recorded, localizer, tmp_path):
     def starved(touch: Touch) -> Hypothesis:
         for estimate in estimates:
             return estimate(touch)
-        raise StoreError("no space left")
+        raise StoreError("full")
 
     out, replay = tmp_path / "out.mcap", replay_of(recorded, localizer)
-    with pytest.raises(StoreError, match="no space left"):
+    with pytest.raises(StoreError, match="full"):
         replay_to(out, replay, 6, "/pose", estimator=starved)
     found = replay_to(out, replay, 6, "/pose", estimator=at_truth)
     assert (found.resumed, found.summary.located) == (1, 4)
@@ -187,14 +188,14 @@ def test_a_full_disk_leaves_a_journal_of_whole_lines(recorded, localizer, tmp_pa
     def full(descriptor: int, text: bytes) -> int:
         if len(text) > 9:
             return write(descriptor, text[:-9])
-        raise OSError(errno.ENOSPC, "No space left on device")
+        raise OSError(errno.ENOSPC, "ENOSPC")
 
     with journal(path, replay) as kept, monkeypatch.context() as patch:
         first, second, *_ = replay.frames(at_truth)
         kept.append(first)
         before = path.read_bytes()
         patch.setattr(os, "write", full)
-        with pytest.raises(OutputError, match="No space left on device"):
+        with pytest.raises(OutputError, match=naming("out.mcap.journal", "ENOSPC", "--out")):
             kept.append(second)
         assert path.read_bytes() == before
         assert kept.records == [first]
@@ -206,12 +207,16 @@ def test_the_journal_of_another_replay_is_not_used(recorded, localizer, tmp_path
         kept.append(next(replay_of(recorded, localizer).frames(at_truth)))
     found = replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer, "base"), 6, "/pose", estimator=at_truth)
     assert found.resumed == 0
-    assert "was of another replay" in caplog.text
+    assert str(path) in caplog.text
 
 
 def test_two_processes_do_not_write_one_journal(recorded, localizer, tmp_path):
     replay, path = replay_of(recorded, localizer), tmp_path / "out.mcap.journal"
-    with journal(path, replay), pytest.raises(OutputError, match="another process"), journal(path, replay):
+    with (
+        journal(path, replay),
+        pytest.raises(OutputError, match=naming("process", "out.mcap.journal", "--out")),
+        journal(path, replay),
+    ):
         pass
 
 

@@ -30,7 +30,7 @@ def test_a_broken_contract_is_a_result_that_says_what_is_wrong():
     doubled = made(DenseMatcher, scores=lambda self, queries: 2 * DenseMatcher.scores(self, queries))
     failed = problems(run_checks(doubled))
     assert "check_definition" in failed
-    assert failed["check_definition"].startswith("a score must be -1/2 ||query - row||^2")
+    assert "||query - row||^2" in failed["check_definition"]
     assert "check_output" not in failed
 
 
@@ -74,7 +74,7 @@ def test_undeclared_capabilities_fail_the_declaration():
 
 
 def test_a_class_is_refused():
-    with pytest.raises(TypeError, match="instance"):
+    with pytest.raises(TypeError, match="DenseMatcher"):
         run_checks(DenseMatcher)  # type: ignore[arg-type]
 
 

@@ -43,8 +43,9 @@ def build(
     start = time.perf_counter()
     press_m = _press_depth_m(localizer)
     if localizer.search is None:
-        localizer.matcher(press_m)
-    _ = localizer.trained, localizer.temperature_scaling  # learned and fitted now, not at the first touch
+        localizer.listed.matcher(press_m)
+    _ = localizer.source.trained  # learned now, not at the first touch
+    _ = localizer.probabilities.temperature_scaling  # and fitted
     return _report(localizer, time.perf_counter() - start)
 
 

@@ -36,9 +36,9 @@ class Capabilities:
     `exact_undercuts`: a renderer sees surfaces below overhangs. `deterministic`: same input, same output.
     `follows_press_depth`: an encoder's bank must be encoded at the touch's own press depth.
     `top_k_only`: a matcher scores only some poses, the others are -inf. `needs_training`: `fit` does work.
-    `refines`: a refiner moves poses, unlike the null one. `contact_only`: a fuser asks only which poses touch a sensor,
-    not how probable they are. `places`: a grid lists the object's places instead of poses. `uses_normals`,
-    `differentiable`, `device`: as they say.
+    `refines`: a refiner moves poses, unlike the null one. `covariances`: a refiner says how sure its poses are.
+    `contact_only`: a fuser asks only which poses touch a sensor, not how probable they are. `places`: a grid lists the
+    object's places instead of poses. `uses_normals`, `differentiable`, `device`: as they say.
     """
 
     deterministic: bool = True
@@ -49,6 +49,7 @@ class Capabilities:
     refines: bool = True
     contact_only: bool = False
     places: bool = False
+    covariances: bool = False
     uses_normals: bool = False
     differentiable: bool = False
     device: str = "cpu"

@@ -7,41 +7,16 @@ sensor's frame.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.plugin import closest_on_triangle, downhill, njit, triangle_near
+from tactile_loc.core.compiled import njit
+from tactile_loc.core.objects.surface_field import closest_on_triangle, downhill, triangle_near
 
 # mypy: ignore-errors
 
 GROSS_MM = 0.5  # a point that is off by more is no more of a sign of noise
 NEAR_PLANE_MM = 0.1  # a point beside its triangle by less is measured to the triangle's plane
-
-
-class Observed(NamedTuple):
-    """What N touches show, all in mm and each in its own sensor's frame.
-
-    `points` (P, 3) on the surface in contact with unit `normals` (P, 3), which point into the sensor, and `weights`
-    (P,), 1/mm^2, which may be `slack` (P,) off for nothing; those of touch i from starts[i] to starts[i + 1], and
-    `centres` (N, 3) their middles. `cameras` (N, 11): pinhole?, fx, fy, cx, cy, the gel's greatest height, its
-    rectangle (4), the weight (1/mm^2) of a surface sample that reaches into it. `images` (Q, 4) hold, for every four
-    neighbouring pixels, the least height of the surface that is seen (NaN: not observed; negative: it is the gel's,
-    nothing touches), below which nothing between their centres can be, and the place x, y, z of the nearest contact;
-    those of touch i are rows of sizes[i] (height, width) from offsets[i].
-    """
-
-    points: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    slack: NDArray[np.float64]
-    starts: NDArray[np.int64]
-    centres: NDArray[np.float64]
-    cameras: NDArray[np.float64]
-    images: NDArray[np.float32]
-    sizes: NDArray[np.int64]
-    offsets: NDArray[np.int64]
 
 
 @njit(fast=True)

@@ -7,14 +7,18 @@ sensor's frame, or about the object's centre in the first sensor's frame.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.plugin import Blocks, NearestTriangles, in_threads, invert
-from tactile_loc.plugins.refiners.joint.kernels import Observed, equations
-from tactile_loc.plugins.refiners.joint.twists import adjoint, exponential, logarithm
+from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.objects.blocks import Blocks
+from tactile_loc.core.registration.observations import Observed
+from tactile_loc.core.registration.twists import adjoint, exponential, logarithm
+
+if TYPE_CHECKING:
+    from tactile_loc.core.objects.surface_field import NearestTriangles
 
 SETTLED_MM = 1e-3  # a pose that moves less has arrived
 COARSELY = 3  # one point of so many is looked at at first
@@ -53,7 +57,7 @@ class Registration:
     samples: Blocks
     middle: Floats
 
-    def registered(self, T: Floats, scales: Floats, finely: int) -> Registered:
+    def register(self, T: Floats, scales: Floats, finely: int) -> Registered:
         """Move poses T (K, 4, 4), in the first sensor's frame, to where they explain all touches.
 
         `scales` (I,) is the scale of the robust weights, step by step; the last `finely` steps look at all points, the
@@ -121,6 +125,9 @@ class Registration:
 
     def _equations(self, T_each: Floats, scale: float, every: NDArray[np.int64]) -> tuple[Floats, Floats]:
         """The equations A (K, N, 6, 6), b (K, N, 6) of twists by which poses T_each explain each touch better."""
+        from tactile_loc.core.compiled import in_threads  # numba takes a while to import
+        from tactile_loc.core.registration.kernels import equations
+
         A, b = np.zeros((*T_each.shape[:2], 6, 6)), np.zeros((*T_each.shape[:2], 6))
         misfit = np.zeros((len(T_each), 2))
         in_threads(

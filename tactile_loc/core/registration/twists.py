@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.plugin import axis_times_sine, cross_matrix, make_transform
+from tactile_loc.core.geometry.rigid import axis_times_sine, cross_matrix, make_transform
 
 TINY = 1e-30  # of a squared angle: no turn at all has none by which to divide
 Floats = NDArray[np.float64]
