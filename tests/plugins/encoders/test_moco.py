@@ -318,14 +318,24 @@ def test_files_of_weights_without_a_number_of_planes_are_of_shapes_that_are_whol
 
 def test_decoys_count_as_wrong_answers_unless_they_are_right(places):
     encoder, problem = places
-    trainer = training.Trainer(encoder.recipe, problem, encoder._fresh_network(0, True), torch.device("cpu"))
+    network = encoder._fresh_network(0, True)
+    trainer = training.Trainer(encoder.recipe, problem, network, torch.device("cpu"), decoys=2)
     batch = problem.draw(4, noise_level("none"), np.random.default_rng(0)).batch(4, np.random.default_rng(1), 1e-3, 2)
     batch = dataclasses.replace(batch, counts=np.array([[True, True, False]] * 4))
     keys = trainer._keys(trainer.key_network, 1e-3)
     scores = trainer._scores(trainer._embed(batch), keys, batch).reshape(4, 3, len(problem))
     assert torch.isfinite(scores[:, :2]).all()
     assert (scores[:, 2] == -torch.inf).all()
-    assert trainer.decoys > 0
+    assert np.isfinite(trainer._step(batch, keys, 0, np.random.default_rng(2)))
+
+
+def test_decoys_change_what_is_learned_and_its_key(places):
+    encoder, problem = places
+    other = make(epochs=2, decoys=2)
+    other.fit(problem)
+    assert not same(encoder, other)
+    assert encoder.describe() != other.describe()
+    assert "decoys" not in encoder.describe()["options"], "keys are as before there were decoys"
 
 
 @pytest.mark.slow

@@ -35,6 +35,7 @@ from tactile_loc.plugins.encoders.moco.recipe import PRESETS, Recipe, Signal
 from tactile_loc.plugins.encoders.moco.training import Trainer, local_cuda
 
 PLANES = "planes"  # how many the input has, in the file of weights; without it, those of shapes that are wholly seen
+SMALLER = 4  # times smaller is a batch of touches that places are learned from: more and lighter steps learn faster
 NEUTRAL: dict[str, JsonValue] = {"neutral": True}
 
 
@@ -61,6 +62,9 @@ class MocoEncoder(Encoder):
         noise: NoiseLevel = Field(default="strong", description="noise of the touches to learn from")
         negatives: int = Field(
             default=0, ge=0, description="grid poses in the softmax a step, drawn; 0: the whole grid"
+        )
+        decoys: int = Field(
+            default=0, ge=0, le=15, description="of a whole object: views of each touch that is turned wrongly"
         )
         patience: int = Field(default=8, ge=1, description="epochs without a better validation before stopping early")
         seed: int = Field(default=0, ge=0, description="of all that is drawn in training")
@@ -89,7 +93,10 @@ class MocoEncoder(Encoder):
 
     def describe(self) -> dict[str, Any]:
         """Return what identifies the encoder's output: the whole recipe, not where it is computed."""
-        return {**super().describe(), "recipe": self.recipe.describe()}
+        described = super().describe()
+        if not self.options.decoys:
+            del described["options"]["decoys"]  # so what was learned before there were any is found
+        return {**described, "recipe": self.recipe.describe()}
 
     @property
     def device(self) -> torch.device:
@@ -109,8 +116,12 @@ class MocoEncoder(Encoder):
         """
         _require_memory(self.recipe, len(problem))
         _settle_threads()
-        network = self._fresh_network(self.options.seed, problem.partly_seen)
-        self._network = Trainer(self.recipe, problem, network, self.device, self.options.tensorboard).run()
+        recipe, options = self.recipe, self.options
+        if problem.partly_seen and options.batch is None:
+            recipe = recipe.changed(batch=max(2, recipe.batch // SMALLER))
+        network = self._fresh_network(options.seed, problem.partly_seen)
+        trainer = Trainer(recipe, problem, network, self.device, options.tensorboard, options.decoys)
+        self._network = trainer.run()
 
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
         """Return unit embeddings (N, D) of contact depths (N, H, W) in metres cut at `press_depth_m`."""

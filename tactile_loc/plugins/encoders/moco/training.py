@@ -120,7 +120,6 @@ log = logging.getLogger(__name__)
 
 VALIDATION_TOUCHES = 256
 VALIDATION_PRESSES = 4
-DECOYS = 3  # views of a touch that is turned wrongly, where touches are turned
 KEYS_AT_ONCE = 512
 
 
@@ -130,8 +129,9 @@ class Trainer:
 
     def __init__(
         self, recipe: Recipe, problem: TrainingProblem, network: Backbone, device: torch.device,
-        log_folder: str | None = None,
+        log_folder: str | None = None, decoys: int = 0,
     ) -> None:  # fmt: skip
+        """`decoys` is how many wrongly turned views of each touch there are, where touches are turned at all."""
         self.recipe, self.problem, self.device, self.log_folder = recipe, problem, device, log_folder
         self.crew = Crew(device)
         self.network = network.to(device)
@@ -139,10 +139,7 @@ class Trainer:
         self.optimizer = _optimizer(recipe, self.network)
         count = self.crew.share(recipe.queries)
         self.source = QuerySource(problem, noise_level(recipe.noise), count, recipe.seed, self.crew.rank)
-        self.batch, self.decoys = min(count, self.crew.share(recipe.batch)), 0
-        if problem.partly_seen:
-            self.decoys = DECOYS
-            self.batch = max(1, self.batch // (1 + DECOYS))
+        self.batch, self.decoys = min(count, self.crew.share(recipe.batch)), decoys
         self.steps = recipe.repeats * max(1, recipe.queries // recipe.batch)
         self.epoch, self.best, self.stale = 0, math.inf, 0
         self.best_weights = _weights(self.network)
