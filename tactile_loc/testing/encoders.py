@@ -187,19 +187,19 @@ def check_deterministic(encoder: Encoder) -> None:
 
 def check_learns_places(encoder: Encoder) -> None:
     """Trained on the places of a whole object, which touches show in part, it embeds what is seen of them."""
-    problem = place_training_problem()
-    encoder.fit(problem)
+    problem, learner = place_training_problem(), type(encoder)(encoder.options)  # the one given stays as trained
+    learner.fit(problem)
     press_m = float(problem.key_presses_m[-1])
     keys = np.concatenate(list(problem.clean_keys(press_m)))[:8]
-    whole, weights = encoder.encode_seen(keys, np.ones(keys.shape, bool), press_m, problem.geometry)
+    whole, weights = learner.encode_seen(keys, np.ones(keys.shape, bool), press_m, problem.geometry)
     require(whole.shape == weights.shape, f"embeddings {whole.shape} and weights {weights.shape} must have one shape")
     require(np.isfinite(whole).all(), "embeddings of places must be finite")
-    plain = encoder.encode(keys, press_m, problem.geometry)
+    plain = learner.encode(keys, press_m, problem.geometry)
     require_close(whole, plain, 1e-3 * _spread(plain), "places that are all seen must have the plain embeddings")
     seen = np.ones(keys.shape, bool)
     seen[:, :, : keys.shape[2] // 2] = False
     other = np.where(seen, keys, np.float32(0.5 * press_m))
-    (one, ones), (two, twos) = (encoder.encode_seen(some, seen, press_m, problem.geometry) for some in (keys, other))
+    (one, ones), (two, twos) = (learner.encode_seen(some, seen, press_m, problem.geometry) for some in (keys, other))
     require_close(one * ones, two * twos, 1e-3 * _spread(plain), "pixels that are not seen must change nothing")
 
 
