@@ -7,7 +7,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc_cli.console import progress, say
+from tactile_loc.core.errors import CalibrationError, ConfigError, SensorError
+from tactile_loc_cli.console import make_progress, say
 
 if TYPE_CHECKING:
     from tactile_loc.calibration.unlabelled import FoundPresses
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 SAME_SCALE = 1e-6
 
 
-def labelled(
+def label_presses(
     source: Path, sensor: str | None, ball_radius_mm: float | None, mm_per_px: float | None
 ) -> tuple[Path, Path, dict[str, Any]]:
     """Return the folder whose `presses.csv` lists the presses, the sensor's file, and what was found, for the result.
@@ -25,14 +26,13 @@ def labelled(
     """
     from tactile_loc.calibration.frames import frames_folder, read_frames
     from tactile_loc.calibration.presses import TABLE
-    from tactile_loc.core.errors import CalibrationError
 
     _require_lengths(ball_radius_mm, mm_per_px)
     folder = frames_folder(source) if os.path.isfile(source) else source
     if os.path.exists(folder / TABLE) or not os.path.exists(source):
         if ball_radius_mm is not None and os.path.exists(source):
             _use_table(folder, ball_radius_mm)
-        return folder, sensor_file(folder, sensor, mm_per_px, None), {}
+        return folder, find_sensor_file(folder, sensor, mm_per_px, None), {}
     if ball_radius_mm is None:
         raise CalibrationError(
             f"there is no table {folder / TABLE}; give --ball-radius and it is written from what the images show, "
@@ -46,15 +46,14 @@ def labelled(
             f"pixels, and give that as --mm-per-px, or describe the sensor in {folder / 'sensor.toml'}"
         )
     folder, frames = read_frames(source)
-    found = _find(folder, frames, _scale(folder, sensor, mm_per_px), ball_radius_mm)
-    return folder, sensor_file(folder, sensor, mm_per_px, frames[0].image.shape[:2]), found
+    found = _find_labels(folder, frames, _find_scale(folder, sensor, mm_per_px), ball_radius_mm)
+    return folder, find_sensor_file(folder, sensor, mm_per_px, frames[0].image.shape[:2]), found
 
 
 def _use_table(folder: Path, ball_radius_mm: float) -> None:
     """Say that the table is used, and what it lacks. Raises ConfigError when it is of balls of another radius."""
     from tactile_loc.calibration.frames import picture_names
     from tactile_loc.calibration.presses import TABLE, table_summary
-    from tactile_loc.core.errors import ConfigError
 
     names, radii_mm = table_summary(folder)
     other = next((mm for mm in radii_mm if not math.isclose(mm, ball_radius_mm, rel_tol=SAME_SCALE)), None)
@@ -68,10 +67,9 @@ def _use_table(folder: Path, ball_radius_mm: float) -> None:
     say(f"the labels in {folder / TABLE} are used as they are{more}")
 
 
-def _scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> float:
+def _find_scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> float:
     """The size of a pixel, mm, given or of the sensor's file. Raises ConfigError, SensorError; writes nothing."""
     from tactile_loc.calibration.presses import SENSOR
-    from tactile_loc.core.errors import SensorError
     from tactile_loc.io.sensor_files import read_sensor_file
 
     file = folder / SENSOR if sensor is None else Path(sensor)
@@ -84,7 +82,6 @@ def _scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> float:
 
 
 def _require_same_scale(file: Path, mm_per_px: float | None) -> None:
-    from tactile_loc.core.errors import ConfigError
     from tactile_loc.io.sensor_files import read_sensor_file
 
     scale = 1e3 * read_sensor_file(file).pixel_pitch_m
@@ -95,7 +92,7 @@ def _require_same_scale(file: Path, mm_per_px: float | None) -> None:
         )
 
 
-def sensor_file(folder: Path, sensor: str | None, mm_per_px: float | None, shape: tuple[int, int] | None) -> Path:
+def find_sensor_file(folder: Path, sensor: str | None, mm_per_px: float | None, shape: tuple[int, int] | None) -> Path:
     """Return the file that describes the sensor: the one given, the folder's, or one written to it from the scale.
 
     `shape` is the images' (rows, columns); it is read from the table's first image when it is None. Raises ConfigError
@@ -116,8 +113,6 @@ def sensor_file(folder: Path, sensor: str | None, mm_per_px: float | None, shape
 
 
 def _require_lengths(ball_radius_mm: float | None, mm_per_px: float | None) -> None:
-    from tactile_loc.core.errors import ConfigError
-
     for flag, value in (("--ball-radius", ball_radius_mm), ("--mm-per-px", mm_per_px)):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise ConfigError(f"{flag} is {value:g}; it must be a positive number of mm")
@@ -129,13 +124,13 @@ def _has_scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> boo
     return mm_per_px is not None or sensor is not None or (folder / SENSOR).exists()
 
 
-def _find(folder: Path, frames: list[Any], mm_per_px: float, ball_radius_mm: float) -> dict[str, Any]:
+def _find_labels(folder: Path, frames: list[Any], mm_per_px: float, ball_radius_mm: float) -> dict[str, Any]:
     from tactile_loc.calibration.frames import SHEET
     from tactile_loc.calibration.unlabelled import find_presses, press_depths_mm, write_labels
     from tactile_loc.drawing.labels import draw_labels
     from tactile_loc.drawing.pictures import save_figure
 
-    found = find_presses(frames, ball_radius_mm / mm_per_px, progress())
+    found = find_presses(frames, ball_radius_mm / mm_per_px, make_progress())
     least_mm, most_mm = press_depths_mm(found, ball_radius_mm, mm_per_px)
     table = write_labels(folder, found, ball_radius_mm, mm_per_px)
     title = f"{len(found.used)} of {len(found.presses)} presses are used"

@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.sensing.sensor_geometry import Drawing
 from tactile_loc.core.simulation.noise import NoiseLevel
-from tactile_loc.core.slots.registry import SLOTS
+from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
 from tactile_loc.io.toml import read_toml, toml_value
 from tactile_loc.store.files import recover_folder
 
@@ -59,6 +59,11 @@ class TouchConfig(_Strict):
     unit: Literal["m", "mm", "um"] | None = None
     press_depth_mm: float | None = None
     noise: NoiseLevel = "none"
+
+    @property
+    def press_depth_m(self) -> float | None:
+        """How deep the press was, metres; None where the file is to say it."""
+        return None if self.press_depth_mm is None else 1e-3 * self.press_depth_mm
 
 
 WHOLE = SlotConfig(name="whole")
@@ -121,8 +126,6 @@ class RunConfig(_Strict):
     @classmethod
     def from_dict(cls, values: dict[str, Any], source: str = "the configuration") -> RunConfig:
         """Validate nested values; raises ConfigError in one sentence that names `source` and what is allowed."""
-        from tactile_loc.core.slots.registry import validate_options
-
         unknown = set(values) - set(cls.model_fields)
         if unknown:
             key = sorted(unknown)[0]
@@ -131,11 +134,22 @@ class RunConfig(_Strict):
         result: RunConfig = validate_options(cls, values, f"configuration {source!r}")
         return result
 
+    def resolve(self) -> dict[str, Any]:
+        """Return every setting as JSON values, each component's options complete with their defaults.
+
+        Raises ConfigError when a component refuses its options.
+        """
+        settings = self.model_dump(mode="json")
+        for slot in SLOTS:
+            chosen = getattr(self, slot)
+            options = registry().load(slot, chosen.name).Options
+            complete = validate_options(options, chosen.options, f"{slot} {chosen.name!r}")
+            settings[slot] = {"name": chosen.name, "options": complete.model_dump(mode="json")}
+        return settings
+
 
 def kind_of_sensor(name: str) -> str | None:
     """Return the component that reads a sensor given by its path; None when it is the name of one."""
-    from tactile_loc.core.slots.registry import registry
-
     if name in registry().names("sensor"):
         return None
     if name.endswith(".toml"):

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.toml import PoseKeys, pose_from_keys, read_toml, toml_text, toml_value
-from tactile_loc.locate.result_json import resolved
 
 
 def test_angles_turn_about_fixed_axes_roll_first():
@@ -57,9 +56,9 @@ def test_it_is_read_as_the_same_configuration():
     config = RunConfig.from_dict(
         {"object": {"path": 'a "b"\\é.stl'}, "grid": {"name": "face", "tilt_deg": 3.5}, "top": 4, "seed": 9}
     )
-    text = toml_text(resolved(config))
+    text = toml_text(config.resolve())
     again = RunConfig.from_dict(tomllib.loads(text))
-    assert resolved(again) == resolved(config)
+    assert again.resolve() == config.resolve()
 
 
 @pytest.mark.parametrize(
