@@ -70,18 +70,17 @@ def _use_table(folder: Path, ball_radius_mm: float) -> None:
 def _find_scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> float:
     """The size of a pixel, mm, given or of the sensor's file. Raises ConfigError, SensorError; writes nothing."""
     from tactile_loc.calibration.presses import SENSOR
-    from tactile_loc.io.sensor_files import read_sensor_file
 
     file = folder / SENSOR if sensor is None else Path(sensor)
-    if file.exists() or mm_per_px is None or sensor is not None:
-        if not file.is_file():
-            raise SensorError(f"there is no {file}; describe the sensor in it (docs/sensors.md), or give --mm-per-px")
-        _require_same_scale(file, mm_per_px)
-        return 1e3 * read_sensor_file(file).pixel_pitch_m
-    return mm_per_px
+    if mm_per_px is not None and sensor is None and not file.exists():
+        return mm_per_px
+    if not file.is_file():
+        raise SensorError(f"there is no {file}; describe the sensor in it (docs/sensors.md), or give --mm-per-px")
+    return _read_scale(file, mm_per_px)
 
 
-def _require_same_scale(file: Path, mm_per_px: float | None) -> None:
+def _read_scale(file: Path, mm_per_px: float | None) -> float:
+    """The size of a pixel of the sensor's file, mm. Raises ConfigError when another is given."""
     from tactile_loc.io.sensor_files import read_sensor_file
 
     scale = 1e3 * read_sensor_file(file).pixel_pitch_m
@@ -90,6 +89,7 @@ def _require_same_scale(file: Path, mm_per_px: float | None) -> None:
             f"--mm-per-px is {mm_per_px:g}, but {file} says {scale:.6g}; correct one, or remove the file to have it "
             "written anew"
         )
+    return scale
 
 
 def find_sensor_file(folder: Path, sensor: str | None, mm_per_px: float | None, shape: tuple[int, int] | None) -> Path:
@@ -105,7 +105,7 @@ def find_sensor_file(folder: Path, sensor: str | None, mm_per_px: float | None, 
     if mm_per_px is None:
         return file
     if file.exists():
-        _require_same_scale(file, mm_per_px)
+        _read_scale(file, mm_per_px)
         return file
     if sensor is not None or not folder.is_dir():
         return file

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.io.versions import read_versions
+from tactile_loc.io.records import read_versions
 from tactile_loc.store.files import write_atomically
 
 Rows = Sequence[Sequence[str]]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from tactile_loc.core.errors import ResultError
 from tactile_loc.core.objects.mesh import ObjectModel
@@ -17,21 +17,16 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.registry import SLOTS, registry
 from tactile_loc.io.config import TouchConfig
 from tactile_loc.io.mount_files import Covariance
+from tactile_loc.io.records import Record, read_document, read_versions
 from tactile_loc.io.toml import Matrix
-from tactile_loc.io.versions import read_versions
 from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
-from tactile_loc.store.files import read_json, write_atomically
 
 SCHEMA_VERSION = 2
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class ObjectRecord(_Record):
+class ObjectRecord(Record):
     """The object that was located."""
 
     name: str = Field(description="the object's name")
@@ -42,7 +37,7 @@ class ObjectRecord(_Record):
     notes: list[str] = Field(description="what was guessed or looked doubtful on reading")
 
 
-class TouchRecord(_Record):
+class TouchRecord(Record):
     """The touch that was explained."""
 
     name: str = Field(description="the touch's name")
@@ -59,7 +54,7 @@ class TouchRecord(_Record):
     outlier: bool = Field(default=False, description="whether it contradicts the other touches, which agree")
 
 
-class HypothesisRecord(_Record):
+class HypothesisRecord(Record):
     """One distinct explanation of the touch."""
 
     rank: int = Field(description="1 is the most probable one")
@@ -89,7 +84,7 @@ class HypothesisRecord(_Record):
     error_m: float | None = Field(description="surface distance to the true pose, m; null when that is not known")
 
 
-class PoseSetRecord(_Record):
+class PoseSetRecord(Record):
     """Grid poses that hold the one nearest to the truth as often as asked for, by split conformal prediction."""
 
     coverage: float = Field(description="how probable it is that the set holds it, 0 to 1, as asked for")
@@ -101,7 +96,7 @@ class PoseSetRecord(_Record):
     )
 
 
-class ErrorRecord(_Record):
+class ErrorRecord(Record):
     """How far off the answer is: root mean square distance of surface, the least over the object's symmetry."""
 
     best_m: float = Field(description="of the first hypothesis, m")
@@ -109,7 +104,7 @@ class ErrorRecord(_Record):
     closest_in_grid_m: float = Field(description="of the grid pose nearest to the truth, m")
 
 
-class ResultRecord(_Record):
+class ResultRecord(Record):
     """The whole file."""
 
     schema_version: int = Field(
@@ -165,25 +160,6 @@ class ResultRecord(_Record):
         if not self.elsewhere:
             return f"{self.grid_poses} poses searched"
         return f"{self.grid_poses} poses found likely, {self.elsewhere:.0%} that it is at none of them"
-
-
-def write_record(path: str | Path, record: ResultRecord) -> Path:
-    """Write a record as JSON, atomically, and return the path. Raises OutputError when that is impossible."""
-    text = record.model_dump_json(indent=1) + "\n"
-    return write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def read_document(path: Path) -> dict[str, Any]:
-    """Return the table of keys that a result's JSON file holds. Raises ResultError when it holds none."""
-    try:
-        found = read_json(path)
-    except OSError as error:
-        raise ResultError(f"{path} cannot be read ({error.strerror or error})") from error
-    except ValueError as error:
-        raise ResultError(f"{path} is damaged: it is no JSON ({error}); make the result again") from error
-    if not isinstance(found, dict):
-        raise ResultError(f"{path} is no result: it holds a {type(found).__name__}, not a table of keys")
-    return found
 
 
 def read_record(path: Path) -> ResultRecord:

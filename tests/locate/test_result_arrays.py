@@ -16,6 +16,7 @@ from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.io.records import read_document
 from tactile_loc.locate.result_arrays import (
     ResultArrays,
     TouchArrays,
@@ -26,7 +27,7 @@ from tactile_loc.locate.result_arrays import (
     unpack_arrays,
     write_arrays,
 )
-from tactile_loc.locate.result_json import read_document, read_record
+from tactile_loc.locate.result_json import read_record
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.slots.registry import registry
+from tactile_loc.core.slots.registry import SLOTS, registry
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
@@ -114,7 +114,8 @@ def evaluate(
     from tactile_loc.io.config import LISTED
 
     numbers = None if contacts is None else parse_contacts(contacts)
-    grid = grid or (None if _read_grid(given.config) else LISTED.name)  # the protocol compares with all poses
+    if not _read_setting(given.config, "grid", "name"):
+        grid = grid or LISTED.name  # the protocol compares with all poses
     given = dataclasses.replace(given, noise=noise, grid=grid)
     source = _choose_touches(given, touches, seed)
     jobs = _list_jobs(given, object, encoder, source)
@@ -167,7 +168,8 @@ def _list_jobs(
     from tactile_loc.io.config import parse_overrides, parse_settings
     from tactile_loc.io.meshes import load_object
 
-    paths = objects or _read_names(_read_settings(given.config).get("object"), "path") or list(DEMO_OBJECTS)
+    in_file = _read_setting(given.config, "object", "path")
+    paths = objects or ([in_file] if in_file else list(DEMO_OBJECTS))
     if given.symmetry is not None and len(paths) > 1:
         raise ConfigError("--symmetry is of one object; give one --object with it")
     words = list(given.option or [])
@@ -195,7 +197,7 @@ def _choose_touches(given: RunOptions, kind: TouchKind, seed: int) -> SimulatedT
 
     images = kind is TouchKind.IMAGES
     default = "none" if images else DEFAULT_NOISE
-    noise = given.noise or (_read_names(_read_settings(given.config).get("touch"), "noise") or [default])[0]
+    noise = given.noise or _read_setting(given.config, "touch", "noise") or default
     return SimulatedTouches(str(noise), seed, images)
 
 
@@ -212,21 +214,13 @@ def _choose_options(
     return [word for word in words if not any(word.replace(" ", "").startswith(f"encoder.{o}=") for o in foreign)]
 
 
-def _read_settings(path: Path | None) -> dict[str, Any]:
+def _read_setting(path: Path | None, table: str, key: str) -> str | None:
+    """What a configuration file says of a table's key, if it does; a slot may be its component's name alone."""
     from tactile_loc.io.toml import read_toml
 
-    return {} if path is None else read_toml(path)
-
-
-def _read_grid(path: Path | None) -> list[str]:
-    """The grid that a configuration file names, if it does."""
-    grid = _read_settings(path).get("grid")
-    return [grid] if isinstance(grid, str) else _read_names(grid, "name")
-
-
-def _read_names(table: Any, key: str) -> list[str]:
-    """What a configuration file's table says of a key, if it does."""
-    return [table[key]] if isinstance(table, dict) and isinstance(table.get(key), str) else []
+    found = {} if path is None else read_toml(path).get(table, {})
+    value = found.get(key) if isinstance(found, dict) else found if table in SLOTS else None
+    return value if isinstance(value, str) else None
 
 
 def _require_names(jobs: Sequence[tuple[RunConfig, ObjectModel]]) -> None:

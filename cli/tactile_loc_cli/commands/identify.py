@@ -45,9 +45,10 @@ def identify(
     Each object's model is built the first time and kept. The exit code is 1 if the touches are more probably of none of
     these objects than of any.
     """
+    from tactile_loc.io.records import write_record
     from tactile_loc.store.store import StageStore
     from tactile_loc.tasks.identify import identify as identify_touches
-    from tactile_loc.tasks.identify_files import identification_record, read_library, write_identification
+    from tactile_loc.tasks.identify_files import identification_record, read_library
     from tactile_loc_cli.results import say_identification
 
     settings = options.make_config(replace(given, touch=touch))
@@ -56,7 +57,7 @@ def identify(
     touches = [one for _, one in options.read_touches(library.models[0], Path(touch))]
     record = identification_record(identify_touches(touches, library, located), [one.name for one in touches])
     say_identification(record)
-    written = say_written([write_identification(out / "identification.json", record)])
+    written = say_written([write_record(out / "identification.json", record)])
     result = {**record.model_dump(mode="json"), "written": written}
     if record.identified is None:
         raise Finding(NONE_OF_THESE, result)

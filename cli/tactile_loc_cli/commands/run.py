@@ -142,9 +142,10 @@ def _report(
 ) -> dict[str, Any]:
     """Show the result, write it (result.json, .npz, .png and, if asked for, the page), and return it and the paths."""
     from tactile_loc.drawing.pictures import draw_result, save_figure
+    from tactile_loc.io.records import write_record
     from tactile_loc.locate.doubts import list_doubts
     from tactile_loc.locate.result_arrays import NAME, gather_arrays, write_arrays
-    from tactile_loc.locate.result_json import make_record, write_record
+    from tactile_loc.locate.result_json import make_record
     from tactile_loc_cli.results import make_title, say_result
 
     localizer = observations[0][0]
@@ -222,7 +223,8 @@ def _warn_of_doubtful(names: list[str]) -> None:
 def _write(localizer: Localizer, localization: Localization, folder: Path, picture: bool) -> ResultRecord:
     """Write one touch's result, and return it."""
     from tactile_loc.drawing.pictures import draw_result, save_figure
-    from tactile_loc.locate.result_json import make_record, write_record
+    from tactile_loc.io.records import write_record
+    from tactile_loc.locate.result_json import make_record
     from tactile_loc_cli.results import make_title
 
     record = make_record(localizer, localization)
