@@ -31,9 +31,10 @@ def say(text: str = "") -> None:
 
 
 def say_written(paths: Iterable[Path]) -> list[str]:
-    """Write which files were written, and return their paths as JSON values."""
+    """Write which files were written, if any, and return their paths as JSON values."""
     written = [str(path) for path in paths]
-    say(f"written: {', '.join(written)}")
+    if written:
+        say(f"written: {', '.join(written)}")
     return written
 
 
