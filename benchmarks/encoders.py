@@ -55,7 +55,7 @@ def measure(obj: ObjectModel, arguments: argparse.Namespace) -> tuple[dict[str, 
         localizer = Localizer(config_for(arguments, settings, spacing_mm), obj, store)
         row["poses"] = localizer.model.size
         start = time.perf_counter()
-        localizer.matcher(localizer.scene.geometry.max_depth_m)
+        localizer.listed.matcher(localizer.scene.geometry.max_depth_m)
         if any(key.stage == "encoder" for key in store.built):
             row["train_s"] = time.perf_counter() - start
             _note(arguments.out, obj.name, row["train_s"])

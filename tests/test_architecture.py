@@ -53,9 +53,9 @@ def test_every_room_has_a_place():
 
 def test_every_import_is_seen_also_late_ones_and_those_for_type_checkers(tmp_path):
     types = "if TYPE_CHECKING:\n    from tactile_loc.io import toml\n"
-    (tmp_path / "some.py").write_text(f"{types}def late():\n    import tactile_loc.core.poses.metric, numpy\n")
+    (tmp_path / "some.py").write_text(f"{types}def late():\n    import tactile_loc.core.poses.metric.metric, numpy\n")
     seen = {(i.line, i.imported) for i in rooms._imports_of("some", tmp_path / "some.py")}
-    assert seen == {(2, "tactile_loc.io.toml"), (4, "tactile_loc.core.poses.metric"), (4, "numpy")}
+    assert seen == {(2, "tactile_loc.io.toml"), (4, "tactile_loc.core.poses.metric.metric"), (4, "numpy")}
 
 
 def test_arrows_point_down(ours):

@@ -24,11 +24,11 @@ def label_presses(
     A table that is there is taken as it is; otherwise the ball is looked for, the table is written, and the sheet
     `labels.png` beside it. Raises CalibrationError, ConfigError or SensorError.
     """
-    from tactile_loc.calibration.frames import frames_folder, read_frames
+    from tactile_loc.calibration.frames import name_frames_folder, read_frames
     from tactile_loc.calibration.presses import TABLE
 
     _require_lengths(ball_radius_mm, mm_per_px)
-    folder = frames_folder(source) if os.path.isfile(source) else source
+    folder = name_frames_folder(source) if os.path.isfile(source) else source
     if os.path.exists(folder / TABLE) or not os.path.exists(source):
         if ball_radius_mm is not None and os.path.exists(source):
             _use_table(folder, ball_radius_mm)
@@ -52,17 +52,17 @@ def label_presses(
 
 def _use_table(folder: Path, ball_radius_mm: float) -> None:
     """Say that the table is used, and what it lacks. Raises ConfigError when it is of balls of another radius."""
-    from tactile_loc.calibration.frames import picture_names
-    from tactile_loc.calibration.presses import TABLE, table_summary
+    from tactile_loc.calibration.frames import list_pictures
+    from tactile_loc.calibration.presses import TABLE, summarize_table
 
-    names, radii_mm = table_summary(folder)
+    names, radii_mm = summarize_table(folder)
     other = next((mm for mm in radii_mm if not math.isclose(mm, ball_radius_mm, rel_tol=SAME_SCALE)), None)
     if other is not None:
         raise ConfigError(
             f"--ball-radius is {ball_radius_mm:g}, but {folder / TABLE} has a ball of {other:g} mm; correct one, or "
             "remove the table to have the balls looked for again"
         )
-    new = len(picture_names(folder) - names)
+    new = len(list_pictures(folder) - names)
     more = f"; {new} other images are not in it: remove it to have the balls looked for again" if new else ""
     say(f"the labels in {folder / TABLE} are used as they are{more}")
 
@@ -126,12 +126,12 @@ def _has_scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> boo
 
 def _find_labels(folder: Path, frames: list[Any], mm_per_px: float, ball_radius_mm: float) -> dict[str, Any]:
     from tactile_loc.calibration.frames import SHEET
-    from tactile_loc.calibration.unlabelled import find_presses, press_depths_mm, write_labels
+    from tactile_loc.calibration.unlabelled import estimate_depths_mm, find_presses, write_labels
     from tactile_loc.drawing.labels import draw_labels
     from tactile_loc.drawing.pictures import save_figure
 
     found = find_presses(frames, ball_radius_mm / mm_per_px, make_progress())
-    least_mm, most_mm = press_depths_mm(found, ball_radius_mm, mm_per_px)
+    least_mm, most_mm = estimate_depths_mm(found, ball_radius_mm, mm_per_px)
     table = write_labels(folder, found, ball_radius_mm, mm_per_px)
     title = f"{len(found.used)} of {len(found.presses)} presses are used"
     sheet = save_figure(folder / SHEET, draw_labels(found, title))

@@ -180,6 +180,7 @@ Store = Annotated[
 def make_config(given: RunOptions) -> RunConfig:
     """Merge options over the configuration file that they name, if any. Raises ConfigError for unknown settings."""
     from tactile_loc.io.config import WHOLE, RunConfig, parse_overrides, parse_settings
+    from tactile_loc.io.options import TUNABLE
     from tactile_loc.io.toml import read_toml
 
     settings = {} if given.config is None else read_toml(given.config)
@@ -192,7 +193,9 @@ def make_config(given: RunOptions) -> RunConfig:
         settings[name] = {**_require_table(settings.get(name, {}), name), **_drop_none(table)}
     zero = [] if given.zero is None else [f"sensor.zero={json.dumps(str(given.zero))}"]
     plain, words = parse_settings([*(given.option or []), *zero])
-    overrides = parse_overrides(words)
+    overrides = parse_overrides(words, (*SLOTS, *TUNABLE))
+    for name in TUNABLE:
+        settings[name] = {**_require_table(settings.get(name, {}), name), **overrides.get(name, {})}
     grid = WHOLE.name
     for slot in sorted(SLOTS, key=lambda slot: slot != "grid"):  # what suits it is known then
         settings[slot] = _merge_component(slot, settings.get(slot), getattr(given, slot), overrides.get(slot, {}), grid)
@@ -219,12 +222,12 @@ def _merge_component(slot: str, in_file: Any, flag: str | None, overrides: dict[
 
     What neither gives is the default with the `grid` of that name.
     """
-    from tactile_loc.io.config import default_component, kind_of_sensor
+    from tactile_loc.io.config import choose_component, find_sensor_kind
 
     given: dict[str, Any] = {"name": in_file} if isinstance(in_file, str) else {**_require_table(in_file or {}, slot)}
     given |= given.pop("options", {}) if isinstance(given.get("options"), dict) else {}
     if "name" not in given and flag is None:
-        default = default_component(slot, grid)
+        default = choose_component(slot, grid)
         given = {"name": default.name, **default.options, **given}
     if slot == "sensor" and flag is not None:
         _warn_of_namesake(flag)
@@ -232,7 +235,7 @@ def _merge_component(slot: str, in_file: Any, flag: str | None, overrides: dict[
         given = {}
     if flag is not None:
         given["name"] = flag
-    if slot == "sensor" and (kind := kind_of_sensor(str(given["name"]))):
+    if slot == "sensor" and (kind := find_sensor_kind(str(given["name"]))):
         given = {**given, "name": kind, "path": given["name"]}
     return {**given, **overrides}
 

@@ -26,8 +26,8 @@ def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Se
     rows: NDArray[Any] = figure.subplots(len(shown), 4, squeeze=False)
     extent = extent_mm(estimator.geometry)
     for row, number in zip(rows, shown, strict=True):
-        image, label = presses.press(number)
-        found_mm, known_mm = 1e3 * estimator.indentation(image), 1e3 * label.indentation_m
+        image, label = presses.read_press(number)
+        found_mm, known_mm = 1e3 * estimator.read_indentation(image), 1e3 * label.indentation_m
         if not label.absolute:  # how deep the visible circle lies is taken from the estimate
             known_mm = np.where(label.contact, known_mm + (found_mm - known_mm)[label.contact].mean(), known_mm)
         deepest = float(max(found_mm.max(), known_mm.max()))

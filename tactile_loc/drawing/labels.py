@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.calibration.circles import colour_change
+from tactile_loc.calibration.circles import compare_colours
 from tactile_loc.calibration.unlabelled import FoundPress, FoundPresses
 from tactile_loc.drawing.pictures import make_figure
 
@@ -41,7 +41,7 @@ def draw_labels(found: FoundPresses, title: str) -> Figure:
     tiles[0].imshow(found.untouched)
     names = ", ".join(found.untouched_names) or "pieced together"
     tiles[0].set_title(f"untouched gel\n{_short(names)}", size=7.5)
-    changes = [colour_change(press.frame.image, found.untouched) for press in found.presses]
+    changes = [compare_colours(press.frame.image, found.untouched) for press in found.presses]
     amplified = 127 / max(1.0, float(np.median([np.quantile(np.abs(change), STRONG) for change in changes])))
     for axes, press, change in zip(tiles[1:], found.presses, changes, strict=False):
         _draw_press(axes, press, np.clip(128 + amplified * change, 0, 255).astype(np.uint8))

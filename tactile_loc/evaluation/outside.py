@@ -1,7 +1,7 @@
 """What a robot meets and a model does not know: parts that are not quite their mesh, and noise of another kind.
 
 A scan is off by smooth errors along its normals, and a mesh for simulation has lost its small faces. `UnseenNoise` has
-nothing of what `tactile_loc.core.simulation.noise` draws and encoders and probabilities are fitted to.
+nothing of what `tactile_loc.core.simulation.touch_simulation.noise` draws and encoders and probabilities are fitted to.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.simulation.noise import Float32, Gel, TouchNoise
-from tactile_loc.io.meshes import simplified
+from tactile_loc.io.meshes import simplify_mesh
 
 Float64 = NDArray[np.float64]
 
@@ -82,7 +82,7 @@ def decimated(mesh: TriangleMesh, rms_m: float, rng: np.random.Generator) -> Tri
         if many - few < 2:
             break
         count = (few + many) // 2
-        less = simplified(whole, count)
+        less = simplify_mesh(whole, count)
         if len(less.faces) > 3 and _rms_distance(points, less) <= rms_m:
             many, best = count, less
         else:

@@ -51,21 +51,21 @@ class ShapeBank:
     @property
     def kept(self) -> NDArray[np.int64]:
         """The indices (K,) of the contact grid's poses that make enough contact."""
-        return self.artifact.array("kept")
+        return self.artifact.load_array("kept")
 
     def shards(self, press_depth_m: float | None = None) -> Iterator[NDArray[np.float32]]:
         """Yield contact depths (S, H, W), S > 0, in metres, cut at `press_depth_m`, in the grid's order."""
         press = np.float32(self.max_depth_m if press_depth_m is None else press_depth_m)
-        for number, size in enumerate(self.artifact.json("sizes")):
+        for number, size in enumerate(self.artifact.load_json("sizes")):
             if size:  # of a whole shard perhaps no pose makes enough contact
-                yield self._decoded(self.artifact.array(_shard_name(number)), press)
+                yield self._decoded(self.artifact.load_array(_shard_name(number)), press)
 
     def shape(self, index: int, press_depth_m: float) -> NDArray[np.float32]:
         """Return the contact depth (H, W) in metres of one pose of the grid, cut at `press_depth_m`."""
-        ends = np.cumsum(self.artifact.json("sizes"))
+        ends = np.cumsum(self.artifact.load_json("sizes"))
         number = int(np.searchsorted(ends, index, side="right"))
         start = int(ends[number - 1]) if number else 0
-        code = self.artifact.array(_shard_name(number))[index - start]
+        code = self.artifact.load_array(_shard_name(number))[index - start]
         return self._decoded(code, np.float32(press_depth_m))
 
     def _decoded(self, codes: NDArray[np.uint16], press_depth_m: np.float32) -> NDArray[np.float32]:
@@ -93,7 +93,7 @@ def build_model(scene: Scene, sampler: GridSampler, store: StageStore, progress:
     artifact = store.build(
         grid, lambda work: work.save_array("T_sensor_object", _grid(scene, sampler, progress), packed=True)
     )
-    contact = PoseGrid(np.array(artifact.array("T_sensor_object")), PoseMetric(scene.object))
+    contact = PoseGrid(np.array(artifact.load_array("T_sensor_object")), PoseMetric(scene.object))
     key = shapes_key(grid, scene)
     percent = sampler.options.min_contact_percent
     rendered = store.build(key, lambda work: _render_all(work, contact, scene, percent, progress))
@@ -131,7 +131,7 @@ def build_bank(
         # vectors of what is mostly empty, unless they were learned
         work.save_array("bank", np.concatenate(rows), packed=not encoder.capabilities.needs_training)
 
-    return np.asarray(store.build(bank_key(model.key, encoder, press_depth_m, trained), encode).array("bank"))
+    return np.asarray(store.build(bank_key(model.key, encoder, press_depth_m, trained), encode).load_array("bank"))
 
 
 def _pressed_shapes(model: ObjectPoseModel, pressed: Scene) -> Iterator[NDArray[np.float32]]:
@@ -229,5 +229,5 @@ def train_encoder(
     if rank() > 0 and store.get(key) is None:  # the first process holds the lock, and waits for this one in `fit`
         encoder.fit(TrainingProblem(model.grid, scene, sampler, model.shapes.shards, progress))
     else:
-        encoder.load_weights(store.build(key, fit).file(WEIGHTS))
+        encoder.load_weights(store.build(key, fit).find_file(WEIGHTS))
     return key.digest

@@ -21,10 +21,10 @@ from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.objects.mesh import TriangleMesh, check_surface
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.io.arrays import load_npz
-from tactile_loc.io.meshes import simplified
+from tactile_loc.io.images import load_npz
+from tactile_loc.io.meshes import simplify_mesh
 from tactile_loc.locate.result_json import ResultRecord
-from tactile_loc.store.files import json_value, write_atomically
+from tactile_loc.store.files import parse_json, write_atomically
 
 if TYPE_CHECKING:
     from tactile_loc.core.poses.posterior import PosePosterior
@@ -106,7 +106,7 @@ def _round(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def reduce_mesh(mesh: TriangleMesh) -> TriangleMesh:
     """Return a surface as pages draw it: decimated if it has more than MOST_FACES faces."""
-    return mesh if len(mesh.faces) <= MOST_FACES else simplified(mesh, MOST_FACES)
+    return mesh if len(mesh.faces) <= MOST_FACES else simplify_mesh(mesh, MOST_FACES)
 
 
 def find_most_probable(posterior: PosePosterior, most: int = MOST_POSES) -> NDArray[np.int64]:
@@ -190,7 +190,7 @@ def _pack_touch(touch: TouchArrays) -> dict[str, NDArray[Any]]:
 
 
 def _unpack_touch(arrays: dict[str, NDArray[Any]]) -> TouchArrays:
-    camera = json_value(str(arrays["geometry"]))
+    camera = parse_json(str(arrays["geometry"]))
     if camera["rectangle_m"] is not None:
         camera["rectangle_m"] = tuple(camera["rectangle_m"])
     geometry = SensorGeometry(**camera, observed=arrays.get("observed"), relief_m=arrays.get("relief_m"))

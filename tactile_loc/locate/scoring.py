@@ -14,6 +14,7 @@ from tactile_loc.core.slots.encoder import Encoder
 from tactile_loc.core.slots.matcher import Matcher
 
 Scores = NDArray[np.float32]
+NewMatcher = Callable[[], Matcher]
 
 PRESS_STEP_M = 1e-4  # banks are made for press depths in these steps
 MOST_MATCHERS = 8  # as many are kept in memory, the last used
@@ -27,7 +28,7 @@ class GridScores:
     """
 
     def __init__(
-        self, encoder: Encoder, new_matcher: Callable[[], Matcher], bank: Callable[[float], Any], max_depth_m: float
+        self, encoder: Encoder, new_matcher: NewMatcher, bank: Callable[[float], Any], max_depth_m: float
     ) -> None:
         self.encoder, self.new_matcher, self.bank, self.max_depth_m = encoder, new_matcher, bank, max_depth_m
         self._matchers: dict[float, Matcher] = {}

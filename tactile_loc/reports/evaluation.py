@@ -13,7 +13,7 @@ from tactile_loc.core.formatting import mm
 from tactile_loc.evaluation import fusion_tables, tables
 from tactile_loc.evaluation.posterior_metrics import LEVELS
 from tactile_loc.io.records import read_document
-from tactile_loc.io.toml import toml_text
+from tactile_loc.io.toml import format_toml
 from tactile_loc.reports.page import Page, Section, damage_named, require_finite
 from tactile_loc.reports.pictures import gallery_picture
 
@@ -62,7 +62,7 @@ def _made(document: Mapping[str, Any], names: Sequence[str]) -> Section:
         (
             name,
             f"{name}: {run['grid_poses']} grid poses, symmetry {run['symmetry']}, encoder {run['encoder']}",
-            toml_text(run.get("configuration", {})),
+            format_toml(run.get("configuration", {})),
         )
         for run, name in zip(document["runs"], names, strict=True)
     ]

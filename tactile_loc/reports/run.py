@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import millimetres, percent
 from tactile_loc.core.geometry.rigid import format_pose
-from tactile_loc.io.toml import toml_text
+from tactile_loc.io.toml import format_toml
 from tactile_loc.locate.doubts import list_doubts
 from tactile_loc.locate.result_arrays import NAME, ResultArrays, TouchArrays, read_arrays
 from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord, TouchRecord, read_record
@@ -216,6 +216,6 @@ def _made(record: ResultRecord) -> dict[str, Any]:
     return {
         "object": f"{obj.name}: {size} mm, {obj.triangles} triangles, symmetry {obj.symmetry}, read from {obj.source}.",
         "components": components,
-        "configuration": toml_text(record.configuration),
+        "configuration": format_toml(record.configuration),
         "versions": list(record.versions.items()),
     }

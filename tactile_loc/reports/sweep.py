@@ -10,7 +10,7 @@ from typing import Any
 
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.io.records import read_document
-from tactile_loc.io.toml import toml_text
+from tactile_loc.io.toml import format_toml
 from tactile_loc.reports.page import Page, Section, damage_named, require_finite
 
 FACTORS = ("object", *SLOTS, "noise", "seed", "count")  # and every "slot.option": what a combination is made of
@@ -168,7 +168,7 @@ def _made(document: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
     return {
         "same": [(c, str(first[c])) for c in first if is_factor(c) and c not in factors and first[c] is not None],
         "built": [(stage, count) for stage, count in built.items() if isinstance(count, int)],
-        "plan": toml_text(plan),
+        "plan": format_toml(plan),
         "versions": list(versions.items()),
     }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import translation
 from tactile_loc.core.objects.mesh import TriangleMesh
@@ -12,7 +13,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import contact_depth
 from tactile_loc.core.slots.component import Capabilities, Float32
 from tactile_loc.core.slots.encoder import Encoder
-from tactile_loc.testing.contract import Check, Untouched, require, require_close
+from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
 from tactile_loc.testing.problems import (
     LOPSIDED_CAMERAS,
     ReferenceRenderer,
@@ -33,7 +34,8 @@ def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for an encoder of these capabilities; one that needs training is passed trained."""
     chosen: list[Check] = [check_output, check_batch_is_singles, check_shapes_untouched, check_distances_order_poses,
                            check_press_depth_marks_no_contact, check_light_press_finds_its_pose,
-                           check_image_size, check_ignores_masked_pixels, check_unseen_pixels]  # fmt: skip
+                           check_image_size, check_ignores_masked_pixels, check_unseen_pixels,
+                           check_seen_output, check_seen_part_finds_its_pose]  # fmt: skip
     return [*chosen, check_deterministic] if capabilities.deterministic else chosen
 
 
@@ -134,12 +136,43 @@ def check_unseen_pixels(encoder: Encoder) -> None:
     whole, weights = encoder.encode_seen(shapes, np.ones(shapes.shape, bool), PRESS_M, CAMERA)
     require_close(whole, plain, 1e-3 * _spread(plain), "of shapes that are all seen embeddings must be the plain ones")
     require_close(weights, np.ones_like(plain), 1e-6, "what is all seen must have weights of one")
-    seen = np.ones(shapes.shape, bool)
-    seen[:, :, : shapes.shape[2] // 3] = False
+    seen = _partly_seen(shapes)
     other = np.where(seen, shapes, np.float32(0.3 * PRESS_M))
     (one, ones), (two, twos) = (encoder.encode_seen(some, seen, PRESS_M, CAMERA) for some in (shapes, other))
     require_close(one * ones, two * twos, 1e-3 * _spread(plain), "pixels that are not seen must change nothing")
     require_close(ones, twos, 1e-6, "weights must depend on what is seen, not on what is there")
+
+
+def check_seen_output(encoder: Encoder) -> None:
+    """`encode_seen` returns embeddings and weights, both as embeddings are, weights from 0 to 1; inputs stay."""
+    shapes = _shapes()
+    form = encoder.encode(shapes, PRESS_M, CAMERA).shape
+    for seen in (_partly_seen(shapes), np.zeros(shapes.shape, bool)):
+        before = Untouched(depth_m=shapes, seen=seen)
+        answer = encoder.encode_seen(shapes, seen, PRESS_M, CAMERA)
+        before.require()
+        pair = isinstance(answer, tuple) and len(answer) == 2
+        require(pair, "encode_seen must return two arrays, embeddings and their weights")
+        for what, array in zip(("the embeddings", "the weights"), answer, strict=True):
+            require_array(array, form, np.float32, f"{what} of partly seen shapes")
+            require(np.isfinite(array).all(), f"{what} of partly seen shapes must be finite")
+        require((answer[1] >= 0).all() and (answer[1] <= 1).all(), "weights must be from 0, not known, to 1, known")
+
+
+def check_seen_part_finds_its_pose(encoder: Encoder) -> None:
+    """Of a shape of which a part is not seen, its own pose has the best weighted score: a touch at the field's edge."""
+    shapes = _shapes()
+    bank = encoder.encode(shapes, PRESS_M, CAMERA)
+    queries, weights = encoder.encode_seen(shapes, _partly_seen(shapes), PRESS_M, CAMERA)
+    found = (weights[:, None] * (queries[:, None] - bank[None]) ** 2).sum(axis=-1).argmin(axis=1)
+    require(_is_order(found), f"a partly seen shape must find its own pose; the nearest rows are {found.tolist()}")
+
+
+def _partly_seen(shapes: Float32) -> NDArray[np.bool_]:
+    """Which pixels (N, H, W) are seen: all but the left sixth."""
+    seen = np.ones(shapes.shape, bool)
+    seen[:, :, : shapes.shape[2] // 6] = False
+    return seen
 
 
 def check_deterministic(encoder: Encoder) -> None:

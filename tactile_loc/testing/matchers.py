@@ -6,8 +6,9 @@ import numpy as np
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.slots.component import Capabilities, Float32
+from tactile_loc.core.slots.interface import WEIGHTS_CHANGE, takes_weights
 from tactile_loc.core.slots.matcher import Matcher
-from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
+from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_array, require_close
 from tactile_loc.testing.properties import hold, orders, signed, whole
 
 ROWS, QUERIES, DIMENSION = 1200, 4, 12
@@ -18,14 +19,23 @@ TOLERANCE = 1e-4  # of squared lengths near one
 def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for a matcher of these capabilities."""
     chosen: list[Check] = [check_output, check_definition, check_best_row_is_found, check_row_order,
-                           check_query_order, check_index_replaces, check_single_row, check_weights,
+                           check_query_order, check_index_replaces, check_single_row,
                            check_bank_and_queries_untouched]  # fmt: skip
+    if capabilities.weights:
+        chosen.append(check_weights)
     return [*chosen, check_deterministic] if capabilities.deterministic else chosen
 
 
 def properties(capabilities: Capabilities) -> list[Check]:
     """Return what holds of any matcher, whatever is drawn: see `tactile_loc.testing.properties`."""
-    return [property_row_order, property_query_order, property_equal_rows, property_turned_space, property_scale]
+    chosen: list[Check] = [
+        property_row_order,
+        property_query_order,
+        property_equal_rows,
+        property_turned_space,
+        property_scale,
+    ]
+    return [*chosen, property_unknown_numbers] if capabilities.weights else chosen
 
 
 def check_output(matcher: Matcher) -> None:
@@ -94,21 +104,22 @@ def check_single_row(matcher: Matcher) -> None:
 
 
 def check_weights(matcher: Matcher) -> None:
-    """`weighted_scores` are -1/2 sum w (q - b)^2, the plain scores where all weights are one, or a ConfigError."""
+    """With weights a score is -1/2 sum w (query - row)^2, and the best row is found; weights of one change nothing."""
+    require(takes_weights(matcher), f"scores takes no weights; {WEIGHTS_CHANGE}, or declare weights=False")
     bank, queries = _bank(), _queries()
-    weights = np.random.default_rng(5).integers(0, 2, queries.shape).astype(np.float32)
-    matcher.index(bank)
-    plain = matcher.weighted_scores(queries, np.ones_like(queries))
+    plain = _weighted(matcher, bank, queries, np.ones_like(queries))
     looked = np.isfinite(plain)
     require_close(plain[looked], _truth(bank, queries)[looked], TOLERANCE, "weights of one must give the plain scores")
-    try:
-        found = matcher.weighted_scores(queries, weights)
-    except ConfigError:
-        return
-    difference = queries[:, None].astype(float) - bank
-    truth = -0.5 * np.einsum("md,mnd->mn", weights, difference**2)
+    weights = _weights()
+    queries[weights == 0] += 3  # what is not known may be anything
+    before = Untouched(queries=queries, weights=weights)
+    found, truth = _weighted(matcher, bank, queries, weights), _truth(bank, queries, weights)
+    before.require()
     looked = np.isfinite(found)
     require_close(found[looked], truth[looked], TOLERANCE, "a weighted score must be -1/2 sum w (query - row)^2")
+    best, true_best = found.argmax(axis=1), truth.argmax(axis=1)
+    require((best == true_best).all(), f"of weighted queries the best rows are {true_best.tolist()}, but "
+            f"{best.tolist()} have the highest scores")  # fmt: skip
 
 
 def check_bank_and_queries_untouched(matcher: Matcher) -> None:
@@ -185,6 +196,19 @@ def property_scale(matcher: Matcher) -> None:
     hold(claim, k=signed(6).filter(bool))
 
 
+def property_unknown_numbers(matcher: Matcher) -> None:
+    """What a query says where its weight is zero changes no score, to rounding, however wrong it is."""
+    weights = _weights()
+    plain = _weighted(matcher, _some(), _queries(), weights)
+
+    def claim(seed: int) -> None:
+        wrong = np.random.default_rng(seed).normal(size=weights.shape).astype(np.float32)
+        queries = np.where(weights > 0, _queries(), wrong)
+        _require_alike(matcher.scores(queries, weights), plain, "numbers of weight zero must change nothing")
+
+    hold(claim, seed=whole(0, 999))
+
+
 def _some() -> Float32:
     return _bank()[:FEWER_ROWS]
 
@@ -213,6 +237,22 @@ def _queries() -> Float32:
     return (_bank()[[5, 700, 23, 1100]] + noise).astype(np.float32)
 
 
-def _truth(bank: Float32, queries: Float32) -> np.ndarray:
+def _weights() -> Float32:
+    """Weights (M, D) of the queries: a third are zero, a third one, the rest between."""
+    drawn = np.random.default_rng(5).uniform(-1, 2, size=(QUERIES, DIMENSION))
+    return np.clip(drawn, 0, 1).astype(np.float32)
+
+
+def _weighted(matcher: Matcher, bank: Float32, queries: Float32, weights: Float32) -> Float32:
+    matcher.index(bank)
+    try:
+        scores = matcher.scores(queries, weights)
+    except ConfigError as error:
+        raise ContractError(f"scores must take weights, or weights=False be declared, but it said: {error}") from error
+    require_array(scores, (len(queries), len(bank)), np.float32, "the scores of weighted queries")
+    return scores
+
+
+def _truth(bank: Float32, queries: Float32, weights: Float32 | None = None) -> np.ndarray:
     difference = queries[:, None].astype(float) - bank[None].astype(float)
-    return -0.5 * (difference**2).sum(axis=-1)
+    return -0.5 * np.einsum("md,mnd->mn", np.ones_like(queries) if weights is None else weights, difference**2)

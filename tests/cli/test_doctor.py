@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from cli_helpers import HANGS_S
+from message_helpers import missing
 from tactile_loc_cli.doctor import checks
 from tactile_loc_cli.doctor.checks import LIBRARIES, Check, Library, Probe, State, attempt, examine
 
@@ -66,7 +67,7 @@ def test_a_missing_library_is_named_with_its_installation(cli, libraries, tmp_pa
     done = cli("doctor")
     (line,) = [line for line in done.stdout.splitlines() if "no_such_module_here" in line]
     assert line.split()[0] == "missing"
-    assert "optional, for the renderer nobody" in line
+    assert "the renderer nobody" in line
     assert line.endswith("pip install no-such-thing")
     assert done.exit_code == 0
 
@@ -75,7 +76,7 @@ def test_only_what_is_required_makes_it_fail(cli, libraries):
     libraries(dataclasses.replace(ABSENT, required=True))
     plain, done = cli("doctor"), cli("doctor", "--json")
     assert (plain.exit_code, done.exit_code) == (1, 1)
-    assert plain.stdout.endswith("tactile-loc cannot work here: no_such_module_here\n")
+    assert "no_such_module_here" in plain.stdout.splitlines()[-1]
     assert (plain.stderr, done.stderr) == ("", "")
     found = json.loads(done.stdout)
     assert (found["ready"], found["broken"]) == (False, ["no_such_module_here"])
@@ -97,20 +98,23 @@ def module(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("body", "failure"),
     [
-        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "it crashes (SIGSEGV)"),
-        ("import os; os.abort()", "it crashes (SIGABRT)"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "SIGSEGV"),
+        ("import os; os.abort()", "SIGABRT"),
         ("raise RuntimeError('out of order')", "RuntimeError: out of order"),
-        ("raise SystemExit(3)", "it ends with code 3"),
-        ("import os; os._exit(0)", "it says nothing"),
-        ("print('chatter')", ""),
+        ("raise SystemExit(3)", "code 3"),
+        ("import os; os._exit(0)", "nothing"),
     ],
 )
 def test_whatever_a_library_does_is_said(module, body, failure):
-    assert attempt("import", module(body)).failure == failure
+    assert failure in attempt("import", module(body)).failure
+
+
+def test_a_library_that_chatters_is_no_failure(module):
+    assert attempt("import", module("print('chatter')")).failure == ""
 
 
 def test_a_library_that_hangs_is_given_up(module):
-    assert attempt("import", module("import signal; signal.pause()"), timeout_s=2).failure == "no answer within 2 s"
+    assert attempt("import", module("import signal; signal.pause()"), timeout_s=2).failure.endswith("2 s")
 
 
 def test_a_library_that_is_installed_but_cannot_be_loaded_names_the_package(cli, libraries, module, monkeypatch):
@@ -129,8 +133,7 @@ def test_without_egl_the_packages_are_named_and_nothing_is_fatal(cli, libraries,
     libraries(*(library for library in FEW if library.module == "pyrender"))
     done = cli("doctor")
     (line,) = [line for line in done.stdout.splitlines() if " pyrender " in line and line.startswith("broken")]
-    assert "no OpenGL context here (Unsupported PyOpenGL platform: no-such-platform)" in line
-    assert "libegl1 libgl1-mesa-dri" in line
+    assert not missing(line, "no-such-platform", "libegl1", "libgl1-mesa-dri")
     assert done.exit_code == 0
 
 
@@ -176,7 +179,7 @@ def test_plugins_that_failed_to_load_are_named_and_hurt_nobody(cli, libraries, m
     done = cli("doctor")
     (line,) = [line for line in done.stdout.splitlines() if "broken-one" in line]
     assert line.startswith("broken ")
-    assert "broken-package: ValueError: out of order; update or uninstall broken-package" in line
+    assert not missing(line, "broken-package", "ValueError: out of order")
     assert done.exit_code == 0
 
 
@@ -191,7 +194,7 @@ def test_a_store_that_cannot_be_written(cli, libraries):
     Path("file").write_text("mine")
     done = cli("doctor", "--store", "file/store")
     assert done.exit_code == 1
-    assert "choose another folder with TACTILE_LOC_STORE or --store" in done.stdout
+    assert not missing(done.stdout, "TACTILE_LOC_STORE", "--store")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="it is looked at on Linux only")
@@ -208,7 +211,7 @@ def test_the_pairs_are_those_of_the_script():
     text = SCRIPT.read_text()
     table = re.search(r'libraries="\n(.*?)\n"', text, re.DOTALL)
     assert dict(line.split() for line in table[1].splitlines()) == dict(checks.PACKAGES)
-    assert f'miss "an EGL driver (Mesa)" {checks.DRIVER}' in text
+    assert re.search(rf'miss "[^"]*EGL[^"]*" {re.escape(checks.DRIVER)}', text)
 
 
 def test_a_check_is_written_as_json():

@@ -81,19 +81,17 @@ def build(cli, *words: object):
 
 def test_weights_that_are_not_there_or_damaged_or_of_another_network(cli):
     resnet = ["-o", "encoder.backbone=resnet18", "-o"]
-    assert_refused(build(cli, *resnet, "encoder.pretrained=none.safetensors"), "no weights file none.safetensors")
-    assert_refused(build(cli, *resnet, "encoder.pretrained=hub"), "hub", "only .safetensors")
+    assert_refused(build(cli, *resnet, "encoder.pretrained=none.safetensors"), "none.safetensors")
+    assert_refused(build(cli, *resnet, "encoder.pretrained=hub"), "hub", ".safetensors")
     save_file({"stages.0.0.weight": torch.zeros(24, 2, 3, 3)}, "small.safetensors")
-    assert_refused(
-        build(cli, *resnet, "encoder.pretrained=small.safetensors"), "small.safetensors", "does not fit resnet18"
-    )
+    assert_refused(build(cli, *resnet, "encoder.pretrained=small.safetensors"), "small.safetensors", "resnet18")
     Path("cut.safetensors").write_bytes(Path("small.safetensors").read_bytes()[:-200])
     assert_refused(build(cli, *resnet, "encoder.pretrained=cut.safetensors"), "cut.safetensors", "damaged")
 
 
 def test_a_gpu_that_is_not_there(cli, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    assert_refused(build(cli, "-o", "encoder.device=cuda"), "no CUDA device", "encoder.device")
+    assert_refused(build(cli, "-o", "encoder.device=cuda"), "CUDA", "encoder.device")
 
 
 def test_a_grid_too_large_for_memory(cli, monkeypatch):

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_loc.io import arrays
-from tactile_loc.io.arrays import load_npy, load_npz
+from tactile_loc.io import images
+from tactile_loc.io.images import load_npy, load_npz
 
 NUMBERS = np.arange(12.0).reshape(3, 4)
 
@@ -46,14 +46,14 @@ LIES = [
 @pytest.mark.parametrize(("descr", "shape"), LIES)
 def test_a_header_that_says_more_than_there_is(tmp_path, descr, shape):
     (tmp_path / "a.npy").write_bytes(lying(descr, shape))
-    with pytest.raises(ValueError, match=r"it says to hold|allow_pickle|shape is not valid"):
+    with pytest.raises(ValueError, match=r"96|allow_pickle"):
         load_npy(tmp_path / "a.npy")
-    with pytest.raises(ValueError, match=r"it says to hold|allow_pickle|shape is not valid"):
+    with pytest.raises(ValueError, match=r"96|allow_pickle"):
         load_npz(zipped(tmp_path / "a.npz", depth=lying(descr, shape)))
 
 
 def test_what_inflates_beyond_the_bound_is_not_inflated(tmp_path, monkeypatch):
-    monkeypatch.setattr(arrays, "MOST_BYTES", 10**6)
+    monkeypatch.setattr(images, "MOST_BYTES", 10**6)
     path = zipped(tmp_path / "a.npz", depth=lying("|u1", (2 * 10**6,), bytes(2 * 10**6)))
     assert path.stat().st_size < 10**4
     with pytest.raises(ValueError, match="inflates"):

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
-from tactile_loc.core.errors import ResultError, TactileLocError
+from tactile_loc.core.errors import ObjectError, ResultError, TactileLocError
 from tactile_loc.core.geometry.rigid import make_transform
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
@@ -115,7 +116,7 @@ def test_of_several_touches_each_sees_the_hypotheses_from_its_own_sensor(localiz
 
 def test_a_missing_file_is_one_sentence(copy):
     (copy / "result.npz").unlink()
-    with pytest.raises(ResultError, match=r"there is no .*result\.npz.*run tactile-loc again"):
+    with pytest.raises(ResultError, match=r"\A(?!.*damaged).*result\.npz"):
         read(copy)
 
 
@@ -123,7 +124,7 @@ def test_a_missing_file_is_one_sentence(copy):
 def test_a_cut_off_file_is_one_sentence(copy, keep):
     whole = (copy / "result.npz").read_bytes()
     (copy / "result.npz").write_bytes(whole[:keep])
-    with pytest.raises(ResultError, match=r"result\.npz is damaged"):
+    with pytest.raises(ResultError, match=naming("result.npz", "damaged")):
         read(copy)
 
 
@@ -131,7 +132,7 @@ def test_altered_bytes_are_one_sentence(copy):
     data = bytearray((copy / "result.npz").read_bytes())
     data[len(data) // 2 : len(data) // 2 + 400] = bytes(400)
     (copy / "result.npz").write_bytes(data)
-    with pytest.raises(ResultError, match=r"result\.npz is damaged"):
+    with pytest.raises(ResultError, match=naming("result.npz", "damaged")):
         read(copy)
 
 
@@ -145,7 +146,7 @@ def resave(folder: Path, **changed: object) -> None:
 @pytest.mark.parametrize("version", [None, np.array(99), np.array("old")])
 def test_another_version_is_one_sentence(copy, version):
     resave(copy, schema_version=version)
-    with pytest.raises(ResultError, match="reads version 1"):
+    with pytest.raises(ResultError, match=naming("result.npz", f"version {version}", "version 1")):
         read(copy)
 
 
@@ -159,13 +160,13 @@ def test_another_version_is_one_sentence(copy, version):
 )  # fmt: skip
 def test_what_does_not_belong_together_is_one_sentence(copy, changed):
     resave(copy, **changed)
-    with pytest.raises(ResultError, match=r"result\.npz is (damaged|incomplete)"):
+    with pytest.raises(ResultError, match=r"result\.npz.*(damaged|incomplete)"):
         read(copy)
 
 
 def test_pickled_objects_are_not_read(copy):
     np.savez(copy / "result.npz", log_p=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(ResultError, match="damaged"):
+    with pytest.raises(ResultError, match=naming("result.npz", "damaged")):
         read(copy)
 
 
@@ -173,7 +174,7 @@ def test_the_two_files_must_be_of_one_result(copy):
     document = json.loads((copy / "result.json").read_text())
     document["normalised_entropy"] += 0.01
     (copy / "result.json").write_text(json.dumps(document))
-    with pytest.raises(ResultError, match="belongs to another result"):
+    with pytest.raises(ResultError, match=naming("result.npz", ".json")):
         read(copy)
 
 
@@ -188,20 +189,20 @@ def test_a_damaged_record_is_one_sentence(copy, key, value):
     document = json.loads((copy / "result.json").read_text())
     document[key] = value
     (copy / "result.json").write_text(json.dumps(document))
-    with pytest.raises(ResultError, match=rf"result\.json is damaged: {key}"):
+    with pytest.raises(ResultError, match=naming("result.json", key)):
         read_record(copy / "result.json")
 
 
 def test_a_record_of_another_version_is_one_sentence(copy):
     (copy / "result.json").write_text('{"schema_version": 7}')
-    with pytest.raises(ResultError, match="is of version 7"):
+    with pytest.raises(ResultError, match=naming("result.json", "version 7")):
         read_record(copy / "result.json")
 
 
-@pytest.mark.parametrize(("text", "says"), [("{", "is no JSON"), ("[1]", "holds a list")])
-def test_a_damaged_document_is_one_sentence(tmp_path, text, says):
+@pytest.mark.parametrize(("text", "kind"), [("{", "JSON"), ("[1]", "list")])
+def test_a_damaged_document_is_one_sentence(tmp_path, text, kind):
     (tmp_path / "result.json").write_text(text)
-    with pytest.raises(ResultError, match=says):
+    with pytest.raises(ResultError, match=naming("result.json", kind)):
         read_document(tmp_path / "result.json")
 
 
@@ -218,5 +219,5 @@ def test_arrays_that_are_not_what_they_should_be(run_folder, name, damage):
 def test_a_surface_without_extent_is_refused(run_folder):
     with np.load(run_folder / "result.npz") as file:
         arrays = {key: file[key] for key in file.files}
-    with pytest.raises(TactileLocError, match="zero extent"):
+    with pytest.raises(ObjectError, match="extent"):
         unpack_arrays({**arrays, "vertices_m": 0 * arrays["vertices_m"]})

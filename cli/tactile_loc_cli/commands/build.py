@@ -41,8 +41,8 @@ def build(given: Given, store: options.Store = None) -> dict[str, Any]:
 def build_model(localizer: Localizer, press_depth_m: float) -> None:
     """Build the stages that locating a touch of this press takes, metres, or load those that the store has."""
     if localizer.search is None:
-        localizer.matcher(press_depth_m)
-    _ = localizer.temperature_scaling  # fitted now, not at the first touch
+        localizer.listed.matcher(press_depth_m)
+    _ = localizer.probabilities.temperature_scaling  # fitted now, not at the first touch
 
 
 def _require_press_depth_m(localizer: Localizer) -> float:

@@ -189,13 +189,13 @@ def _calibrate(
     curved: bool, options: dict[str, Any], seed: int, out: Path, store: Path | None,
 ) -> dict[str, Any]:  # fmt: skip
     from tactile_loc.calibration.calibrate import calibrate_stage
-    from tactile_loc.calibration.presses import read_presses, reading_size_px
+    from tactile_loc.calibration.presses import choose_size_px, read_presses
     from tactile_loc.store.store import StageStore
 
     if not os.path.isdir(folder):
         raise CalibrationError(f"there is no folder {folder}; give one with images of presses and presses.csv")
     camera = _read_geometry(sensor)
-    size_px = image_size or reading_size_px(camera)
+    size_px = image_size or choose_size_px(camera)
     presses = read_presses(folder, camera, background is Background.MEDIAN, size_px)
     if curved:
         presses = _curve_gel(presses, seed)
@@ -215,16 +215,16 @@ def _calibrate_simulated(
     sensor: str | None, optics: str | None, count: int | None, estimator: Estimator, options: dict[str, Any],
     seed: int, out: Path, store: Path | None,
 ) -> dict[str, Any]:  # fmt: skip
-    from tactile_loc.calibration.simulated import calibrate_simulated, camera_px, simulated_sensor
+    from tactile_loc.calibration.simulated import calibrate_simulated, find_camera_px, find_sensor
     from tactile_loc.store.store import StageStore
 
     sensor = sensor or DEFAULT_SENSOR
-    geometry, lamps = simulated_sensor(sensor, optics)
+    geometry, lamps = find_sensor(sensor, optics)
     where = StageStore(store)
     presses, made, record = calibrate_simulated(
         geometry, lamps, count, estimator, options, seed, where, make_progress()
     )
-    if (native := camera_px(sensor)) is not None:
+    if (native := find_camera_px(sensor)) is not None:
         record["camera_px"] = native
     return _finish(presses, made, record, out)
 

@@ -143,10 +143,10 @@ def _open_outputs(
 @contextmanager
 def _write_results(out: Path) -> Iterator[Show]:
     """Results as lines of a file."""
-    from tactile_loc.store.line_files import JsonLines
+    from tactile_loc.store.line_files import open_json_lines
 
-    with JsonLines(out) as lines:
-        yield lambda result: lines.append(result.record.model_dump_json())
+    with open_json_lines(out) as add_line:
+        yield lambda result: add_line(result.record.model_dump_json())
 
 
 @contextmanager
@@ -185,7 +185,7 @@ def _show_results(localizer: Localizer, about: str, port: int) -> Iterator[Show]
 
 def _run(locator: LiveLocator, source: FrameSource, shows: Sequence[Show]) -> None:
     """Locate frames until there are no more, or Ctrl-C is pressed."""
-    frames = source.frames()
+    frames = source.read_frames()
     locator.prepare()
     with suppress(KeyboardInterrupt), closing(frames):
         for frame in frames:

@@ -78,7 +78,7 @@ def replay(
     and the poses as a table (.csv) and as JSON. Interrupted, the same command goes on where it was.
     """
     from tactile_loc.io.recordings import Recording
-    from tactile_loc.io.recordings import image_topic as chosen
+    from tactile_loc.io.recordings import choose_image_topic as chosen
     from tactile_loc.tasks.replay import Replay
     from tactile_loc.tasks.replay_files import replay_to
 
@@ -86,10 +86,10 @@ def replay(
     options.require_rerun(rerun)
     out = _choose_out(recording, out)
     recorded = Recording(recording)
-    contents = recorded.contents()
+    contents = recorded.read_contents()
     topic = chosen(contents, recording, image_topic)
     _require_free(contents, recording, pose_topic, poses_only)
-    tree = recorded.frame_tree() if base_frame is not None else None
+    tree = recorded.read_frame_tree() if base_frame is not None else None
     if tree is not None:
         tree.require(*(name for name in (base_frame, frame) if name is not None))
     if contents.damage:

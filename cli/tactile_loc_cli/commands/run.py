@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tactile_loc.core.errors import ConfigError, TouchError
-from tactile_loc.store.files import alone_in, require_writable
+from tactile_loc.store.files import lock_folder, require_writable
 from tactile_loc_cli import options
 from tactile_loc_cli.commands.build import build_model
 from tactile_loc_cli.console import make_progress, say, say_written
@@ -157,7 +157,7 @@ def _report(
         logger.warning("--drop-outliers locates the object without what contradicts the other touches")
     figure = draw_result(localization, localizer.scene, make_title(record), record.errors_m)
     arrays = gather_arrays(observations, localization)
-    with alone_in(out):
+    with lock_folder(out):
         written = [
             write_record(out / "result.json", record),
             write_arrays(out / NAME, arrays, record),

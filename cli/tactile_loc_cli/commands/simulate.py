@@ -144,24 +144,24 @@ def _warn_of_others(out: Path, names: list[str]) -> None:
 
 def _find_optics(asked: str | None, sensor: str) -> Optics:
     """Return the optics that were asked for, or the sensor's, or a usual sensor's."""
-    from tactile_loc.imaging.optics import optics, optics_of
+    from tactile_loc.imaging.optics import choose_optics, find_optics
 
-    return optics_of(sensor) if asked is None else optics(asked)
+    return choose_optics(sensor) if asked is None else find_optics(asked)
 
 
 def _write_images(touches: list[Touch], geometry: SensorGeometry, optics: Optics, seed: int, out: Path) -> None:
     import numpy as np
 
-    from tactile_loc.imaging.shading import background
-    from tactile_loc.imaging.simulate import touch_images
+    from tactile_loc.imaging.shading import render_background
+    from tactile_loc.imaging.simulate import render_touches
 
-    _write_png(out / "background.png", background(geometry, optics))
+    _write_png(out / "background.png", render_background(geometry, optics))
     rng = np.random.default_rng(seed)
     for start in range(0, len(touches), BATCH):
         batch = touches[start : start + BATCH]
         depth_m = np.stack([touch.contact_shape.depth_m for touch in batch])
         press_m = np.array([touch.press_depth_m for touch in batch])
-        for touch, image in zip(batch, touch_images(depth_m, press_m, geometry, optics, rng), strict=True):
+        for touch, image in zip(batch, render_touches(depth_m, press_m, geometry, optics, rng), strict=True):
             _write_png(out / f"{touch.name}.png", image)
 
 

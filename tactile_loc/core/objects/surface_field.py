@@ -13,33 +13,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.compiled import in_threads, njit
+from tactile_loc.core.objects.blocks import NearestTriangles
 from tactile_loc.core.objects.mesh import TriangleMesh
 
 MOST_CELLS = 6_000_000
 SIDES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
-
-
-class NearestTriangles(NamedTuple):
-    """What compiled code takes, in one unit of length: `corners` (F, 3), `sides` (F, 2, 3) that lead from them to the
-    other corners, unit `normals` (F, 3); cells of side `cell` from the corner `low` (3,), each with the number of
-    its nearest triangle, `nearest` (X, Y, Z), -1 beyond reach. The triangles that share an edge with triangle f are
-    `beside` (R,) from ends[f] to ends[f + 1].
-    """
-
-    corners: NDArray[np.float64]
-    sides: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    low: NDArray[np.float64]
-    cell: float
-    nearest: NDArray[np.int32]
-    beside: NDArray[np.int32]
-    ends: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,9 +68,12 @@ class Encoder(Component):
     def encode_seen(
         self, depth_m: Float32, seen: NDArray[np.bool_], press_depth_m: float, geometry: SensorGeometry
     ) -> tuple[Float32, Float32]:
-        """Return embeddings (N, D) of contact depths of which pixels `seen` (N, H, W) are known, and weights (N, D).
+        """Return embeddings (N, D) of contact depths (N, H, W), metres, of which pixels `seen` (N, H, W) are known, and
+        weights (N, D), 0 to 1: how far each number of an embedding is known. Both are float32.
 
-        The weights, 0 to 1, say how far each number is known. By default all are, and the rest is out of contact.
+        A grid of places compares touches by this, since a sensor's field ends; the matcher is given the weights. Where
+        all is seen, embeddings are those of `encode` and weights are one. By default, what is not seen is out of
+        contact, and all weights are one: override it where that is a poor guess.
         """
         embeddings = self.encode(np.where(seen, depth_m, np.float32(press_depth_m)), press_depth_m, geometry)
         return embeddings, np.ones_like(embeddings)

@@ -25,6 +25,7 @@ from tactile_loc.core.errors import (
     did_you_mean,
     quoted,
 )
+from tactile_loc.core.slots.interface import INTERFACE_VERSION, adapt, require_interface
 
 PROJECT = "tactile_loc"
 SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
@@ -38,7 +39,8 @@ class ComponentSpec:
     """One component offered for one slot.
 
     `target` is "package.module:Class", imported at first use; `requires` names the pip distribution of the library it
-    needs beyond tactile-loc's own, if any.
+    needs beyond tactile-loc's own, if any. `interface` is the version of the plugin interface that it was written for:
+    a number, not INTERFACE_VERSION, which is that of the tactile-loc it runs with. Plugins for version 1 say nothing.
     """
 
     slot: str
@@ -46,6 +48,7 @@ class ComponentSpec:
     target: str
     summary: str
     requires: str = ""
+    interface: int = 1
 
 
 @hookspec
@@ -81,6 +84,7 @@ class Registry:
     def __init__(self, plugins: Iterable[EntryPoint]) -> None:
         self.components: list[Registered] = []
         self.failures: list[LoadFailure] = []
+        self._kinds: dict[ComponentSpec, Any] = {}
         for plugin in plugins:
             self._load(plugin)
 
@@ -97,6 +101,8 @@ class Registry:
             for spec in offers:
                 if not isinstance(spec, ComponentSpec) or spec.slot not in SLOTS:
                     raise TypeError(f"offers {spec!r}; the slots are {', '.join(SLOTS)}")
+                if not isinstance(spec.interface, int) or spec.interface < 1:
+                    raise TypeError(f"offers {spec!r}; its interface must be a whole number from 1 on")
         except Exception as error:  # noqa: BLE001 - a stranger's plugin may raise anything
             reason = f"{type(error).__name__}: {error}"
             self.failures.append(LoadFailure(plugin.name, distribution, reason))
@@ -128,12 +134,29 @@ class Registry:
         return f"there is no {slot} {name!r}{also}; there are {', '.join(known)}.{did_you_mean(name, known)}{broken}"
 
     def load(self, slot: str, name: str) -> type[Any]:
-        """Import and return the component's class. Raises PluginLoadError, MissingLibraryError or as `find` does."""
+        """Import and return the component's class. Raises PluginLoadError, MissingLibraryError or as `find` does.
+
+        A component that was written for an earlier interface is adapted as far as it can be; see `interface.adapt`.
+        """
         found = self.find(slot, name)
+        if found.spec.interface > INTERFACE_VERSION:
+            raise PluginLoadError(
+                f"the {slot} {name!r} of {found.distribution} needs a tactile-loc with plugin interface "
+                f"{found.spec.interface} or newer, and this one has {INTERFACE_VERSION}: pip install --upgrade "
+                "tactile-loc"
+            )
+        if found.spec not in self._kinds:
+            self._kinds[found.spec] = self._imported(found)
+        return self._kinds[found.spec]
+
+    def _imported(self, found: Registered) -> Any:
+        slot, name, interface = found.spec.slot, found.spec.name, found.spec.interface
         module, _, attribute = found.spec.target.partition(":")
         try:
             kind = getattr(importlib.import_module(module), attribute)
             _require_component(kind, slot)
+            require_interface(kind, slot, interface)
+            kind = adapt(kind, slot, interface)
             logger.debug("The %s %r is %s of %s.", slot, name, found.spec.target, found.distribution)
             return kind
         except Exception as error:

@@ -19,7 +19,7 @@ class IcpRefiner(CloudRefiner):
     On a busy machine a registration ended elsewhere, once in some thousands; what in open3d that hangs on is not known.
     """
 
-    capabilities = Capabilities(uses_normals=True, deterministic=False)
+    capabilities = Capabilities(deterministic=False)
 
     class Options(CloudRefiner.Options):
         """Distances in mm between points that may correspond, and how long to iterate."""

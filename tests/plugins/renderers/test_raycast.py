@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from message_helpers import naming
 from pydantic import ValidationError
 
 from tactile_loc.core.errors import RenderError
@@ -87,7 +88,7 @@ def test_scene_is_built_once_for_equal_surfaces(camera, sphere, monkeypatch):
 
 def test_missing_open3d_is_one_sentence(camera, sphere, monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(RenderError, match=r"open3d.*libusb-1\.0-0.*heightmap"):
+    with pytest.raises(RenderError, match=naming("open3d", "libusb-1.0-0", "--renderer heightmap")):
         RaycastRenderer().render(sphere, np.eye(4)[None], camera)
 
 

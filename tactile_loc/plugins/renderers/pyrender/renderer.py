@@ -19,7 +19,7 @@ class PyrenderRenderer(Renderer):
     The OpenGL context is made at the first picture and lives until `close` or the end of the renderer.
     """
 
-    capabilities = Capabilities(exact_undercuts=True, device="opengl")
+    capabilities = Capabilities(exact_undercuts=True)
 
     _offscreen: Offscreen | None = None
     _scene: DepthScene | None = None
