@@ -56,7 +56,7 @@ def test_it_finds_what_each_touch_alone_finds(cli, folder):
 
 
 def test_touches_of_which_little_is_explained_are_named(cli, folder, monkeypatch):
-    monkeypatch.setattr("tactile_loc.locate.result_json.DOUBTFUL", 1.01)
+    monkeypatch.setattr("tactile_loc.locate.doubts.DOUBTFUL", 1.01)
     done = cli("run", *PIN, "--touch", folder, "--out", "out")
     assert not missing(done.stderr, 2, "101 %", "touch-0000.npz", "touch-0001.npz")
     assert "101 %" not in cli("run", *PIN, "--touch", folder, "--out", "out", "--refiner", "none").stderr

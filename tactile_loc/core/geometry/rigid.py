@@ -114,6 +114,12 @@ def axis_angle(R: Array) -> tuple[float, Array]:
     return float(np.degrees(angle)), vector / angle + 0.0 if angle > 1e-9 else np.array([0.0, 0.0, 1.0])
 
 
+def format_pose(T: NDArray[np.float64]) -> list[str]:
+    """Return a pose (4, 4), metres, as people read it: x, y, z in mm, the turn in degrees, and about which axis."""
+    angle_deg, axis = axis_angle(T[:3, :3])
+    return [*(f"{1e3 * v:.2f}" for v in T[:3, 3]), f"{angle_deg:.1f}", "({:.3f}, {:.3f}, {:.3f})".format(*axis)]
+
+
 def rotation_to_quaternion(R: Array) -> Array:
     """Turn rotations (..., 3, 3) into unit quaternions (..., 4), scalar first and non-negative, unitless."""
     from scipy.spatial.transform import Rotation
