@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic_core import PydanticSerializationError
 
 from tactile_loc.core.errors import ResultError, TactileLocError
 from tactile_loc.core.geometry.rigid import Poses, invert
@@ -145,7 +146,10 @@ def read_arrays(path: Path, record: ResultRecord) -> ResultArrays:
 
 def hash_record(record: ResultRecord) -> str:
     """Return the SHA-256 (hex) of a record's content: what ties the two files together."""
-    return hashlib.sha256(record.model_dump_json().encode()).hexdigest()
+    try:
+        return hashlib.sha256(record.model_dump_json().encode()).hexdigest()
+    except PydanticSerializationError as error:  # a lone surrogate in a text, say
+        raise ResultError(f"result.json holds text that is no Unicode; {AGAIN}") from error
 
 
 def pack_arrays(result: ResultArrays) -> dict[str, NDArray[Any]]:
