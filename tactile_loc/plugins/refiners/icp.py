@@ -6,7 +6,7 @@ import numpy as np
 import open3d as o3d
 from pydantic import Field
 
-from tactile_loc.plugin import Capabilities, Cloud, CloudRefiner, Registration
+from tactile_loc.plugin import Capabilities, Cloud, CloudRefiner, Poses, Registration
 
 BURST = 8  # iterations between looks at whether the pose still moves
 SETTLED_WIDE, SETTLED = 0.03, 1e-4  # a pose that moves less in a burst has settled: radians and mm, each pass
@@ -49,7 +49,14 @@ def _point_cloud(cloud: Cloud, with_normals: bool = False) -> o3d.geometry.Point
     return wrapped
 
 
-def _register(moving, fixed, reach_mm, T, max_iterations, settled):  # type: ignore[no-untyped-def]
+def _register(
+    moving: o3d.geometry.PointCloud,
+    fixed: o3d.geometry.PointCloud,
+    reach_mm: float,
+    T: Poses,
+    max_iterations: int,
+    settled: float,
+) -> tuple[Poses, int, float, bool]:
     """Run ICP in bursts until a burst changes nothing: open3d does not say by itself whether it converged."""
     registration = o3d.pipelines.registration
     method = registration.TransformationEstimationPointToPlane()

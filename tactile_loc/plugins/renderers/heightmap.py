@@ -9,6 +9,8 @@ little of it), and steep walls are placed to within half a cell. Poses that shar
 they are drawn triangle by triangle, which is exact.
 """
 
+# mypy: disable-error-code="no-untyped-def,no-untyped-call"
+
 from __future__ import annotations
 
 import math

@@ -324,7 +324,7 @@ def _sampled(
     keys: torch.Tensor, targets: torch.Tensor, negatives: int, rng: np.random.Generator
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Keep the batch's own keys and `negatives` drawn ones; return keys (K, D) and where each target (B,) is now."""
-    own, places = targets.unique(return_inverse=True)
+    own, places = torch.unique(targets, return_inverse=True)
     drawn = torch.from_numpy(rng.choice(len(keys), negatives, replace=False)).to(keys.device)
     drawn = drawn[~torch.isin(drawn, own)]
     return torch.cat([keys[own], keys[drawn]]), places
