@@ -31,7 +31,7 @@ class IcpRefiner(CloudRefiner):
     def register(self, source: Cloud, target: Cloud) -> Registration:
         """Return the transform, mm, of the last pass that found pairs in its reach (None: no pass did)."""
         options = self.options
-        moving, fixed = _point_cloud(source), _point_cloud(target, with_normals=True)
+        moving, fixed = _wrap_cloud(source), _wrap_cloud(target, with_normals=True)
         T, found, converged, iterations = np.eye(4), False, False, 0
         for reach_mm, settled in ((options.wide_mm, SETTLED_WIDE), (options.narrow_mm, SETTLED)):
             T_new, steps, share, still = _register(moving, fixed, reach_mm, T, options.max_iterations, settled)
@@ -41,7 +41,7 @@ class IcpRefiner(CloudRefiner):
         return Registration(T if found else None, converged, iterations)
 
 
-def _point_cloud(cloud: Cloud, with_normals: bool = False) -> o3d.geometry.PointCloud:
+def _wrap_cloud(cloud: Cloud, with_normals: bool = False) -> o3d.geometry.PointCloud:
     """Wrap a cloud for open3d."""
     wrapped = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.points_mm))
     if with_normals:

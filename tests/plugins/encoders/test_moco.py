@@ -143,7 +143,7 @@ def test_stopping_early_keeps_the_best(problem, monkeypatch):
 
     def judge_and_keep(self, *measured):
         judge(self, *measured)
-        seen.append(training._weights(self.network))
+        seen.append(training._copy_weights(self.network))
 
     monkeypatch.setattr(training.Trainer, "_judge", judge_and_keep)
     encoder = make(epochs=6, patience=2)
@@ -202,7 +202,7 @@ def test_asking_for_an_absent_gpu_says_so(problem, monkeypatch):
 
 
 def test_a_grid_too_large_for_memory_says_how_much_it_needs(problem, monkeypatch):
-    monkeypatch.setattr(module, "_available_bytes", lambda: 1000)
+    monkeypatch.setattr(module, "_find_available_bytes", lambda: 1000)
     with pytest.raises(GridError, match=naming("GiB", "encoder.negatives", "encoder.batch", "grid.spacing_mm")):
         make().fit(problem)
 
@@ -216,7 +216,7 @@ def test_it_must_be_trained_before_it_encodes(problem):
 def test_sampled_softmax_keeps_the_right_keys_in_the_right_place():
     keys = torch.arange(50.0)[:, None].repeat(1, 3)
     targets = torch.tensor([7, 3, 7, 40])
-    kept, places = training._sampled(keys, targets, 10, np.random.default_rng(0))
+    kept, places = training._sample_keys(keys, targets, 10, np.random.default_rng(0))
     assert torch.equal(kept[places], keys[targets])
     assert len(kept.unique(dim=0)) == len(kept) <= 3 + 10
 

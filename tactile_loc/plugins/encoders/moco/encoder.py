@@ -108,12 +108,12 @@ class MocoEncoder(Encoder):
         """
         _require_memory(self.recipe, len(problem.grid))
         _settle_threads()
-        network = self._fresh_network(self.options.seed)
+        network = self._make_network(self.options.seed)
         self._network = Trainer(self.recipe, problem, network, self.device, self.options.tensorboard).run()
 
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
         """Return unit embeddings (N, D) of contact depths (N, H, W) in metres cut at `press_depth_m`."""
-        network = self._trained_network()
+        network = self._require_trained()
         _settle_threads()
         press = np.full(len(depth_m), press_depth_m)
         with torch.inference_mode():
@@ -124,7 +124,7 @@ class MocoEncoder(Encoder):
         """Write the trained network to a safetensors file."""
         from safetensors.torch import save_file
 
-        state = self._trained_network().state_dict()
+        state = self._require_trained().state_dict()
         save_file({k: v.detach().cpu().contiguous() for k, v in state.items()}, path)
 
     def load_weights(self, path: Path) -> None:
@@ -132,7 +132,7 @@ class MocoEncoder(Encoder):
         from safetensors import SafetensorError
         from safetensors.torch import load_file
 
-        network = self._fresh_network(0, pretrained=False)
+        network = self._make_network(0, pretrained=False)
         try:
             network.load_state_dict(load_file(path))
         except (SafetensorError, RuntimeError, OSError) as error:
@@ -142,12 +142,12 @@ class MocoEncoder(Encoder):
             ) from error
         self._network = network.to(self.device).eval()
 
-    def _trained_network(self) -> nn.Module:
+    def _require_trained(self) -> nn.Module:
         if self._network is None:
             raise ConfigError("the encoder 'moco' has not been trained for this object; build its model first")
         return self._network
 
-    def _fresh_network(self, seed: int, pretrained: bool = True) -> nn.Module:
+    def _make_network(self, seed: int, pretrained: bool = True) -> nn.Module:
         recipe = self.recipe
         network = make_backbone(
             recipe.backbone, generator=torch.Generator().manual_seed(seed), in_channels=recipe.planes,
@@ -172,7 +172,7 @@ def _settle_threads() -> None:
 
 def _require_memory(recipe: Recipe, poses: int) -> None:
     """Raise GridError when scores and keys would not fit into the machine's memory."""
-    needed, free = recipe.bytes_needed(poses), _available_bytes()
+    needed, free = recipe.bytes_needed(poses), _find_available_bytes()
     if needed > 0.8 * free:
         raise GridError(
             f"training on {poses} poses needs about {needed / 2**30:.1f} GiB of memory, {free / 2**30:.1f} are free; "
@@ -180,7 +180,7 @@ def _require_memory(recipe: Recipe, poses: int) -> None:
         )
 
 
-def _available_bytes() -> int:
+def _find_available_bytes() -> int:
     """Memory that programs can still get: what Linux says, elsewhere all there is."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
