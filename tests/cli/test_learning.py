@@ -95,7 +95,7 @@ def test_a_gpu_that_is_not_there(cli, monkeypatch):
 
 
 def test_a_grid_too_large_for_memory(cli, monkeypatch):
-    monkeypatch.setattr(encoder, "_available_bytes", lambda: 10**5)
+    monkeypatch.setattr(encoder, "_find_available_bytes", lambda: 10**5)
     assert_refused(build(cli), "GiB", "encoder.negatives", "grid.spacing_mm")
 
 

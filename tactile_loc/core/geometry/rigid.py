@@ -144,7 +144,7 @@ def is_rigid(T: Array, tolerance: float = 1e-6) -> bool:
 
 def require_rigid(T: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
     """Return one rigid transform (4, 4) as float64. Raises `error`, which says that `what` is none."""
-    found = _numbers(T)
+    found = _convert_numbers(T)
     if found is None or found.shape != (4, 4) or not is_rigid(found):
         raise error(
             f"{what} is no rigid transform; it must be (4, 4), in metres, last row 0 0 0 1, its rotation no reflection"
@@ -154,7 +154,7 @@ def require_rigid(T: ArrayLike, what: str, error: type[TactileLocError] = Config
 
 def require_covariance(values: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
     """Return the covariance (6, 6) of a pose's error as float64. Raises `error`, which says that `what` is none."""
-    found = _numbers(values)
+    found = _convert_numbers(values)
     if found is None or found.shape != (6, 6) or not _is_covariance(found):
         raise error(
             f"{what} is no covariance; it must be (6, 6), symmetric and nowhere negative, first x, y, z in m, then a "
@@ -170,7 +170,7 @@ def _is_covariance(values: Array, tolerance: float = 1e-6) -> bool:
     return bool(np.abs(values - values.T).max() <= allowed and np.linalg.eigvalsh(values).min() >= -allowed)
 
 
-def _numbers(values: ArrayLike) -> Array | None:
+def _convert_numbers(values: ArrayLike) -> Array | None:
     """The values as float64, None where they are no numbers."""
     try:
         found = np.asarray(values)

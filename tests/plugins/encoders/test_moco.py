@@ -146,7 +146,7 @@ def test_stopping_early_keeps_the_best(problem, monkeypatch):
 
     def judge_and_keep(self, *measured):
         judge(self, *measured)
-        seen.append(training._weights(self.network))
+        seen.append(training._copy_weights(self.network))
 
     monkeypatch.setattr(training.Trainer, "_judge", judge_and_keep)
     encoder = make(epochs=6, patience=2)
@@ -205,7 +205,7 @@ def test_asking_for_an_absent_gpu_says_so(problem, monkeypatch):
 
 
 def test_a_grid_too_large_for_memory_says_how_much_it_needs(problem, monkeypatch):
-    monkeypatch.setattr(module, "_available_bytes", lambda: 1000)
+    monkeypatch.setattr(module, "_find_available_bytes", lambda: 1000)
     with pytest.raises(GridError, match=naming("GiB", "encoder.negatives", "encoder.batch", "grid.spacing_mm")):
         make().fit(problem)
 
@@ -219,7 +219,7 @@ def test_it_must_be_trained_before_it_encodes(problem):
 def test_sampled_softmax_keeps_the_right_keys_in_the_right_place():
     keys = torch.arange(50.0)[:, None].repeat(1, 3)
     targets = torch.tensor([7, 3, 7, 40])
-    kept, places = training._sampled(keys, targets, 10, np.random.default_rng(0))
+    kept, places = training._sample_keys(keys, targets, 10, np.random.default_rng(0))
     assert torch.equal(kept[places], keys[targets])
     assert len(kept.unique(dim=0)) == len(kept) <= 3 + 10
 
@@ -318,7 +318,7 @@ def test_files_of_weights_without_a_number_of_planes_are_of_shapes_that_are_whol
 
 def test_decoys_count_as_wrong_answers_unless_they_are_right(places):
     encoder, problem = places
-    network = encoder._fresh_network(0, True)
+    network = encoder._make_network(0, True)
     trainer = training.Trainer(encoder.recipe, problem, network, torch.device("cpu"), decoys=2)
     batch = problem.draw(4, noise_level("none"), np.random.default_rng(0)).batch(4, np.random.default_rng(1), 1e-3, 2)
     batch = dataclasses.replace(batch, counts=np.array([[True, True, False]] * 4))

@@ -119,7 +119,7 @@ class MocoEncoder(Encoder):
         recipe, options = self.recipe, self.options
         if problem.partly_seen and options.batch is None:
             recipe = recipe.changed(batch=max(2, recipe.batch // SMALLER))
-        network = self._fresh_network(options.seed, problem.partly_seen)
+        network = self._make_network(options.seed, problem.partly_seen)
         trainer = Trainer(recipe, problem, network, self.device, options.tensorboard, options.decoys)
         self._network = trainer.run()
 
@@ -141,7 +141,7 @@ class MocoEncoder(Encoder):
     def _encoded(
         self, depth_m: Float32, seen: NDArray[np.bool_], press_depth_m: float, geometry: SensorGeometry
     ) -> Float32:
-        network = self._trained_network()
+        network = self._require_trained()
         _settle_threads()
         known = seen if network.in_channels == self.recipe.planes(partly_seen=True) else None
         press = np.full(len(depth_m), press_depth_m)
@@ -153,9 +153,9 @@ class MocoEncoder(Encoder):
         """Write the trained network to a safetensors file."""
         from safetensors.torch import save_file
 
-        state = self._trained_network().state_dict()
+        state = self._require_trained().state_dict()
         tensors = {k: v.detach().cpu().contiguous() for k, v in state.items()}
-        save_file(tensors, path, {PLANES: str(self._trained_network().in_channels)})
+        save_file(tensors, path, {PLANES: str(self._require_trained().in_channels)})
 
     def load_weights(self, path: Path) -> None:
         """Read a trained network. Raises WeightsError when the file is damaged or of another architecture."""
@@ -166,7 +166,7 @@ class MocoEncoder(Encoder):
             with safe_open(path, framework="pt") as file:
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
                 planes = (file.metadata() or {}).get(PLANES, str(whole))
-            network = self._fresh_network(0, planes == str(partly), pretrained=False)
+            network = self._make_network(0, planes == str(partly), pretrained=False)
             network.load_state_dict(tensors)
         except (SafetensorError, RuntimeError, OSError) as error:
             reason = str(error).splitlines()[0]
@@ -175,12 +175,12 @@ class MocoEncoder(Encoder):
             ) from error
         self._network = network.to(self.device).eval()
 
-    def _trained_network(self) -> Backbone:
+    def _require_trained(self) -> Backbone:
         if self._network is None:
             raise ConfigError("the encoder 'moco' has not been trained for this object; build its model first")
         return self._network
 
-    def _fresh_network(self, seed: int, partly_seen: bool, pretrained: bool = True) -> Backbone:
+    def _make_network(self, seed: int, partly_seen: bool, pretrained: bool = True) -> Backbone:
         recipe = self.recipe
         network = make_backbone(
             recipe.backbone, generator=torch.Generator().manual_seed(seed), in_channels=recipe.planes(partly_seen),
@@ -205,7 +205,7 @@ def _settle_threads() -> None:
 
 def _require_memory(recipe: Recipe, poses: int) -> None:
     """Raise GridError when scores and keys would not fit into the machine's memory."""
-    needed, free = recipe.bytes_needed(poses), _available_bytes()
+    needed, free = recipe.bytes_needed(poses), _find_available_bytes()
     if needed > 0.8 * free:
         raise GridError(
             f"training on {poses} poses needs about {needed / 2**30:.1f} GiB of memory, {free / 2**30:.1f} are free; "
@@ -213,7 +213,7 @@ def _require_memory(recipe: Recipe, poses: int) -> None:
         )
 
 
-def _available_bytes() -> int:
+def _find_available_bytes() -> int:
     """Memory that programs can still get: what Linux says, elsewhere all there is."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()

@@ -136,13 +136,13 @@ class Trainer:
         self.crew = Crew(device)
         self.network = network.to(device)
         self.key_network = copy.deepcopy(self.network).requires_grad_(False)
-        self.optimizer = _optimizer(recipe, self.network)
+        self.optimizer = _make_optimizer(recipe, self.network)
         count = self.crew.share(recipe.queries)
         self.source = QuerySource(problem, noise_level(recipe.noise), count, recipe.seed, self.crew.rank)
         self.batch, self.decoys = min(count, self.crew.share(recipe.batch)), decoys
         self.steps = recipe.repeats * max(1, recipe.queries // recipe.batch)
         self.epoch, self.best, self.stale = 0, math.inf, 0
-        self.best_weights = _weights(self.network)
+        self.best_weights = _copy_weights(self.network)
 
     def run(self) -> Backbone:
         """Train, from the last checkpoint if there is one, and return the network that validated best, in eval mode.
@@ -202,7 +202,7 @@ class Trainer:
         vectors = self._embed(batch)
         targets = torch.from_numpy(batch.labels).to(self.device)
         if self.recipe.negatives and self.recipe.negatives < len(keys):
-            keys, targets = _sampled(keys, targets, self.recipe.negatives, rng)
+            keys, targets = _sample_keys(keys, targets, self.recipe.negatives, rng)
         loss = F.cross_entropy(self._scores(vectors, keys, batch), targets)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
@@ -280,7 +280,7 @@ class Trainer:
             self.epoch, {"loss": loss, "validation/loss": validation_loss, "validation/best-1_mm": error_m * 1e3}
         )
         if validation_loss < self.best:
-            self.best, self.stale, self.best_weights = validation_loss, 0, _weights(self.network)
+            self.best, self.stale, self.best_weights = validation_loss, 0, _copy_weights(self.network)
         else:
             self.stale += 1
 
@@ -296,8 +296,8 @@ class Trainer:
         if self.crew.rank > 0:
             return
         tensors = {f"best.{k}": v for k, v in self.best_weights.items()}
-        tensors |= {f"network.{k}": v for k, v in _weights(self.network).items()}
-        tensors |= {f"key.{k}": v for k, v in _weights(self.key_network).items()}
+        tensors |= {f"network.{k}": v for k, v in _copy_weights(self.network).items()}
+        tensors |= {f"key.{k}": v for k, v in _copy_weights(self.key_network).items()}
         for number, state in self.optimizer.state_dict()["state"].items():
             tensors |= {f"optimizer.{number}.{k}": torch.as_tensor(v).cpu() for k, v in state.items() if v is not None}
         progress = {"epoch": self.epoch, "best": self.best, "stale": self.stale}
@@ -311,11 +311,11 @@ class Trainer:
             return
         tensors, progress = found
         self.epoch, self.best, self.stale = progress["epoch"], progress["best"], progress["stale"]
-        self.best_weights = _under(tensors, "best.")
-        self.network.load_state_dict(_under(tensors, "network."))
-        self.key_network.load_state_dict(_under(tensors, "key."))
+        self.best_weights = _select_prefixed(tensors, "best.")
+        self.network.load_state_dict(_select_prefixed(tensors, "network."))
+        self.key_network.load_state_dict(_select_prefixed(tensors, "key."))
         state: dict[int, dict[str, torch.Tensor]] = {}
-        for name, tensor in _under(tensors, "optimizer.").items():
+        for name, tensor in _select_prefixed(tensors, "optimizer.").items():
             number, _, key = name.partition(".")
             state.setdefault(int(number), {})[key] = tensor
         self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": state})
@@ -335,17 +335,17 @@ def follow(slow: nn.Module, fast: nn.Module, momentum: float) -> None:
         statistic.copy_(current)
 
 
-def _optimizer(recipe: Recipe, network: nn.Module) -> torch.optim.Optimizer:
+def _make_optimizer(recipe: Recipe, network: nn.Module) -> torch.optim.Optimizer:
     if recipe.optimizer == "sgd":
         return torch.optim.SGD(network.parameters(), recipe.rate, momentum=0.9, weight_decay=recipe.weight_decay)
     return torch.optim.AdamW(network.parameters(), recipe.rate, weight_decay=recipe.weight_decay)
 
 
-def _weights(network: nn.Module) -> dict[str, torch.Tensor]:
+def _copy_weights(network: nn.Module) -> dict[str, torch.Tensor]:
     return {k: v.detach().cpu().clone() for k, v in network.state_dict().items()}
 
 
-def _under(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
+def _select_prefixed(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
     return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
 
 
@@ -356,11 +356,11 @@ def _read_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any
         return {k: file.get_tensor(k) for k in file.keys()}, json.loads(file.metadata()["progress"])  # noqa: SIM118
 
 
-def _sampled(
+def _sample_keys(
     keys: torch.Tensor, targets: torch.Tensor, negatives: int, rng: np.random.Generator
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Keep the batch's own keys and `negatives` drawn ones; return keys (K, D) and where each target (B,) is now."""
-    own, places = targets.unique(return_inverse=True)
+    own, places = torch.unique(targets, return_inverse=True)
     drawn = torch.from_numpy(rng.choice(len(keys), negatives, replace=False)).to(keys.device)
     drawn = drawn[~torch.isin(drawn, own)]
     return torch.cat([keys[own], keys[drawn]]), places
