@@ -23,10 +23,10 @@ from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
+from tactile_loc.locate.verdict import LEAST_IOU, Verdict
 from tactile_loc.store.files import write_atomically
 
 SCHEMA_VERSION = 2
-DOUBTFUL = 0.5  # imprint IoU of one touch: of 83 simulated ones that were explained by less, 1 was right
 LIBRARIES = (
     "faiss-cpu", "numba", "numpy", "open3d", "open3d-cpu", "pluggy", "pydantic", "pyrender", "scipy", "torch", "trimesh"
 )  # fmt: skip
@@ -137,6 +137,11 @@ class ResultRecord(_Record):
     left_out: list[TouchRecord] = Field(
         default_factory=list, description="touches that contradict these, and are no part of the result"
     )
+    verdict: Verdict | None = Field(
+        default=None,
+        description="how far the first hypothesis can be trusted: `certain`, `ambiguous`, `poor fit` or `not found`; "
+        "null in files that were written before there were verdicts",
+    )
     grid_poses: int = Field(description="poses that were searched; of a whole object, those that were found likely")
     elsewhere: float = Field(
         default=0.0, description="probability that the pose is near none of these; their probabilities sum to the rest"
@@ -177,6 +182,7 @@ def result_record(
         other_touches=touches[1:],
         contradictory=localization.agreement.contradictory,
         left_out=[_touch(touch, config.touch) for touch in localization.left_out],
+        verdict=localization.verdict,
         grid_poses=len(posterior.grid),
         elsewhere=posterior.elsewhere,
         normalised_entropy=localization.normalised_entropy,
@@ -196,11 +202,11 @@ def doubts(record: ResultRecord) -> list[str]:
 def _little_explained(record: ResultRecord) -> list[str]:
     best = record.hypotheses[0]
     refined = best.T_sensor_object != best.T_sensor_object_grid
-    if record.other_touches or not refined or best.imprint_iou >= DOUBTFUL:
+    if record.other_touches or not refined or best.imprint_iou >= LEAST_IOU:
         return []
     return [
         f"the best pose explains {100 * best.imprint_iou:.0f} % of what {record.touch.name} shows (imprint IoU), and "
-        f"below {100 * DOUBTFUL:.0f} % hardly one is right: check the object, the sensor, the unit, and the prior if "
+        f"below {100 * LEAST_IOU:.0f} % hardly one is right: check the object, the sensor, the unit, and the prior if "
         "there is one"
     ]
 
