@@ -33,7 +33,7 @@ from tactile_loc.evaluation.slides import BASE, IMAGE_TOPIC, T_BASE_OBJECT, Slid
 from tactile_loc.io.recordings import Recording
 from tactile_loc.io.ros_messages import read_pose, read_stamp_ns
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result import Hypothesis
+from tactile_loc.locate.located_frame import LocatedFrame
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.replay import Replay
 from tactile_loc.tasks.replay_files import Replayed, replay_to
@@ -53,11 +53,11 @@ def replayed(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, f
     """Replay a recording into the base's frame; also the seconds that took, and of these what locating did."""
     locating_s = 0.0
 
-    def located(touch: Touch) -> Hypothesis:
+    def estimate(touch: Touch) -> LocatedFrame:
         nonlocal locating_s
         begun = time.perf_counter()
         try:
-            return localizer.localize(touch).best
+            return LocatedFrame.of(localizer.localize(touch))
         finally:
             locating_s += time.perf_counter() - begun
 
@@ -66,7 +66,7 @@ def replayed(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, f
     counts = recording.read_contents().counts
     topic = next(topic for topic in counts if topic.name == IMAGE_TOPIC)
     asked = Replay(recording, topic, localizer, base_frame=BASE, frame_tree=recording.read_frame_tree())
-    found = replay_to(out, asked, counts[topic], POSE_TOPIC, estimator=located)
+    found = replay_to(out, asked, counts[topic], POSE_TOPIC, estimator=estimate)
     return found, time.perf_counter() - start, locating_s
 
 

@@ -185,7 +185,7 @@ def jumps(localizer: Localizer, examples: int, seed: int, slip: Slip | None) -> 
         alone = localizer.localize(frames[BEFORE].touch).best.T_sensor_object
         near = [is_near(metric, alone[None], frames[BEFORE], near_m)[0]]
         for after in (SOON, LATE):
-            modes = is_near(metric, found[BEFORE + after].T_sensors_object, frames[BEFORE + after], near_m)
+            modes = is_near(metric, found[BEFORE + after].T_sensor_object_modes, frames[BEFORE + after], near_m)
             near += [modes[0], modes.any()]
         counts += near
     return Found(*counts.tolist(), float(np.median(searching)) if searching else np.nan)

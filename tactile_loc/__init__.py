@@ -48,9 +48,11 @@ if TYPE_CHECKING:
     from tactile_loc.io.touches import write_touch as write_touch
     from tactile_loc.locate.localizer import Localizer as Localizer
     from tactile_loc.locate.localizer import localize_together as localize_together
+    from tactile_loc.locate.located_frame import LocatedFrame as LocatedFrame
     from tactile_loc.locate.probabilities import TemperatureScaling as TemperatureScaling
     from tactile_loc.locate.result import Hypothesis as Hypothesis
     from tactile_loc.locate.result import Localization as Localization
+    from tactile_loc.locate.verdict import Verdict as Verdict
     from tactile_loc.store.store import StageStore as StageStore
     from tactile_loc.sweeps.plan import Plan as Plan
     from tactile_loc.sweeps.results import write_sweep as write_sweep

@@ -127,7 +127,7 @@ def furnished(tmp_path_factory, store) -> Path:
     (folder / "touches").mkdir()
     write_touch(folder / "touches" / "0.npz", touches[0])
     (frame,) = ImageFolder(folder / "touches", every=True).read_frames()
-    (folder / "found.jsonl").write_text(LiveLocator(localizer).located(frame).record.model_dump_json() + "\n")
+    (folder / "found.jsonl").write_text(LiveLocator(localizer).locate(frame).record.model_dump_json() + "\n")
     write_slide(folder / "drive.mcap", random_slide(localizer, 3, seed=0))
     (folder / "poses.toml").write_text(
         "".join(

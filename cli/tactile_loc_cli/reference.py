@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, get_args
 
@@ -142,6 +143,8 @@ def _name_type(annotation: Any) -> str:
         return f"{_name_type(next(a for a in arms if a is not type(None)))} or null"
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return "object"
+    if isinstance(annotation, type) and issubclass(annotation, StrEnum):
+        return "text"
     text = str(annotation)
     if text.count("list[") > 1:
         return "rows of numbers"

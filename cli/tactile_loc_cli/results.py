@@ -40,6 +40,8 @@ def say_result(record: ResultRecord) -> None:
 
 def _summarise(record: ResultRecord) -> Iterator[str]:
     """The lines below the table."""
+    if record.verdict is not None:
+        yield f"verdict: {record.verdict}"
     yield (
         f"normalised entropy: {record.normalised_entropy:.2f} (0: one pose is certain, 1: nothing is known), "
         f"{record.searched}"
@@ -146,14 +148,12 @@ def _list_known_cells(one: KnownObjectRecord) -> list[str]:
 
 def say_located(files: Sequence[LocatedFile]) -> None:
     """Write a line for each of many touches: its best pose, or what is wrong with it."""
-    say_table(
-        [["touch", "prob. %", IMPRINT, *POSE], *([one.path.name, *_list_best_cells(one)] for one in files)],
-        left=1,
-        gap=2,
-    )
+    header = ["touch", "verdict", "prob. %", IMPRINT, *POSE]
+    say_table([header, *([one.path.name, *_list_best_cells(one)] for one in files)], left=2, gap=2)
 
 
 def _list_best_cells(located: LocatedFile) -> list[str]:
     if (best := located.best) is None:
         return [located.problem]
-    return [f"{100 * best.probability:.1f}", f"{100 * best.imprint_iou:.0f}", *format_pose(best.T_sensor_object)]
+    numbers = [f"{100 * best.probability:.1f}", f"{100 * best.imprint_iou:.0f}"]
+    return [str(located.verdict), *numbers, *format_pose(best.T_sensor_object)]

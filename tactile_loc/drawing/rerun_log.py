@@ -19,9 +19,9 @@ from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.scene import Scene
+from tactile_loc.locate.located_frame import LocatedFrame
 from tactile_loc.locate.result_arrays import find_most_probable, reduce_mesh
 from tactile_loc.store.files import require_writable
-from tactile_loc.tasks.live import Estimate
 
 SENSOR = "base/sensor"
 OBJECT, HYPOTHESES, POSTERIOR, SPREAD = (f"{SENSOR}/{n}" for n in ("object", "hypotheses", "posterior", "uncertainty"))
@@ -64,7 +64,7 @@ class Logged:
     time_s: float
     image: NDArray[np.uint8] | None = None
     touch: Touch | None = None
-    estimate: Estimate | None = None
+    located: LocatedFrame | None = None
     posterior: PosePosterior | None = None
     says: str = ""
 
@@ -101,9 +101,9 @@ class RerunLog:
         self._stream.set_time("frame", sequence=frame.number)
         self._stream.set_time("time", duration=frame.time_s)
         self._add_touch(frame.image, frame.touch)
-        has_pose = frame.estimate is not None and len(frame.estimate.T_sensors_object) > 0
-        if frame.estimate is not None and has_pose:
-            self._add_estimate(frame.estimate)
+        has_pose = frame.located is not None and len(frame.located.T_sensor_object_modes) > 0
+        if frame.located is not None and has_pose:
+            self._add_poses(frame.located)
         else:
             self._log(SPREAD, self._rr.Clear(recursive=False))
         for path, colour in ((OBJECT, STEEL), (HYPOTHESES, GHOST)):
@@ -155,8 +155,8 @@ class RerunLog:
     def _transform(self, T: NDArray[np.float64]) -> Any:
         return self._rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
 
-    def _add_estimate(self, found: Estimate) -> None:
-        rr, poses = self._rr, found.T_sensors_object
+    def _add_poses(self, found: LocatedFrame) -> None:
+        rr, poses = self._rr, found.T_sensor_object_modes
         self._log(OBJECT, self._transform(poses[0]))
         self._log(HYPOTHESES, rr.InstancePoses3D(translations=poses[:, :3, 3], mat3x3=poses[:, :3, :3]))
         self._log(HYPOTHESES, rr.AnyValues(probability=found.probabilities))
@@ -187,14 +187,17 @@ class RerunLog:
 
 def pose_text(frame: Logged) -> str:
     """Return what is known at a frame in words: mm, degrees, per cent."""
-    found = frame.estimate
-    if found is None or not len(found.T_sensors_object):
+    found = frame.located
+    if found is None:
         return frame.says
-    words = pose_words(found.T_sensors_object[0], found.std)
+    said = frame.says or found.says
+    if found.T_sensor_object is None:
+        return "\n".join(line for line in (found.word, said) if line)
+    words = pose_words(found.T_sensor_object, found.std)
     std = "" if found.std is None else f"\nstd {words.place_std} mm; {words.turn_std} about x, y, z"
     lines = (
-        f"{found.state}, {percent(float(found.probabilities[0]))}",
+        f"{found.word}, {percent(float(found.probabilities[0]))}",
         f"{words.place} mm, turned {words.turn} about {words.axis}{std}",
-        frame.says,
+        said,
     )
     return "\n".join(line for line in lines if line)

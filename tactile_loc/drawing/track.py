@@ -14,13 +14,17 @@ from tactile_loc.core.geometry.rigid import Poses, covariance_at, invert, transf
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.drawing.pictures import make_figure
+from tactile_loc.locate.verdict import Verdict
 from tactile_loc.tasks.tracker import TrackedPose
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TRACKED, TRUE, SURE, STARTED = "#2b6cb0", "#e03131", "#bee3f8", "#2f855a"
-SHADES = {"searching": "#fefcbf", "lost": "#fed7d7", "no contact": "#edf2f7"}
+SHADES = {
+    Verdict.AMBIGUOUS: "#fefcbf", Verdict.POOR_FIT: "#fed7d7", Verdict.NOT_FOUND: "#fed7d7",
+    Verdict.NO_CONTACT: "#edf2f7",
+}  # fmt: skip
 DEVIATIONS = 2.0  # that are drawn about nothing
 SURFACE_POINTS = 4000
 
@@ -107,5 +111,5 @@ def _draw_errors(
 def _shade(axes: Any, found: Sequence[TrackedPose]) -> None:
     """Shade the times at which the track was not certain."""
     for one, after in zip(found, [*found[1:], found[-1]], strict=True):
-        if one.state in SHADES:
-            axes.axvspan(one.time_s, after.time_s, color=SHADES[one.state], lw=0, alpha=0.7, zorder=1.5)
+        if one.verdict in SHADES:
+            axes.axvspan(one.time_s, after.time_s, color=SHADES[one.verdict], lw=0, alpha=0.7, zorder=1.5)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from pydantic import BaseModel, ConfigDict, Field
 
 TUNABLE = ("search", "hypotheses", "tracker")
+CERTAIN = 0.9  # probability from which a pose is certain
 
 
 class _Options(BaseModel):
@@ -50,7 +51,7 @@ class TrackerOptions(_Options):
     """What the tracker follows, what it takes for the same contact, and when it searches."""
 
     modes: int = Field(default=8, ge=1, description="most poses that are followed")
-    certain: float = Field(default=0.9, gt=0, lt=1, description="probability from which a mode is the pose, 0 to 1")
+    certain: float = Field(default=CERTAIN, gt=0, lt=1, description="probability from which a mode is the pose, 0 to 1")
     improbable: float = Field(
         default=1e-4, gt=0, lt=1, description="modes less probable than this share of the first go"
     )

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from tactile_loc.locate.result_json import ResultRecord
-
-DOUBTFUL = 0.5  # imprint IoU of one touch: of 83 simulated ones that were explained by less, 1 was right
+from tactile_loc.locate.verdict import LEAST_IOU
 
 
 def list_doubts(record: ResultRecord) -> list[str]:
@@ -15,11 +14,11 @@ def list_doubts(record: ResultRecord) -> list[str]:
 def _list_unexplained(record: ResultRecord) -> list[str]:
     best = record.hypotheses[0]
     refined = best.T_sensor_object != best.T_sensor_object_grid
-    if record.other_touches or not refined or best.imprint_iou >= DOUBTFUL:
+    if record.other_touches or not refined or best.imprint_iou >= LEAST_IOU:
         return []
     return [
         f"the best pose explains {100 * best.imprint_iou:.0f} % of what {record.touch.name} shows (imprint IoU), and "
-        f"below {100 * DOUBTFUL:.0f} % hardly one is right: check the object, the sensor, the unit, and the prior if "
+        f"below {100 * LEAST_IOU:.0f} % hardly one is right: check the object, the sensor, the unit, and the prior if "
         "there is one"
     ]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,6 +15,7 @@ from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.locate.conformal import PoseSet
+from tactile_loc.locate.verdict import Verdict, judge
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +41,11 @@ class Hypothesis:
     def T_sensor_object(self) -> NDArray[np.float64]:  # noqa: N802 - the field's name
         """The answer: the refined pose (4, 4), metres."""
         return self.refined.T_sensor_object
+
+    @property
+    def is_refined(self) -> bool:
+        """Whether the refined pose differs from the grid's: the imprint IoU of a grid pose says little."""
+        return not np.array_equal(self.T_sensor_object, self.T_sensor_object_grid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +95,17 @@ class Localization:
     def best(self) -> Hypothesis:
         """The hypothesis that is ranked first."""
         return self.hypotheses[0]
+
+    @property
+    def verdict(self) -> Verdict:
+        """How far the first hypothesis can be trusted, in one word.
+
+        It is a poor fit too where touches contradict one another and nobody can say which is wrong.
+        """
+        if self.agreement.contradictory and not self.agreement.outliers:
+            return Verdict.POOR_FIT
+        iou = self.best.imprint_iou if self.best.is_refined else math.nan
+        return judge(self.best.probability, iou, self.posterior.elsewhere)
 
     def measure_errors_m(self, obj: ObjectModel) -> NDArray[np.float64] | None:
         """Return each hypothesis's surface distance (K,) in metres to the true pose; None where that is not known."""

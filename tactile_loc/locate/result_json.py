@@ -22,6 +22,7 @@ from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
+from tactile_loc.locate.verdict import Verdict
 
 SCHEMA_VERSION = 2
 
@@ -127,6 +128,11 @@ class ResultRecord(Record):
     left_out: list[TouchRecord] = Field(
         default_factory=list, description="touches that contradict these, and are no part of the result"
     )
+    verdict: Verdict | None = Field(
+        default=None,
+        description="how far the first hypothesis can be trusted: `certain`, `ambiguous`, `poor fit` or `not found`; "
+        "null in files that were written before there were verdicts",
+    )
     grid_poses: int = Field(description="poses that were searched; of a whole object, those that were found likely")
     elsewhere: float = Field(
         default=0.0, description="probability that the pose is near none of these; their probabilities sum to the rest"
@@ -194,6 +200,7 @@ def make_record(
         other_touches=touches[1:],
         contradictory=localization.agreement.contradictory,
         left_out=[_record_touch(touch, config.touch) for touch in localization.left_out],
+        verdict=localization.verdict,
         grid_poses=len(posterior.grid),
         elsewhere=posterior.elsewhere,
         normalised_entropy=localization.normalised_entropy,

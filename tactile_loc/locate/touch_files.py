@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_loc.core.errors import TactileLocError, TouchError
+from tactile_loc.core.errors import NoContactError, TactileLocError, TouchError
 from tactile_loc.core.geometry.rigid import axis_angle
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import SlotConfig, find_sensor_kind
@@ -22,6 +22,7 @@ from tactile_loc.io.mount_files import Mount
 from tactile_loc.io.touch_lists import ListedTouch, read_touch_list
 from tactile_loc.locate.localizer import Localizer, Observation
 from tactile_loc.locate.result import Hypothesis, Localization
+from tactile_loc.locate.verdict import Verdict
 from tactile_loc.store.files import write_atomically
 
 log = logging.getLogger(__name__)
@@ -29,6 +30,7 @@ log = logging.getLogger(__name__)
 SUFFIXES = {".npz", ".npy", *IMAGE_SUFFIXES}
 COLUMNS = (
     "touch",
+    "verdict",
     "probability",
     "imprint_iou",
     "x_mm",
@@ -45,24 +47,28 @@ TOGETHER = 32  # touches read and located at once
 
 @dataclass(frozen=True, eq=False)
 class LocatedFile:
-    """What became of one touch's file: its best hypothesis or, in a sentence, why there is none."""
+    """What became of one touch's file: its best hypothesis and the verdict or, in a sentence, why there is none.
+
+    A file that cannot be read has no verdict.
+    """
 
     path: Path
     best: Hypothesis | None = None
     problem: str = ""
+    verdict: Verdict | None = None
 
     def row(self) -> dict[str, str]:
         """Return it as a row of results.csv, whose columns are COLUMNS: the best pose in mm and degrees."""
         if self.best is None:
-            return {"touch": self.path.name, "says": self.problem}
+            return {"touch": self.path.name, "verdict": self.verdict or "", "says": self.problem}
         best = self.best
         T = best.T_sensor_object
         angle_deg, axis = axis_angle(T[:3, :3])
-        numbers = [
-            f"{best.probability:.4f}", f"{best.imprint_iou:.3f}", *(f"{1e3 * v:.3f}" for v in T[:3, 3]),
-            f"{angle_deg:.2f}", *(f"{v:.4f}" for v in axis),
+        cells = [
+            self.path.name, self.verdict or "", f"{best.probability:.4f}", f"{best.imprint_iou:.3f}",
+            *(f"{1e3 * v:.3f}" for v in T[:3, 3]), f"{angle_deg:.2f}", *(f"{v:.4f}" for v in axis),
         ]  # fmt: skip
-        return dict(zip(COLUMNS, [self.path.name, *numbers, ""], strict=True))
+        return dict(zip(COLUMNS, [*cells, ""], strict=True))
 
 
 def is_folder(path: Path) -> bool:
@@ -99,25 +105,27 @@ def localize_files(
     `press_depth_m`, metres, is how deep the press was where a file does not say.
     """
     for first in range(0, len(files), TOGETHER):
-        yield from _located(localizer, files[first : first + TOGETHER], press_depth_m)
+        yield from _localize_batch(localizer, files[first : first + TOGETHER], press_depth_m)
 
 
-def _located(
+def _localize_batch(
     localizer: Localizer, files: Sequence[Path], press_depth_m: float | None
 ) -> Iterator[tuple[LocatedFile, Localization | None]]:
     touches: dict[Path, Touch] = {}
-    problems: dict[Path, str] = {}
+    failed: dict[Path, LocatedFile] = {}
     for path in files:
         try:
             touches[path] = localizer.read_touch(path, localizer.config.touch.unit, press_depth_m)
+        except NoContactError as error:
+            failed[path] = LocatedFile(path, problem=str(error), verdict=Verdict.NO_CONTACT)
         except TactileLocError as error:
-            problems[path] = str(error)
+            failed[path] = LocatedFile(path, problem=str(error))
     found = dict(zip(touches, localizer.localize_many(list(touches.values())), strict=True))
     for path in files:
         if path in found:
-            yield LocatedFile(path, found[path].best), found[path]
+            yield LocatedFile(path, found[path].best, verdict=found[path].verdict), found[path]
         else:
-            yield LocatedFile(path, problem=problems[path]), None
+            yield failed[path], None
 
 
 def write_table(path: Path, located: Iterable[LocatedFile]) -> Path:

@@ -22,7 +22,7 @@ from tactile_loc.tasks.live import LiveRecord, LiveResult
 Array = NDArray[np.float64]
 
 NUMBERS = (  # of an element, its label, and what it means
-    ("state", "state", "what became of the frame"),
+    ("verdict", "verdict", "how far the pose can be trusted"),
     ("probability", "probability", "of this pose among all"),
     ("imprint", "imprint IoU", "how well it explains the touch"),
     ("place", "x, y, z (mm)", "of the object in the sensor's frame"),
@@ -47,10 +47,10 @@ def live_page(localizer: Localizer, about: str) -> Page:
 
 def shape_made(result: LiveResult, localizer: Localizer) -> ContactShape | None:
     """Return the contact shape that a frame's pose makes, pressed as its touch is; None without either."""
-    touch, T = result.touch, result.record.T_sensor_object
+    touch, T = result.touch, result.located.T_sensor_object
     if touch is None or T is None:
         return None
-    depths_m = localizer.scene.of_touch(touch).depths_explaining(np.array(T)[None], touch)
+    depths_m = localizer.scene.of_touch(touch).depths_explaining(T[None], touch)
     return ContactShape(depths_m[0], touch.press_depth_m)
 
 
@@ -58,7 +58,7 @@ def live_state(result: LiveResult, made: ContactShape | None, localizer: Localiz
     """Return what the page shows of a frame, as JSON values; `made` (H, W) is the contact shape that its pose makes."""
     geometry, record, touch = localizer.sensor.geometry, result.record, result.touch
     shape = None if touch is None else touch.contact_shape
-    T = None if record.T_sensor_object is None else np.array(record.T_sensor_object)
+    T = result.located.T_sensor_object
     image = result.frame.image
     return {
         "number": record.number,
@@ -80,7 +80,7 @@ def _texts(record: LiveRecord, rate_hz: float) -> dict[str, str]:
     """What elements of the page say, by their names."""
     shares = {"probability": record.probability, "imprint": record.imprint_iou}
     return {
-        "says": record.says or record.name, "state": str(record.state),
+        "says": record.says or record.name, "verdict": record.word,
         **{name: NOTHING if share is None else percent(share) for name, share in shares.items()},
         **_pose(record), "rate": f"{rate_hz:.1f} Hz" if rate_hz else NOTHING,
         "rate-more": f"{record.number + 1} frames, {record.dropped} dropped as newer ones had come",

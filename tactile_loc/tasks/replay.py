@@ -3,58 +3,36 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from tactile_loc.core.errors import FrameError, NoContactError, RecordingError, StoreError, TactileLocError
+from tactile_loc.core.errors import FrameError, RecordingError, StoreError, TactileLocError
 from tactile_loc.core.geometry.frame_tree import FrameTree
-from tactile_loc.core.geometry.rigid import covariance_along
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.mount_files import Covariance
 from tactile_loc.io.recordings import Message, Recording
 from tactile_loc.io.ros_messages import Topic, image_array, read_stamp_ns
 from tactile_loc.io.toml import Matrix
 from tactile_loc.io.touches import touch_from_image
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result import Hypothesis
+from tactile_loc.locate.located_frame import LocatedFrame, LocatedRecord, count_frames, record_fields
+from tactile_loc.locate.verdict import Verdict
 
-Estimator = Callable[[Touch], Hypothesis]  # what a touch comes to: a localizer's best, or what a tracker makes of it
-
-
-class Outcome(StrEnum):
-    """What became of a frame."""
-
-    LOCATED = "located"
-    NO_CONTACT = "no contact"
-    REFUSED = "refused"
+Estimator = Callable[[Touch], LocatedFrame]  # what a touch comes to: of a localizer, or of a tracker
 
 
-class FrameRecord(BaseModel):
-    """One image of the recording and what it came to. SI units."""
+class FrameRecord(LocatedRecord):
+    """One image of the recording and what it came to; `number` counts the images of its topic. SI units."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    number: int = Field(description="of the image on its topic, from 0")
     stamp_ns: int = Field(description="the image's stamp, ns")
     log_time_ns: int = Field(description="when the image was logged, ns")
-    outcome: Outcome = Field(description="located, no contact, or refused")
-    says: str = Field(default="", description="why it was not located; empty if it was")
     frame: str = Field(description="the frame that the pose is in")
     T_frame_object: Matrix | None = Field(default=None, description="the object's pose there, (4, 4), m")
-    covariance: Covariance | None = Field(
-        default=None,
-        description="(6, 6), of x, y, z of the object's origin (m) and rotations about the frame's axes (rad); null "
-        "when it is not known",
-    )
-    probability: float | None = Field(default=None, description="of the pose among all, 0 to 1")
-    imprint_iou: float | None = Field(default=None, description="how well the pose explains the image, 0 to 1")
 
     @property
     def T(self) -> NDArray[np.float64]:  # noqa: N802 - the field's name
@@ -94,7 +72,7 @@ class Replay:
         """
         for number, message in enumerate(self.recording.read_messages(self.topic.name)):
             if number >= first:
-                yield self._located(number, message, estimator)
+                yield self._locate(number, message, estimator)
 
     def views(self) -> Iterator[FrameView]:
         """Yield the topic's images, in order. Raises RecordingError for those that cannot be read."""
@@ -109,23 +87,23 @@ class Replay:
         """Return what the sensor reads in an image. Raises NoContactError or TouchError."""
         return touch_from_image(image, self.localizer.sensor, self.press_depth_m)
 
-    def _located(self, number: int, message: Message, estimator: Estimator) -> FrameRecord:
+    def _locate(self, number: int, message: Message, estimator: Estimator) -> FrameRecord:
         image = message.decode()
         frame = self._frame_of(image)
         given: dict[str, Any] = {
             "number": number, "stamp_ns": read_stamp_ns(image.header), "log_time_ns": message.log_time_ns,
             "frame": self.base_frame or frame,
         }  # fmt: skip
+        T_base_frame = np.eye(4)
         try:
             touch = self.touch(image_array(image))
             T_base_frame = self._base_from(frame, given["stamp_ns"])
-            return _record(given, estimator(touch), T_base_frame)
+            located = estimator(touch)
         except (RecordingError, StoreError):  # of no frame's making: they would be refused for good
             raise
-        except NoContactError as error:
-            return FrameRecord(**given, outcome=Outcome.NO_CONTACT, says=str(error))
         except TactileLocError as error:
-            return FrameRecord(**given, outcome=Outcome.REFUSED, says=str(error))
+            located = LocatedFrame.of_error(error)
+        return _make_record(given, located, T_base_frame)
 
     def _frame_of(self, image: Any) -> str:
         frame = self.frame or str(image.header.frame_id)
@@ -141,21 +119,19 @@ class Replay:
         return self.frame_tree.lookup(self.base_frame, frame, stamp)
 
 
-def _record(given: dict[str, Any], best: Hypothesis, T_base_frame: NDArray[np.float64]) -> FrameRecord:
-    covariance = best.refined.covariance
-    along = None if covariance is None else covariance_along(covariance, T_base_frame[:3, :3]).tolist()
-    return FrameRecord(
-        **given, outcome=Outcome.LOCATED, T_frame_object=(T_base_frame @ best.T_sensor_object).tolist(),
-        covariance=along, probability=best.probability, imprint_iou=best.imprint_iou,
-    )  # fmt: skip
+def _make_record(given: dict[str, Any], located: LocatedFrame, T_base_frame: NDArray[np.float64]) -> FrameRecord:
+    moved = located.seen_from(T_base_frame)
+    T = moved.T_sensor_object
+    return FrameRecord(**given, T_frame_object=None if T is None else T.tolist(), **record_fields(moved))
 
 
 @dataclass(frozen=True)
 class ReplaySummary:
-    """How many frames came to what; `reasons` why frames were refused, the most frequent first."""
+    """How many frames came to what; `reasons` why frames without a pose were not located, the most frequent first."""
 
     frames: int
     located: int
+    not_found: int
     no_contact: int
     refused: int
     reasons: tuple[tuple[str, int], ...]
@@ -165,18 +141,18 @@ class ReplaySummary:
     def of(cls, records: Iterable[FrameRecord]) -> ReplaySummary:
         """Count what frames came to, and how often the clock of their stamps went back."""
         records = list(records)
-        outcomes = Counter(record.outcome for record in records)
-        reasons = Counter(record.says for record in records if record.outcome is Outcome.REFUSED)
+        without = (one for one in records if one.T_frame_object is None and one.verdict is not Verdict.NO_CONTACT)
+        reasons = Counter(record.says for record in without)
         stamps = np.array([record.stamp_ns for record in records])
         return cls(
-            len(records), outcomes[Outcome.LOCATED], outcomes[Outcome.NO_CONTACT], outcomes[Outcome.REFUSED],
-            tuple(reasons.most_common()), int((np.diff(stamps) < 0).sum()),
+            **count_frames(record.verdict for record in records), reasons=tuple(reasons.most_common()),
+            jumps_back=int((np.diff(stamps) < 0).sum()),
         )  # fmt: skip
 
 
-def require_located(replay: Replay, summary: ReplaySummary) -> None:
-    """Raise RecordingError, with the most frequent reason, when no frame was located."""
-    if summary.located:
+def require_located(replay: Replay, records: Sequence[FrameRecord], summary: ReplaySummary) -> None:
+    """Raise RecordingError, with the most frequent reason, when no frame has a pose."""
+    if any(record.T_frame_object is not None for record in records):
         return
     why = f"most often: {summary.reasons[0][0]}" if summary.reasons else "none of them shows contact"
     raise RecordingError(

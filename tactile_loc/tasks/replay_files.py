@@ -14,6 +14,7 @@ import numpy as np
 from tactile_loc.core.geometry.rigid import axis_angle
 from tactile_loc.io.recordings import RecordingWriter, write_recording
 from tactile_loc.io.ros_messages import POSE, RosPose, make_pose
+from tactile_loc.locate.located_frame import LocatedFrame
 from tactile_loc.store.files import write_atomically, write_json
 from tactile_loc.tasks.replay import Estimator, FrameRecord, Replay, ReplaySummary, require_located
 from tactile_loc.tasks.replay_journal import Journal, journal
@@ -21,7 +22,7 @@ from tactile_loc.tasks.replay_journal import Journal, journal
 log = logging.getLogger(__name__)
 
 COLUMNS = (
-    "number", "stamp_s", "outcome", "frame", "probability", "imprint_iou", "x_mm", "y_mm", "z_mm", "turn_deg", "axis_x",
+    "number", "stamp_s", "verdict", "frame", "probability", "imprint_iou", "x_mm", "y_mm", "z_mm", "turn_deg", "axis_x",
     "axis_y", "axis_z", "std_mm", "std_deg", "says",
 )  # fmt: skip
 
@@ -47,16 +48,18 @@ def replay_to(
     """Locate each of a recording's `frames` images, and write what they come to: `out`, and .csv and .json beside it.
 
     A journal beside `out` keeps what is finished until all is written: the same call goes on there. What an estimator
-    remembers of earlier frames is not kept. Raises RecordingError when no frame can be located, OutputError.
+    remembers of earlier frames is not kept. Raises RecordingError when no frame has a pose, OutputError.
     """
     path = out.with_name(f"{out.name}.journal")
     with journal(path, replay) as kept:
         if kept.stale:
-            log.warning("%s was of another replay, or of a recording that has changed: all is located anew", path)
+            log.warning(
+                "%s is of another replay, another recording or another version; all images are located anew", path
+            )
         resumed = len(kept.records)
-        _finish(kept, replay, frames, estimator or (lambda touch: replay.localizer.localize(touch).best))
+        _finish(kept, replay, frames, estimator or (lambda touch: LocatedFrame.of(replay.localizer.localize(touch))))
         summary = ReplaySummary.of(kept.records)
-        require_located(replay, summary)
+        require_located(replay, kept.records, summary)
         written = (
             write_poses(out, replay, kept.records, pose_topic, poses_only),
             write_table(out.with_suffix(".csv"), kept.records),
@@ -118,7 +121,7 @@ def write_table(path: Path, records: Sequence[FrameRecord]) -> Path:
 def row(record: FrameRecord) -> dict[str, str]:
     """Return a frame as a row of the table; standard deviations are root mean squares over the three axes."""
     cells = {
-        "number": str(record.number), "stamp_s": f"{record.stamp_ns / 1e9:.9f}", "outcome": record.outcome.value,
+        "number": str(record.number), "stamp_s": f"{record.stamp_ns / 1e9:.9f}", "verdict": record.verdict or "",
         "frame": record.frame, "says": record.says,
     }  # fmt: skip
     if record.T_frame_object is None:

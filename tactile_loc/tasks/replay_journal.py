@@ -12,9 +12,9 @@ from pydantic import ValidationError
 
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.line_files import add_line, open_locked
-from tactile_loc.tasks.replay import FrameRecord, Outcome, Replay
+from tactile_loc.tasks.replay import FrameRecord, Replay
 
-VERSION = 1  # of what a frame comes to: raised when a replay would find another answer
+VERSION = 2  # of what a frame comes to: raised when a replay would find another answer
 
 
 class Journal:
@@ -41,7 +41,7 @@ class Journal:
 
 @contextmanager
 def journal(path: Path, replay: Replay) -> Iterator[Journal]:
-    """Open the journal of a replay, and lock it; one without any frame that was located is not kept.
+    """Open the journal of a replay, and lock it; one without any pose is not kept.
 
     Raises OutputError when it cannot be written, or another process is at work on it.
     """
@@ -51,7 +51,7 @@ def journal(path: Path, replay: Replay) -> Iterator[Journal]:
         try:
             yield kept
         finally:
-            if not any(record.outcome is Outcome.LOCATED for record in kept.records):
+            if not any(record.T_frame_object is not None for record in kept.records):
                 path.unlink()
 
 

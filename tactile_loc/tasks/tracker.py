@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,10 +34,11 @@ from tactile_loc.core.registration.joint_registration import JointRegistration, 
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.scene import View
 from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.located_frame import LocatedFrame
+from tactile_loc.locate.verdict import Verdict, judge
 from tactile_loc.tasks.pose_filter import PoseFilter, SeenPose, motion_errors
 
 Floats = NDArray[np.float64]
-State = Literal["searching", "tracking", "lost", "no contact"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,18 +63,18 @@ class Motion:
 class TrackedPose:
     """What is known of the object's pose at one frame.
 
-    `T_sensors_object` (K, 4, 4), metres, are the modes' poses, the most probable first, `covariances` (K, 6, 6) as
+    `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first, `covariances` (K, 6, 6) as
     RefinedPose's, and `probabilities` (K,): what they lack of 1 is elsewhere. `imprint_iou`, 0 to 1, is how well the
     first explains the touch; NaN without a touch.
 
-    `state`: "tracking" one mode is certain, "searching" none is yet, "lost" the first does not explain the touch, "no
-    contact" there is no touch, and poses are predicted. `searched`: poses were searched for, nearby or of the whole
-    object, which takes longer than a frame that is followed.
+    `verdict` is that of a run, with the tracker's own thresholds (`tracker.certain`, `tracker.least_iou`); without
+    contact poses are predicted. `searched`: poses were searched for, nearby or of the whole object, which takes longer
+    than a frame that is followed.
     """
 
     time_s: float
-    state: State
-    T_sensors_object: Floats
+    verdict: Verdict
+    T_sensor_object_modes: Floats
     covariances: Floats
     probabilities: Floats
     imprint_iou: float
@@ -82,12 +83,19 @@ class TrackedPose:
     @property
     def T_sensor_object(self) -> Floats | None:  # noqa: N802 - the field's name
         """The most probable pose (4, 4), metres; None before the first touch."""
-        return self.T_sensors_object[0] if len(self.T_sensors_object) else None
+        return self.T_sensor_object_modes[0] if len(self.T_sensor_object_modes) else None
 
     @property
     def covariance(self) -> Floats | None:
         """Its covariance (6, 6), as RefinedPose's; None before the first touch."""
         return self.covariances[0] if len(self.covariances) else None
+
+    @property
+    def frame(self) -> LocatedFrame:
+        """The same as live runs, recordings and ROS say it."""
+        return LocatedFrame(
+            self.verdict, self.T_sensor_object_modes, self.probabilities, self.covariance, self.imprint_iou
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +169,7 @@ class Tracker:
         self._modes = [self._predict(mode, T, passed_s, added) for mode in self._modes]
         if touch is None:
             self._alike = 0.0  # another contact
-            return self._result("no contact", math.nan, searched=False)
+            return self._result(math.nan, searched=False, touched=False)
         return self._update_touched(replace(touch, T_base_sensor=T))
 
     def _update_touched(self, touch: Touch) -> TrackedPose:
@@ -180,11 +188,10 @@ class Tracker:
         self._keys = [touch] if contradicted and lost else keys
         search = search or slips
         if not self._modes:
-            return self._result("lost", 0.0, search)
+            return self._result(0.0, search)
         iou = self._modes[0].imprint_iou
         self._usual = iou if search else max(iou, (1 - self.options.habit) * self._usual + self.options.habit * iou)
-        state: State = "lost" if iou < self.options.least_iou else "tracking" if self._is_certain else "searching"
-        return self._result(state, iou, search)
+        return self._result(iou, search)
 
     @property
     def _gel_m(self) -> Floats:
@@ -369,8 +376,12 @@ class Tracker:
             nats, ious = nats + found.evidence, found.imprint_ious
         return [replace(m, evidence=float(n), imprint_iou=float(i)) for m, n, i in zip(modes, nats, ious, strict=True)]
 
-    def _result(self, state: State, imprint_iou: float, searched: bool) -> TrackedPose:
+    def _result(self, imprint_iou: float, searched: bool, touched: bool = True) -> TrackedPose:
         T = np.array([mode.T_sensor_object for mode in self._modes]).reshape(-1, 4, 4)
         covariances = np.array([mode.covariance for mode in self._modes]).reshape(-1, 6, 6)
         p = self._probabilities() if self._modes else np.empty(0)
-        return TrackedPose(self._time_s, state, T, covariances, p, imprint_iou, searched)
+        verdict = judge(
+            float(p[0]) if len(p) else None, imprint_iou, self._elsewhere, touched=touched,
+            certain=self.options.certain, least_iou=self.options.least_iou,
+        )  # fmt: skip
+        return TrackedPose(self._time_s, verdict, T, covariances, p, imprint_iou, searched)

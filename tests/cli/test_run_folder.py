@@ -35,11 +35,13 @@ def test_each_touch_has_a_line_and_its_results(cli, folder):
     found = rows(Path("out"))
     assert [row["touch"] for row in found] == ["touch-0000.npz", "touch-0001.npz", "zero.npz"]
     assert "contact" in found[2]["says"]
+    assert found[2]["verdict"] == "no contact"
     assert "2 of 3" in done.stdout
     assert done.stderr.count("warning: ") == 1
     for row in found[:2]:
         assert row["touch"] in done.stdout
         result = json.loads((Path("out") / Path(row["touch"]).stem / "result.json").read_text())
+        assert row["verdict"] == result["verdict"] in ("certain", "ambiguous")
         T = np.array(result["hypotheses"][0]["T_sensor_object"])
         np.testing.assert_allclose([float(row[k]) for k in ("x_mm", "y_mm", "z_mm")], 1e3 * T[:3, 3], atol=1e-3)
         assert (Path("out") / Path(row["touch"]).stem / "result.png").stat().st_size > 10_000
@@ -56,7 +58,8 @@ def test_it_finds_what_each_touch_alone_finds(cli, folder):
 
 
 def test_touches_of_which_little_is_explained_are_named(cli, folder, monkeypatch):
-    monkeypatch.setattr("tactile_loc.locate.doubts.DOUBTFUL", 1.01)
+    for module in ("doubts", "verdict"):
+        monkeypatch.setattr(f"tactile_loc.locate.{module}.LEAST_IOU", 1.01)
     done = cli("run", *PIN, "--touch", folder, "--out", "out")
     assert not missing(done.stderr, 2, "101 %", "touch-0000.npz", "touch-0001.npz")
     assert "101 %" not in cli("run", *PIN, "--touch", folder, "--out", "out", "--refiner", "none").stderr

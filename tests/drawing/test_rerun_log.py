@@ -14,14 +14,15 @@ from tactile_loc.core.errors import MissingLibraryError, OutputError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.drawing.rerun_files import write_localization
 from tactile_loc.drawing.rerun_log import DEVIATIONS, Logged, RerunLog, pose_text, require_rerun
-from tactile_loc.tasks.live import Estimate, FrameState
+from tactile_loc.locate.located_frame import LocatedFrame
+from tactile_loc.locate.verdict import Verdict
 
 T = make_transform(rotation_about([1, 2, 3], 0.8), [0.001, -0.002, 0.03])
 C = np.diag(np.square([1e-4, 3e-4, 2e-4, 0.01, 0.02, 0.03]))
 
 
-def estimate(state: FrameState = FrameState.TRACKING) -> Estimate:
-    return Estimate(state, np.stack([T, np.eye(4)]), np.array([0.75, 0.2]), C, 0.9)
+def located() -> LocatedFrame:
+    return LocatedFrame(Verdict.CERTAIN, np.stack([T, np.eye(4)]), np.array([0.75, 0.2]), C, 0.9)
 
 
 @pytest.fixture
@@ -33,7 +34,7 @@ def test_what_was_logged_is_read_back(rerun, localizer, tmp_path):
     touch = replace(localizer.simulate(1, seed=0)[0], T_base_sensor=make_transform(np.eye(3), [0.4, 0, 0.1]))
     photo = np.random.default_rng(0).integers(0, 256, (24, 32, 3), np.uint8)
     with RerunLog(tmp_path / "a.rrd", localizer.scene) as log:
-        log.add(Logged(3, 0.0, photo, touch, estimate()))
+        log.add(Logged(3, 0.0, photo, touch, located()))
         log.add(Logged(5, 0.5, says="no contact"))
     found = read(tmp_path / "a.rrd")
     poses = found["base/sensor/object"]
@@ -54,7 +55,7 @@ def test_what_was_logged_is_read_back(rerun, localizer, tmp_path):
     )
     assert [c[0] & 255 for c in found["base/sensor/object/surface"]["Mesh3D:albedo_factor"]] == [0, 255, 0]
     texts = [t[0] for t in found["pose"]["TextDocument:text"]]
-    assert not missing(texts[0], "tracking", "75 %", "1.0, -2.0, 30.0 mm", "45.8°", "(0.27, 0.53, 0.80)")
+    assert not missing(texts[0], "certain", "75 %", "1.0, -2.0, 30.0 mm", "45.8°", "(0.27, 0.53, 0.80)")
     assert not missing(texts[0], "0.10, 0.30, 0.20 mm", "0.6, 1.1, 1.7°")
     assert texts[1] == "no contact"
 
@@ -75,7 +76,7 @@ def test_the_ellipsoid_is_turned_as_the_covariance_is(rerun, localizer, tmp_path
     turned = C.copy()
     turned[:3, :3] = R @ C[:3, :3] @ R.T
     with RerunLog(tmp_path / "a.rrd", localizer.scene) as log:
-        log.add(Logged(0, 0.0, estimate=replace(estimate(), covariance=turned)))
+        log.add(Logged(0, 0.0, located=replace(located(), covariance=turned)))
     from tactile_loc.core.geometry.rigid import quaternion_to_rotation
 
     found = read(tmp_path / "a.rrd")["base/sensor/uncertainty"]
@@ -87,7 +88,8 @@ def test_the_ellipsoid_is_turned_as_the_covariance_is(rerun, localizer, tmp_path
 
 def test_words_without_a_pose_or_its_spread():
     assert pose_text(Logged(0, 0.0, says="no contact")) == "no contact"
-    assert "std" not in pose_text(Logged(0, 0.0, estimate=replace(estimate(), covariance=None)))
+    assert pose_text(Logged(0, 0.0, located=LocatedFrame(None, says="damaged"))) == "refused\ndamaged"
+    assert "std" not in pose_text(Logged(0, 0.0, located=replace(located(), covariance=None)))
 
 
 def test_what_cannot_be_written_is_told_before_anything_is_done(rerun, tmp_path, monkeypatch):

@@ -8,16 +8,17 @@ import pytest
 from tactile_loc.core.geometry.hand_eye import moved
 from tactile_loc.core.geometry.rigid import make_transform, random_rotations, rotation_about
 from tactile_loc.drawing.track import draw_track, track_errors
+from tactile_loc.locate.verdict import Verdict
 from tactile_loc.tasks.tracker import TrackedPose
 
 COUNT = 12
 GEL = np.array([0.0, 0.0, 0.01])
 
 
-def tracked(k: int, T: np.ndarray | None, state: str = "tracking") -> TrackedPose:
+def tracked(k: int, T: np.ndarray | None, verdict: Verdict = Verdict.CERTAIN) -> TrackedPose:
     T = np.empty((0, 4, 4)) if T is None else T[None]
     C = np.repeat(np.diag([1e-8] * 3 + [1e-6] * 3)[None], len(T), axis=0)
-    return TrackedPose(0.1 * k, state, T, C, np.ones(len(T)), 0.9, False)
+    return TrackedPose(0.1 * k, verdict, T, C, np.ones(len(T)), 0.9, False)
 
 
 @pytest.fixture(scope="module")
@@ -38,10 +39,11 @@ def test_errors_are_the_centroids_shift_and_the_turn(box, truth):
 def test_the_picture_regards_symmetry_and_shades_what_is_not_certain(make_box, truth):
     obj = make_box(0.03, 0.02, 0.012, symmetry="z2")
     half_turn = make_transform(rotation_about([0, 0, 1], np.pi), np.zeros(3))
-    states = ["no contact", *["searching"] * 3, *["tracking"] * (COUNT - 4)]
+    doubtful = [Verdict.NO_CONTACT, Verdict.AMBIGUOUS, Verdict.POOR_FIT, Verdict.NOT_FOUND]
+    verdicts = [*doubtful, *[Verdict.CERTAIN] * (COUNT - 4)]
     found = [
-        tracked(k, None if k == 0 else T @ half_turn, state)
-        for k, (T, state) in enumerate(zip(truth, states, strict=True))
+        tracked(k, None if k == 0 else T @ half_turn, verdict)
+        for k, (T, verdict) in enumerate(zip(truth, verdicts, strict=True))
     ]
     figure = draw_track(found, truth, obj, GEL, "a box")
     path, above, below = (axes for sub in figure.subfigs for axes in sub.axes)

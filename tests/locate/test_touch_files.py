@@ -61,9 +61,11 @@ def test_each_file_is_located_or_says_why_not(localizer: Localizer, tmp_path):
     assert bad[1] is None
     assert "bad.npz" in bad[0].problem
     assert good[0].best is good[1].best
+    assert (bad[0].verdict, good[0].verdict) == (None, good[1].verdict)
     path = write_table(tmp_path / "results.csv", [bad[0], good[0]])
     with path.open() as file:
         rows = list(csv.DictReader(file))
+    assert [row["verdict"] for row in rows] == ["", good[1].verdict]
     assert [(row["touch"], row["says"]) for row in rows] == [("bad.npz", bad[0].problem), ("good.npz", "")]
     place_mm = [float(rows[1][key]) for key in ("x_mm", "y_mm", "z_mm")]
     np.testing.assert_allclose(place_mm, 1e3 * good[1].best.T_sensor_object[:3, 3], atol=1e-3)
@@ -85,4 +87,4 @@ def test_a_touch_is_known_no_better_than_its_sensors_mount(localizer: Localizer,
 
 
 def test_a_file_that_cannot_be_located_has_a_name_and_a_reason():
-    assert LocatedFile(Path("a/b.npz"), problem="empty").row() == {"touch": "b.npz", "says": "empty"}
+    assert LocatedFile(Path("a/b.npz"), problem="empty").row() == {"touch": "b.npz", "verdict": "", "says": "empty"}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import threading
+from dataclasses import replace
 from http.client import HTTPConnection, HTTPResponse
 
 import numpy as np
@@ -13,10 +14,12 @@ from message_helpers import missing, naming
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.io.frame_sources import SourceFrame
+from tactile_loc.locate.located_frame import LocatedFrame
+from tactile_loc.locate.verdict import Verdict
 from tactile_loc.reports.live_server import Board, LiveServer
 from tactile_loc.reports.live_view import live_page, live_state, shape_made
 from tactile_loc.reports.page import JSON_OPTIONS, render
-from tactile_loc.tasks.live import Estimate, FrameState, LiveLocator, LiveRecord, LiveResult
+from tactile_loc.tasks.live import LiveResult
 
 
 def ask(server: LiveServer, path: str, host: str | None = None) -> HTTPResponse:
@@ -88,41 +91,34 @@ def test_a_port_that_is_taken_is_told():
         LiveServer("", 70000)
 
 
-def state_of(localizer, record: LiveRecord) -> dict:
-    frame = SourceFrame(record.number, record.time_s, record.name)
-    return live_state(LiveResult(frame, record, None, None, 12.34), None, localizer)
+def state_of(localizer, located: LocatedFrame) -> dict:
+    return live_state(LiveResult(SourceFrame(9, 1.0, "9.png"), located, None, 3, 12.34), None, localizer)
 
 
 def test_numbers_are_in_millimetres_and_degrees(localizer):
     T = np.array([[0, -1, 0, 0.0012], [1, 0, 0, -0.0345], [0, 0, 1, 0.0256], [0, 0, 0, 1.0]])
     C = np.diag(np.square([1e-4, 2e-4, 3e-5, *np.radians([0.5, 1.0, 10.0])]))
-    record = LiveRecord(
-        number=9, name="9.png", time_s=1.0, state=FrameState.TRACKING, T_sensor_object=T.tolist(),
-        covariance=C.tolist(), probability=0.981, imprint_iou=0.5, seconds=0.1, dropped=3,
-    )  # fmt: skip
-    texts = state_of(localizer, record)["texts"]
-    assert texts["state"] == "tracking"
+    located = LocatedFrame(Verdict.CERTAIN, T[None], np.array([0.981]), C, 0.5, 0.1)
+    texts = state_of(localizer, located)["texts"]
+    assert texts["verdict"] == "certain"
     assert texts["place"] == "1.2, -34.5, 25.6"
     assert texts["place-more"] == "std 0.10, 0.20, 0.03 mm"
     assert texts["turn"] == "90.0°"
     assert not missing(texts["turn-more"], "(0.00, 0.00, 1.00)", "0.5, 1.0, 10.0°")
     assert (texts["probability"], texts["imprint"], texts["rate"]) == ("98 %", "50 %", "12.3 Hz")
     assert not missing(texts["rate-more"], 10, 3)
-    bare = record.model_copy(update={"covariance": None})
-    less = state_of(localizer, bare)["texts"]["turn-more"]
+    less = state_of(localizer, replace(located, covariance=None))["texts"]["turn-more"]
     assert not missing(less, "(0.00, 0.00, 1.00)")
     assert missing(less, "°")
-    none = LiveRecord(number=0, name="0.png", time_s=0, state="no contact", says="none", seconds=0.1, dropped=0)
-    texts = state_of(localizer, none)["texts"]
-    assert (texts["place"], texts["turn"], texts["says"]) == ("-", "-", "none")
+    texts = state_of(localizer, LocatedFrame(Verdict.NO_CONTACT, says="none", seconds=0.1))["texts"]
+    assert (texts["verdict"], texts["place"], texts["turn"], texts["says"]) == ("no contact", "-", "-", "none")
+    assert state_of(localizer, LocatedFrame(None, says="damaged", seconds=0.1))["texts"]["verdict"] == "refused"
 
 
 def test_a_frame_is_shown_with_its_outline_and_the_one_that_the_true_pose_makes(localizer):
     touch = localizer.simulate(1, seed=1)[0]
-    estimate = Estimate(FrameState.LOCATED, touch.T_sensor_object[None], np.ones(1), None, 1.0)
-    record = LiveLocator(localizer).located(SourceFrame(0, 0.0, "0", touch.contact_shape.depth_m)).record
-    true = record.model_copy(update={"T_sensor_object": touch.T_sensor_object.tolist()})
-    result = LiveResult(SourceFrame(0, 0.0, "0"), true, touch, estimate, 0.0)
+    located = LocatedFrame(Verdict.CERTAIN, touch.T_sensor_object[None], np.ones(1), None, 1.0, 0.1)
+    result = LiveResult(SourceFrame(0, 0.0, "0"), located, touch, 0, 0.0)
     made = shape_made(result, localizer)
     assert made.contact_iou(touch.contact_shape, touch.geometry.observed_mask) > 0.97
     state = live_state(result, made, localizer)

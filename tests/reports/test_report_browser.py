@@ -20,12 +20,14 @@ from report_helpers import UNFRIENDLY, write_sweep
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.frame_sources import SourceFrame
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.located_frame import LocatedFrame
+from tactile_loc.locate.verdict import Verdict
 from tactile_loc.reports import find_source, write_report
 from tactile_loc.reports.live_server import LiveServer
 from tactile_loc.reports.live_view import live_page, live_state, shape_made
 from tactile_loc.reports.page import render
 from tactile_loc.reports.scene import rows_mm
-from tactile_loc.tasks.live import Estimate, FrameState, LiveRecord, LiveResult
+from tactile_loc.tasks.live import LiveResult
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
 
@@ -237,14 +239,12 @@ def live_result(number: int, touch: Touch | None) -> LiveResult:
     """A frame with a photo, at the true pose of its touch."""
     photo = np.random.default_rng(number).integers(0, 256, (48, 48, 3), np.uint8)
     frame = SourceFrame(number, 0.0, f"{number}.png", photo)
-    seen: dict[str, Any] = {"number": number, "name": frame.name, "time_s": 0.0, "seconds": 0.1, "dropped": 2}
     if touch is None:
-        record = LiveRecord(**seen, state=FrameState.NO_CONTACT, says="no contact: nothing")
-        return LiveResult(frame, record, None, None, 4.0)
-    T, C = touch.T_sensor_object, np.diag(np.square([1e-4] * 3 + [0.01] * 3))
-    told = {"T_sensor_object": T.tolist(), "covariance": C.tolist(), "probability": 0.97, "imprint_iou": 0.8}
-    record = LiveRecord(**seen, **told, state=FrameState.TRACKING)
-    return LiveResult(frame, record, touch, Estimate(FrameState.TRACKING, T[None], np.ones(1), C, 0.8), 4.0)
+        located = LocatedFrame(Verdict.NO_CONTACT, says="no contact: nothing", seconds=0.1)
+    else:
+        T, C = touch.T_sensor_object, np.diag(np.square([1e-4] * 3 + [0.01] * 3))
+        located = LocatedFrame(Verdict.CERTAIN, T[None], np.array([0.97]), C, 0.8, 0.1)
+    return LiveResult(frame, located, touch, 2, 4.0)
 
 
 def test_a_live_run_is_drawn_as_it_goes(browser, localizer: Localizer):
@@ -272,12 +272,12 @@ def test_a_live_run_is_drawn_as_it_goes(browser, localizer: Localizer):
                 rows = np.reshape(rows_mm(touch.T_sensor_object), (3, 4))
                 expected = 1e3 * body @ rows[:, :3].T + rows[:, 3]
                 assert np.abs(object_points(browser) - expected).max() < 0.01
-                texts = [find(browser, f"#{name}").text for name in ("state", "probability", "place-more", "rate")]
-                assert texts == ["tracking", "97 %", "std 0.10, 0.10, 0.10 mm", "4.0 Hz"]
+                texts = [find(browser, f"#{name}").text for name in ("verdict", "probability", "place-more", "rate")]
+                assert texts == ["certain", "97 %", "std 0.10, 0.10, 0.10 mm", "4.0 Hz"]
                 assert find(browser, "#shape .made").get_attribute("d").startswith("M")
-        assert find(browser, "#state").text == "no contact"
+        assert find(browser, "#verdict").text == "no contact"
         assert find(browser, "#says").text == "no contact: nothing"
-    WebDriverWait(browser, 120).until(lambda _: find(browser, "#state").text == "ended")
+    WebDriverWait(browser, 120).until(lambda _: find(browser, "#verdict").text == "ended")
     assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
     asked = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
     urls = {m["params"]["request"]["url"] for m in asked if m["method"] == "Network.requestWillBeSent"}

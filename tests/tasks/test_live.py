@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_loc.core.errors import TouchError
+from tactile_loc.core.errors import GridError, TouchError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.frame_sources import ImageFolder, SourceFrame
 from tactile_loc.io.touches import write_touch
-from tactile_loc.tasks.live import FrameState, LiveLocator, LiveRecord, LiveSummary
+from tactile_loc.locate.verdict import Verdict
+from tactile_loc.tasks.live import LiveLocator, LiveRecord, LiveSummary
 from tactile_loc.tasks.tracker import Tracker
 
 NOTHING = np.full((200, 200), 0.002, np.float32)
@@ -36,15 +37,16 @@ def frames_of(folder: Path, *touches: Touch | None) -> list[SourceFrame]:
 
 def test_a_frame_is_located_as_its_touch_is(localizer, touch, tmp_path):
     (frame,) = frames_of(tmp_path / "in", touch)
-    result = LiveLocator(localizer).located(frame, dropped=4)
-    best = localizer.localize(touch).best
+    result = LiveLocator(localizer).locate(frame, dropped=4)
+    expected = localizer.localize(touch)
+    best = expected.best
     record = result.record
-    assert (record.state, record.name, record.dropped, record.says) == ("located", "0.npz", 4, "")
+    assert (record.verdict, record.name, record.dropped, record.says) == (expected.verdict, "0.npz", 4, "")
     np.testing.assert_allclose(record.T_sensor_object, best.T_sensor_object, atol=1e-6)
     assert record.probability == pytest.approx(best.probability, abs=1e-3)
     np.testing.assert_allclose(record.std, np.sqrt(np.diag(best.refined.covariance)), rtol=1e-3)
     assert LiveRecord.model_validate_json(record.model_dump_json()) == record
-    assert len(result.estimate.T_sensors_object) == len(result.estimate.probabilities) > 1
+    assert len(result.located.T_sensor_object_modes) == len(result.located.probabilities) > 1
 
 
 def test_no_contact_is_said_and_what_cannot_be_read_is_refused(localizer, touch, tmp_path):
@@ -52,8 +54,10 @@ def test_no_contact_is_said_and_what_cannot_be_read_is_refused(localizer, touch,
     damaged = replace(frames[0], problem=TouchError("it is\ndamaged"))
     wrong = SourceFrame(3, 0.0, "photo", np.zeros((200, 200, 3), np.uint8))
     locator = LiveLocator(localizer)
-    records = [locator.located(frame).record for frame in (*frames, damaged, wrong)]
-    assert [record.state for record in records] == ["located", "no contact", "refused", "refused"]
+    records = [locator.locate(frame).record for frame in (*frames, damaged, wrong)]
+    assert [record.verdict for record in records[1:]] == [Verdict.NO_CONTACT, None, None]
+    assert records[0].verdict is localizer.localize(touch).verdict
+    assert [record.word for record in records[1:]] == ["no contact", "refused", "refused"]
     assert "mm" in records[1].says
     assert records[2].says == "it is damaged"
     assert "--sensor" in records[3].says
@@ -63,12 +67,26 @@ def test_no_contact_is_said_and_what_cannot_be_read_is_refused(localizer, touch,
     assert {reason for reason, _ in summary.reasons} == {records[2].says, records[3].says}
 
 
+def test_a_touch_that_fits_nowhere_is_not_found_and_says_why(localizer, touch, tmp_path, monkeypatch):
+    def fail(self, touch):
+        raise GridError("no pose explains the touch")
+
+    monkeypatch.setattr(type(localizer), "localize", fail)
+    (frame,) = frames_of(tmp_path / "in", touch)
+    locator = LiveLocator(localizer)
+    record = locator.locate(frame).record
+    assert (record.verdict, record.says) == (Verdict.NOT_FOUND, "no pose explains the touch")
+    summary = LiveSummary.of(locator, dropped=0)
+    assert (summary.located, summary.not_found, summary.refused) == (0, 1, 0)
+    assert summary.reasons == (("no pose explains the touch", 1),)
+
+
 def test_the_rate_is_that_of_the_last_frames(localizer, tmp_path, monkeypatch):
     (frame,) = frames_of(tmp_path / "in", None)
     clock = iter(np.arange(0, 100, 0.05))  # each frame asks it twice
     monkeypatch.setattr("tactile_loc.tasks.live.time.perf_counter", lambda: next(clock))
     locator = LiveLocator(localizer)
-    assert [locator.located(frame).rate_hz for _ in range(3)] == pytest.approx([0, 10, 10])
+    assert [locator.locate(frame).rate_hz for _ in range(3)] == pytest.approx([0, 10, 10])
 
 
 def test_at_rest_one_pose_is_tracked_and_predicted_without_contact(localizer, touch, tmp_path):
@@ -78,8 +96,8 @@ def test_at_rest_one_pose_is_tracked_and_predicted_without_contact(localizer, to
     locator = LiveLocator(localizer, tracker)
     frames = [replace(frame, time_s=t) for frame, t in zip(frames_of(tmp_path / "in", touch, touch, None, touch),
                                                            (5.0, 5.1, 5.05, 5.2), strict=True)]  # fmt: skip
-    results = [locator.located(frame) for frame in frames]
-    assert [result.record.state for result in results] == ["tracking", "tracking", "no contact", "tracking"]
+    results = [locator.locate(frame) for frame in frames]
+    assert [result.record.verdict for result in results] == ["certain", "certain", "no contact", "certain"]
     for result in results:
         np.testing.assert_allclose(
             np.array(result.record.T_sensor_object)[:3, 3], touch.T_sensor_object[:3, 3], atol=5e-4
@@ -97,6 +115,6 @@ def test_a_track_goes_where_files_say_that_the_sensor_was(localizer, touch, tmp_
     (frame,) = frames_of(tmp_path / "in", replace(touch, T_base_sensor=T))
     tracker = Tracker(localizer)
     tracker.start(T @ touch.T_sensor_object, np.diag([1e-4**2] * 3 + [1e-2**2] * 3))
-    record = LiveLocator(localizer, tracker).located(frame).record
-    assert record.state is FrameState.TRACKING
+    record = LiveLocator(localizer, tracker).locate(frame).record
+    assert record.verdict is Verdict.CERTAIN
     np.testing.assert_allclose(np.array(record.T_sensor_object)[:3, 3], touch.T_sensor_object[:3, 3], atol=5e-4)

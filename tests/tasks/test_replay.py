@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import os
 from dataclasses import replace
@@ -14,12 +15,12 @@ from message_helpers import missing, naming
 from tactile_loc.core.errors import FrameError, GridError, OutputError, RecordingError, StoreError
 from tactile_loc.core.geometry.rigid import covariance_along, make_transform, rotation_about
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.io.recordings import Recording, RecordingWriter, choose_image_topic, write_recording
 from tactile_loc.io.ros_messages import IMAGE, TF, make_image, make_transforms, read_pose, read_stamp_ns
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result import Hypothesis
-from tactile_loc.tasks.replay import Outcome, Replay, ReplaySummary
+from tactile_loc.locate.located_frame import LocatedFrame
+from tactile_loc.locate.verdict import Verdict
+from tactile_loc.tasks.replay import Replay, ReplaySummary
 from tactile_loc.tasks.replay_files import replay_to
 from tactile_loc.tasks.replay_journal import journal
 
@@ -61,10 +62,10 @@ def replay_of(path: Path, localizer: Localizer, base: str | None = None, frame: 
     return Replay(recording, topic, localizer, frame, base, recording.read_frame_tree() if base else None)
 
 
-def at_truth(touch: Touch) -> Hypothesis:
+def at_truth(touch: Touch) -> LocatedFrame:
     """An estimator: always the same pose, the same covariance."""
     T = make_transform(rotation_about([1, 1, 0], 0.3), [0.001, 0.002, 0.025])
-    return Hypothesis(0.5, T, RefinedPose(T, 1.0, True, 3, covariance=C), 0, 1, 0.9)
+    return LocatedFrame(Verdict.AMBIGUOUS, T[None], np.array([0.5]), C, 0.9)
 
 
 T_GEL_OBJECT = at_truth(None).T_sensor_object  # type: ignore[arg-type]
@@ -77,8 +78,9 @@ def test_the_localizer_finds_what_was_touched(recorded, localizer, touches, tmp_
         best = localizer.localize(touch).best
         np.testing.assert_allclose(record.T, best.T_sensor_object, atol=1e-9)
         assert record.frame == "gel"
-    outcomes = [record.outcome for record in found.records]
-    assert outcomes == [Outcome.LOCATED] * 3 + [Outcome.NO_CONTACT, Outcome.REFUSED, Outcome.LOCATED]
+    expected = [localizer.localize(touch).verdict for touch in touches]
+    verdicts = [record.verdict for record in found.records]
+    assert verdicts == [*expected, Verdict.NO_CONTACT, None, expected[0]]
     assert not missing(found.records[4].says, "-1 m")
     assert found.summary.reasons == ((found.records[4].says, 1),)
 
@@ -94,7 +96,7 @@ def test_poses_and_covariances_are_moved_to_the_base(recorded, localizer, tmp_pa
     np.testing.assert_allclose(read_pose(message).T, T_base_gel @ T_GEL_OBJECT, atol=1e-9)
     covariance = np.reshape(read_pose(message).covariance, (6, 6))
     np.testing.assert_allclose(covariance, covariance_along(C, T_base_gel[:3, :3]), atol=1e-12)
-    assert found.records[5].outcome is Outcome.REFUSED  # 5 s is after the last transform
+    assert found.records[5].verdict is None  # 5 s is after the last transform
     assert not missing(found.records[5].says, "0.000 s", "4.000 s", "5.000 s")
 
 
@@ -113,7 +115,7 @@ def test_the_poses_stand_beside_what_was_recorded_or_alone(recorded, localizer, 
 
 
 def test_an_estimator_that_finds_nothing_is_told(recorded, localizer, tmp_path):
-    def lost(touch: Touch) -> Hypothesis:
+    def lost(touch: Touch) -> LocatedFrame:
         raise GridError("hopeless")
 
     with pytest.raises(RecordingError, match=naming(6, "/gel/image", "drive.mcap", "hopeless")):
@@ -130,13 +132,13 @@ def test_frames_that_lack_are_told_at_once(recorded, localizer):
 def test_what_was_finished_is_not_done_again(recorded, localizer, tmp_path, located, finished):
     calls = []
 
-    def interrupted(touch: Touch) -> Hypothesis:
+    def interrupted(touch: Touch) -> LocatedFrame:
         if len(calls) == located:
             raise KeyboardInterrupt
         calls.append(touch)
         return at_truth(touch)
 
-    def counting(touch: Touch) -> Hypothesis:
+    def counting(touch: Touch) -> LocatedFrame:
         calls.append(touch)
         return at_truth(touch)
 
@@ -155,7 +157,7 @@ def test_what_was_finished_is_not_done_again(recorded, localizer, tmp_path, loca
 def test_a_full_store_refuses_no_frame_for_good(recorded, localizer, tmp_path):
     estimates = iter([at_truth])
 
-    def starved(touch: Touch) -> Hypothesis:
+    def starved(touch: Touch) -> LocatedFrame:
         for estimate in estimates:
             return estimate(touch)
         raise StoreError("full")
@@ -207,6 +209,37 @@ def test_the_journal_of_another_replay_is_not_used(recorded, localizer, tmp_path
     found = replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer, "base"), 6, "/pose", estimator=at_truth)
     assert found.resumed == 0
     assert str(path) in caplog.text
+
+
+def test_the_journal_of_the_version_before_begins_anew(recorded, localizer, tmp_path, monkeypatch, caplog):
+    replay, path = replay_of(recorded, localizer), tmp_path / "out.mcap.journal"
+    with monkeypatch.context() as patch:
+        patch.setattr("tactile_loc.tasks.replay_journal.VERSION", 1)
+        with journal(path, replay) as kept:
+            kept.append(next(replay.frames(at_truth)))
+    found = replay_to(tmp_path / "out.mcap", replay, 6, "/pose", estimator=at_truth)
+    assert found.resumed == 0
+    assert len(caplog.records) == 1
+    assert not missing(caplog.text, path, "another version")
+
+
+def test_frames_that_are_not_found_are_counted_apart(recorded, localizer, tmp_path):
+    """A pose that the search probably missed is written all the same; a touch without any is a row with the reason."""
+    calls = []
+
+    def find_little(touch: Touch) -> LocatedFrame:
+        calls.append(touch)
+        if len(calls) == 1:
+            raise GridError("hopeless")
+        return replace(at_truth(touch), verdict=Verdict.NOT_FOUND)
+
+    found = replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer), 6, "/pose", estimator=find_little)
+    summary = found.summary
+    assert (summary.located, summary.not_found, summary.no_contact, summary.refused) == (0, 4, 1, 1)
+    assert [record.T_frame_object is not None for record in found.records] == [False, True, True, False, False, True]
+    rows = list(csv.DictReader((tmp_path / "out.csv").read_text().splitlines()))
+    assert [row["verdict"] for row in rows] == ["not found"] * 3 + ["no contact", "", "not found"]
+    assert rows[0]["says"] == "hopeless"
 
 
 def test_two_processes_do_not_write_one_journal(recorded, localizer, tmp_path):

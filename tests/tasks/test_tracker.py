@@ -17,6 +17,7 @@ from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import SlidingTouches
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.verdict import Verdict
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 from tactile_loc.tasks.tracker import Motion, Tracker
 
@@ -67,7 +68,7 @@ def off_mm(localizer: Localizer, T: np.ndarray, truth: np.ndarray) -> float:
 def test_a_slide_is_tracked_and_the_truth_is_where_the_covariance_says(pin, slide):
     tracker = started(pin, slide)
     found = [tracker.update(frame.time_s, frame.touch, frame.T_base_sensor) for frame in slide]
-    assert {one.state for one in found} == {"tracking"}
+    assert {one.verdict for one in found} == {Verdict.CERTAIN}
     errors = [off_mm(pin, one.T_sensor_object, f.T_sensor_object) for one, f in zip(found, slide, strict=True)]
     assert np.median(errors) < 0.3
     assert errors[-1] < 0.5
@@ -132,7 +133,7 @@ def test_without_contact_the_pose_is_predicted_exactly_and_becomes_less_sure(pin
     held = tracker.update(0.0, first.touch, first.T_base_sensor)
     T_base_sensor = first.T_base_sensor @ make_transform(rotation_about([0, 1, 2], 0.3), [0.01, 0.0, -0.03])
     found = tracker.update(0.5, None, T_base_sensor)
-    assert found.state == "no contact"
+    assert found.verdict is Verdict.NO_CONTACT
     assert np.isnan(found.imprint_iou)
     expected = invert(T_base_sensor) @ first.T_base_sensor @ held.T_sensor_object
     assert np.linalg.norm(pose_errors(found.T_sensor_object, expected)[:3]) < 1e-4  # but for the sensor pose's error
@@ -144,7 +145,7 @@ def test_without_contact_the_pose_is_predicted_exactly_and_becomes_less_sure(pin
 
 def test_nothing_is_known_before_the_first_touch(pin):
     found = Tracker(pin).update(0.0, None, np.eye(4))
-    assert found.state == "no contact"
+    assert found.verdict is Verdict.NO_CONTACT
     assert found.T_sensor_object is None
     assert found.covariance is None
     assert len(found.probabilities) == 0
@@ -174,7 +175,7 @@ def test_bad_input_is_one_sentence(pin, slide):
     other = replace(touch, geometry=replace(touch.geometry, fx=2 * touch.geometry.fx))
     with pytest.raises(TouchError, match=naming("frame-0000", "gelslim")):
         tracker.update(1.1, other)
-    assert tracker.update(1.2, touch, T).state == "tracking", "a refused frame changes nothing"
+    assert tracker.update(1.2, touch, T).verdict is Verdict.CERTAIN, "a refused frame changes nothing"
 
 
 def test_what_is_no_pose_or_covariance_or_creep_is_refused(pin):

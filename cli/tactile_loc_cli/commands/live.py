@@ -116,7 +116,7 @@ def live(
     summary = LiveSummary.of(locator, opened.dropped)
     _report(summary, opened.about)
     written = say_written(path for path in (out, rerun) if path is not None)
-    if summary.frames and summary.refused == summary.frames:
+    if summary.reasons and sum(count for _, count in summary.reasons) == summary.frames:
         raise TouchError(f"no frame of {opened.about} can be located; the first reason: {summary.reasons[0][0]}")
     return {**asdict(summary), "written": written}
 
@@ -161,7 +161,7 @@ def _log_results(localizer: Localizer, path: Path) -> Iterator[Show]:
             frame = result.frame
             start_s[:] = start_s or [frame.time_s]
             time_s = frame.time_s - start_s[0]
-            log.add(Logged(frame.number, time_s, frame.image, result.touch, result.estimate, says=result.record.says))
+            log.add(Logged(frame.number, time_s, frame.image, result.touch, result.located))
 
         yield show
 
@@ -189,23 +189,23 @@ def _run(locator: LiveLocator, source: FrameSource, shows: Sequence[Show]) -> No
     locator.prepare()
     with suppress(KeyboardInterrupt), closing(frames):
         for frame in frames:
-            result = locator.located(frame, source.dropped)
+            result = locator.locate(frame, source.dropped)
             for show in shows:
                 show(result)
             _log(result)
 
 
 def _log(result: LiveResult) -> None:
-    record = result.record
-    if record.state == "refused":
-        logger.warning("refused: %s", record.says)
-    logger.info("%s: %s, %.0f ms, %.1f Hz", record.name, record.state, 1e3 * record.seconds, result.rate_hz)
+    located = result.located
+    if located.verdict is None:
+        logger.warning("refused: %s", located.says)
+    logger.info("%s: %s, %.0f ms, %.1f Hz", result.frame.name, located.word, 1e3 * located.seconds, result.rate_hz)
 
 
 def _report(summary: LiveSummary, about: str) -> None:
     """Write how many frames came to what."""
     say(
-        f"{about}: {summary.frames} frames, {summary.located} located, {summary.no_contact} without contact, "
-        f"{summary.refused} refused, {summary.dropped} dropped"
+        f"{about}: {summary.frames} frames, {summary.located} located, {summary.not_found} not found, "
+        f"{summary.no_contact} without contact, {summary.refused} refused, {summary.dropped} dropped"
     )
     say_reasons(summary.reasons)

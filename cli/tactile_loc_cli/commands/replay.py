@@ -130,9 +130,10 @@ def _require_free(contents: Contents, recording: Path, pose_topic: str, poses_on
 def _report(found: Replayed, topic: str) -> None:
     """Write how many frames came to what."""
     summary = found.summary
+    finished = f"; {found.resumed} of them were finished before" if found.resumed else ""
     say(
-        f"{topic}: {summary.frames} images, {summary.located} located, {summary.no_contact} without contact, "
-        f"{summary.refused} refused" + (f"; {found.resumed} of them were finished before" if found.resumed else "")
+        f"{topic}: {summary.frames} images, {summary.located} located, {summary.not_found} not found, "
+        f"{summary.no_contact} without contact, {summary.refused} refused{finished}"
     )
     if more := say_reasons(summary.reasons):
         say(f"and for {more} more reasons: see {found.written[1]}")

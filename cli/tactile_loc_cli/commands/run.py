@@ -210,13 +210,13 @@ def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool) 
 
 def _warn_of_doubtful(names: list[str]) -> None:
     """Say of which touches the best pose is hardly right."""
-    from tactile_loc.locate.doubts import DOUBTFUL
+    from tactile_loc.locate.verdict import LEAST_IOU
 
     if names:
         some = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
         logger.warning(
             "%d best poses explain less than %.0f %%, and hardly one of such is right: %s",
-            len(names), 100 * DOUBTFUL, some,
+            len(names), 100 * LEAST_IOU, some,
         )  # fmt: skip
 
 
@@ -239,9 +239,9 @@ def _write(localizer: Localizer, localization: Localization, folder: Path, pictu
 def _make_json(located: LocatedFile, out: Path) -> dict[str, Any]:
     """What became of one touch, in SI units."""
     if (best := located.best) is None:
-        return {"touch": located.path.name, "error": located.problem}
+        return {"touch": located.path.name, "verdict": located.verdict, "error": located.problem}
     return {
         "touch": located.path.name, "result": str(out / located.path.stem / "result.json"),
-        "probability": best.probability, "imprint_iou": best.imprint_iou,
+        "verdict": located.verdict, "probability": best.probability, "imprint_iou": best.imprint_iou,
         "T_sensor_object": best.T_sensor_object.tolist(),
     }  # fmt: skip

@@ -1,15 +1,13 @@
-"""From an image message to the pose message that answers it. Nothing of ROS is needed: messages are given."""
+"""From an image message to the located frame and the pose message. Nothing of ROS is needed: messages are given."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from tactile_loc import (
-    Hypothesis,
     Localizer,
-    NoContactError,
+    LocatedFrame,
     RosPose,
     TactileLocError,
     Touch,
@@ -17,23 +15,14 @@ from tactile_loc import (
     touch_from_image,
 )
 
-Estimator = Callable[[Touch], Hypothesis]
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """What an image comes to: the object's pose in the sensor's frame; or none, and why."""
-
-    pose: RosPose | None
-    says: str = ""
-    touches: bool = True
+Estimator = Callable[[Touch], LocatedFrame]
 
 
 class ImageLocator:
     """Locates an object in image messages of one sensor, each for itself.
 
     `frame` is the sensor's, by default as each image says; `press_depth_m`, metres, as for `tactile_loc.read_touch`; an
-    `estimator` says what a touch comes to, by default the localizer's best hypothesis.
+    `estimator` says what a touch comes to, by default what the localizer finds.
     """
 
     def __init__(
@@ -41,20 +30,22 @@ class ImageLocator:
         estimator: Estimator | None = None,
     ) -> None:  # fmt: skip
         self._sensor, self._frame, self._press_depth_m = localizer.sensor, frame, press_depth_m
-        self._estimator = estimator or (lambda touch: localizer.localize(touch).best)
+        self._estimator = estimator or (lambda touch: LocatedFrame.of(localizer.localize(touch)))
 
-    def answer(self, image: Any) -> Answer:
+    def locate(self, image: Any) -> LocatedFrame:
         """Return what a sensor_msgs Image or CompressedImage comes to; never raises for what an image shows."""
         try:
-            best = self._estimator(touch_from_image(image_array(image), self._sensor, self._press_depth_m))
-        except NoContactError as error:
-            return Answer(None, str(error), touches=False)
+            return self._estimator(touch_from_image(image_array(image), self._sensor, self._press_depth_m))
         except TactileLocError as error:
-            return Answer(None, str(error))
-        return Answer(RosPose.of(best.T_sensor_object, best.refined.covariance))
+            return LocatedFrame.of_error(error)
 
-    def fill(self, message: Any, pose: RosPose, image: Any) -> Any:
-        """Return a geometry_msgs PoseWithCovarianceStamped, filled: the image's stamp, the sensor's frame, the pose."""
+    def fill(self, message: Any, located: LocatedFrame, image: Any) -> Any:
+        """Return a geometry_msgs PoseWithCovarianceStamped, filled: the image's stamp, the sensor's frame, the pose.
+
+        `located` must have a pose.
+        """
+        assert located.T_sensor_object is not None
+        pose = RosPose.of(located.T_sensor_object, located.covariance)
         message.header.stamp = image.header.stamp
         message.header.frame_id = self._frame or image.header.frame_id
         for field, value in zip("xyz", pose.position_m, strict=True):

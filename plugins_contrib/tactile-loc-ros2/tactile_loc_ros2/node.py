@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from tactile_loc import Localizer, TactileLocError
+from tactile_loc import Localizer, TactileLocError, Verdict
 from tactile_loc.plugin import MissingLibraryError
 
 from tactile_loc_ros2.locator import ImageLocator
@@ -28,21 +28,29 @@ def ros(module: str) -> Any:
         raise MissingLibraryError(f"{NO_ROS} ({error})") from error
 
 
-def run(locator: ImageLocator, image_topic: str, compressed: bool, pose_topic: str, arguments: Sequence[str]) -> None:
-    """Answer images by poses until ROS shuts down; of images that come while one is located, only the last is kept."""
+def run(
+    locator: ImageLocator, image_topic: str, compressed: bool, pose_topic: str, verdict_topic: str,
+    arguments: Sequence[str],
+) -> None:  # fmt: skip
+    """Answer images by poses and verdicts until ROS shuts down.
+
+    Of images that come while one is located, only the last is kept.
+    """
     rclpy, qos = ros("rclpy"), ros("rclpy.qos")
     kind = ros("sensor_msgs.msg").CompressedImage if compressed else ros("sensor_msgs.msg").Image
-    answered = ros("geometry_msgs.msg").PoseWithCovarianceStamped
+    answered, text = ros("geometry_msgs.msg").PoseWithCovarianceStamped, ros("std_msgs.msg").String
     rclpy.init(args=list(arguments))
     node = rclpy.create_node("tactile_loc")
-    publisher = node.create_publisher(answered, pose_topic, 10)
+    poses, verdicts = node.create_publisher(answered, pose_topic, 10), node.create_publisher(text, verdict_topic, 10)
 
     def on_image(image: Any) -> None:
-        answer = locator.answer(image)
-        if answer.pose is not None:
-            publisher.publish(locator.fill(answered(), answer.pose, image))
-        elif answer.touches:
-            node.get_logger().warning(answer.says, throttle_duration_sec=1.0)
+        located = locator.locate(image)
+        if located.T_sensor_object is not None:
+            poses.publish(locator.fill(answered(), located, image))
+        elif located.verdict is not Verdict.NO_CONTACT:
+            node.get_logger().warning(located.says, throttle_duration_sec=1.0)
+        if located.verdict is not None:
+            verdicts.publish(text(data=located.verdict.value))
 
     newest = qos.QoSProfile(depth=1, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
     node.create_subscription(kind, image_topic, on_image, newest)
@@ -65,7 +73,7 @@ def main(words: Sequence[str] | None = None) -> int:
         localizer.localize(localizer.simulate(1)[0])  # builds the model, compiles
         press_m = None if given.press_depth is None else 1e-3 * given.press_depth
         locator = ImageLocator(localizer, given.frame, press_m)
-        run(locator, given.image_topic, given.compressed, given.pose_topic, rest)
+        run(locator, given.image_topic, given.compressed, given.pose_topic, given.verdict_topic, rest)
     except TactileLocError as error:
         sys.stderr.write(f"error: {type(error).__name__}: {error}\n")
         return 2
@@ -87,6 +95,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--image-topic", required=True, help="images of the gel, or contact shapes (32FC1, metres)")
     parser.add_argument("--compressed", action="store_true", help="the images are CompressedImage")
     parser.add_argument("--pose-topic", default="/object/pose", help="where poses go")
+    parser.add_argument("--verdict-topic", default="/object/verdict", help="where each image's verdict goes")
     parser.add_argument("--frame", default="", help="the sensor's frame; by default as the images say")
     parser.add_argument("--press-depth", type=float, help="how deep the press was, mm; by default as the image shows")
     return parser

@@ -10,8 +10,8 @@ from types import SimpleNamespace as Fields
 import numpy as np
 import pytest
 from PIL import Image
-from tactile_loc import Localizer, TactileLocError
-from tactile_loc.plugin import MissingLibraryError, RefinedPose
+from tactile_loc import Localizer, LocatedFrame, TactileLocError, Verdict
+from tactile_loc.plugin import MissingLibraryError
 
 from tactile_loc_ros2 import node
 from tactile_loc_ros2.locator import ImageLocator
@@ -40,8 +40,8 @@ def localizer() -> Localizer:
     return Localizer.create("pin", sensor="gelslim", grid={"name": "face", "spacing_mm": 10}, temperature=1e-3)
 
 
-def estimated(touch) -> Fields:
-    return Fields(T_sensor_object=T, refined=RefinedPose(T, 1.0, True, 1, covariance=C))
+def estimated(touch) -> LocatedFrame:
+    return LocatedFrame(Verdict.CERTAIN, T[None], np.ones(1), C, 0.9)
 
 
 @pytest.fixture
@@ -51,8 +51,7 @@ def locator(localizer) -> ImageLocator:
 
 def test_an_image_is_answered_by_a_pose(locator):
     image = depth_image()
-    answer = locator.answer(image)
-    message = locator.fill(pose_message(), answer.pose, image)
+    message = locator.fill(pose_message(), locator.locate(image), image)
     assert (message.header.stamp, message.header.frame_id) == (STAMP, "gel")
     p, q = message.pose.pose.position, message.pose.pose.orientation
     assert (p.x, p.y, p.z) == (0.001, 0.002, 0.003)
@@ -63,30 +62,33 @@ def test_an_image_is_answered_by_a_pose(locator):
 def test_the_frame_can_be_named(localizer):
     locator = ImageLocator(localizer, "finger", estimator=estimated)
     image = depth_image()
-    assert locator.fill(pose_message(), locator.answer(image).pose, image).header.frame_id == "finger"
+    assert locator.fill(pose_message(), locator.locate(image), image).header.frame_id == "finger"
 
 
 def test_the_localizer_itself_answers_a_real_touch(localizer):
     touch = localizer.simulate(1, seed=2)[0]
-    answer = ImageLocator(localizer).answer(depth_image(touch.contact_shape.depth_m))
-    np.testing.assert_allclose(answer.pose.position_m, localizer.localize(touch).best.T_sensor_object[:3, 3], atol=1e-3)
+    locator = ImageLocator(localizer, press_depth_m=touch.press_depth_m)
+    located = locator.locate(depth_image(touch.contact_shape.depth_m))
+    expected = localizer.localize(touch)
+    np.testing.assert_allclose(located.T_sensor_object[:3, 3], expected.best.T_sensor_object[:3, 3], atol=1e-3)
+    assert located.verdict is expected.verdict
 
 
 def test_the_press_depth_is_used(localizer):
     seen = []
 
-    def keep(touch) -> Fields:
+    def keep(touch) -> LocatedFrame:
         seen.append(touch.press_depth_m)
         return estimated(touch)
 
-    ImageLocator(localizer, press_depth_m=1e-3, estimator=keep).answer(depth_image())
+    ImageLocator(localizer, press_depth_m=1e-3, estimator=keep).locate(depth_image())
     assert seen == [1e-3]
 
 
 def test_an_image_without_contact_is_no_fault(locator):
-    answer = locator.answer(depth_image(np.full((200, 200), 0.002, np.float32)))
-    assert answer.pose is None
-    assert not answer.touches
+    located = locator.locate(depth_image(np.full((200, 200), 0.002, np.float32)))
+    assert located.T_sensor_object is None
+    assert located.verdict is Verdict.NO_CONTACT
 
 
 @pytest.mark.parametrize(
@@ -99,17 +101,17 @@ def test_an_image_without_contact_is_no_fault(locator):
     ],
 )
 def test_what_cannot_be_read_is_told(locator, image, mentioned):
-    answer = locator.answer(image)
-    assert answer.pose is None
-    assert answer.touches
-    assert mentioned in answer.says
+    located = locator.locate(image)
+    assert located.T_sensor_object is None
+    assert located.verdict is None
+    assert mentioned in located.says
 
 
 def test_a_compressed_photo_needs_a_calibrated_sensor(locator):
     file = BytesIO()
     Image.fromarray(np.zeros((200, 200, 3), np.uint8)).save(file, "png")
-    answer = locator.answer(Fields(format="png", data=file.getvalue(), header=None))
-    assert "no calibration for images" in answer.says
+    located = locator.locate(Fields(format="png", data=file.getvalue(), header=None))
+    assert "no calibration for images" in located.says
 
 
 def test_without_ros_one_sentence_says_what_to_do(monkeypatch, capsys):
@@ -125,7 +127,7 @@ class StandIn:
     """Of rclpy and its messages what the node uses; spinning hands it the images, then interrupts it."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, images: list[Fields]) -> None:
-        self.images, self.published, self.warned, self.began, self.ended = images, [], [], [], 0
+        self.images, self.published, self.warned, self.began, self.ended = images, {}, [], [], 0
         policy = Fields(BEST_EFFORT="best effort")
         modules = {
             "rclpy": {
@@ -133,6 +135,7 @@ class StandIn:
             },
             "rclpy.qos": {"QoSProfile": lambda **given: given, "ReliabilityPolicy": policy},
             "sensor_msgs": {}, "sensor_msgs.msg": {"Image": "Image", "CompressedImage": "CompressedImage"},
+            "std_msgs": {}, "std_msgs.msg": {"String": Fields},
             "geometry_msgs": {}, "geometry_msgs.msg": {"PoseWithCovarianceStamped": pose_message},
         }  # fmt: skip
         for name, things in modules.items():
@@ -152,8 +155,7 @@ class StandIn:
         self.ended += 1
 
     def create_publisher(self, kind, topic, depth):
-        self.pose_topic = topic
-        return Fields(publish=self.published.append)
+        return Fields(publish=self.published.setdefault(topic, []).append)
 
     def create_subscription(self, kind, topic, on_image, quality):
         self.kind, self.image_topic, self.on_image, self.quality = kind, topic, on_image, quality
@@ -165,12 +167,13 @@ class StandIn:
         self.ended += 1
 
 
-def test_the_node_publishes_a_pose_for_each_image_with_contact(monkeypatch, locator):
+def test_the_node_publishes_poses_and_verdicts(monkeypatch, locator):
     untouched = depth_image(np.full((200, 200), 0.002, np.float32))
     ros = StandIn(monkeypatch, [depth_image(), untouched, depth_image(data=b""), depth_image()])
-    node.run(locator, "/gel/image", False, "/pose", ["--ros-args"])
-    assert (ros.kind, ros.image_topic, ros.pose_topic) == ("Image", "/gel/image", "/pose")
-    assert [message.header.stamp for message in ros.published] == [STAMP, STAMP]
+    node.run(locator, "/gel/image", False, "/pose", "/verdict", ["--ros-args"])
+    assert (ros.kind, ros.image_topic) == ("Image", "/gel/image")
+    assert [message.header.stamp for message in ros.published["/pose"]] == [STAMP, STAMP]
+    assert [message.data for message in ros.published["/verdict"]] == ["certain", "no contact", "certain"]
     assert len(ros.warned) == 1
     assert ros.quality["depth"] == 1
     assert (ros.began, ros.ended) == ([["--ros-args"]], 2)
@@ -178,6 +181,6 @@ def test_the_node_publishes_a_pose_for_each_image_with_contact(monkeypatch, loca
 
 def test_compressed_images_are_another_type(monkeypatch, locator):
     ros = StandIn(monkeypatch, [])
-    node.run(locator, "/gel/image/compressed", True, "/pose", [])
+    node.run(locator, "/gel/image/compressed", True, "/pose", "/verdict", [])
     assert ros.kind == "CompressedImage"
-    assert ros.published == []
+    assert ros.published == {"/pose": [], "/verdict": []}

@@ -37,7 +37,7 @@
     render("scene");
   }
 
-  const ended = (text) => { document.getElementById("state").textContent = text; };
+  const ended = (text) => { document.getElementById("verdict").textContent = text; };
   const events = new EventSource("events");
   events.onmessage = (event) => show(JSON.parse(event.data));
   events.addEventListener("end", () => { events.close(); ended("ended"); });

@@ -1,0 +1,91 @@
+"""The verdict: which rule comes first, at which numbers it changes, and what a result and its file say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactile_loc.core.slots.refiner import RefinedPose
+from tactile_loc.io.options import CERTAIN, TrackerOptions
+from tactile_loc.locate.result import Agreement
+from tactile_loc.locate.result_json import ResultRecord, result_record
+from tactile_loc.locate.verdict import LEAST_IOU, MEANINGS, MOSTLY_ELSEWHERE, Verdict, judge
+
+
+@pytest.mark.parametrize(
+    ("probability", "imprint_iou", "elsewhere", "expected"),
+    [
+        (CERTAIN, 0.8, 0.1, Verdict.CERTAIN),
+        (CERTAIN - 0.01, 0.8, 0.1, Verdict.AMBIGUOUS),
+        (1.0, LEAST_IOU, 0.0, Verdict.CERTAIN),
+        (1.0, LEAST_IOU - 0.01, 0.0, Verdict.POOR_FIT),
+        (0.1, LEAST_IOU - 0.01, 0.8, Verdict.POOR_FIT),
+        (0.4, 0.8, MOSTLY_ELSEWHERE, Verdict.AMBIGUOUS),
+        (0.4, 0.8, MOSTLY_ELSEWHERE + 0.01, Verdict.NOT_FOUND),
+        (None, np.nan, 0.0, Verdict.NOT_FOUND),
+        (CERTAIN, np.nan, 0.0, Verdict.CERTAIN),
+    ],
+)
+def test_one_rule_decides(probability, imprint_iou, elsewhere, expected):
+    assert judge(probability, imprint_iou, elsewhere) is expected
+
+
+def test_without_a_touch_nothing_else_counts():
+    assert judge(1.0, 0.9, touched=False) is Verdict.NO_CONTACT
+    assert judge(None, touched=False) is Verdict.NO_CONTACT
+
+
+def test_thresholds_are_the_callers():
+    assert judge(0.6, 0.3, certain=0.5, least_iou=0.25) is Verdict.CERTAIN
+    assert TrackerOptions().certain == CERTAIN
+
+
+def test_every_verdict_has_a_meaning():
+    assert set(MEANINGS) == set(Verdict)
+    assert {str(one) for one in Verdict} == {"certain", "ambiguous", "poor fit", "not found", "no contact"}
+
+
+def changed(localization, **changes):
+    best = replace(localization.best, **changes)
+    return replace(localization, hypotheses=(best, *localization.hypotheses[1:]))
+
+
+def moved(localization):
+    """The pose that a refiner found a little beside the grid's."""
+    T = localization.best.T_sensor_object_grid.copy()
+    T[0, 3] += 1e-5
+    return RefinedPose(T, 1.0, True, 1)
+
+
+def test_a_result_is_judged_by_its_first_hypothesis(localization):
+    refined = moved(localization)
+    one = changed(localization, probability=0.95, imprint_iou=0.8, refined=refined)
+    assert one.verdict is Verdict.CERTAIN
+    assert changed(one, probability=0.5).verdict is Verdict.AMBIGUOUS
+    assert changed(one, imprint_iou=0.3).verdict is Verdict.POOR_FIT
+    elsewhere = replace(one, posterior=replace(one.posterior, elsewhere=0.7))
+    assert elsewhere.verdict is Verdict.NOT_FOUND
+
+
+def test_the_imprint_of_a_pose_that_was_not_refined_says_nothing(localization):
+    grid_pose = RefinedPose(localization.best.T_sensor_object_grid, 1.0, True, 0)
+    one = changed(localization, probability=0.95, imprint_iou=0.3, refined=grid_pose)
+    assert one.verdict is Verdict.CERTAIN
+
+
+def test_touches_that_contradict_one_another_are_a_poor_fit_unless_the_wrong_one_is_known(localization):
+    one = changed(localization, probability=0.95, imprint_iou=0.8, refined=moved(localization))
+    two = replace(one, agreement=Agreement((0.9, 0.9), contradictory=True))
+    assert two.verdict is Verdict.POOR_FIT
+    three = replace(one, agreement=Agreement((0.9, 0.9, 0.9), outliers=(1,), contradictory=True))
+    assert three.verdict is Verdict.CERTAIN
+
+
+def test_the_file_has_the_verdict_and_older_files_have_none(localizer, localization):
+    record = result_record(localizer, localization)
+    assert record.verdict is localization.verdict
+    older = record.model_dump(mode="json")
+    del older["verdict"]
+    assert ResultRecord.model_validate(older).verdict is None
