@@ -33,7 +33,7 @@ Folder = Path | None
 _HEX = "[0-9a-f]" * 16
 _PICKLES = {".nbi": 2, ".nbc": 1}  # how many follow one another in numba's index files and code files
 
-_opened: dict[Path, tuple[tuple[int, int], Folder]] = {}  # of each source file: its time and size, and its folder
+_opened: dict[tuple[Path, str], tuple[tuple[int, int], Folder]] = {}  # by source file: its time and size, its folder
 
 
 def open_code_folder(function: Callable[..., Any], chosen: str = "") -> Folder:
@@ -51,10 +51,10 @@ def open_code_folder(function: Callable[..., Any], chosen: str = "") -> Folder:
         return None
     stat = path.stat()
     stamp = stat.st_mtime_ns, stat.st_size
-    known, folder = _opened.get(path, (None, None))
+    known, folder = _opened.get((path, chosen), (None, None))
     if known != stamp:
         folder = _open(path, chosen, *_find_sources(function))
-        _opened[path] = stamp, folder
+        _opened[path, chosen] = stamp, folder
     return folder
 
 
