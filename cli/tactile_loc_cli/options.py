@@ -14,7 +14,7 @@ import typer
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.slots.registry import SLOTS, registry
-from tactile_loc_cli.console import make_progress
+from tactile_loc_cli.console import complain, is_shown, make_progress
 
 if TYPE_CHECKING:
     from tactile_loc.core.objects.mesh import ObjectModel
@@ -256,7 +256,10 @@ def open_localizer(config: RunConfig, store: Path | None, obj: ObjectModel | Non
 
     kept, chosen = StageStore(store), config.object
     obj = obj or stored_object(chosen.path, chosen.units, chosen.symmetry, kept)
-    return Localizer(config, obj, kept, make_progress())
+    localizer = Localizer(config, obj, kept, make_progress())
+    if localizer.other_refinement and is_shown(logging.WARNING):
+        complain("note", localizer.other_refinement)
+    return localizer
 
 
 def read_touches(localizer: Localizer, path: Path) -> list[Observation]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
+from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric, distances_between
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior
@@ -60,17 +61,11 @@ def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radiu
     started towards it: it has the probability of its likeliest. One that did not converge must be nearer, within a
     STILL_MOVING-th of that.
     """
-    merged: list[Hypothesis] = []
-    for h in hypotheses:
-        poses = np.array([m.T_sensor_object for m in merged]).reshape(-1, 4, 4)
-        same = np.broadcast_to(h.T_sensor_object, poses.shape)
-        limit_m = radius_m if h.refined.converged else radius_m / STILL_MOVING
-        near = np.flatnonzero(metric.symmetric_distance(poses, same) < limit_m)
-        if len(near):
-            likelier = merged[near[0]]
-            merged[near[0]] = dataclasses.replace(likelier, grid_poses=likelier.grid_poses + h.grid_poses)
-        else:
-            merged.append(h)
+    poses = np.array([h.T_sensor_object for h in hypotheses]).reshape(-1, 4, 4)
+    still_m = [radius_m if h.refined.converged else radius_m / STILL_MOVING for h in hypotheses]
+    of = merge_modes(poses, metric, still_m)
+    counts = np.bincount(of, [h.grid_poses for h in hypotheses]).astype(int)
+    merged = [dataclasses.replace(hypotheses[k], grid_poses=int(counts[k])) for k in np.unique(of)]
     kept, total = sum(h.probability for h in merged), sum(h.probability for h in hypotheses)
     share = total / kept if kept > 0 else 1.0
     return tuple(dataclasses.replace(h, probability=min(1.0, share * h.probability)) for h in merged)

@@ -35,6 +35,7 @@ from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.fitted_probabilities import FittedProbabilities
 from tactile_loc.locate.hypotheses import find_hypotheses, keep_likeliest
 from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel
+from tactile_loc.locate.place_banks import PlaceBanks
 from tactile_loc.locate.result import Agreement, Hypothesis, Localization
 from tactile_loc.locate.scoring import NewMatcher
 from tactile_loc.locate.search import PlaceSearch, build_places, search_together
@@ -135,8 +136,11 @@ class Localizer:
                 config.hypotheses, self.mode_radius_m,
             )  # fmt: skip
         places, key = build_places(self.sampler, self.scene, self.store, self.progress)
-        search = PlaceSearch(places, key, self.scene, self.encoder, new_matcher, self.sampler.options, config.search)
-        return PlaceSource(search, config.hypotheses, self.mode_radius_m)
+        banks = PlaceBanks(places, key, self.scene, self.sampler, self.encoder, self.store, self.progress)
+        search = PlaceSearch(
+            places, key, self.scene, self.encoder, new_matcher, self.sampler.options, config.search, banks.bank
+        )
+        return PlaceSource(search, banks, config.hypotheses, self.mode_radius_m)
 
     @property
     def search(self) -> PlaceSearch | None:
@@ -253,6 +257,24 @@ class Localizer:
         """Whether the joint registration refines against several touches, as the chosen refiner knows one at a time."""
         one_at_a_time = type(self.refiner).refine_together is Refiner.refine_together
         return one_at_a_time and self.refiner.capabilities.refines and self.config.together == "joint"
+
+    @property
+    def other_refinement(self) -> str:
+        """Which parts of locating the joint registration does instead of the chosen refiner, and why; "" if none."""
+        if self.refiner.capabilities.covariances:
+            return ""
+        parts = [
+            "the rough search" if self.sampler.capabilities.places else "",
+            "touches together" if self.refines_jointly else "",
+            "covariances" if self.refiner.capabilities.refines else "",
+        ]
+        named = ", ".join(part for part in parts if part)
+        if not named:
+            return ""
+        return (
+            f"the joint registration does {named}; the refiner {self.config.refiner.name} refines one touch's "
+            "hypotheses, as it gives no covariance and is too slow for hundreds of poses"
+        )
 
     def add_covariances(self, views: Sequence[View], hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
         """Return hypotheses with the joint registration's covariances where the refiner gives none.

@@ -6,10 +6,10 @@ import hashlib
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from tactile_loc import __version__
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.simulation.noise import noise_level
@@ -83,7 +83,7 @@ def combination_key(config: RunConfig, obj: ObjectModel, count: int, components:
     """Return a hash of all that decides a row; `components` is what `describe_components` says of its slots."""
     settings = config.model_dump(mode="json", exclude={"object", "top"})
     text = write_canonical_json({
-        "version": ROW_VERSION, "tactile-loc": __version__, "protocol": PROTOCOL_VERSION, "count": count,
+        "version": ROW_VERSION, "tactile-loc": version("tactile-loc"), "protocol": PROTOCOL_VERSION, "count": count,
         "object": {"name": obj.name, **obj.describe()}, "settings": settings, "components": components,
         "noise": noise_level(config.touch.noise).describe(),
     })  # fmt: skip

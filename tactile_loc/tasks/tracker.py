@@ -28,6 +28,7 @@ from tactile_loc.core.geometry.rigid import (
     rotation_angle,
     translation,
 )
+from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
 from tactile_loc.core.sensing.touch import Touch
@@ -281,15 +282,12 @@ class Tracker:
 
     def _keep_distinct(self, modes: Sequence[_Mode]) -> list[_Mode]:
         """The likeliest modes, none of them near a likelier one or improbable beside it."""
-        kept: list[_Mode] = []
-        for mode in sorted(modes, key=lambda mode: -mode.evidence):
-            near = kept and self._metric.symmetric_distance(
-                np.stack([k.T_sensor_object for k in kept]), np.stack([mode.T_sensor_object] * len(kept))
-            ).min() < self.localizer.merge_radius_m  # fmt: skip
-            if near or (kept and mode.evidence < kept[0].evidence + math.log(self.options.improbable)):
-                continue
-            kept.append(mode)
-        return kept[: self.options.modes]
+        ordered = sorted(modes, key=lambda mode: -mode.evidence)
+        least = ordered[0].evidence + math.log(self.options.improbable) if ordered else 0.0
+        ordered = [mode for mode in ordered if mode.evidence >= least]
+        poses = np.array([mode.T_sensor_object for mode in ordered]).reshape(-1, 4, 4)
+        of = merge_modes(poses, self._metric, self.localizer.merge_radius_m, self.options.modes)
+        return [ordered[k] for k in np.unique(of[of >= 0])]
 
     def _slip(self, touch: Touch, is_key: bool) -> bool:
         """Look where the likeliest modes may have slipped to; return whether one of these poses is the pose now."""

@@ -42,7 +42,8 @@ def build_model(localizer: Localizer, press_depth_m: float) -> None:
     """Build the stages that locating a touch of this press takes, metres, or load those that the store has."""
     if localizer.search is None:
         localizer.listed.matcher(press_depth_m)
-    _ = localizer.probabilities.temperature_scaling  # fitted now, not at the first touch
+    _ = localizer.source.trained  # learned now, not at the first touch
+    _ = localizer.probabilities.temperature_scaling  # and fitted
 
 
 def _require_press_depth_m(localizer: Localizer) -> float:
@@ -91,7 +92,7 @@ def _list_stages(localizer: Localizer) -> dict[str, str]:
     built = [key.stage for key in localizer.store.built]
     learned = ("encoder",) if localizer.encoder.capabilities.needs_training else ()
     fitted = ("temperature",) if localizer.config.temperature is None else ()
-    model = ("grid", "shapes", *learned, "bank") if localizer.search is None else ("places",)
+    model = ("grid", "shapes", *learned, "bank") if localizer.search is None else ("places", *learned)
     return {stage: "built" if stage in built else "reused" for stage in (*model, *fitted)}
 
 
