@@ -14,7 +14,7 @@ import typer
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.slots.registry import SLOTS, registry
-from tactile_loc_cli.console import make_progress
+from tactile_loc_cli.console import complain, is_shown, make_progress
 
 if TYPE_CHECKING:
     from tactile_loc.core.objects.mesh import ObjectModel
@@ -253,7 +253,6 @@ def open_localizer(config: RunConfig, store: Path | None, obj: ObjectModel | Non
     from tactile_loc.locate.localizer import Localizer
     from tactile_loc.locate.stored_object import stored_object
     from tactile_loc.store.store import StageStore
-    from tactile_loc_cli.console import complain, is_shown
 
     kept, chosen = StageStore(store), config.object
     obj = obj or stored_object(chosen.path, chosen.units, chosen.symmetry, kept)

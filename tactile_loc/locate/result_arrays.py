@@ -53,7 +53,7 @@ class TouchArrays:
     made_m: NDArray[np.float32]
     image: NDArray[np.uint8] | None = None
 
-    def made(self, number: int) -> ContactShape:
+    def make_shape(self, number: int) -> ContactShape:
         """Return the contact shape that hypothesis `number` (from 0) makes."""
         return ContactShape(self.made_m[number], self.shape.press_depth_m)
 

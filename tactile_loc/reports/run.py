@@ -174,8 +174,8 @@ def _shown(number: int, touches: Sequence[TouchArrays]) -> list[tuple[str, str]]
     """What candidate `number` would show to each touch's sensor, and how that differs from the touch."""
     return [
         (
-            pictures.shape_png(touch.made(number), touch.geometry),
-            pictures.difference_png(touch.made(number), touch.shape, touch.geometry),
+            pictures.shape_png(touch.make_shape(number), touch.geometry),
+            pictures.difference_png(touch.make_shape(number), touch.shape, touch.geometry),
         )
         for touch in touches
     ]

@@ -82,8 +82,8 @@ def test_a_run_s_arrays_are_the_posterior_and_the_rendered_shapes(run_folder, lo
     assert entropy == pytest.approx(record.entropy_nats, rel=1e-3)
     T = np.array(record.hypotheses[1].T_sensor_object)
     expected = localizer.scene.contact_shape(T, record.touch.press_depth_m)
-    assert np.abs(touch.made(1).depth_m - expected.depth_m).max() < 1e-6
-    assert touch.shape.contact_iou(touch.made(0), touch.geometry.observed_mask) > 0.5
+    assert np.abs(touch.make_shape(1).depth_m - expected.depth_m).max() < 1e-6
+    assert touch.shape.contact_iou(touch.make_shape(0), touch.geometry.observed_mask) > 0.5
 
 
 def test_of_many_poses_the_most_probable_are_kept(box):
@@ -110,7 +110,7 @@ def test_of_several_touches_each_sees_the_hypotheses_from_its_own_sensor(localiz
     arrays = gather_arrays(contacts, localization)
     T = arrays.touches[1].T_sensor_first @ localization.best.T_sensor_object
     expected = localizer.scene.contact_shape(T, touches[1].press_depth_m)
-    assert np.abs(arrays.touches[1].made(0).depth_m - expected.depth_m).max() < 1e-6
+    assert np.abs(arrays.touches[1].make_shape(0).depth_m - expected.depth_m).max() < 1e-6
     assert (arrays.touches[0].T_sensor_first == np.eye(4)).all()
 
 
