@@ -17,19 +17,18 @@ from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.drawing.next_touch import draw_next_touch
 from tactile_loc.drawing.pictures import (
+    compute_extent_mm,
     draw_contact_shape,
     draw_noise,
     draw_outline,
-    extent_mm,
     make_figure,
     millimetres,
     percent,
     save_figure,
 )
 from tactile_loc.drawing.pose_panel import draw_pose
-from tactile_loc.drawing.track import draw_track
+from tactile_loc.drawing.tasks import draw_next_touch, draw_track
 from tactile_loc.evaluation.robot_touches import RobotTouches, approaches_around
 from tactile_loc.evaluation.sequences import SlidingTouches
 from tactile_loc.locate.localizer import Localizer
@@ -59,7 +58,7 @@ def draw_rendering(localizer: Localizer) -> Figure:
     left, middle, right = figure.subfigures(1, 3, width_ratios=[5, 4.3, 4.3])
     left.suptitle("the object in contact", size=10, y=0.93)
     draw_pose(left.add_axes((0.02, 0.02, 0.96, 0.86)), scene.object.mesh, geometry, T)
-    extent = extent_mm(geometry)
+    extent = compute_extent_mm(geometry)
     views = (
         (middle, "camera depth z(u) beyond the surface (mm)", np.where(np.isfinite(z_m), z_m, np.nan)),
         (right, "contact shape c(u): depth from full penetration (mm)", None),

@@ -132,7 +132,7 @@ def _has_scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> boo
 def _find(folder: Path, frames: list[Any], mm_per_px: float, ball_radius_mm: float) -> dict[str, Any]:
     from tactile_loc.calibration.frames import SHEET
     from tactile_loc.calibration.unlabelled import find_presses, press_depths_mm, write_labels
-    from tactile_loc.drawing.labels import draw_labels
+    from tactile_loc.drawing.calibration import draw_labels
     from tactile_loc.drawing.pictures import save_figure
 
     found = find_presses(frames, ball_radius_mm / mm_per_px, progress())

@@ -13,6 +13,7 @@ from tactile_loc.core.geometry.rigid import transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.drawing.pose_panel import choose_view
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result_files import drawn_mesh
 from tactile_loc.reports import pictures, scene
@@ -124,4 +125,4 @@ def _camera(mesh: TriangleMesh, geometry: SensorGeometry, T: Array) -> dict[str,
     housing = scene.empty_pad(geometry, np.eye(4))["housing"]
     corners = np.stack([housing[k] for k in "xyz"], axis=1)
     seen_mm = np.concatenate([1e3 * transform_points(T, mesh.vertices_m), corners])
-    return scene.camera_on(seen_mm, _bounds(mesh, geometry), scene.view_of(mesh, T))
+    return scene.camera_on(seen_mm, _bounds(mesh, geometry), choose_view(mesh, T, scene.ELEVATION_DEG))

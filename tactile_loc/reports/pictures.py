@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.drawing.pictures import extent_mm
+from tactile_loc.drawing.pictures import compute_extent_mm
+from tactile_loc.drawing.pose_panel import list_round_values
 from tactile_loc.io.images import UNREADABLE, load_image
-from tactile_loc.reports.scene import number, outlines_mm, round_values
+from tactile_loc.reports.scene import number, outlines_mm
 
 log = logging.getLogger(__name__)
 
@@ -41,7 +42,7 @@ class Frame:
     @classmethod
     def of(cls, geometry: SensorGeometry) -> Frame:
         """Return the frame of a sensor's images."""
-        return cls(*extent_mm(geometry))
+        return cls(*compute_extent_mm(geometry))
 
     @property
     def width(self) -> float:
@@ -56,12 +57,12 @@ class Frame:
     @property
     def ticks_x(self) -> list[tuple[float, str]]:
         """Round numbers along the lower border, and how they are written."""
-        return [(x, number(x)) for x in round_values(self.left, self.right)]
+        return [(x, number(x)) for x in list_round_values(self.left, self.right)]
 
     @property
     def ticks_y(self) -> list[tuple[float, str]]:
         """Round numbers along the left border, and how they are written."""
-        return [(y, number(y)) for y in round_values(self.top, self.bottom)]
+        return [(y, number(y)) for y in list_round_values(self.top, self.bottom)]
 
     @property
     def bar_mm(self) -> float:

@@ -16,15 +16,14 @@ from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.drawing.pictures import extent_mm
-from tactile_loc.drawing.pose_panel import GEL_MM, RIM_MM
-from tactile_loc.drawing.raytracing import CREASE_DEG, View, box
+from tactile_loc.drawing.pictures import compute_extent_mm
+from tactile_loc.drawing.pose_panel import GEL_MM, RIM_MM, build_sensor_mm, choose_view, list_round_values
+from tactile_loc.drawing.raytracing import CREASE_DEG, View
 from tactile_loc.locate.result_files import ResultArrays, TouchArrays
 from tactile_loc.reports.distribution import SurfaceDistribution, touched_points, vertex_normals
 
 Array = NDArray[np.float64]
 
-AZIMUTHS_DEG = (-55.0, -35.0, 35.0, 55.0, -145.0, -125.0, 125.0, 145.0)
 ELEVATION_DEG = 28.0
 ASIDE_DEG = 25.0  # a peak is seen from the side, lest it be flat
 FIELD_DEG = 45.0
@@ -41,7 +40,7 @@ def sensor_scene(arrays: ResultArrays, poses: Poses, truth: Array | None) -> dic
     """Return the object and the sensors under it, and from where both are seen at the candidates' poses (K, 4, 4)."""
     pads = [pad(touch) for touch in arrays.touches]
     bounds = bounds_mm(arrays.mesh, [*poses, *([] if truth is None else [truth])], pads)
-    view = view_of(arrays.mesh, poses[0])
+    view = choose_view(arrays.mesh, poses[0], ELEVATION_DEG)
     best_mm = 1e3 * transform_points(poses[0], arrays.mesh.vertices_m)
     seen_mm = np.concatenate([best_mm, *(_points(one["housing"]) for one in pads)])
     return {
@@ -118,18 +117,15 @@ def pad(touch: TouchArrays) -> dict[str, Any]:
 
 def empty_pad(geometry: SensorGeometry, T: Array) -> dict[str, Any]:
     """Return a sensor's gel and the housing around it, mm, moved by a transform (4, 4) in metres; no contact."""
-    x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
-    top, rim = 1e3 * geometry.surface_m, RIM_MM
-    gel = box((x0, x1), (y0, y1), (top - GEL_MM, top))
-    housing = box((x0 - rim, x1 + rim), (y0 - rim, y1 + rim), (top - 2.2 * GEL_MM, top - 0.4 * GEL_MM))
-    return {"gel": _triangles(gel, T), "housing": _triangles(housing, T), "contact": polyline([])}
+    gel, housing = (_move_triangles(part, T) for part in build_sensor_mm(geometry))
+    return {"gel": gel, "housing": housing, "contact": polyline([])}
 
 
 def outlines_mm(shape: ContactShape, geometry: SensorGeometry) -> list[Array]:
     """Return the closed borders (P, 3) of a contact (H, W) on the undeformed gel, mm of the sensor frame."""
     from contourpy import contour_generator
 
-    left, right, bottom, top = extent_mm(geometry)
+    left, right, bottom, top = compute_extent_mm(geometry)
     height, width = geometry.shape
     framed = np.pad((shape.contact & geometry.observed_mask).astype(float), 1)  # closed at the image's border
     borders: Any = contour_generator(z=framed).lines(0.5)
@@ -181,18 +177,6 @@ def camera_on(points_mm: Array, bounds: Sequence[Sequence[float]], view: View) -
     return {name: {k: round(float(v), 5) for k, v in zip("xyz", place, strict=True)} for name, place in places.items()}
 
 
-def view_of(mesh: TriangleMesh, T_sensor_object: Array) -> View:
-    """Return from where the object at a pose (4, 4), metres, shows most and hides the sensor least."""
-    points_mm = 1e3 * transform_points(T_sensor_object, mesh.vertices_m)
-    scores = {}
-    for azimuth_deg in AZIMUTHS_DEG:
-        view = View(azimuth_deg, ELEVATION_DEG)
-        nearness_mm = float(view.axes[2, :2] @ points_mm.mean(axis=0)[:2])
-        shown = float(np.sqrt(max(np.linalg.det(np.cov(view.project(points_mm).T)), 0.0)))
-        scores[azimuth_deg] = shown * (1 - 0.4 * np.tanh(nearness_mm / 15))
-    return View(max(scores, key=lambda a: scores[a]), ELEVATION_DEG)
-
-
 def view_on(point: Array, centre: Array) -> View:
     """Return a view from which a point (3,) of a surface lies in front of the surface's centre."""
     x, y, z = point - centre
@@ -217,16 +201,10 @@ def pad_ticks(geometry: SensorGeometry, view: View) -> dict[str, list[Any]]:
     x = x1 + away if view.axes[2, 0] > 0 else x0 - away
     y = y1 + away if view.axes[2, 1] > 0 else y0 - away
     further = 1 + 9 / max(abs(x), abs(y))
-    places = [(v, y) for v in round_values(x0, x1)] + [(x, v) for v in round_values(y0, y1)]
-    text = [number(v) for limits in ((x0, x1), (y0, y1)) for v in round_values(*limits)]
+    places = [(v, y) for v in list_round_values(x0, x1)] + [(x, v) for v in list_round_values(y0, y1)]
+    text = [number(v) for limits in ((x0, x1), (y0, y1)) for v in list_round_values(*limits)]
     places += [(0.5 * (x0 + x1), y * further), (x * further, 0.5 * (y0 + y1))]
     return {**_columns(np.array([(*place, z) for place in places])), "text": [*text, "x (mm)", "y (mm)"]}
-
-
-def round_values(low: float, high: float, most: int = 6) -> list[float]:
-    """Return round numbers from `low` to `high`: as many steps as fit, at most `most`."""
-    step = next((s for s in (1, 2, 5, 10, 20, 50, 100) if (high - low) / s <= most), 200)
-    return [float(k * step) for k in range(int(np.ceil(low / step - 1e-6)), int(np.floor(high / step + 1e-6)) + 1)]
 
 
 def number(value: float) -> str:
@@ -244,7 +222,7 @@ def _columns(points: Array) -> dict[str, list[float]]:
     return {name: np.round(points[:, k], 3).tolist() for k, name in enumerate("xyz")}
 
 
-def _triangles(triangles_mm: Array, T: Array) -> dict[str, list[float]]:
+def _move_triangles(triangles_mm: Array, T: Array) -> dict[str, list[float]]:
     """Triangles (F, 3, 3), mm, moved by a transform in metres, as plotly's mesh."""
     corners = transform_points(T, 1e-3 * triangles_mm.reshape(-1, 3)) * 1e3
     numbers = np.arange(len(corners)).reshape(-1, 3)

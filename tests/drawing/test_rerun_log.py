@@ -11,8 +11,7 @@ from rerun_helpers import read
 
 from tactile_loc.core.errors import MissingLibraryError, OutputError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
-from tactile_loc.drawing.rerun_files import write_localization
-from tactile_loc.drawing.rerun_log import DEVIATIONS, Logged, RerunLog, pose_text, require_rerun
+from tactile_loc.drawing.rerun_log import DEVIATIONS, Logged, RerunLog, describe_pose, require_rerun, write_localization
 from tactile_loc.tasks.live import Estimate, FrameState
 
 T = make_transform(rotation_about([1, 2, 3], 0.8), [0.001, -0.002, 0.03])
@@ -85,8 +84,8 @@ def test_the_ellipsoid_is_turned_as_the_covariance_is(rerun, localizer, tmp_path
 
 
 def test_words_without_a_pose_or_its_spread():
-    assert pose_text(Logged(0, 0.0, says="no contact")) == "no contact"
-    assert "std" not in pose_text(Logged(0, 0.0, estimate=replace(estimate(), covariance=None)))
+    assert describe_pose(Logged(0, 0.0, says="no contact")) == "no contact"
+    assert "std" not in describe_pose(Logged(0, 0.0, estimate=replace(estimate(), covariance=None)))
 
 
 def test_what_cannot_be_written_is_told_before_anything_is_done(rerun, tmp_path, monkeypatch):

@@ -7,7 +7,7 @@ import pytest
 
 from tactile_loc.core.geometry.hand_eye import moved
 from tactile_loc.core.geometry.rigid import make_transform, random_rotations, rotation_about
-from tactile_loc.drawing.track import draw_track, track_errors
+from tactile_loc.drawing.tasks import draw_track, measure_track
 from tactile_loc.tasks.tracker import TrackedPose
 
 COUNT = 12
@@ -28,7 +28,7 @@ def truth():
 
 def test_errors_are_the_centroids_shift_and_the_turn(box, truth):
     found = [tracked(k, moved(T, np.array([3e-4, 0, 4e-4, 0, 0.01, 0]))) for k, T in enumerate(truth)]
-    errors = track_errors(found, truth, box)  # the box's centroid is its frame's origin
+    errors = measure_track(found, truth, box)  # the box's centroid is its frame's origin
     assert np.allclose(errors.shift_m, 5e-4)
     assert np.allclose(errors.turn_rad, 0.01)
     assert np.allclose(errors.shift_std_m, np.sqrt(3) * 1e-4)

@@ -7,6 +7,7 @@ import pytest
 from report_helpers import floats
 
 from tactile_loc.core.geometry.rigid import make_transform
+from tactile_loc.drawing.pose_panel import list_round_values
 from tactile_loc.drawing.raytracing import View
 from tactile_loc.reports import scene
 
@@ -55,6 +56,6 @@ def test_the_numbers_around_the_pad_are_its_coordinates(flat_camera):
 
 @pytest.mark.parametrize(("low", "high", "first", "last"), [(-20, 20, -20, 20), (-11.6, 12.4, -10, 10), (0, 3, 0, 3)])
 def test_round_values_lie_within(low, high, first, last):
-    values = scene.round_values(low, high)
+    values = list_round_values(low, high)
     assert (values[0], values[-1]) == (first, last)
     assert len(values) <= 7

@@ -230,7 +230,7 @@ def _report(
 
             written.append(write_report(find_source(out / "result.json")))
     if rerun is not None:
-        from tactile_loc.drawing.rerun_files import write_localization
+        from tactile_loc.drawing.rerun_log import write_localization
 
         written.append(write_localization(rerun, localization, localizer.scene))
     say(f"written: {', '.join(map(str, written))}")
