@@ -38,7 +38,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE, TouchNoise
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
+from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer, localize_together
@@ -78,7 +78,7 @@ def located(localizer: Localizer, touches: list[Touch], found: Localization) -> 
     off_mm = 1e3 * metric.symmetric_distance(poses, np.broadcast_to(truth, poses.shape))
     nees = np.nan
     if chosen.covariance is not None:
-        nees = normalised_error_squared(metric, chosen.T_sensor_object, chosen.covariance, truth)
+        nees = compute_nees(metric, chosen.T_sensor_object, chosen.covariance, truth)
     centre = localizer.object.mesh.centroid_m
     z_mm = 1e3 * abs((poses[0] - truth)[2] @ [*centre, 1.0])
     true = [localizer.scene.of_touch(t).imprint_ious(np.asarray(t.T_sensor_object)[None], t)[0] for t in touches]
@@ -93,9 +93,9 @@ def examples(arguments: argparse.Namespace, touches: RobotTouches) -> Iterator[t
         rng = np.random.default_rng([arguments.seed, number])
         if arguments.fingers:
             for press_mm in arguments.press_mm:
-                yield touches.opposed(rng, press_mm * 1e-3), 0
+                yield touches.draw_grip(rng, press_mm * 1e-3), 0
         else:
-            yield touches.example(max(arguments.touches), rng)
+            yield touches.draw_example(max(arguments.touches), rng)
 
 
 def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> list[dict[str, Any]]:
@@ -150,9 +150,9 @@ def spoilt(
     touches: RobotTouches, strangers: RobotTouches, count: int, rng: np.random.Generator
 ) -> tuple[int, dict[str, list[Touch]]]:
     """One touch's number, and the touches of one example by KINDS of what is wrong with it."""
-    right, _ = touches.example(count, rng)
+    right, _ = touches.draw_example(count, rng)
     wrong = int(rng.integers(count))
-    (stranger,), _ = strangers.example(1, rng)
+    (stranger,), _ = strangers.draw_example(1, rng)
     stranger = dataclasses.replace(stranger, T_base_sensor=right[wrong].T_base_sensor, name=right[wrong].name)
     swapped = {"none": right[wrong], "moved": moved(right[wrong], rng), "other object": stranger}
     return wrong, {kind: [*right[:wrong], touch, *right[wrong + 1 :]] for kind, touch in swapped.items()}

@@ -25,7 +25,7 @@ from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.refiner import Candidate
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene, View
-from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
+from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.meshes import load_object
 
@@ -45,7 +45,7 @@ def errors(path: str, level: str, touches: int, arguments: argparse.Namespace) -
     found = []
     for number in range(arguments.examples):
         rng = np.random.default_rng([arguments.seed, number])
-        taken, _ = source.example(touches, rng)
+        taken, _ = source.draw_example(touches, rng)
         T_base_first, truth = np.asarray(taken[0].T_base_sensor), np.asarray(taken[0].T_sensor_object)
         views = [
             View(
@@ -57,7 +57,7 @@ def errors(path: str, level: str, touches: int, arguments: argparse.Namespace) -
         best = max(refiner.refine_together(views, starts), key=lambda one: one.contact_iou)
         off_mm = 1e3 * metric.symmetric_distance(best.T_sensor_object[None], truth[None])[0]
         known = best.covariance is not None
-        nees = normalised_error_squared(metric, best.T_sensor_object, best.covariance, truth) if known else np.inf
+        nees = compute_nees(metric, best.T_sensor_object, best.covariance, truth) if known else np.inf
         found.append((float(off_mm), nees))
     return found
 

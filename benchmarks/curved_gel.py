@@ -66,7 +66,7 @@ def main() -> None:
                     localizer = localizers[taken_for]
                     found = []
                     for number in range(arguments.examples):
-                        touches, _ = source.example(count, np.random.default_rng([arguments.seed, number]))
+                        touches, _ = source.draw_example(count, np.random.default_rng([arguments.seed, number]))
                         found.append(find(localizer, [seen_by(touch, localizer) for touch in touches]))
                     chosen, best = np.array([(one.chosen_mm, one.nearest_mm) for one in found]).T
                     print(

@@ -62,10 +62,10 @@ def measure(obj: ObjectModel, arguments: argparse.Namespace) -> tuple[dict[str, 
         result = evaluate(localizer, arguments.touches, SimulatedTouches(arguments.noise, arguments.seed))
         runs.append(Run(obj.name, str(obj.symmetry), encoder, localizer.model.size, result))
         row[encoder] = {
-            "median_mm": {k: float(np.median(result.errors(k))) * 1e3 for k in LINES},
-            "mean_mm": {k: float(np.mean(result.errors(k))) * 1e3 for k in LINES},
-            "median_normalised": {k: float(np.median(result.normalised(k))) for k in LINES},
-            "median_ms": {k: float(np.median(result.stage_seconds(k))) * 1e3 for k in STAGES},
+            "median_mm": {k: float(np.median(result.select_errors(k))) * 1e3 for k in LINES},
+            "mean_mm": {k: float(np.mean(result.select_errors(k))) * 1e3 for k in LINES},
+            "median_normalised": {k: float(np.median(result.normalise_errors(k))) for k in LINES},
+            "median_ms": {k: float(np.median(result.select_seconds(k))) * 1e3 for k in STAGES},
         }
     row.setdefault("train_s", _noted(arguments.out).get(obj.name))
     return row, runs

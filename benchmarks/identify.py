@@ -46,7 +46,7 @@ def example(library: Library, number: int, arguments: argparse.Namespace, again:
     raycast = registry().create("renderer", "raycast", {})
     source = RobotTouches(obj, geometry, raycast, **SUFFERING[arguments.level])
     rng = np.random.default_rng([arguments.seed, *map(ord, obj.name), again])
-    return source.example(max(arguments.touches), rng)[0]
+    return source.draw_example(max(arguments.touches), rng)[0]
 
 
 def measured(library: Library, touches: list[Touch]) -> dict[str, Any]:

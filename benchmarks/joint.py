@@ -38,7 +38,7 @@ def measure(path: str, arguments: argparse.Namespace) -> str:
     ms, errors_mm = [], []
     for number in range(arguments.examples):
         rng = np.random.default_rng([arguments.seed, number])
-        touches, _ = source.example(arguments.touches, rng)
+        touches, _ = source.draw_example(arguments.touches, rng)
         T_base_first = np.asarray(touches[0].T_base_sensor)
         views = [View(t, scene.of_touch(t), invert(np.asarray(t.T_base_sensor)) @ T_base_first) for t in touches]
         truth = np.asarray(touches[0].T_sensor_object)

@@ -32,7 +32,7 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.robot_touches import RobotTouches, approaches_around
+from tactile_loc.evaluation.robot_touches import RobotTouches, draw_approaches
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.result import Localization
@@ -86,7 +86,7 @@ def tried(
             return most + 1, replaced
         for approach in choose(found, left):
             left.remove(approach)
-            touch = source.approached(
+            touch = source.approach(
                 approach.T_base_sensor, float(approach.press_m or 0), approach.name, rng, approach.travel_m
             )
             if touch is not None:
@@ -111,10 +111,10 @@ def measure(localizer: Localizer, arguments: argparse.Namespace) -> dict[str, An
     entropies = []
     for number in range(arguments.examples):
         rng = np.random.default_rng([arguments.seed, number])
-        (touch,), _ = source.example(1, rng)
+        (touch,), _ = source.draw_example(1, rng)
         first = localizer.localize(touch, top=MOST_MODES)
         entropies.append(PoseModes.of(first).entropy)
-        around = approaches_around(localizer.object, localizer.scene.geometry, arguments.approaches, PRESS, rng)
+        around = draw_approaches(localizer.object, localizer.scene.geometry, arguments.approaches, PRESS, rng)
         for name, choose in (("chosen", chosen(seconds)), ("random", by_lot(rng.spawn(1)[0]))):
             own = np.random.default_rng([arguments.seed, number, 1])
             found[name].append(tried(localizer, source, first, around, choose, arguments.most, own))

@@ -38,9 +38,9 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.refiner import Candidate, Refiner
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.metrics import symmetric_adds
+from tactile_loc.evaluation.metrics import compute_adds
 from tactile_loc.evaluation.protocol import SURFACE_POINTS
-from tactile_loc.evaluation.simulated_touches import SimulatedTouches, true_pose
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import MODE_RADIUS, Localizer
@@ -204,7 +204,7 @@ class Bench:
 
     def errors_mm(self, poses: Poses, touch: Touch) -> NDArray[np.float64]:
         """ADD (K,) in mm of poses (K, 4, 4), symmetry regarded."""
-        return 1e3 * symmetric_adds(self.localizer.object, self.points_m, poses, true_pose(touch))
+        return 1e3 * compute_adds(self.localizer.object, self.points_m, poses, require_true_pose(touch))
 
 
 def of(records: list[Record], what: str, name: str) -> NDArray[np.float64]:

@@ -28,8 +28,8 @@ from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
-from tactile_loc.evaluation.slides import BASE, IMAGE_TOPIC, T_BASE_OBJECT, Slide, random_slide, write_slide
+from tactile_loc.evaluation.metrics import compute_nees
+from tactile_loc.evaluation.slides import BASE, IMAGE_TOPIC, T_BASE_OBJECT, Slide, draw_random_slide, write_slide
 from tactile_loc.io.recordings import Recording
 from tactile_loc.io.ros_messages import pose_of, stamp_ns
 from tactile_loc.locate.localizer import Localizer
@@ -78,7 +78,7 @@ def errors(localizer: Localizer, poses: list[Any]) -> tuple[NDArray[np.float64],
     covariances = np.stack([np.reshape(pose_of(message).covariance, (6, 6)) for message in poses])
     error_m = metric.symmetric_distance(T, truth)
     near = np.flatnonzero((error_m < NEAR_M) & (covariances[:, 0, 0] > 0))
-    squared = [normalised_error_squared(metric, T[k], covariances[k], T_BASE_OBJECT) for k in near]
+    squared = [compute_nees(metric, T[k], covariances[k], T_BASE_OBJECT) for k in near]
     return error_m, np.array(squared)
 
 
@@ -121,7 +121,7 @@ def main() -> None:
         localizer = Localizer.create(name, sensor=arguments.sensor, store=StageStore(arguments.store))
         localizer.localize(localizer.simulate(1)[0])  # builds the model, compiles
         for level in arguments.levels:
-            slide = random_slide(localizer, arguments.images, arguments.seed, NOISE[level], renderer)
+            slide = draw_random_slide(localizer, arguments.images, arguments.seed, NOISE[level], renderer)
             with tempfile.TemporaryDirectory() as folder:
                 print(row(localizer, slide, level, Path(folder)), flush=True)
 

@@ -30,7 +30,7 @@ from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.protocol import contact_share
+from tactile_loc.evaluation.protocol import measure_contact_share
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
@@ -87,7 +87,7 @@ def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> 
     source = RobotTouches(localizer.object, localizer.scene.geometry, raycast, **LEVELS[level])
     found = []
     for number in range(-1, arguments.touches):
-        (touch,), _ = source.example(1, np.random.default_rng([arguments.seed, max(number, 0)]))
+        (touch,), _ = source.draw_example(1, np.random.default_rng([arguments.seed, max(number, 0)]))
         start = time.perf_counter()
         try:
             answer = localizer.localize(touch)
@@ -96,7 +96,7 @@ def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> 
         except TactileLocError:
             seconds, said, searched_m = time.perf_counter() - start, Located(), np.inf
         if number >= 0:  # the first warms up
-            one = {"seconds": seconds, "area": contact_share(touch), "searched_mm": 1e3 * searched_m}
+            one = {"seconds": seconds, "area": measure_contact_share(touch), "searched_mm": 1e3 * searched_m}
             found.append({**said._asdict(), **one})
     return found
 

@@ -52,7 +52,7 @@ def measure(obj: ObjectModel, directions: int, arguments: argparse.Namespace) ->
         source = RobotTouches(obj, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
         seconds = []
         for number in range(arguments.touches + 1):  # the first warms up
-            (touch,), _ = source.example(1, np.random.default_rng([arguments.seed, number]))
+            (touch,), _ = source.draw_example(1, np.random.default_rng([arguments.seed, number]))
             start = time.perf_counter()
             localizer.localize(touch)
             seconds.append(time.perf_counter() - start)

@@ -27,7 +27,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from tactile_loc.core.geometry.hand_eye import moved
-from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
+from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.registration.cloud_refiner import Cloud
 from tactile_loc.core.sensing.clouds import contact_cloud
@@ -35,8 +36,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.metrics import pose_differences
-from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
+from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import Frame, SlidingTouches, Slip
 from tactile_loc.locate.localizer import Localizer
@@ -127,9 +127,21 @@ def cloud_of(touch: Touch) -> Cloud:
     return Cloud(1e3 * points_m[::every], normals[::every], 1e3 * geometry.pixel_pitch_m)
 
 
+def measure_pose_differences(obj: ObjectModel, T_estimates: Poses, T_true: Poses) -> tuple[np.ndarray, np.ndarray]:
+    """How far off the centroid (K,), metres, and the rotation (K,), radians, of estimates (K, 4, 4) are.
+
+    They are compared with whichever pose looks like the true one (K, 4, 4) and is nearest, root mean square distance of
+    the surface.
+    """
+    nearest = PoseMetric(obj).nearest_equivalents(T_true, T_estimates)
+    centroids_m = (nearest - T_estimates)[:, :3] @ [*obj.mesh.centroid_m, 1.0]
+    turned = rotation_angle(nearest[:, :3, :3] @ np.swapaxes(T_estimates[:, :3, :3], 1, 2))
+    return np.linalg.norm(centroids_m, axis=-1), turned
+
+
 def row(localizer: Localizer, name: str, followed: Followed, truth: np.ndarray, local: np.ndarray, last: str) -> str:
     """One row of the table of slides."""
-    shift_m, turn_rad = pose_differences(localizer.object, followed.T_sensor_object, truth)
+    shift_m, turn_rad = measure_pose_differences(localizer.object, followed.T_sensor_object, truth)
     mm, degrees = 1e3 * shift_m, np.degrees(turn_rad)
     ms = 1e3 * followed.seconds[local]
     return (
@@ -142,12 +154,12 @@ def row(localizer: Localizer, name: str, followed: Followed, truth: np.ndarray, 
 def slides(localizer: Localizer, count: int, seed: int) -> list[str]:
     """The rows of one sequence."""
     rng = np.random.default_rng([seed, 0])
-    frames = sliding(localizer).example(count, rng)
+    frames = sliding(localizer).draw_example(count, rng)
     truth = np.array([frame.T_sensor_object for frame in frames])
     found, seconds = tracked(started(localizer, frames, rng), frames)
     local, metric = np.array([not one.searched for one in found]), PoseMetric(localizer.object)
     inside = np.mean([
-        normalised_error_squared(metric, one.T_sensor_object, one.covariance, T) < chi2.ppf(0.95, 6)
+        compute_nees(metric, one.T_sensor_object, one.covariance, T) < chi2.ppf(0.95, 6)
         for one, T in zip(found, truth, strict=True)
     ])  # fmt: skip
     poses = np.array([one.T_sensor_object for one in found])
@@ -179,7 +191,7 @@ def jumps(localizer: Localizer, examples: int, seed: int, slip: Slip | None) -> 
     metric, searching, counts = PoseMetric(localizer.object), [], np.zeros(5, int)
     for number in range(examples):
         rng = np.random.default_rng([seed, 1, number])
-        frames = sliding(localizer).example(BEFORE + LATE + 1, rng, BEFORE, slip)
+        frames = sliding(localizer).draw_example(BEFORE + LATE + 1, rng, BEFORE, slip)
         found, seconds = tracked(started(localizer, frames, rng), frames)
         searching += [s for one, s in zip(found, seconds, strict=True) if one.searched]
         alone = localizer.localize(frames[BEFORE].touch).best.T_sensor_object

@@ -104,9 +104,9 @@ def located(name: str, sensor: Path, encoder: str, arguments: argparse.Namespace
     shapes, images = (
         evaluate(localizer, arguments.locate, SimulatedTouches(seed=arguments.seed, images=i)) for i in (False, True)
     )
-    cells = [f"{mm(float(np.median(e.errors(line))))} ({np.median(e.normalised(line)):.3f})"
+    cells = [f"{mm(float(np.median(e.select_errors(line))))} ({np.median(e.normalise_errors(line)):.3f})"
              for line in LINES for e in (shapes, images)]  # fmt: skip
-    closest = mm(float(np.median(shapes.errors("closest"))))
+    closest = mm(float(np.median(shapes.select_errors("closest"))))
     return f"| {obj.name} | {localizer.model.size} | {encoder} | {' | '.join(cells)} | {closest} |"
 
 

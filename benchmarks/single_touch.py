@@ -52,11 +52,11 @@ def measure(obj: ObjectModel, arguments: argparse.Namespace) -> dict[str, object
         poses = len(localizer.model.grid)
     return {
         "object": obj.name, "symmetry": str(obj.symmetry), "poses": poses, "spacing_mm": spacing_mm, "build_s": build_s,
-        "random_mm": result.scale_m() * 1e3,
-        "median_mm": {k: float(np.median(result.errors(k))) * 1e3 for k in LINES},
-        "mean_mm": {k: float(np.mean(result.errors(k))) * 1e3 for k in LINES},
-        "median_normalised": {k: float(np.median(result.normalised(k))) for k in LINES},
-        "median_ms": {k: float(np.median(result.stage_seconds(k))) * 1e3 for k in STAGES},
+        "random_mm": result.compute_scale_m() * 1e3,
+        "median_mm": {k: float(np.median(result.select_errors(k))) * 1e3 for k in LINES},
+        "mean_mm": {k: float(np.mean(result.select_errors(k))) * 1e3 for k in LINES},
+        "median_normalised": {k: float(np.median(result.normalise_errors(k))) for k in LINES},
+        "median_ms": {k: float(np.median(result.select_seconds(k))) * 1e3 for k in STAGES},
     }  # fmt: skip
 
 

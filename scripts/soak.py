@@ -162,7 +162,7 @@ def main() -> int:
             touches = localizer.simulate(arguments.touches, seed=arguments.seed)
             results.append(located(localizer, touches, arguments.localisations))
         if arguments.seconds:
-            frames = SlidingTouches(source).example(SLIDE, np.random.default_rng(arguments.seed))
+            frames = SlidingTouches(source).draw_example(SLIDE, np.random.default_rng(arguments.seed))
             results.append(tracked(localizer, frames, round(arguments.seconds * RATE_HZ)))
     print("| | times | s | memory once warm, MiB | at the end | growth | files open | at the end | answers changed |")
     print("|---" * 9 + "|")

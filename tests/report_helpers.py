@@ -15,7 +15,7 @@ import numpy as np
 
 from tactile_loc.evaluation.fusion import FusionEvaluation
 from tactile_loc.evaluation.fusion_tables import FusionRun, write_fusion_tables
-from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
+from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.evaluation.tables import Run, write_tables
 from tactile_loc.locate.localizer import Localizer

@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from tactile_loc.core.formatting import millimetres, percent
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.drawing.pose_panel import EDGE, STEEL, TRUTH, draw_pose
-from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
 from tactile_loc.store.files import write_atomically
 
@@ -72,19 +70,6 @@ def draw_touches(touches: Sequence[Touch], title: str) -> Figure:
     grid[0, 0].set_xlabel("x (mm)", size=8)
     figure.colorbar(image, ax=list(grid.flat), shrink=0.8, label="depth from full penetration (mm)")
     return figure
-
-
-def draw_noise(localizer: Localizer, seed: int = 0) -> Figure:
-    """Draw five touches of a localizer's object, the same in every row, with each level of noise in turn.
-
-    Titles give the press depth that the sensor measures, mm. Where noise makes a touch be drawn anew, columns differ.
-    """
-    touches = [
-        dataclasses.replace(touch, name=f"{level}, {millimetres(touch.press_depth_m)}")
-        for level in NOISE
-        for touch in localizer.simulate(5, seed, noise=level)
-    ]
-    return draw_touches(touches, f"{localizer.object.name} on {localizer.config.sensor.name}: touch noise")
 
 
 def draw_contact_shape(

@@ -11,7 +11,7 @@ import numpy as np
 from tactile_loc.core.errors import ResultError
 from tactile_loc.core.formatting import mm
 from tactile_loc.evaluation import fusion_tables, tables
-from tactile_loc.evaluation.posterior_metrics import LEVELS
+from tactile_loc.evaluation.metrics import LEVELS
 from tactile_loc.io.toml import toml_text
 from tactile_loc.locate.result_files import read_document
 from tactile_loc.reports.page import Page, Section, damage_named, require_finite

@@ -14,7 +14,7 @@ from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.simulation.noise import noise_level
 from tactile_loc.core.slots.registry import SLOTS, registry
-from tactile_loc.evaluation.protocol import PROTOCOL_VERSION, evaluation_key
+from tactile_loc.evaluation.protocol import PROTOCOL_VERSION, make_evaluation_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, TouchConfig
 from tactile_loc.io.meshes import load_object
@@ -128,7 +128,7 @@ def _missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]]:
     if not fitted:
         missing.add(("temperature", bank.digest))
     touches = SimulatedTouches(one.config.touch.noise, one.config.seed)
-    if not (whole and fitted and has(evaluation_key(localizer, one.count, touches)) is not None):
+    if not (whole and fitted and has(make_evaluation_key(localizer, one.count, touches)) is not None):
         missing.add(("evaluation", one.key))
     return missing
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import mm
 from tactile_loc.core.slots.registry import SLOTS
-from tactile_loc.evaluation.tabular import markdown_table
-from tactile_loc.store.files import write_atomically
+from tactile_loc.evaluation.tabular import format_markdown, write_texts
 from tactile_loc.sweeps.plan import SETTINGS
 from tactile_loc.sweeps.table import IDENTITY
 
@@ -78,17 +77,17 @@ def as_text(comparison: Comparison) -> pd.DataFrame:
 def write_comparison(out: Path, comparison: Comparison) -> list[Path]:
     """Write compare.md and compare.csv into the folder `out` and return their paths. Raises OutputError."""
     table = as_text(comparison)
-    texts = {"md": "\n".join(_markdown(comparison, table)), "csv": table.to_csv(index=False, lineterminator="\n")}
-    return [_write(out / f"compare.{suffix}", text) for suffix, text in texts.items()]
+    markdown, csv = "\n".join(_markdown(comparison, table)), str(table.to_csv(index=False, lineterminator="\n"))
+    return write_texts(out, "compare", md=markdown, csv=csv)
 
 
 def _markdown(comparison: Comparison, table: pd.DataFrame) -> Iterator[str]:
     yield f"# Two sweeps: {comparison.line}\n"
     yield f"Median error of `{comparison.line}`, mm. {summary(comparison)}.\n"
-    yield markdown_table(list(table.columns), table.to_numpy().tolist())
+    yield format_markdown([list(table.columns), *table.to_numpy().tolist()])
     yield "Versions that differ:\n"
     differing = [[name, *both] for name, both in comparison.versions.items()] or [["none", "", ""]]
-    yield markdown_table(["", "old", "new"], differing)
+    yield format_markdown([["", "old", "new"], *differing])
 
 
 def _described(record: Mapping[str, Any], line: str) -> pd.DataFrame:
@@ -156,7 +155,3 @@ def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, tupl
 
 def _mm(value: float) -> str:
     return "" if np.isnan(value) else mm(1e-3 * value)
-
-
-def _write(path: Path, text: str) -> Path:
-    return write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

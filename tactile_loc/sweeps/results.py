@@ -13,9 +13,9 @@ from tactile_loc.core.formatting import mm
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION
-from tactile_loc.evaluation.tabular import markdown_table
+from tactile_loc.evaluation.tabular import format_json, format_markdown, write_texts
 from tactile_loc.locate.result_json import versions
-from tactile_loc.store.files import read_json, write_atomically
+from tactile_loc.store.files import read_json
 from tactile_loc.sweeps.figures import draw_effects, draw_error_time
 from tactile_loc.sweeps.sweep import Sweep
 from tactile_loc.sweeps.table import IDENTITY, csv_text, write_parquet
@@ -40,12 +40,8 @@ def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
     Pivots and pictures are of the errors of `line`, one of the protocol's LINES; pictures are left out where there is
     nothing to draw. Raises OutputError.
     """
-    texts = {
-        "csv": csv_text(sweep.table),
-        "md": markdown(sweep, line),
-        "json": json.dumps(record(sweep, line), indent=1) + "\n",
-    }
-    written = [_write(out / f"sweep.{suffix}", text) for suffix, text in texts.items()]
+    document, table = format_json(record(sweep, line)), csv_text(sweep.table)
+    written = write_texts(out, "sweep", csv=table, md=markdown(sweep, line), json=document)
     written.append(write_parquet(out / "sweep.parquet", sweep.table))
     for name, draw in (("error-time", draw_error_time), ("effects", draw_effects)):
         figure = draw(sweep, line)
@@ -135,7 +131,7 @@ def _pivot_markdown(errors_mm: pd.DataFrame) -> str:
     rows = [
         [str(label), *(_text(value, best[name]) for name, value in row.items())] for label, row in errors_mm.iterrows()
     ]
-    return markdown_table(["components", *errors_mm.columns], rows)
+    return format_markdown([["components", *errors_mm.columns], *rows])
 
 
 def _text(error_mm: float, best_mm: float) -> str:
@@ -153,7 +149,3 @@ def _failures(sweep: Sweep) -> Iterator[str]:
         if error:
             names = ", ".join(getattr(one.config, slot).name for slot in sweep.plan.slots)
             yield f"- {one.object}, {names}, noise {one.config.touch.noise}, seed {one.config.seed}: {error}"
-
-
-def _write(path: Path, text: str) -> Path:
-    return write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

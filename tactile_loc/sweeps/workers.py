@@ -22,7 +22,7 @@ import numpy as np
 
 from tactile_loc.core.errors import ConfigError, MissingLibraryError, OutputError, TactileLocError
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.evaluation.posterior_metrics import LEVELS, PosteriorSummary
+from tactile_loc.evaluation.metrics import LEVELS, PosteriorSummary
 from tactile_loc.evaluation.protocol import LINES, STAGES, Evaluation, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.config import RunConfig
@@ -152,8 +152,8 @@ def summarise(evaluation: Evaluation, grid_poses: int) -> dict[str, float | None
     """
     errors = []
     for line in LINES:
-        metres = evaluation.errors(line)
-        errors += [1e3 * np.median(metres), 1e3 * metres.mean(), np.median(evaluation.normalised(line))]
+        metres = evaluation.select_errors(line)
+        errors += [1e3 * np.median(metres), 1e3 * metres.mean(), np.median(evaluation.normalise_errors(line))]
     posterior = PosteriorSummary.of(evaluation.posterior_metrics, grid_poses)
     times = 1e3 * np.median(evaluation.seconds, axis=0)
     values = {

@@ -41,7 +41,7 @@ def search(localizer) -> PlaceSearch:
 def examples(localizer) -> list[list[Touch]]:
     """Three touches each, of an object at rest, pressed from anywhere and drawn by ray casting."""
     source = RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
-    return [source.example(3, np.random.default_rng([21, k]))[0] for k in range(8)]
+    return [source.draw_example(3, np.random.default_rng([21, k]))[0] for k in range(8)]
 
 
 def off_mm(localizer: Localizer, poses: np.ndarray, touch: Touch) -> np.ndarray:
@@ -186,7 +186,7 @@ def test_a_matcher_that_cannot_weigh_says_so(store):
 def noisy(localizer) -> list[Touch]:
     raycast = registry().create("renderer", "raycast", {})
     source = RobotTouches(localizer.object, localizer.scene.geometry, raycast, noise=noise_level("mild"))
-    return [source.example(1, np.random.default_rng([31, k]))[0][0] for k in range(16)]
+    return [source.draw_example(1, np.random.default_rng([31, k]))[0][0] for k in range(16)]
 
 
 def near(touch: Touch, rng: np.random.Generator) -> GaussianPrior:
