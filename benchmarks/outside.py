@@ -60,7 +60,7 @@ def simulate_scan(mesh: TriangleMesh, rms_m: float, correlation_m: float, rng: n
     waves = rng.standard_normal((WAVES, 3)) / correlation_m
     phases = rng.uniform(0, 2 * np.pi, WAVES)
     field = np.cos(fine.vertices_m @ waves.T + phases).sum(axis=1)
-    normals, areas = _vertex_normals(fine)
+    normals, areas = _compute_vertex_normals(fine)
     field *= rms_m / np.sqrt(np.average(field**2, weights=areas))
     return TriangleMesh(fine.vertices_m + field[:, None] * normals, fine.faces)
 
@@ -161,7 +161,7 @@ def _merge_vertices(mesh: TriangleMesh) -> TriangleMesh:
     return TriangleMesh(vertices, faces[(a != b) & (b != c) & (c != a)])
 
 
-def _vertex_normals(mesh: TriangleMesh) -> tuple[Float64, Float64]:
+def _compute_vertex_normals(mesh: TriangleMesh) -> tuple[Float64, Float64]:
     """Unit normals (V, 3), weighted by area, and a third of the area (V,) of the faces about each vertex."""
     a, b, c = np.moveaxis(mesh.triangles_m, 1, 0)
     across = 0.5 * np.cross(b - a, c - a)

@@ -160,7 +160,7 @@ class Bench:
 
     def records(self, noise: str, touches: int, seed: int) -> list[Record]:
         """Return what was measured of each of the touches of a noise."""
-        drawn = [SimulatedTouches(noise, seed).touch(self.drawer, number) for number in range(touches)]
+        drawn = [SimulatedTouches(noise, seed).draw_touch(self.drawer, number) for number in range(touches)]
         first = self.candidates(drawn[0])[1]
         for refiner in self.compared.values():
             refiner.refine_many(drawn[0], first[:2], self.localizer.scene)

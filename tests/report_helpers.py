@@ -23,7 +23,7 @@ from tactile_loc.locate.result_files import gather, write_arrays
 from tactile_loc.locate.result_json import result_record, write_result
 from tactile_loc.reports import find_source
 from tactile_loc.reports.page import Page, render
-from tactile_loc.reports.report import page_of
+from tactile_loc.reports.report import make_page
 
 UNFRIENDLY = "<script>alert('x')</script>&amp;\"\u2028"
 SWEPT = ("none", "icp", "filterreg")
@@ -99,7 +99,7 @@ def write_sweep(folder: Path, rows: list[dict[str, Any]] | None = None) -> Path:
 
 
 def page_in(folder: Path) -> Page:
-    return page_of(find_source(folder))
+    return make_page(find_source(folder))
 
 
 def html_of(folder: Path) -> str:

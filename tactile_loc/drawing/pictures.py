@@ -173,6 +173,15 @@ def _draw_scene(panel: SubFigure, localization: Localization, scene: Scene) -> N
     panel.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, -0.005), ncols=2, frameon=False, fontsize=9)
 
 
+def group_nearby(places: NDArray[np.float64], apart: float, order: float = 2) -> list[list[int]]:
+    """Return groups of places (N, D) by index: each is nearer than `apart` to its group's first, in a norm's order."""
+    groups: list[list[int]] = []
+    for i, place in enumerate(places):
+        near = next((g for g in groups if np.linalg.norm(places[g[0]] - place, order) < apart), None)
+        groups.append([i]) if near is None else near.append(i)
+    return groups
+
+
 def add_panels(parent: Figure | SubFigure, count: int, columns: int, **options: Any) -> NDArray[Any]:
     """Return rows of axes (R, C) in a figure, `columns` in a row, of which the first `count` are to be drawn in."""
     panels: NDArray[Any] = parent.subplots(-(-count // columns), columns, squeeze=False, **options)

@@ -97,9 +97,7 @@ class Tracer:
         corners = np.concatenate([triangles.reshape(-1, 3) for triangles in surfaces])
         self._mesh = TriangleMesh(corners, np.arange(len(corners)).reshape(-1, 3))
         self._of_face = np.append(np.repeat(np.arange(len(surfaces)), [len(triangles) for triangles in surfaces]), -1)
-        a, b, c = np.moveaxis(corners.reshape(-1, 3, 3), 1, 0)
-        normals = np.cross(b - a, c - a)
-        self._normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        self._normals = compute_normals(corners.reshape(-1, 3, 3))
         self._distance = 4.0 * float(np.abs(corners).max()) + 1.0
 
     def look(self, bounds: Bounds, shape: tuple[int, int]) -> Buffers:
@@ -164,6 +162,13 @@ def shrink(image: Array, factor: int) -> Array:
     alpha = blocks[..., 3:].mean(axis=(1, 3))
     rgb = (blocks[..., :3] * blocks[..., 3:]).mean(axis=(1, 3)) / np.maximum(alpha, 1e-9)
     return np.concatenate([np.clip(rgb, 0.0, 1.0), alpha], -1)
+
+
+def compute_normals(triangles: Array) -> Array:
+    """Return the unit normals (F, 3) of triangles (F, 3, 3); zero where there is none."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    normals = np.cross(b - a, c - a)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
 
 
 def make_box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.slots.registry import SLOTS
-from tactile_loc.drawing.pictures import make_figure
+from tactile_loc.drawing.pictures import group_nearby, make_figure
 from tactile_loc.evaluation.figures import COLOURS
 from tactile_loc.sweeps.plan import choice_labels, varying
 from tactile_loc.sweeps.sweep import Sweep, mean_of_all
@@ -19,6 +19,7 @@ from tactile_loc.sweeps.sweep import Sweep, mean_of_all
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.transforms import Bbox
 
 MARKERS = "osD^vP*Xh<>"
 FRONT, INK, FAINT = "#c53030", "#1a202c", "#cbd5e0"
@@ -269,15 +270,15 @@ def place_labels(places_pt: NDArray[np.float64], numbers: Sequence[int]) -> list
     Points that all but coincide share one. The first of OFFSETS where nothing is covered is taken, if there is one.
     """
     markers = [_box(x, y - MARKER / 2, MARKER, MARKER, 0) for x, y in places_pt]
-    taken: list[NDArray[np.float64]] = []
+    taken: list[Bbox] = []
     labels = []
-    for members in _coinciding(places_pt):
+    for members in map(tuple, group_nearby(places_pt, MARKER / 2, np.inf)):
         text = in_ranges([numbers[i] for i in members])
         x, y = places_pt[members[0]]
         boxes = [_box(x + dx, y + dy, DIGIT * len(text), LINE, dx) for dx, dy in OFFSETS]
         own = set(members)
         others = [*taken, *(box for i, box in enumerate(markers) if i not in own)]
-        free = [k for k, box in enumerate(boxes) if not any(_overlap(box, other) for other in others)]
+        free = [k for k, box in enumerate(boxes) if not any(box.fully_overlaps(other) for other in others)]
         chosen = free[0] if free else 0
         taken.append(boxes[chosen])
         labels.append(NumberLabel(text, members, OFFSETS[chosen]))
@@ -296,24 +297,9 @@ def in_ranges(numbers: Sequence[int]) -> str:
     return ", ".join(texts)
 
 
-def _coinciding(places_pt: NDArray[np.float64]) -> list[tuple[int, ...]]:
-    """Points, each with those that are hidden behind it."""
-    groups: list[list[int]] = []
-    for i, place in enumerate(places_pt):
-        near = (group for group in groups if np.abs(places_pt[group[0]] - place).max() < MARKER / 2)
-        group = next(near, None)
-        if group is None:
-            groups.append([i])
-        else:
-            group.append(i)
-    return [tuple(group) for group in groups]
+def _box(x: float, y: float, width: float, height: float, side: float) -> Bbox:
+    """A box right of x, left of it or about it, as `side` is positive, negative or zero."""
+    from matplotlib.transforms import Bbox
 
-
-def _box(x: float, y: float, width: float, height: float, side: float) -> NDArray[np.float64]:
-    """A box (left, bottom, right, top) right of x, left of it or about it, as `side` is positive, negative or zero."""
     left = x - width * (0.5 if side == 0 else 0.0 if side > 0 else 1.0)
-    return np.array([left, y, left + width, y + height])
-
-
-def _overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    return bool((a[:2] < b[2:]).all() and (b[:2] < a[2:]).all())
+    return Bbox.from_bounds(left, y, width, height)
