@@ -16,7 +16,7 @@ import dataclasses
 
 import numpy as np
 from contacts import LEVELS
-from joint import near
+from joint import move_near
 from scipy.stats import chi2
 
 from tactile_loc.core.geometry.rigid import invert
@@ -34,7 +34,7 @@ CASES = {"mild": {"noise": MILD}, "strong": LEVELS["strong"], "misplaced": LEVEL
 HYPOTHESES, NEAR_MM = 4, 3.0
 
 
-def errors(path: str, level: str, touches: int, arguments: argparse.Namespace) -> list[tuple[float, float]]:
+def measure_errors(path: str, level: str, touches: int, arguments: argparse.Namespace) -> list[tuple[float, float]]:
     """The error, mm, and the normalised estimation error squared of each example of one object."""
     name, _, units = path.partition(":")
     obj = load_object(name, units or "auto", "auto")
@@ -53,7 +53,7 @@ def errors(path: str, level: str, touches: int, arguments: argparse.Namespace) -
                 source.sensor_std_rad,
             ) for t in taken
         ]  # fmt: skip
-        starts = [Candidate(near(truth, obj.mesh.centroid_m, rng), 0, 0.0) for _ in range(HYPOTHESES)]
+        starts = [Candidate(move_near(truth, obj.mesh.centroid_m, rng), 0, 0.0) for _ in range(HYPOTHESES)]
         best = max(refiner.refine_together(views, starts), key=lambda one: one.contact_iou)
         off_mm = 1e3 * metric.symmetric_distance(best.T_sensor_object[None], truth[None])[0]
         known = best.covariance is not None
@@ -74,7 +74,7 @@ def main() -> None:
     print("| level | touches | within 3 mm | error, mm | NEES | in 50 % | in 95 % |\n|---|---|---|---|---|---|---|")
     for level in CASES:
         for touches in arguments.touches:
-            found = [errors(path, level, touches, arguments) for path in arguments.meshes]
+            found = [measure_errors(path, level, touches, arguments) for path in arguments.meshes]
             off_mm, nees = np.concatenate([np.array(one) for one in found]).T
             near_by = off_mm < NEAR_MM
             inside = [float((nees[near_by] < chi2.ppf(share, 6)).mean()) for share in (0.5, 0.95)]

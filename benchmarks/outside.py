@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from contacts import Located, located
+from contacts import Located, locate
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TactileLocError
@@ -227,7 +227,7 @@ def measure(localizers: dict[int, Localizer], case: str, arguments: argparse.Nam
                 taken, _ = around.draw_example(touches, rng)
             try:
                 said = localize_together([(localizer, touch) for touch in taken])
-                found.append(located(localizer, taken, said))
+                found.append(locate(localizer, taken, said))
             except TactileLocError:
                 found.append(Located())
         chosen, best = np.array([(one.chosen_mm, one.nearest_mm) for one in found]).T

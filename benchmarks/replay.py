@@ -42,18 +42,18 @@ POSE_TOPIC = "/object/pose"
 NEAR_M = 1e-3
 
 
-def decoded(path: Path, topic: str) -> list[Any]:
+def decode(path: Path, topic: str) -> list[Any]:
     """The messages of a topic, as an independent reader has them."""
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         return [found.decoded_message for found in reader.iter_decoded_messages(topics=[topic])]
 
 
-def replayed(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, float, float]:
+def replay(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, float, float]:
     """Replay a recording into the base's frame; also the seconds that took, and of these what locating did."""
     locating_s = 0.0
 
-    def located(touch: Touch) -> Hypothesis:
+    def locate(touch: Touch) -> Hypothesis:
         nonlocal locating_s
         begun = time.perf_counter()
         try:
@@ -66,11 +66,11 @@ def replayed(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, f
     counts = recording.contents().counts
     topic = next(topic for topic in counts if topic.name == IMAGE_TOPIC)
     asked = Replay(recording, topic, localizer, base_frame=BASE, frame_tree=recording.frame_tree())
-    found = replay_to(out, asked, counts[topic], POSE_TOPIC, estimator=located)
+    found = replay_to(out, asked, counts[topic], POSE_TOPIC, estimator=locate)
     return found, time.perf_counter() - start, locating_s
 
 
-def errors(localizer: Localizer, poses: list[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def measure_errors(localizer: Localizer, poses: list[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Surface distances to the truth (N,), metres, and of those near it squared errors over their covariances."""
     metric = PoseMetric(localizer.object)
     T = np.stack([pose_of(message).T for message in poses])
@@ -82,15 +82,15 @@ def errors(localizer: Localizer, poses: list[Any]) -> tuple[NDArray[np.float64],
     return error_m, np.array(squared)
 
 
-def row(localizer: Localizer, slide: Slide, level: str, folder: Path) -> str:
+def write_row(localizer: Localizer, slide: Slide, level: str, folder: Path) -> str:
     """One row of the table."""
     source, out = folder / "slide.mcap", folder / "poses.mcap"
     write_slide(source, slide)
-    found, seconds, locating_s = replayed(localizer, source, out)
-    poses = decoded(out, POSE_TOPIC)
+    found, seconds, locating_s = replay(localizer, source, out)
+    poses = decode(out, POSE_TOPIC)
     lifted = {int(slide.stamps_ns[number]) for number in slide.frames if slide.press_m[number] <= 0}
     imagined = sum(stamp_ns(message.header) in lifted for message in poses)
-    error_m, squared = errors(localizer, poses)
+    error_m, squared = measure_errors(localizer, poses)
     summary = found.summary
     return (
         f"| {localizer.object.name} | {level} | {summary.frames} | {summary.no_contact} ({imagined}) | "
@@ -123,7 +123,7 @@ def main() -> None:
         for level in arguments.levels:
             slide = draw_random_slide(localizer, arguments.images, arguments.seed, NOISE[level], renderer)
             with tempfile.TemporaryDirectory() as folder:
-                print(row(localizer, slide, level, Path(folder)), flush=True)
+                print(write_row(localizer, slide, level, Path(folder)), flush=True)
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ from tactile_loc.store.store import StageStore
 LINES = ("closest", "random", "best-1", "best-10", "reg-1", "chosen")
 
 
-def spacing_for(obj: ObjectModel, base: dict, poses: int) -> float:  # type: ignore[type-arg]
+def choose_spacing(obj: ObjectModel, base: dict, poses: int) -> float:  # type: ignore[type-arg]
     """Return the grid spacing (mm) that gives about `poses` poses: their number goes with its inverse cube."""
     spacing_mm = 4.0
     for _ in range(2):
@@ -41,7 +41,7 @@ def spacing_for(obj: ObjectModel, base: dict, poses: int) -> float:  # type: ign
 def measure(obj: ObjectModel, arguments: argparse.Namespace) -> dict[str, object]:
     """Build one object's model in an empty store, locate its touches, and return a row of the table."""
     base = {"sensor": arguments.sensor, "refiner": arguments.refiner}
-    spacing_mm = spacing_for(obj, base, arguments.poses)
+    spacing_mm = choose_spacing(obj, base, arguments.poses)
     config = RunConfig.from_dict({**base, "grid": {"name": "face", "spacing_mm": spacing_mm}})
     with tempfile.TemporaryDirectory() as store:
         localizer = Localizer(config, obj, StageStore(Path(store)))

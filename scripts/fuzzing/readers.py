@@ -147,9 +147,9 @@ def _configuration(folder: Path) -> None:
 
 
 def _plan(folder: Path) -> None:
-    from tactile_loc.sweeps.plan import Plan, choice_labels
+    from tactile_loc.sweeps.plan import Plan, name_choices
 
-    choice_labels(Plan.from_toml(folder / "plan.toml"))
+    name_choices(Plan.from_toml(folder / "plan.toml"))
 
 
 def _approaches(folder: Path) -> None:
@@ -212,11 +212,11 @@ def _next_touch(folder: Path) -> None:
 
 
 def _compared(folder: Path) -> None:
-    from tactile_loc.sweeps.comparison import as_text, compare
+    from tactile_loc.sweeps.comparison import compare, format_texts
     from tactile_loc.sweeps.results import read_sweep
 
     found = read_sweep(folder)
-    as_text(compare(found, found, "chosen"))
+    format_texts(compare(found, found, "chosen"))
 
 
 def _recording(folder: Path) -> None:

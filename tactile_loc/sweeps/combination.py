@@ -53,7 +53,7 @@ def combine(plan: Plan) -> tuple[list[Combination], dict[str, ObjectModel]]:
     Everything that they need is tried: meshes are read and components made. Raises TactileLocError.
     """
     objects = _load(plan.objects)
-    described = _Descriptions()
+    described: dict[str, Any] = {}
     axes = [objects.items(), *plan.slots.values(), plan.noises, plan.seeds]
     combinations = []
     for places in itertools.product(*(list(enumerate(axis)) for axis in axes)):
@@ -63,12 +63,12 @@ def combine(plan: Plan) -> tuple[list[Combination], dict[str, ObjectModel]]:
             object=obj_config, touch=TouchConfig(noise=noise), seed=seed, **plan.settings,
             **dict(zip(plan.slots, values[1:-2], strict=True)),
         )  # fmt: skip
-        key = combination_key(config, obj, plan.count, described.of(config))
+        key = make_combination_key(config, obj, plan.count, describe_components(config, described))
         combinations.append(Combination(obj.name, config, plan.count, key, place))
     return combinations, {obj.name: obj for _, obj in objects.values()}
 
 
-def in_running_order(combinations: Iterable[Combination]) -> list[Combination]:
+def order_for_running(combinations: Iterable[Combination]) -> list[Combination]:
     """Return combinations in an order in which neighbours share little: first objects differ, then sensors, and so on.
 
     So workers seldom wait for one another's stages, and an interrupted sweep has seen something of everything.
@@ -76,7 +76,7 @@ def in_running_order(combinations: Iterable[Combination]) -> list[Combination]:
     return sorted(combinations, key=lambda combination: combination.place[::-1])
 
 
-def combination_key(config: RunConfig, obj: ObjectModel, count: int, components: Mapping[str, Any]) -> str:
+def make_combination_key(config: RunConfig, obj: ObjectModel, count: int, components: Mapping[str, Any]) -> str:
     """Return a hash of all that decides a row; `components` is what `describe_components` says of its slots."""
     settings = config.model_dump(mode="json", exclude={"object", "top"})
     text = canonical_json({
@@ -87,12 +87,24 @@ def combination_key(config: RunConfig, obj: ObjectModel, count: int, components:
     return hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
 
 
-def describe_components(config: RunConfig) -> dict[str, Any]:
-    """Return what identifies the component of each slot, and the sensor's geometry. Raises TactileLocError."""
-    return _Descriptions().of(config)
+def describe_components(config: RunConfig, known: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Return what identifies the component of each slot, and the sensor's geometry.
+
+    Each choice is made once and kept in `known`. Raises TactileLocError for one that cannot be made.
+    """
+    known = {} if known is None else known
+    names = {}
+    for slot in SLOTS:
+        chosen: SlotConfig = getattr(config, slot)
+        names[slot] = canonical_json({"slot": slot, **chosen.model_dump()})
+        if names[slot] not in known:
+            component = registry().create(slot, chosen.name, chosen.options)
+            geometry = {"geometry": component.geometry.describe()} if slot == "sensor" else {}
+            known[names[slot]] = {**component.describe(), **geometry}
+    return {slot: known[name] for slot, name in names.items()}
 
 
-def stages_to_build(
+def find_missing_stages(
     combinations: Iterable[Combination], objects: Mapping[str, ObjectModel], store: Path
 ) -> dict[str, int]:
     """Return how many artifacts of each of STAGES these combinations need that the store lacks; nothing is built.
@@ -102,12 +114,12 @@ def stages_to_build(
     """
     known = StageStore(store)
     missing = {
-        stage for one in combinations for stage in _missing(one, Localizer(one.config, objects[one.object], known))
+        stage for one in combinations for stage in _list_missing(one, Localizer(one.config, objects[one.object], known))
     }
     return {stage: sum(name == stage for name, _ in missing) for stage in STAGES}
 
 
-def model_keys(localizer: Localizer) -> list[StageKey]:
+def list_model_keys(localizer: Localizer) -> list[StageKey]:
     """Return the keys of a localizer's model, in the order of building: the bank at full press comes last."""
     scene, encoder = localizer.coarse_scene, localizer.encoder
     grid = grid_key(scene, localizer.sampler)
@@ -118,9 +130,9 @@ def model_keys(localizer: Localizer) -> list[StageKey]:
     return [grid, shapes, *([] if training is None else [training]), bank]
 
 
-def _missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]]:
+def _list_missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]]:
     """The stages, each with what identifies it, that a combination needs and its localizer's store lacks."""
-    *learned, bank = model_keys(localizer)
+    *learned, bank = list_model_keys(localizer)
     has = localizer.store.get
     missing = {(key.stage, key.digest) for key in (*learned, bank) if has(key) is None}
     whole = all(has(key) is not None for key in learned)  # then asking the localizer for keys builds nothing
@@ -131,25 +143,6 @@ def _missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]]:
     if not (whole and fitted and has(make_evaluation_key(localizer, one.count, touches)) is not None):
         missing.add(("evaluation", one.key))
     return missing
-
-
-class _Descriptions:
-    """Makes every choice of a component once, to see that it can be made and what it says of itself."""
-
-    def __init__(self) -> None:
-        self._known: dict[str, Any] = {}
-
-    def of(self, config: RunConfig) -> dict[str, Any]:
-        """What describes the components of all slots."""
-        return {slot: self._one(slot, getattr(config, slot)) for slot in SLOTS}
-
-    def _one(self, slot: str, chosen: SlotConfig) -> Any:
-        name = canonical_json({"slot": slot, **chosen.model_dump()})
-        if name not in self._known:
-            component = registry().create(slot, chosen.name, chosen.options)
-            geometry = {"geometry": component.geometry.describe()} if slot == "sensor" else {}
-            self._known[name] = {**component.describe(), **geometry}
-        return self._known[name]
 
 
 def _load(configs: Sequence[ObjectConfig]) -> dict[str, tuple[ObjectConfig, ObjectModel]]:

@@ -25,7 +25,7 @@ IMAGES = 14
 
 
 @pytest.fixture(scope="module")
-def draw_slide(tmp_path_factory) -> Path:
+def slide(tmp_path_factory) -> Path:
     """A slide over the head, drawn by another renderer."""
     from tactile_loc_cli.main import app
     from typer.testing import CliRunner

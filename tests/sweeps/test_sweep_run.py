@@ -24,8 +24,7 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.combination import combine
 from tactile_loc.sweeps.plan import Plan
 from tactile_loc.sweeps.results import read_sweep, write_sweep
-from tactile_loc.sweeps.sweep import FinishedRows, Sweep, run_sweep
-from tactile_loc.sweeps.table import MOMENTARY, Row, table_of
+from tactile_loc.sweeps.sweep import MOMENTARY, FinishedRows, Row, Sweep, make_table, run_sweep
 from tactile_loc.sweeps.workers import JOURNALS, ClusterError, DaskWorkers, LocalWorkers, Outcome
 
 distributed = pytest.importorskip("distributed")
@@ -44,7 +43,7 @@ class Watched(Progress):
 class Nobody:
     """Workers that must not be asked for anything."""
 
-    def outcomes(self, jobs, objects):
+    def run_jobs(self, jobs, objects):
         raise AssertionError(f"{len(jobs)} jobs are done again")
 
 
@@ -160,7 +159,7 @@ def test_what_is_written(locally, folder):
     ]  # fmt: skip
     rows = [{k: v for k, v in row.items() if k != "configuration"} for row in read_sweep(folder / "written")["rows"]]
     assert rows == locally.rows
-    assert_frame_equal(table_of(rows), locally.table)
+    assert_frame_equal(make_table(rows), locally.table)
     assert_frame_equal(
         pd.read_csv(written[0], keep_default_na=False)[["object", "key"]],
         locally.table[["object", "key"]],

@@ -165,10 +165,10 @@ def _store(store: Path | None) -> Path:
 
 def _workers(workers: int | None, threads: int | None, scheduler: str | None, out: Path) -> Workers:
     from tactile_loc.core.errors import ConfigError
-    from tactile_loc.sweeps.workers import DaskWorkers, LocalWorkers, cores
+    from tactile_loc.sweeps.workers import DaskWorkers, LocalWorkers, count_cores
 
     if scheduler is None:
-        return LocalWorkers(workers or cores(), threads or 1, out / "workers.log")
+        return LocalWorkers(workers or count_cores(), threads or 1, out / "workers.log")
     if workers is not None or threads is not None:
         raise ConfigError(
             "--workers and --threads are of local processes; with --scheduler the cluster decides, see docs/sweeps.md"
