@@ -46,9 +46,11 @@ lint: $(STAMP) ## check style, format and types
 smoke: $(STAMP) ## build the wheel, install it into a fresh environment and try it there
 	@scripts/smoke-wheel.sh $(VENV)/bin/python
 
-docs: $(STAMP) ## build the documentation site in out/site; any broken link is an error
+# --quiet would hide warnings from --strict too, so what mkdocs says is shown only when it fails, each line once.
+docs: $(STAMP) ## build the documentation site in out/site; any warning is an error
 	@echo "docs: out/site/index.html"
-	@NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict --quiet
+	@said=$$(NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict 2>&1) || \
+		{ printf '%s\n' "$$said" | grep -v '^INFO' | awk '!told[$$0]++' >&2; exit 1; }
 
 audit: $(STAMP) ## look the pinned packages up among known vulnerabilities; needs the internet
 	@scripts/audit.sh $(VENV)/bin/python

@@ -44,8 +44,8 @@ def draw_examples(
             fused = posterior_together([(localizer, touch) for touch in some])
         except GridError:  # no pose touches all sensors
             continue
-        power = 1.0 if touches == 1 else localizer.fused_scaling.power(touches)
-        found.append((fused, fused.tempered(1 / power), localizer.true_index(fused.grid, some[0])))
+        power = 1.0 if touches == 1 else localizer.probabilities.fused_scaling.power(touches)
+        found.append((fused, fused.tempered(1 / power), localizer.source.find_truth(fused.grid, some[0])))
     return found
 
 
@@ -63,15 +63,16 @@ def measure(localizer: Localizer, touches: int, arguments: argparse.Namespace) -
     rng = np.random.default_rng(arguments.seed)
     found = draw_examples(localizer, touches, arguments.examples, arguments.seed)
     fused, product, truths = [list(column) for column in zip(*found, strict=True)]
-    sets = [PoseSet.of(p, localizer.conformal_sets(touches), arguments.coverage) for p in fused]
+    sets = [PoseSet.of(p, localizer.probabilities.conformal_sets(touches), arguments.coverage) for p in fused]
     held = np.array([t in s.indices if t >= 0 else s.elsewhere for s, t in zip(sets, truths, strict=True)])
     entropy = np.array([p.entropy for p in fused])
     uncertain = entropy >= np.quantile(entropy, 0.75)
     return {
         "object": localizer.object.name, "touches": touches, "examples": len(found),
         "without_common_pose": arguments.examples - len(found), "poses": float(np.median([len(p.grid) for p in fused])),
-        "exponent": localizer.fused_scaling.exponent, "levels": LEVELS, "fused": measure_coverage(fused, truths, rng),
-        "product": measure_coverage(product, truths, rng), "conformal": float(held.mean()),
+        "exponent": localizer.probabilities.fused_scaling.exponent, "levels": LEVELS,
+        "fused": measure_coverage(fused, truths, rng), "product": measure_coverage(product, truths, rng),
+        "conformal": float(held.mean()),
         "conformal_uncertain": float(held[uncertain].mean()), "held": held.tolist(), "entropy": entropy.tolist(),
         "set_poses": float(np.median([len(s.indices) for s in sets])),
         "found": float(np.mean(np.array(truths) >= 0)), "said_found": float(np.mean([1 - p.elsewhere for p in fused])),

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from real_images import SETS, read, reduce, write_head
 
-from tactile_loc.calibration.calibrate import press_errors, split
+from tactile_loc.calibration.calibrate import measure_press, split
 from tactile_loc.calibration.estimator import CalibrationProblem
 from tactile_loc.calibration.labels import Chosen
 from tactile_loc.calibration.photometric import PhotometricEstimator
@@ -57,7 +57,7 @@ def measure_error_deg(presses: PressFolder, count: int, choose: Callable[..., li
     made = PhotometricEstimator(presses.geometry, presses.background)
     some = Chosen(presses, learned)
     made.fit(CalibrationProblem(presses.geometry, presses.background, some, Progress(), Checkpoints()))
-    return float(np.mean([press_errors(made, *presses.press(number)).slope_deg for number in held_out]))
+    return float(np.mean([measure_press(made, *presses.read_press(number)).slope_deg for number in held_out]))
 
 
 def write_row(

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from real_images import SETS, read, write_head
 
-from tactile_loc.calibration.calibrate import press_errors, split
+from tactile_loc.calibration.calibrate import measure_press, split
 from tactile_loc.calibration.estimator import CalibrationProblem
 from tactile_loc.calibration.frames import Frame
 from tactile_loc.calibration.labels import STEEPEST, Chosen
@@ -71,7 +71,7 @@ def measure_errors_deg(sets: dict[str, PressFolder], known: NDArray[np.bool_], s
         chosen = Chosen(labels, learned)
         made.fit(CalibrationProblem(hand.geometry, hand.background, chosen, Progress(), Checkpoints()))
         for tested in ("hand", "found"):
-            each = [press_errors(made, *sets[tested].press(n)).slope_deg for n in held_out]
+            each = [measure_press(made, *sets[tested].read_press(n)).slope_deg for n in held_out]
             errors[f"{name} on {tested}"] = float(np.mean(each))
     return errors
 

@@ -34,7 +34,7 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.io.meshes import simplified
+from tactile_loc.io.meshes import simplify_mesh
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.store.store import StageStore
 
@@ -106,7 +106,7 @@ def decimate(mesh: TriangleMesh, rms_m: float, rng: np.random.Generator) -> Tria
         if many - few < 2:
             break
         count = (few + many) // 2
-        less = simplified(whole, count)
+        less = simplify_mesh(whole, count)
         if len(less.faces) > 3 and _measure_rms_distance(points, less) <= rms_m:
             many, best = count, less
         else:

@@ -24,11 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.calibration.calibrate import Calibrated, calibrate
-from tactile_loc.calibration.circles import Circle, colour_change, find_imprint, find_rim
+from tactile_loc.calibration.circles import Circle, compare_colours, find_imprint, find_rim
 from tactile_loc.calibration.folder import write_calibration
-from tactile_loc.calibration.health import Health, health
-from tactile_loc.calibration.presses import PressFolder, convert, read_presses, reading_size_px
-from tactile_loc.calibration.reading import press_depth_m
+from tactile_loc.calibration.health import Health, measure_health
+from tactile_loc.calibration.presses import PressFolder, choose_size_px, convert, read_presses
+from tactile_loc.calibration.reading import measure_press_m
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import load_image
 from tactile_loc.locate.localizer import Localizer
@@ -63,7 +63,7 @@ def read(name: str, data: Path, folder: Path) -> PressFolder:
 
 def reduce(presses: PressFolder, name: str, folder: Path) -> PressFolder:
     """Return a set's presses as small as `tactile-loc calibrate` reads them."""
-    size_px = reading_size_px(presses.camera)
+    size_px = choose_size_px(presses.camera)
     return read_presses(folder, presses.camera, median_background=name == "FOTS", size_px=size_px)
 
 
@@ -89,9 +89,9 @@ def _figure(calibrated: Calibrated, presses: PressFolder, number: int, untouched
     estimator = calibrated.estimator
     image, zero = (_resize(i, estimator.geometry.shape) for i in (presses.images[number], untouched))
     estimator.untouched, kept = zero, estimator.untouched
-    found: Health = health(image, zero, estimator.read(image)[1], estimator.geometry)
+    found: Health = measure_health(image, zero, estimator.read(image)[1], estimator.geometry)
     estimator.untouched = kept
-    return found.figure(calibrated.usual)
+    return found.compare(calibrated.usual)
 
 
 def _resize(image: NDArray[np.uint8], shape: tuple[int, int]) -> NDArray[np.uint8]:
@@ -107,7 +107,7 @@ def measure_slopes(presses: PressFolder, splits: int) -> tuple[Calibrated, dict[
     ]
     means = [calibrated.record()["held_out"]["mean"] for calibrated in done]
     image = presses.images[0]
-    seconds = [_time(lambda: done[0].estimator.indentation(image)) for _ in range(9)]
+    seconds = [_time(lambda: done[0].estimator.read_indentation(image)) for _ in range(9)]
     mean = {key: float(np.mean([m[key] for m in means])) for key in means[0]}
     return done[0], {**mean, "ms": 1e3 * float(np.median(seconds))}
 
@@ -132,14 +132,14 @@ class SpherePress:
     def of(cls, calibrated: Calibrated, image: NDArray[np.uint8]) -> SpherePress:
         """Measure a press in its image (H, W, 3)."""
         estimator = calibrated.estimator
-        change = colour_change(image, estimator.background)
+        change = compare_colours(image, estimator.background)
         imprint = find_imprint(change)
         assert imprint is not None
         circle, _ = find_rim(change, imprint.circle)
         pitch_mm = 1e3 * estimator.geometry.pixel_pitch_m
-        away_mm, radius_mm = pitch_mm * circle.distance_px(image.shape[:2]), pitch_mm * circle.radius_px
+        away_mm, radius_mm = pitch_mm * circle.measure_distance_px(image.shape[:2]), pitch_mm * circle.radius_px
         below_mm = SMALL_SPHERE_MM - np.sqrt(SMALL_SPHERE_MM**2 - np.minimum(away_mm, radius_mm) ** 2)
-        surface_mm = 1e3 * estimator.indentation(image)
+        surface_mm = 1e3 * estimator.read_indentation(image)
         tops_mm = surface_mm + below_mm  # of the sphere, as each pixel in contact says
         top_mm = float(tops_mm[away_mm < radius_mm / 2].mean())
         rim_mm = float(surface_mm[np.abs(away_mm - radius_mm) < pitch_mm].mean())
@@ -180,11 +180,11 @@ def measure_depths(calibrated: Calibrated, shapes: Path, spheres: dict[str, Sphe
     poses = json.loads((shapes / "poses.json").read_text())
     rows = []
     for press, times in zip(PRESSES_MM, measure_growth(calibrated, shapes), strict=True):
-        indentation = calibrated.estimator.indentation(_read_image(shapes / f"prism_{press}_real.png"))
+        indentation = calibrated.estimator.read_indentation(_read_image(shapes / f"prism_{press}_real.png"))
         tip = _find_tip(_write_pose(poses, press), shapes / "prism.stl", indentation.shape)
         tip_mm, press_mm = (
             1e3 * indentation[tip].mean(),
-            1e3 * press_depth_m(indentation, calibrated.estimator.geometry),
+            1e3 * measure_press_m(indentation, calibrated.estimator.geometry),
         )
         stated, seen = (100 * (tip_mm / true_mm - 1) for true_mm in (float(press), spheres[press].top_mm))
         rows.append(f"| {press} | {tip_mm:.3f} | {stated:+.0f} % | {seen:+.0f} % | {press_mm:.3f} | {times:.2f} |")
@@ -290,7 +290,7 @@ def main() -> None:
             )
             small[name] = reduce(presses, name, work / str(number))
             calibrations[name], less = measure_slopes(small[name], arguments.splits)
-            size = "{} x {}".format(*reading_size_px(presses.camera))
+            size = "{} x {}".format(*choose_size_px(presses.camera))
             print(
                 f"| {name}, reduced to {size} | | {less['slope_deg']:.2f}° | {1e6 * less['shape_m']:.0f} um | "
                 f"{1e6 * less['untouched_m']:.0f} um | {less['ms']:.0f} ms |",

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from single_touch import choose_spacing
 
+from tactile_loc import Localizer
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
@@ -43,7 +44,6 @@ from tactile_loc.evaluation.protocol import SURFACE_POINTS
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes import load_object
-from tactile_loc.locate.localizer import MODE_RADIUS, Localizer
 from tactile_loc.store.store import StageStore
 
 Transform = NDArray[np.float64]
@@ -141,7 +141,7 @@ def list_refiners() -> tuple[dict[str, Refiner], dict[str, str]]:
 
 def is_distinctive(posterior: PosePosterior, spacing_mm: float) -> bool:
     """Tell whether a posterior's second mode has less than DISTINCTIVE of the probability of its first."""
-    modes = posterior.modes(MODE_RADIUS * spacing_mm * 1e-3, 2)
+    modes = posterior.modes(2e-3 * spacing_mm, 2)
     return len(modes) < 2 or modes[1].probability < DISTINCTIVE * modes[0].probability
 
 

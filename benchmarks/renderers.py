@@ -27,7 +27,7 @@ from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.component import Float32
 from tactile_loc.core.slots.renderer import Renderer
-from tactile_loc.data import demo_object_path
+from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.meshes import load_object
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.plugins.renderers.pyrender.renderer import PyrenderRenderer
@@ -37,7 +37,7 @@ CAMERAS = {
     "GelSlim": SensorGeometry("pinhole", 470, 470, 291.5, 289.0, 235.0, 235.0, 0.025, 0.002).resized(200, 200),
     "orthographic": SensorGeometry("orthographic", 200, 200, 5000.0, 5000.0, 100.0, 100.0, 0.025, 0.002),
 }
-DEMO_OBJECTS = ("pin", "damping_pin", "head", "elbow_pipe")
+OBJECTS = ("pin", "damping_pin", "head", "elbow_pipe")
 SPREAD_M = 0.024
 
 
@@ -135,7 +135,7 @@ def show(rows: Sequence[Row]) -> None:
 def main() -> None:
     """Parse the command line, measure, print and write."""
     parser = argparse.ArgumentParser(description="Speed and agreement of the built-in renderers.")
-    parser.add_argument("--meshes", nargs="+", type=Path, default=[demo_object_path(name) for name in DEMO_OBJECTS])
+    parser.add_argument("--meshes", nargs="+", type=Path, default=[DEMO_OBJECTS[name].path for name in OBJECTS])
     parser.add_argument("--poses", type=int, default=720, help="poses a mesh and camera")
     parser.add_argument("--rotations", type=int, default=12, help="rotations among them")
     parser.add_argument("--rounds", type=int, default=3, help="how often each renderer draws them")

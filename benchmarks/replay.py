@@ -31,7 +31,7 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.slides import BASE, IMAGE_TOPIC, T_BASE_OBJECT, Slide, draw_random_slide, write_slide
 from tactile_loc.io.recordings import Recording
-from tactile_loc.io.ros_messages import pose_of, stamp_ns
+from tactile_loc.io.ros_messages import read_pose, read_stamp_ns
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Hypothesis
 from tactile_loc.store.store import StageStore
@@ -63,9 +63,9 @@ def replay(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, flo
 
     start = time.perf_counter()
     recording = Recording(source)
-    counts = recording.contents().counts
+    counts = recording.read_contents().counts
     topic = next(topic for topic in counts if topic.name == IMAGE_TOPIC)
-    asked = Replay(recording, topic, localizer, base_frame=BASE, frame_tree=recording.frame_tree())
+    asked = Replay(recording, topic, localizer, base_frame=BASE, frame_tree=recording.read_frame_tree())
     found = replay_to(out, asked, counts[topic], POSE_TOPIC, estimator=locate)
     return found, time.perf_counter() - start, locating_s
 
@@ -73,9 +73,9 @@ def replay(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, flo
 def measure_errors(localizer: Localizer, poses: list[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Surface distances to the truth (N,), metres, and of those near it squared errors over their covariances."""
     metric = PoseMetric(localizer.object)
-    T = np.stack([pose_of(message).T for message in poses])
+    T = np.stack([read_pose(message).T for message in poses])
     truth = np.broadcast_to(T_BASE_OBJECT, T.shape)
-    covariances = np.stack([np.reshape(pose_of(message).covariance, (6, 6)) for message in poses])
+    covariances = np.stack([np.reshape(read_pose(message).covariance, (6, 6)) for message in poses])
     error_m = metric.symmetric_distance(T, truth)
     near = np.flatnonzero((error_m < NEAR_M) & (covariances[:, 0, 0] > 0))
     squared = [compute_nees(metric, T[k], covariances[k], T_BASE_OBJECT) for k in near]
@@ -89,7 +89,7 @@ def write_row(localizer: Localizer, slide: Slide, level: str, folder: Path) -> s
     found, seconds, locating_s = replay(localizer, source, out)
     poses = decode(out, POSE_TOPIC)
     lifted = {int(slide.stamps_ns[number]) for number in slide.frames if slide.press_m[number] <= 0}
-    imagined = sum(stamp_ns(message.header) in lifted for message in poses)
+    imagined = sum(read_stamp_ns(message.header) in lifted for message in poses)
     error_m, squared = measure_errors(localizer, poses)
     summary = found.summary
     return (

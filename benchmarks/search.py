@@ -58,7 +58,7 @@ def build(path: str, arguments: argparse.Namespace, sensor: str, store: Path) ->
     localizer, start = create(path, arguments, sensor, store), time.perf_counter()
     searched = len(localizer.search.places) if localizer.search else localizer.model.size
     places_s = time.perf_counter() - start
-    _ = localizer.temperature_scaling
+    _ = localizer.probabilities.temperature_scaling
     return {
         "places": searched, "places_s": places_s, "fit_s": time.perf_counter() - start - places_s,
         "memory_mb": measure_peak_memory_mb(),

@@ -23,17 +23,17 @@ from single_touch import choose_spacing
 
 from tactile_loc.calibration.estimator import GelEstimator
 from tactile_loc.calibration.folder import write_calibration
-from tactile_loc.calibration.reading import contact_shape, press_depth_m
-from tactile_loc.calibration.simulated import calibrate_simulated, simulated_sensor
+from tactile_loc.calibration.reading import find_contact_shape, measure_press_m
+from tactile_loc.calibration.simulated import calibrate_simulated, find_sensor
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.formatting import mm
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.imaging.gel import contact_indentation, gel_surface
+from tactile_loc.imaging.gel import find_indentation, press_gel
 from tactile_loc.imaging.optics import Optics
-from tactile_loc.imaging.simulate import touch_images
+from tactile_loc.imaging.simulate import render_touches
 from tactile_loc.io.config import RunConfig, parse_overrides
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer
@@ -49,11 +49,11 @@ def measure(estimator: GelEstimator, noise_m: float, touches: list[Touch], lamps
     for start in range(0, len(touches), BATCH):
         some = touches[start : start + BATCH]
         depth_m, press_m = np.stack([t.contact_shape.depth_m for t in some]), [t.press_depth_m for t in some]
-        images = touch_images(depth_m, press_m, estimator.geometry, lamps, rng)
+        images = render_touches(depth_m, press_m, estimator.geometry, lamps, rng)
         known = (
-            gel_surface(depth_m, press_m, estimator.geometry)
+            press_gel(depth_m, press_m, estimator.geometry)
             if estimator.sees_skirt
-            else contact_indentation(depth_m, press_m)
+            else find_indentation(depth_m, press_m)
         )
         rows += [
             measure_errors(estimator, noise_m, t, image, truth)
@@ -68,17 +68,17 @@ def measure_errors(
     """Measure one touch; the IoU is 0 when no contact is found in it."""
     observed = estimator.geometry.observed_mask
     start = time.perf_counter()
-    found_m = estimator.indentation(image)
+    found_m = estimator.read_indentation(image)
     took_ms = 1e3 * (time.perf_counter() - start)
     off_mm = 1e3 * (found_m - known_m)
     try:
-        shape = contact_shape(found_m, estimator.geometry, noise_m, estimator.sees_skirt)
+        shape = find_contact_shape(found_m, estimator.geometry, noise_m, estimator.sees_skirt)
     except TouchError:
         iou = 0.0
     else:
         true = touch.contact_shape.pressed_to(shape.press_depth_m) if estimator.sees_skirt else touch.contact_shape
         iou = shape.contact_iou(true, observed)
-    press_mm = 1e3 * abs(press_depth_m(found_m, estimator.geometry) - touch.press_depth_m)
+    press_mm = 1e3 * abs(measure_press_m(found_m, estimator.geometry) - touch.press_depth_m)
     inside = off_mm[touch.contact_shape.contact & observed]
     return (*(float(np.sqrt(np.mean(np.square(part)))) for part in (off_mm[observed], inside)), iou, press_mm, took_ms)
 
@@ -127,7 +127,7 @@ def main() -> None:
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.WARNING)
     logging.getLogger("tactile_loc.calibration").setLevel(logging.INFO)
-    geometry, lamps = simulated_sensor(arguments.sensor)
+    geometry, lamps = find_sensor(arguments.sensor)
     options = parse_overrides([f"sensor.{word}" for word in arguments.option]).get("sensor", {})
     start = time.perf_counter()
     presses, estimator, record = calibrate_simulated(

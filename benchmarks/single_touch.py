@@ -46,7 +46,7 @@ def measure(obj: ObjectModel, arguments: argparse.Namespace) -> dict[str, object
     with tempfile.TemporaryDirectory() as store:
         localizer = Localizer(config, obj, StageStore(Path(store)))
         start = time.perf_counter()
-        localizer.matcher(localizer.scene.geometry.max_depth_m)
+        localizer.listed.matcher(localizer.scene.geometry.max_depth_m)
         build_s = time.perf_counter() - start
         result = evaluate(localizer, arguments.touches, SimulatedTouches(seed=arguments.seed))
         poses = len(localizer.model.grid)

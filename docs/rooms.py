@@ -25,9 +25,10 @@ LAYERS: tuple[dict[str, float], ...] = (
     {"calibration": 2},
     {"plugins": 0, "locate": 3.6},
     {"tasks": 2.8},
-    {"tactile_loc": 1, "drawing": 2.8},
+    {"drawing": 2.8},
     {"evaluation": 2.8, "testing": 4.6},
     {"sweeps": 1, "reports": 3.2},
+    {"tactile_loc": 1},
     {"benchmarks": 0, "cli": 2, "docs": 4},
 )
 LAYER_OF = {room: number for number, layer in enumerate(LAYERS) for room in layer}

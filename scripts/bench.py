@@ -1,15 +1,14 @@
 #!/usr/bin/env python3
-"""Results of benchmarks that can be compared over time, and that the documentation's figures come from.
+"""Keep the results of benchmarks, compare them over time, and write them into the documentation.
 
-`keep NAME [ARGUMENT ...]` runs benchmarks/NAME.py, shows what it prints, and keeps its tables in
-benchmarks/results/VERSION/RUN.json with the machine, the versions, the date and the arguments. A run is called as its
-benchmark is, or as `--as RUN` says where one is kept with several arguments; without arguments those are taken that it
-was kept with before. Then the documentation's tables and computed figures are renewed, and what of its text is left to
-be looked over is told; `bind RUN` says that it has been. `--all` runs all that is kept, and every other benchmark as it
-is. Times of different machines, and of a busy one, are compared as multiples of a yardstick: a fixed piece of work,
-measured before and after. `compare` tells what changed since the latest earlier version that has results, and fails
-where a time grew or a speed fell by more than a tenth; `page` writes the documentation's page of what is kept, its
-figure, and all figures that come from what is kept.
+`keep NAME [ARGUMENT ...]` runs benchmarks/NAME.py, shows its output, and keeps its tables in
+benchmarks/results/VERSION/RUN.json with the machine, the versions, the date and the arguments. A run is named after its
+benchmark, or by `--as RUN` where one benchmark has several runs. Without arguments it gets those of the last time. Then
+the tables and computed figures of the documentation are renewed, and the sentences to look over are listed.
+`bind RUN` says that they were looked over. `--all` repeats every kept run, and runs every other benchmark.
+`compare` reports the changes since the version before that has results, and fails where a time grew, or a speed fell,
+by more than a tenth. Times are compared as multiples of a yardstick: a fixed piece of work, measured before and after.
+`page` writes the documentation's page of results, its figure, and all figures that come from results.
 """
 
 from __future__ import annotations
@@ -23,32 +22,32 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from statistics import median
+from statistics import geometric_mean, median
 from typing import Any
 
-import pages
+import figures
 from results import NUMBER, RESULTS, ROOT, Kept, Table, latest, tables, versions
 
 BENCHMARKS = ROOT / "benchmarks"
 PAGE, FIGURE = ROOT / "docs" / "results.md", ROOT / "docs" / "images" / "results.png"
 PACKAGES = ("numpy", "scipy", "numba", "torch", "open3d", "trimesh", "faiss-cpu")
-WORSE = 0.1  # of a time, by which it may grow
-CHANGED = 0.1  # of a figure, from which on a change is told
+WORSE = 0.1  # the share by which a time may grow
+CHANGED = 0.1  # the share from which a change is reported
 TIME = re.compile(r"(?<!/)\b(m?s|seconds|milliseconds)\b")
 RATE = re.compile(r"/s\b")
-RATIO = re.compile(r"^x \w")  # how many times as fast as something else of the same run
+RATIO = re.compile(r"^x \w")  # a ratio to something else of the same run
 
 
 @dataclass(frozen=True)
 class Change:
-    """A figure of a row and column that was `before` and is `now`: times as multiples of the yardstick.
+    """A figure of a row and column `before` and `now`, times as multiples of the yardstick.
 
-    `wanted` is 1 for a speed, which should be large, -1 for a time, 0 for what is neither.
+    `wanted` is 1 for a speed, -1 for a time, 0 for anything else.
     """
 
     where: str
@@ -58,7 +57,7 @@ class Change:
 
     @property
     def ratio(self) -> float:
-        """How many times as large it is."""
+        """The figure now as a multiple of the one before."""
         return self.now / self.before if self.before else (1.0 if self.now == 0 else math.inf)
 
     @property
@@ -68,49 +67,47 @@ class Change:
 
 
 def compared(before: Kept, now: Kept) -> list[Change]:
-    """Return every figure that both have: of tables with the same columns, and rows with the same words.
+    """Return the changes of all figures that both have: same column, same words in the row.
 
-    Times and speeds are left out where the yardstick of either is not known.
+    Times and speeds are left out where a yardstick is unknown.
     """
     earlier = {key: value for table in before.tables for key, value in _figures(table).items()}
     yardsticks = (before.yardstick_ms, now.yardstick_ms)
     changes = []
-    for table in now.tables:
-        for (row, column, place), value in _figures(table).items():
-            power = 1 if RATE.search(column) else -1 if TIME.search(column) else 0  # of the yardstick
-            if (row, column, place) in earlier and (all(yardsticks) or not power):
-                old, new = ((y or 1.0) ** power for y in yardsticks)
-                old, new = old * earlier[row, column, place], new * value
-                where = f"{now.name}: {row}, {column}"
-                changes.append(Change(where, old, new, 1 if RATIO.search(column) else power))
+    for (row, column, place), value in ((key, one) for table in now.tables for key, one in _figures(table).items()):
+        power = 1 if RATE.search(column) else -1 if TIME.search(column) else 0  # of the yardstick
+        if (row, column, place) in earlier and (all(yardsticks) or not power):
+            old, new = ((y or 1.0) ** power for y in yardsticks)
+            wanted = 1 if RATIO.search(column) else power
+            changes.append(
+                Change(f"{now.name}: {row}, {column}", old * earlier[row, column, place], new * value, wanted)
+            )
     return changes
 
 
 def _figures(table: Table) -> dict[tuple[str, str, int], float]:
-    """The numbers of a table by the words of their row, column (and how many had the same before), and place in it."""
+    """Return the numbers of a table by the words of their row, their column and their place in the cell."""
     found: dict[tuple[str, str, int], float] = {}
-    columns, alike = _told_apart(table.columns, Counter()), Counter[str]()
-    for cells in table.filled:
-        words = ", ".join(cell for cell in cells if cell and not NUMBER.match(cell))
-        (row,) = _told_apart([words], alike)
+    rows = (", ".join(cell for cell in cells if cell and not NUMBER.match(cell)) for cells in table.filled)
+    columns = _told_apart(table.columns)
+    for row, cells in zip(_told_apart(rows), table.filled, strict=True):
         for column, cell in zip(columns, cells, strict=True):
-            if NUMBER.match(cell):
-                for place, number in enumerate(NUMBER.findall(cell)):
-                    found[row, column, place] = float(number)
+            numbers = NUMBER.findall(cell) if NUMBER.match(cell) else []
+            found |= {(row, column, place): float(number) for place, number in enumerate(numbers)}
     return found
 
 
-def _told_apart(words: list[str], seen: Counter[str]) -> list[str]:
-    """The words, with a number where they were seen before."""
-    found = []
-    for one in words:
-        found.append(f"{one} {seen[one] + 1}" if seen[one] else one)
-        seen[one] += 1
+def _told_apart(words: Iterable[str]) -> list[str]:
+    """Return the words, with a number from their second time on."""
+    seen, found = Counter[str](), []
+    for word in words:
+        seen[word] += 1
+        found.append(f"{word} {seen[word]}" if seen[word] > 1 else word)
     return found
 
 
 def yardstick_ms() -> float:
-    """Return how long a fixed piece of work takes: loops of Python, sorting, and products of matrices; median of 9."""
+    """Return how long a fixed piece of work takes: loops of Python, sorting, products of matrices; median of 9."""
     import numpy as np
 
     values = np.random.default_rng(0).random((600, 600))
@@ -124,27 +121,23 @@ def yardstick_ms() -> float:
     return median(taken)
 
 
-def machine(environment: Mapping[str, str] = os.environ) -> dict[str, Any]:
-    """Say what this runs on."""
-    name = platform.processor() or platform.machine()
+def machine(threads: Mapping[str, str] = os.environ) -> dict[str, Any]:
+    """Return the properties of this machine, and the limits of threads among the given variables."""
     info = Path("/proc/cpuinfo")
-    if info.exists() and (found := re.search(r"model name\s*:\s*(.+)", info.read_text())):
-        name = found[1]
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    threads = {name: environment[name] for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS") if name in environment}
+    model = re.search(r"model name\s*:\s*(.+)", info.read_text()) if info.exists() else None
     return {
-        "processor": name,
-        "cores": cores,
+        "processor": model[1] if model else platform.processor() or platform.machine(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "python": platform.python_version(),
         "system": platform.system(),
-        **threads,
+        **{name: threads[name] for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS") if name in threads},
     }
 
 
 def keep(name: str, arguments: list[str], folder: Path = RESULTS, run: str = "") -> Kept:
-    """Run a benchmark, show what it prints, and keep its tables as those of `run`, by default of its name.
+    """Run a benchmark, show its output, and keep its tables as those of `run`, by default of its name.
 
-    Without arguments it gets those that the run was kept with. Raises SystemExit when it fails, or they are not known.
+    Without arguments it gets those of the last time. Raises SystemExit when it fails, or they are unknown.
     """
     if not (script := BENCHMARKS / f"{name}.py").exists():
         raise SystemExit(f"bench: there is no benchmark {name}; there are {', '.join(names())}")
@@ -159,44 +152,33 @@ def keep(name: str, arguments: list[str], folder: Path = RESULTS, run: str = "")
     found = tables(_printed(script, arguments, environment))
     if not found:
         raise SystemExit(f"bench: {name} printed no table; nothing is kept")
+    known = {(one.metadata["Name"] or "").lower(): one.version for one in metadata.distributions()}
     kept = Kept(
         name, [given.rpartition("/")[2] for given in arguments],
         metadata.version("tactile-loc"), f"{datetime.now(UTC):%Y-%m-%d}", round(time.perf_counter() - start, 1),
-        round((first + yardstick_ms()) / 2, 2), machine(environment), packages(), found, run or name,
+        round((first + yardstick_ms()) / 2, 2), machine(environment),
+        {package: known[package] for package in PACKAGES if package in known}, found, run or name,
     )  # fmt: skip
     print(f"bench: kept in {kept.write(folder)}")
     return kept
 
 
 def _threads(kept: Kept) -> dict[str, str]:
-    """How many threads a run was given, as variables of the environment."""
+    """Return the limits of threads that a run had, as variables of the environment."""
     return {name: kept.machine[name] for name in sorted(kept.machine) if name.isupper()}
 
 
 def _printed(script: Path, arguments: list[str], environment: dict[str, str]) -> str:
-    """What a benchmark prints, shown while it does. Raises SystemExit when it fails."""
-    process = subprocess.Popen(
-        [sys.executable, str(script), *arguments], stdout=subprocess.PIPE, text=True, cwd=ROOT,
-        env={**environment, "COLUMNS": "200"},
-    )  # fmt: skip
-    lines = []
-    for line in process.stdout or []:
-        print(line, end="", flush=True)
-        lines.append(line)
-    if process.wait():
+    """Return what a benchmark prints, and show it meanwhile. Raises SystemExit when it fails."""
+    words, lines = [sys.executable, str(script), *arguments], []
+    environment = {**environment, "COLUMNS": "200"}
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment) as process:
+        for line in process.stdout or []:
+            print(line, end="", flush=True)
+            lines.append(line)
+    if process.returncode:
         raise SystemExit(f"bench: {script.stem} failed with exit code {process.returncode}; nothing is kept")
     return "".join(lines)
-
-
-def packages() -> dict[str, str]:
-    """Return the versions of the packages that times and results depend on."""
-    found = {}
-    for package in PACKAGES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            continue
-    return found
 
 
 def names() -> list[str]:
@@ -205,7 +187,7 @@ def names() -> list[str]:
 
 
 def compare(folder: Path = RESULTS) -> int:
-    """Tell what changed from the last version but one that has results to the last; return 1 where a time grew."""
+    """Print the changes between the last two versions that have results; return 1 where a time grew."""
     known = versions(folder)
     if len(known) < 2:
         print(f"bench: only {known[0]} has results; nothing to compare with" if known else "bench: nothing is kept yet")
@@ -217,8 +199,8 @@ def compare(folder: Path = RESULTS) -> int:
             print(f"{path.stem}: new since {old}")
             continue
         for change in compared(Kept.read(folder / old / path.name), Kept.read(path)):
+            worse += change.is_worse
             if change.is_worse or abs(change.ratio - 1) > CHANGED:
-                worse += change.is_worse
                 mark = "WORSE  " if change.is_worse else "       "
                 print(f"{mark}{change.where}: {change.before:.4g} -> {change.now:.4g} ({change.ratio:.2f} times)")
     print(f"bench: {old} -> {new}: {worse} times grew, or speeds fell, by more than {WORSE:.0%}")
@@ -226,7 +208,7 @@ def compare(folder: Path = RESULTS) -> int:
 
 
 def page(folder: Path = RESULTS) -> str:
-    """Return the page of what is kept, in Markdown: every run, and the tables of those that were kept by `keep`."""
+    """Return the documentation's page of results: every run, and the tables of those that `keep` made."""
     parts = [
         "# Results over time\n",
         "What the benchmarks printed, kept by `scripts/bench.py keep NAME`, a file a run and version in\n"
@@ -254,15 +236,16 @@ def page(folder: Path = RESULTS) -> str:
 
 
 def command(kept: Kept) -> str:
-    """Return how a run is started: of a benchmark, or whatever else was measured."""
+    """Return how a run is started."""
     is_ours = (BENCHMARKS / f"{kept.benchmark}.py").exists()
     threads = [f"{name}={value}" for name, value in _threads(kept).items()]
-    started = f"python benchmarks/{kept.benchmark}.py" if is_ours else kept.benchmark
-    return " ".join([*threads, started, *kept.arguments])
+    return " ".join(
+        [*threads, f"python benchmarks/{kept.benchmark}.py" if is_ours else kept.benchmark, *kept.arguments]
+    )
 
 
 def draw(path: Path, folder: Path = RESULTS) -> bool:
-    """Draw every benchmark's times by version, as multiples of the first's; whether there are versions to compare."""
+    """Draw the times of each run by version, as multiples of the first. Return False where there is one version."""
     known = versions(folder)
     if len(known) < 2:
         return False
@@ -272,12 +255,11 @@ def draw(path: Path, folder: Path = RESULTS) -> bool:
     axes = figure.subplots()
     for name in sorted({file.stem for file in folder.glob("*/*.json")}):
         having = [version for version in known if (folder / version / f"{name}.json").exists()]
-        first = Kept.read(folder / having[0] / f"{name}.json")
-        means = []
+        first, means = Kept.read(folder / having[0] / f"{name}.json"), []
         for version in having:
             changes = compared(first, Kept.read(folder / version / f"{name}.json"))
-            logs = [math.log(c.ratio) for c in changes if c.wanted == -1 and c.before > 0 and c.now > 0]
-            means.append(math.exp(sum(logs) / len(logs)) if logs else math.nan)
+            ratios = [c.ratio for c in changes if c.wanted == -1 and c.before > 0 and c.now > 0]
+            means.append(geometric_mean(ratios) if ratios else math.nan)
         if not all(map(math.isnan, means)):
             axes.plot([known.index(version) for version in having], means, marker="o", label=name)
     axes.set_xticks(range(len(known)), known)
@@ -288,38 +270,8 @@ def draw(path: Path, folder: Path = RESULTS) -> bool:
     return True
 
 
-def main() -> int:
-    """Run what the command line asks for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    commands = parser.add_subparsers(dest="command", required=True)
-    kept = commands.add_parser("keep", help="run a benchmark and keep what it prints")
-    kept.add_argument("--as", dest="run", default="", help="what the run is called; by default as the benchmark")
-    kept.add_argument("--all", action="store_true", help="all that is kept, and every other benchmark")
-    kept.add_argument("name", nargs="?")
-    kept.add_argument("arguments", nargs=argparse.REMAINDER)
-    commands.add_parser("compare", help="tell what changed since the version before")
-    commands.add_parser("page", help="write the documentation's page, figure and figures")
-    bound = commands.add_parser("bind", help="say that the text about a run was looked over, and is true of it")
-    bound.add_argument("name")
-    chosen = parser.parse_args()
-    failed = 0
-    if chosen.command == "compare":
-        return compare()
-    if chosen.command == "bind":
-        pages.bind(chosen.name)
-    elif chosen.command == "keep" and chosen.all:
-        failed = keep_all()
-    elif chosen.command == "keep" and chosen.name:
-        benchmark = latest()[chosen.name].benchmark if chosen.name in latest() else chosen.name
-        keep(benchmark, chosen.arguments, run=chosen.run or chosen.name)
-    elif chosen.command == "keep":
-        parser.error(f"name a benchmark, or say --all; there are {', '.join(names())}")
-    renew()
-    return 1 if failed else 0
-
-
 def keep_all() -> int:
-    """Keep every run of a benchmark anew, and every benchmark that has none; what fails is told, and how many did."""
+    """Repeat every run of a benchmark, and run every benchmark that has none. Return how many failed."""
     runs = {name: kept.benchmark for name, kept in latest().items() if kept.benchmark in names()}
     failed = 0
     for run, name in {**runs, **{name: name for name in names() if name not in runs.values()}}.items():
@@ -331,14 +283,39 @@ def keep_all() -> int:
     return failed
 
 
-def renew() -> None:
-    """Write what comes of what is kept into the documentation, and tell what of it is to be looked over."""
+def main() -> int:
+    """Run what the command line asks for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    kept = commands.add_parser("keep", help="run a benchmark and keep its tables")
+    kept.add_argument("--as", dest="run", default="", help="the name of the run; by default the benchmark's")
+    kept.add_argument("--all", action="store_true", help="all that is kept, and every other benchmark")
+    kept.add_argument("name", nargs="?")
+    kept.add_argument("arguments", nargs=argparse.REMAINDER)
+    commands.add_parser("compare", help="report the changes since the version before")
+    commands.add_parser("page", help="write the documentation's page, figure and figures")
+    bound = commands.add_parser("bind", help="say that the text about a run was looked over, and is true of it")
+    bound.add_argument("name")
+    chosen = parser.parse_args()
+    failed = 0
+    if chosen.command == "compare":
+        return compare()
+    if chosen.command == "bind":
+        figures.bind(chosen.name)
+    elif chosen.command == "keep" and chosen.all:
+        failed = keep_all()
+    elif chosen.command == "keep" and chosen.name:
+        benchmark = latest()[chosen.name].benchmark if chosen.name in latest() else chosen.name
+        keep(benchmark, chosen.arguments, run=chosen.run or chosen.name)
+    elif chosen.command == "keep":
+        parser.error(f"name a benchmark, or say --all; there are {', '.join(names())}")
     PAGE.write_text(page(), encoding="utf-8")
     draw(FIGURE)
-    for path in pages.renew():
+    for path in figures.renew():
         print(f"bench: wrote {path}")
-    for problem in pages.problems():
+    for problem in figures.problems():
         print(f"bench: {problem}")
+    return 1 if failed else 0
 
 
 if __name__ == "__main__":

@@ -1,146 +1,133 @@
 #!/usr/bin/env python3
 """Mutants of the numerical core: code changed in one place, which a test should notice.
 
-A sample of cosmic-ray's mutants is drawn from each target, a seed's always the same, and judged by the target's own
-tests, in a copy of the project. What survives is shown as a diff. A target's session is kept in OUT/TARGET-SEED.sqlite,
-which cosmic-ray's own tools read (`cr-html`): the same command goes on there. It begins anew when the target's files,
+A seed draws the same sample of cosmic-ray's mutants of each target. cosmic-ray judges them by the target's own tests,
+in a copy of the project whose kernels run uncompiled. Survivors are shown as diffs. OUT/TARGET-SEED.sqlite keeps a
+session, which `cr-report` and `cr-html` read: the same command goes on there. It begins anew when the target's files,
 their tests or the number of mutants are others.
 """
 
 from __future__ import annotations
 
 import argparse
-import difflib
+import contextlib
 import hashlib
+import os
+import shlex
+import shutil
+import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from cosmic_ray.commands.init import init
-from cosmic_ray.mutating import mutate_code
-from cosmic_ray.plugins import get_operator
+from cosmic_ray.commands import execute, init
+from cosmic_ray.config import ConfigDict
 from cosmic_ray.work_db import WorkDB, use_db
-from cosmic_ray.work_item import MutationSpec, TestOutcome, WorkerOutcome, WorkResult
-from mutating.mutants import counts, sample, uncounted
-from mutating.targets import TARGETS, Target
-from mutating.trial import KILLED, LEAST_S, PATIENCE, SURVIVED, TIMED_OUT, Copy, preload
+from cosmic_ray.work_item import TestOutcome, WorkerOutcome
+from mutants import TARGETS, Target, counts, sample, uncounted
+from record import ONE_THREAD
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGE = ROOT / "tactile_loc"
+PACKAGE = Path("tactile_loc")
+COPIED = ("tactile_loc", "cli", "tests", "scripts", "pyproject.toml")
+LEAST_S, PATIENCE = 60.0, 5.0  # seconds that a trial may take, or times as long as without a mutant
+MEMORY_BYTES = 16 * 2**30  # of address space
+SETTINGS = {"NUMBA_DISABLE_JIT": "1", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", **ONE_THREAD}
+OUTCOMES = ("killed", "timed out", "survived")
+
+
+def command(target: Target) -> list[str]:
+    """Return the command that runs a target's tests until one fails, with a limit of memory."""
+    limited = ["bash", "-c", f'ulimit -v {MEMORY_BYTES // 1024}; exec "$@"', "-"]
+    return [*limited, sys.executable, "-B", "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *target.tests]
 
 
 def begin(db: WorkDB, target: Target, count: int, seed: int) -> None:
     """Fill an empty session with a sample of a target's mutants."""
     init([PACKAGE / file for file in target.files], db, {})
-    spans = {file: uncounted((PACKAGE / file).read_text()) for file in target.files}
-    items = [(_file(item.mutations[0]), item) for item in db.work_items]
-    items = [(file, item) for file, item in items if counts(item.mutations[0], spans[file])]
-    chosen = sample([(file, item.mutations[0]) for file, item in items], count, seed)
+    spans = {PACKAGE / file: uncounted((PACKAGE / file).read_text()) for file in target.files}
+    mutants = [(item.mutations[0], item) for item in db.work_items]
+    mutants = [(one, item) for one, item in mutants if counts(one, spans[one.module_path])]
+    chosen = sample([(one.module_path.as_posix(), one) for one, _ in mutants], count, seed)
     db.clear()
-    db.add_work_items([items[i][1] for i in chosen])
+    db.add_work_items([mutants[k][1] for k in chosen])
 
 
-def _file(mutation: MutationSpec) -> str:
-    return mutation.module_path.relative_to(PACKAGE).as_posix()
-
-
-def pursue(db: WorkDB, target: Target, copy: Copy) -> None:
-    """Judge what is left of a session; ends the program when its tests fail without a mutant."""
-    pending = sorted(db.pending_work_items, key=lambda item: item.job_id)
-    if not pending:
+def pursue(db: WorkDB, target: Target) -> None:
+    """Judge the rest of a session. Raises SystemExit when its tests fail without a mutant, or cannot run."""
+    if not (pending := len(list(db.pending_work_items))):
         return
     start = time.monotonic()
-    outcome, output = copy.judge(target.tests, 600.0)
-    if outcome != SURVIVED:
-        raise SystemExit(f"the tests of {target.name} fail without a mutant:\n{output}")
-    print(f"{target.name}: {len(pending)} mutants to judge", file=sys.stderr)
+    done = subprocess.run(command(target), capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"the tests of {target.name} fail without a mutant:\n{done.stdout}{done.stderr}")
+    print(f"{target.name}: {pending} mutants to judge", file=sys.stderr)
     seconds = max(LEAST_S, PATIENCE * (time.monotonic() - start))
-    for item in pending:
-        db.set_result(item.job_id, _judged(item.mutations[0], target, copy, seconds))
+    settings = {"test-command": shlex.join(command(target)), "timeout": seconds, "distributor": {"name": "local"}}
+    execute(db, ConfigDict(settings))
     print(f"{target.name}: judged in {time.monotonic() - start:.0f} s", file=sys.stderr)
+    for _, result in db.completed_work_items:
+        if result.worker_outcome != WorkerOutcome.NORMAL or result.test_outcome == TestOutcome.INCOMPETENT:
+            raise SystemExit(f"a mutant of {target.name} could not be judged:\n{result.output}")
 
 
-def _judged(mutation: MutationSpec, target: Target, copy: Copy, seconds: float) -> WorkResult:
-    tests, file = target.tests_of(_file(mutation)), f"tactile_loc/{_file(mutation)}"
-    path = copy.without_bytecode(file)
-    source = path.read_text()
-    operator = get_operator(mutation.operator_name)(**mutation.operator_args)
-    mutant = mutate_code(source, operator, mutation.occurrence)
-    try:
-        path.write_text(mutant)
-        outcome, output = copy.judge(tests, seconds)
-    finally:
-        path.write_text(source)
-    survived = TestOutcome.SURVIVED if outcome == SURVIVED else TestOutcome.KILLED
-    text = "timeout" if outcome == TIMED_OUT else output
-    diff = "\n".join(difflib.unified_diff(source.splitlines(), mutant.splitlines(), file, file, lineterm="", n=1))
-    return WorkResult(WorkerOutcome.NORMAL, text, survived, diff)
+def outcomes(db: WorkDB) -> list[tuple[str, str]]:
+    """Return the files of a session's judged mutants, and what became of each."""
+    return [
+        (item.mutations[0].module_path.relative_to(PACKAGE).as_posix(),
+         "timed out" if result.output == "timeout" else str(result.test_outcome.value))
+        for item, result in db.completed_work_items
+    ]  # fmt: skip
 
 
-def outcomes(db: WorkDB) -> Iterator[tuple[str, str]]:
-    """The files of the mutants of a session that were judged, and what became of each."""
-    for item, result in db.completed_work_items:
-        killed = TIMED_OUT if result.output == "timeout" else KILLED
-        yield _file(item.mutations[0]), SURVIVED if result.test_outcome == TestOutcome.SURVIVED else killed
-
-
-def row(name: str, found: Counter[str]) -> str:
-    """One line of the table."""
-    total = sum(found.values())
-    share = f"{100 * (total - found[SURVIVED]) / max(total, 1):.0f} %"
-    return f"| {name} | {total} | {found[KILLED]} | {found[TIMED_OUT]} | {found[SURVIVED]} | {share} |"
-
-
-def _table(judged: dict[str, list[tuple[str, str]]]) -> str:
-    lines = ["| target, file | mutants | killed | timed out | survived | noticed |", "|---|---|---|---|---|---|"]
-    for name, found in judged.items():
-        lines.append(row(f"**{name}**", Counter(outcome for _, outcome in found)))
-        files = sorted({file for file, _ in found})
-        lines += [row(file, Counter(outcome for f, outcome in found if f == file)) for file in files]
+def table(judged: dict[str, list[tuple[str, str]]]) -> str:
+    """Return a table of targets and their files: mutants, what became of them, and the share that was noticed."""
+    lines = [f"| target, file | mutants | {' | '.join(OUTCOMES)} | noticed |", "|---" * 6 + "|"]
+    for target, found in judged.items():
+        for name in (f"**{target}**", *sorted({file for file, _ in found})):
+            came = Counter(outcome for file, outcome in found if name in (file, f"**{target}**"))
+            share = 100 * (1 - came["survived"] / max(came.total(), 1))
+            lines.append(f"| {name} | {came.total()} | {' | '.join(str(came[o]) for o in OUTCOMES)} | {share:.0f} % |")
     return "\n".join(lines)
 
 
-def _session(out: Path, target: Target, count: int, seed: int) -> Path:
-    """The file of a session; one of other sources is removed."""
+def session(out: Path, target: Target, count: int, seed: int) -> Path:
+    """Return the file of a session. One of other sources is removed."""
+    tests = [Path(test) for test in target.tests if test.startswith("tests/")]
+    files = [file for test in tests for file in ([test] if test.is_file() else sorted(test.glob("*.py")))]
+    texts = [path.read_bytes() for path in [*(PACKAGE / file for file in target.files), *files]]
     path, stamp = out / f"{target.name}-{seed}.sqlite", out / f"{target.name}-{seed}.sources"
-    now = f"{count} mutants {_digest(target)}"
+    now = f"{count} mutants of {hashlib.sha256(bytes(0).join(texts)).hexdigest()}"
     if not stamp.exists() or stamp.read_text() != now:
         path.unlink(missing_ok=True)
         stamp.write_text(now)
     return path
 
 
-def _digest(target: Target) -> str:
-    """A hash of a target's files and tests."""
-    tests = [ROOT / test for test in target.tests if test.startswith("tests/")]
-    files = [file for test in tests for file in ([test] if test.is_file() else sorted(test.glob("*.py")))]
-    texts = [path.read_bytes() for path in [*(PACKAGE / file for file in target.files), *files]]
-    return hashlib.sha256(b"\0".join(texts)).hexdigest()
-
-
 def mutate(targets: Sequence[Target], count: int, seed: int, out: Path) -> str:
-    """Judge a sample of each target's mutants and show those that survive; the table of them all."""
-    preload()
+    """Judge a sample of each target's mutants and show those that survive. Return the table of them all."""
     out.mkdir(parents=True, exist_ok=True)
     judged = {}
-    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
-        copy = Copy(ROOT, Path(folder) / "project")
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder, contextlib.chdir(folder):
+        paths = os.pathsep.join(str(Path(name).absolute()) for name in (".", "cli", "tests", "scripts"))
+        os.environ.update(SETTINGS, PYTHONPATH=paths)
+        for source in (ROOT / name for name in COPIED):
+            copy = shutil.copytree if source.is_dir() else shutil.copy
+            copy(source, source.name)
+        for cache in Path().rglob("__pycache__"):
+            shutil.rmtree(cache)
         for target in targets:
-            with use_db(_session(out, target, count, seed)) as db:
+            with use_db(session(out, target, count, seed)) as db:
                 if not db.num_work_items:
                     begin(db, target, count, seed)
-                pursue(db, target, copy)
-                judged[target.name] = list(outcomes(db))
-                print(*_survivors(db), sep="\n\n", end="\n\n")
-    return _table(judged)
-
-
-def _survivors(db: WorkDB) -> list[str]:
-    """The diffs of the mutants that no test noticed."""
-    return [result.diff for _, result in db.completed_work_items if result.test_outcome == TestOutcome.SURVIVED]
+                pursue(db, target)
+                judged[target.name] = outcomes(db)
+                survived = [one.diff for _, one in db.completed_work_items if one.test_outcome == TestOutcome.SURVIVED]
+                print(*survived, sep="\n\n", end="\n\n")
+    return table(judged)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -152,11 +139,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the sample (0)")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "mutants", help="folder of the sessions")
     options = parser.parse_args(arguments)
-    unknown = sorted(set(options.targets) - set(known))
-    if unknown:
+    if unknown := sorted(set(options.targets) - set(known)):
         parser.error(f"there is no target {', '.join(unknown)}; there are {', '.join(known)}")
-    chosen = [known[name] for name in options.targets or known]
-    print(mutate(chosen, options.mutants, options.seed, options.out.absolute()))
+    print(
+        mutate(
+            [known[name] for name in options.targets or known], options.mutants, options.seed, options.out.absolute()
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""Results of benchmarks: the tables that were printed, in benchmarks/results/VERSION/RUN.json.
+"""The tables that benchmarks printed, kept in benchmarks/results/VERSION/RUN.json.
 
-A run is a benchmark with its arguments; it is named after the benchmark, or otherwise where there are several of one.
-Runs that were measured before there were such files were taken from the page that had their tables: their `source`.
+A run is a benchmark with its arguments. It is named after the benchmark, or has a name of its own.
+Runs from before there were such files were taken from a page, their `source`.
 """
 
 from __future__ import annotations
@@ -21,52 +21,50 @@ NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 
 @dataclass(frozen=True)
 class Table:
-    """A printed table: the names of its columns, and its rows; an empty first cell is that of the row above."""
+    """A printed table: the names of its columns, and its rows. An empty first cell repeats the one above."""
 
     columns: list[str]
     rows: list[list[str]]
 
     def markdown(self, columns: Sequence[str] = ()) -> str:
-        """Return it as Markdown, of all columns or those named. Raises LookupError for a column that is not there."""
+        """Return all columns, or those named, as Markdown. Raises LookupError for an unknown column."""
         chosen = [self.place(name) for name in columns] or range(len(self.columns))
-        rows = [[row[k] for k in chosen] for row in (self.columns, *self.rows)]
-        rule = "|---" * len(rows[0]) + "|"
-        first, *others = [f"| {' | '.join(row)} |" for row in rows]
-        return "\n".join([first, rule, *others]) + "\n"
+        first, *others = [f"| {' | '.join(row[k] for k in chosen)} |" for row in (self.columns, *self.rows)]
+        return "\n".join([first, "|---" * len(chosen) + "|", *others]) + "\n"
 
     @cached_property
     def filled(self) -> list[list[str]]:
-        """The rows, none without a first cell."""
+        """The rows, each with its first cell."""
         rows: list[list[str]] = []
         for row in self.rows:
             rows.append([row[0] or (rows[-1][0] if rows else ""), *row[1:]])
         return rows
 
     def place(self, column: str | int) -> int:
-        """The place of a column that is named, or numbered from 0. Raises LookupError where it is not there."""
+        """Return the place of a column, given by name or number. Raises LookupError for an unknown name."""
         if isinstance(column, str) and column not in self.columns:
             raise LookupError(f"there is no column {column!r} among {self.columns}")
         return self.columns.index(column) if isinstance(column, str) else column
 
     def numbers(self, column: str | int, *words: str) -> list[float]:
-        """The numbers of the cell in the first row whose cells begin with `words`. Raises LookupError without one."""
+        """Return the numbers of a cell: of the first row that begins with `words`. Raises LookupError without one."""
         for row in self.filled:
             if row[: len(words)] == list(words):
                 return [float(number) for number in NUMBER.findall(row[self.place(column)])]
         raise LookupError(f"no row of the table begins with {words}")
 
     def column(self, column: str | int) -> list[float]:
-        """The first number of every cell of a column that has one. Raises LookupError where it is not there."""
+        """Return the first number of each cell of a column that has one. Raises LookupError for an unknown column."""
         found = [NUMBER.search(row[self.place(column)]) for row in self.rows]
         return [float(number[0]) for number in found if number]
 
 
 @dataclass(frozen=True)
 class Kept:
-    """What a benchmark printed, where and when; `yardstick_ms` is the median time of the fixed piece of work.
+    """What a benchmark printed, where and when. `yardstick_ms` is the median time of a fixed piece of work.
 
-    `beside` holds the sentences of the documentation that tell of this measurement what its tables do not. Of what was
-    taken from a page, `source`, the time that it took and the yardstick are not known.
+    `beside` holds the documentation's sentences that tell more of this run than its tables do. The time and the
+    yardstick of a run that was taken from a page are unknown.
     """
 
     benchmark: str
@@ -84,20 +82,22 @@ class Kept:
 
     @property
     def name(self) -> str:
-        """What the run is called, and its file."""
+        """The name of the run and of its file."""
         return self.run or self.benchmark
 
     @classmethod
     def read(cls, path: Path) -> Kept:
-        """Read one that was kept."""
+        """Read a results file."""
         values = json.loads(path.read_text(encoding="utf-8"))
         return cls(**{**values, "tables": [Table(**table) for table in values["tables"]]})
 
     def write(self, folder: Path) -> Path:
-        """Write it into the folder of its version; return the file."""
+        """Write a results file, one line a row of a table, into the folder of its version. Return its path."""
         path = folder / self.version / f"{self.name}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(_text(asdict(self)), encoding="utf-8")
+        text = json.dumps(asdict(self), indent=1, ensure_ascii=False)
+        text = re.sub(r'(\[|,)\n {4,5}(?=")', lambda cell: "[" if cell[1] == "[" else ", ", text)
+        path.write_text(re.sub(r'"\n {3,4}\]', '"]', text) + "\n", encoding="utf-8")
         return path
 
     def table(self, number: int) -> Table:
@@ -107,23 +107,22 @@ class Kept:
         return self.tables[number - 1]
 
 
-def _text(values: dict[str, Any]) -> str:
-    """JSON with a line for each row of a table, so that what changed is seen."""
-    rows: list[str] = []
+class Results(dict[str, Kept]):
+    """The runs by name, and their numbers. Raises LookupError for anything unknown."""
 
-    def placed(row: list[str]) -> str:
-        rows.append(json.dumps(row, ensure_ascii=False))
-        return f"row {len(rows) - 1}"
+    def at(self, run: str, number: int, column: str | int, *words: str) -> list[float]:
+        """Return the numbers of a cell: of the first row that begins with `words`."""
+        return self[run].table(number).numbers(column, *words)
 
-    tables = [{"columns": placed(t["columns"]), "rows": [placed(row) for row in t["rows"]]} for t in values["tables"]]
-    text = json.dumps({**values, "tables": tables}, indent=1, ensure_ascii=False)
-    return re.sub(r'"row (\d+)"', lambda match: rows[int(match[1])], text) + "\n"
+    def column(self, run: str, number: int, column: str | int) -> list[float]:
+        """Return the first number of each cell of a column."""
+        return self[run].table(number).column(column)
 
 
 def tables(text: str) -> list[Table]:
-    """Return the Markdown tables of what a benchmark printed, each row with as many cells as its heading.
+    """Return the Markdown tables in a benchmark's output, each row with as many cells as its heading.
 
-    Other lines between rows, of what is noteworthy about one, do not end a table.
+    Other lines between rows do not end a table.
     """
     found: list[Table] = []
     before: list[str] = []
@@ -132,7 +131,7 @@ def tables(text: str) -> list[Table]:
         cells = [cell.strip() for cell in line.strip()[1:-1].split("|")] if line.strip().startswith("|") else []
         is_rule = bool(cells) and all(re.fullmatch(r":?-+:?", cell) for cell in cells)
         if is_rule and before:
-            if is_row:  # it was the next table's heading
+            if is_row:  # the line before was the next table's heading
                 found[-1].rows.pop()
             found.append(Table(before, []))
         is_row = bool(cells and found and not is_rule)
@@ -149,7 +148,7 @@ def versions(folder: Path = RESULTS) -> list[str]:
     return sorted(found, key=lambda name: [int(part) for part in re.findall(r"\d+", name)])
 
 
-def latest(folder: Path = RESULTS) -> dict[str, Kept]:
-    """Return every run by its name, as the newest version that has it kept it."""
+def latest(folder: Path = RESULTS) -> Results:
+    """Return the newest results of each run."""
     paths = {path.stem: path for version in versions(folder) for path in sorted((folder / version).glob("*.json"))}
-    return {name: Kept.read(paths[name]) for name in sorted(paths)}
+    return Results((name, Kept.read(paths[name])) for name in sorted(paths))

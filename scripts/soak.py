@@ -15,13 +15,13 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc_cli.console import progress
+from tactile_loc_cli.console import make_progress
 
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE
@@ -35,11 +35,9 @@ from tactile_loc.tasks.tracker import Tracker
 MOST_GROWTH = 0.02
 WARM = 10  # one part of so many is not measured
 RATE_HZ, SLIDE = 100, 300  # frames a second, and frames of a slide
-PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
-@dataclass(frozen=True)
-class Held:
+class Held(NamedTuple):
     """What the process holds: memory, bytes, and open files."""
 
     memory: int
@@ -50,12 +48,11 @@ class Held:
         """Read it from the system."""
         gc.collect()
         pages = int(Path("/proc/self/statm").read_text().split()[1])
-        return cls(pages * PAGE, len(os.listdir("/proc/self/fd")))
+        return cls(pages * os.sysconf("SC_PAGE_SIZE"), len(os.listdir("/proc/self/fd")))
 
 
-@dataclass(frozen=True)
-class Soaked:
-    """What came of a work done `count` times: what is held once warm and at the end, and answers that changed."""
+class Soaked(NamedTuple):
+    """The outcome of a work done `count` times: what is held once warm and at the end, and how many answers changed."""
 
     name: str
     count: int
@@ -75,19 +72,17 @@ class Soaked:
         return self.growth <= MOST_GROWTH and self.end.files <= self.warm.files and not self.changed
 
     def row(self) -> str:
-        """A row of the table."""
-        cells = (
-            self.name, f"{self.count}", f"{self.seconds:.0f}", f"{self.warm.memory / 2**20:.0f}",
-            f"{self.end.memory / 2**20:.0f}", f"{self.growth:+.2%}", f"{self.warm.files}", f"{self.end.files}",
-            f"{self.changed}",
-        )  # fmt: skip
-        return f"| {' | '.join(cells)} |"
+        """Return a row of the table."""
+        warm, end = (f"{held.memory / 2**20:.0f}" for held in (self.warm, self.end))
+        cells = (self.name, self.count, f"{self.seconds:.0f}", warm, end, f"{self.growth:+.2%}", self.warm.files,
+                 self.end.files, self.changed)  # fmt: skip
+        return f"| {' | '.join(map(str, cells))} |"
 
 
 def soaked(name: str, count: int, once: Callable[[int], bool]) -> Soaked:
     """Do a work `count` times, each with its number, and say what is held; it returns whether its answer changed."""
     start, warm, changed = time.monotonic(), Held.now(), 0
-    with progress().task(name, count) as advance:
+    with make_progress().task(name, count) as advance:
         for number in range(count):
             if number == max(1, count // WARM):
                 warm = Held.now()
@@ -109,15 +104,10 @@ def located(localizer: Localizer, touches: list[Touch], count: int) -> Soaked:
     return soaked("localisations", count, once)
 
 
-def to_and_fro(frames: list[Frame]) -> Iterator[Frame]:
-    """The frames of a slide, back again, and so on."""
-    return itertools.cycle([*frames, *frames[-2:0:-1]])
-
-
 def tracked(localizer: Localizer, frames: list[Frame], count: int) -> Soaked:
     """Track a slide to and fro; at the end a new tracker is to find what the first one did."""
     first = _poses(localizer, frames)
-    tracker, going = _started(localizer, frames), to_and_fro(frames)
+    tracker, going = _started(localizer, frames), itertools.cycle([*frames, *frames[-2:0:-1]])
 
     def once(number: int) -> bool:
         frame = next(going)
@@ -147,26 +137,19 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=2000.0, help=f"of tracking, {RATE_HZ} frames each")
     parser.add_argument("--touches", type=int, default=50, help="that differ")
     parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
+    given, results = parser.parse_args(), []
     with tempfile.TemporaryDirectory() as folder:
-        localizer = Localizer.create(
-            arguments.object, sensor="gelsight-mini", grid={"name": "face", "spacing_mm": 4.0}, temperature=0.05,
-            store=StageStore(Path(folder)),
-        )  # fmt: skip
-        source = RobotTouches(
-            localizer.object, localizer.sensor.geometry, registry().create("renderer", "raycast", {}),
-            noise=NOISE["mild"],
-        )  # fmt: skip
-        results = []
-        if arguments.localisations:
-            touches = localizer.simulate(arguments.touches, seed=arguments.seed)
-            results.append(located(localizer, touches, arguments.localisations))
-        if arguments.seconds:
-            frames = SlidingTouches(source).draw_example(SLIDE, np.random.default_rng(arguments.seed))
-            results.append(tracked(localizer, frames, round(arguments.seconds * RATE_HZ)))
+        settings = {"sensor": "gelsight-mini", "grid": {"name": "face", "spacing_mm": 4.0}, "temperature": 0.05}
+        localizer = Localizer.create(given.object, store=StageStore(Path(folder)), **settings)
+        renderer = registry().create("renderer", "raycast", {})
+        source = RobotTouches(localizer.object, localizer.sensor.geometry, renderer, noise=NOISE["mild"])
+        if given.localisations:
+            results.append(located(localizer, localizer.simulate(given.touches, seed=given.seed), given.localisations))
+        if given.seconds:
+            frames = SlidingTouches(source).draw_example(SLIDE, np.random.default_rng(given.seed))
+            results.append(tracked(localizer, frames, round(given.seconds * RATE_HZ)))
     print("| | times | s | memory once warm, MiB | at the end | growth | files open | at the end | answers changed |")
-    print("|---" * 9 + "|")
-    print("\n".join(result.row() for result in results))
+    print("\n".join(["|---" * 9 + "|", *(result.row() for result in results)]))
     return 0 if all(result.is_good for result in results) else 1
 
 

@@ -25,10 +25,22 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing.sensor_geometry import SensorGeometry as SensorGeometry
     from tactile_loc.core.sensing.touch import ContactShape as ContactShape
     from tactile_loc.core.sensing.touch import Touch as Touch
+    from tactile_loc.core.simulation.noise import noise_level as noise_level
+    from tactile_loc.drawing.pictures import draw_result as draw_result
+    from tactile_loc.drawing.pictures import save_figure as save_figure
+    from tactile_loc.evaluation.robot_touches import RobotTouches as RobotTouches
+    from tactile_loc.evaluation.robot_touches import draw_approaches as draw_approaches
+    from tactile_loc.evaluation.sequences import SlidingTouches as SlidingTouches
     from tactile_loc.io.approach_files import Approach as Approach
     from tactile_loc.io.approach_files import read_approaches as read_approaches
     from tactile_loc.io.config import RunConfig as RunConfig
+    from tactile_loc.io.frame_sources import open_source as open_source
     from tactile_loc.io.meshes import load_object as load_object
+    from tactile_loc.io.options import HypothesisOptions as HypothesisOptions
+    from tactile_loc.io.options import SearchOptions as SearchOptions
+    from tactile_loc.io.options import TrackerOptions as TrackerOptions
+    from tactile_loc.io.recordings import Recording as Recording
+    from tactile_loc.io.recordings import choose_image_topic as choose_image_topic
     from tactile_loc.io.ros_messages import RosPose as RosPose
     from tactile_loc.io.ros_messages import image_array as image_array
     from tactile_loc.io.touches import read_touch as read_touch
@@ -40,11 +52,16 @@ if TYPE_CHECKING:
     from tactile_loc.locate.result import Hypothesis as Hypothesis
     from tactile_loc.locate.result import Localization as Localization
     from tactile_loc.store.store import StageStore as StageStore
+    from tactile_loc.sweeps.plan import Plan as Plan
+    from tactile_loc.sweeps.results import write_sweep as write_sweep
+    from tactile_loc.sweeps.sweep import run_sweep as run_sweep
+    from tactile_loc.sweeps.workers import LocalWorkers as LocalWorkers
     from tactile_loc.tasks.identify import Identification as Identification
     from tactile_loc.tasks.identify import KnownObject as KnownObject
     from tactile_loc.tasks.identify import NullEvidence as NullEvidence
     from tactile_loc.tasks.identify import identify as identify
     from tactile_loc.tasks.library import Library as Library
+    from tactile_loc.tasks.live import LiveLocator as LiveLocator
     from tactile_loc.tasks.mount import FlangeTouches as FlangeTouches
     from tactile_loc.tasks.mount import FoundMount as FoundMount
     from tactile_loc.tasks.mount import find_mount as find_mount
@@ -52,6 +69,7 @@ if TYPE_CHECKING:
     from tactile_loc.tasks.next_touch import RatedApproach as RatedApproach
     from tactile_loc.tasks.next_touch import next_touch as next_touch
     from tactile_loc.tasks.pose_modes import PoseModes as PoseModes
+    from tactile_loc.tasks.replay import Replay as Replay
     from tactile_loc.tasks.tracker import Motion as Motion
     from tactile_loc.tasks.tracker import TrackedPose as TrackedPose
     from tactile_loc.tasks.tracker import Tracker as Tracker

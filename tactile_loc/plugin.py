@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 from tactile_loc.core.lazy import lazy_names
 
 if TYPE_CHECKING:
-    # what a package says it offers
+    # what a package says it offers, and for which version of this interface
+    from tactile_loc.core.slots.interface import INTERFACE_VERSION as INTERFACE_VERSION
     from tactile_loc.core.slots.registry import ComponentSpec as ComponentSpec
     from tactile_loc.core.slots.registry import hookimpl as hookimpl
     from tactile_loc.core.slots.registry import registry as registry
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.slots.component import Float32 as Float32
     from tactile_loc.core.slots.fuser import Fuser as Fuser
     from tactile_loc.core.slots.grid import GridSampler as GridSampler
+    from tactile_loc.core.slots.matcher import ExactMatcher as ExactMatcher
     from tactile_loc.core.slots.matcher import Matcher as Matcher
     from tactile_loc.core.poses.priors import Prior as Prior
     from tactile_loc.core.slots.refiner import RefinedPose as RefinedPose
@@ -36,7 +38,9 @@ if TYPE_CHECKING:
     from tactile_loc.core.slots.renderer import Renderer as Renderer
     from tactile_loc.core.slots.scene import Scene as Scene
     from tactile_loc.core.slots.sensor import SensorModel as SensorModel
+    from tactile_loc.core.slots.encoder import TrainingBatch as TrainingBatch
     from tactile_loc.core.slots.encoder import TrainingProblem as TrainingProblem
+    from tactile_loc.core.slots.encoder import TrainingTouches as TrainingTouches
     from tactile_loc.core.slots.scene import View as View
     from tactile_loc.core.objects.mesh import ObjectModel as ObjectModel
     from tactile_loc.core.objects.mesh import TriangleMesh as TriangleMesh
@@ -91,7 +95,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.slots.depth_sensor import DepthSensor as DepthSensor
     from tactile_loc.core.sensing.touch import contact_depth as contact_depth
     from tactile_loc.core.sensing.touch import contact_shape_from_array as contact_shape_from_array
-    from tactile_loc.core.objects.surface_field import NearestTriangles as NearestTriangles
+    from tactile_loc.core.objects.blocks import NearestTriangles as NearestTriangles
     from tactile_loc.core.objects.surface_field import SurfaceField as SurfaceField
     from tactile_loc.core.objects.surface_field import closest_on_triangle as closest_on_triangle
     from tactile_loc.core.objects.surface_field import downhill as downhill
@@ -122,7 +126,9 @@ if TYPE_CHECKING:
     from tactile_loc.core.simulation.noise import TouchNoise as TouchNoise
     from tactile_loc.core.simulation.noise import noise_level as noise_level
 
-    # for refiners that register point clouds
+    # for refiners that register
+    from tactile_loc.core.registration.joint_registration import JointRegistration as JointRegistration
+    from tactile_loc.core.registration.joint_registration import RegistrationOptions as RegistrationOptions
     from tactile_loc.core.sensing.clouds import contact_cloud as contact_cloud
     from tactile_loc.core.registration.cloud_refiner import Cloud as Cloud
     from tactile_loc.core.registration.cloud_refiner import CloudRefiner as CloudRefiner

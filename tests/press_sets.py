@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tactile_loc.calibration.labels import LabelledPresses, PressLabel, ball_label
+from tactile_loc.calibration.labels import LabelledPresses, PressLabel, label_ball
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.imaging.gel import gel_surface
+from tactile_loc.imaging.gel import press_gel
 from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import background, render_images
+from tactile_loc.imaging.shading import render_background, render_images
 from tactile_loc.io.sensor_files import write_sensor_file
 
 MM = 1e-3
@@ -53,7 +53,7 @@ def contact_radius(press_m, ball_m: float = BALL_M):
 def gel_under(indentation_m: np.ndarray, geometry: SensorGeometry) -> np.ndarray:
     """The gel's surface (N, H, W), metres, under what objects push in (N, H, W), metres."""
     press = indentation_m.max(axis=(1, 2))
-    return gel_surface(press[:, None, None] - indentation_m, press, geometry)
+    return press_gel(press[:, None, None] - indentation_m, press, geometry)
 
 
 def visible_radius(press_m: np.ndarray, ball_m: float = BALL_M) -> np.ndarray:
@@ -66,8 +66,15 @@ def visible_radius(press_m: np.ndarray, ball_m: float = BALL_M) -> np.ndarray:
 
 def photographed(indentation_m: np.ndarray, geometry: SensorGeometry) -> np.ndarray:
     """Noiseless pictures (N, H, W, 3) of the gel under what objects push in (N, H, W), metres."""
-    optics = OPTICS["gelslim"].noiseless()
+    optics = OPTICS["gelslim"].remove_noise()
     return render_images(gel_under(indentation_m, geometry), geometry, optics, np.random.default_rng(0))
+
+
+def label_untouched(geometry: SensorGeometry) -> PressLabel:
+    """The label of an image without contact."""
+    none = np.zeros(geometry.shape, bool)
+    slope = np.zeros((*geometry.shape, 2), np.float32)
+    return PressLabel(np.zeros(geometry.shape, np.float32), slope, none, ~none)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,9 +100,9 @@ class BallSet(LabelledPresses):
     def __len__(self) -> int:
         return len(self.images)
 
-    def press(self, number: int) -> tuple[np.ndarray, PressLabel]:
+    def read_press(self, number: int) -> tuple[np.ndarray, PressLabel]:
         x, y, radius = self.circles[number]
-        return self.images[number], ball_label(self.geometry, (x, y), radius, BALL_M)
+        return self.images[number], label_ball(self.geometry, (x, y), radius, BALL_M)
 
     def rows(self) -> list[dict[str, object]]:
         """The rows of the table."""
@@ -143,21 +150,21 @@ def ball_set(count: int = 12, px: int = 64, seed: int = 0) -> BallSet:
         circles = np.stack([x * kx + geometry.cx, y * ky + geometry.cy, radius * kx], axis=1)
         return photographed(indentation, geometry), circles, indentation
 
-    return BallSet(geometry, background(geometry, OPTICS["gelslim"]), draw)
+    return BallSet(geometry, render_background(geometry, OPTICS["gelslim"]), draw)
 
 
 def write_calibrated(folder: Path, learned_from: BallSet | None = None, **options: object) -> Path:
     """Write a calibrated sensor, trained on a set of presses or not at all, and return the folder; needs torch."""
     from tactile_loc.calibration.calibrate import calibrate
-    from tactile_loc.calibration.estimator import estimator_options
+    from tactile_loc.calibration.estimator import validate_estimator_options
     from tactile_loc.calibration.folder import write_calibration
     from tactile_loc.calibration.photometric import PhotometricEstimator
 
     chosen = {**TINY, **options}
     if learned_from is None:
         geometry = sensor()
-        gel = background(geometry, OPTICS["gelslim"])
-        estimator = PhotometricEstimator(geometry, gel, estimator_options(PhotometricEstimator, chosen))
+        gel = render_background(geometry, OPTICS["gelslim"])
+        estimator = PhotometricEstimator(geometry, gel, validate_estimator_options(PhotometricEstimator, chosen))
         return write_calibration(folder, geometry, gel, estimator, {"noise_m": 5e-6})
     made = calibrate(learned_from, learned_from.geometry, learned_from.background, "photometric", chosen)
     return write_calibration(folder, learned_from.geometry, learned_from.background, made.estimator, made.record())

@@ -126,7 +126,7 @@ def furnished(tmp_path_factory, store) -> Path:
     mounted(folder, store)
     (folder / "touches").mkdir()
     write_touch(folder / "touches" / "0.npz", touches[0])
-    (frame,) = ImageFolder(folder / "touches", every=True).frames()
+    (frame,) = ImageFolder(folder / "touches", every=True).read_frames()
     (folder / "found.jsonl").write_text(LiveLocator(localizer).located(frame).record.model_dump_json() + "\n")
     write_slide(folder / "drive.mcap", draw_random_slide(localizer, 3, seed=0))
     (folder / "poses.toml").write_text(

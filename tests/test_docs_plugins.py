@@ -8,17 +8,27 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from message_helpers import missing
 
-from tactile_loc.core import interfaces
-from tactile_loc.core.errors import PluginError
+from tactile_loc import plugin
+from tactile_loc.core.errors import MissingLibraryError, PluginConflictError, PluginLoadError, UnknownPluginError
+from tactile_loc.core.slots.interface import INTERFACE_VERSION
 from tactile_loc.core.slots.registry import SLOTS, ComponentSpec, Registry, hookimpl
+from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.testing import ContractError
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "plugin"
 PAGE = (ROOT / "docs" / "plugins.md").read_text()
-KINDS = {kind.slot: kind for kind in interfaces.Component.__subclasses__() if hasattr(kind, "slot")}
+KINDS = {
+    kind.slot: kind
+    for kind in (
+        plugin.SensorModel, plugin.Renderer, plugin.GridSampler, plugin.Encoder, plugin.Matcher, plugin.Refiner,
+        plugin.Fuser,
+    )
+}  # fmt: skip
 
 
 def files() -> list[str]:
@@ -42,7 +52,7 @@ def test_a_property_of_your_own_holds_and_can_fail():
     code = re.search(r"^A property of your own.*?^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
     assert code
     exec(code[1], {})
-    with pytest.raises(ContractError, match=r"nearly right \(with off=Place\("):
+    with pytest.raises(ContractError, match=r"\boff=Place\("):
         exec(code[1].replace("2e-3", "1e-9"), {})
 
 
@@ -67,6 +77,7 @@ class FakeEntryPoint:
     target: str | Exception
     requires: str = ""
     offers: str = "spline"
+    interface: int = INTERFACE_VERSION
 
     @property
     def dist(self) -> Any:
@@ -75,29 +86,53 @@ class FakeEntryPoint:
     def load(self) -> Any:
         if isinstance(self.target, Exception):
             raise self.target
-        spec = ComponentSpec("refiner", self.offers, self.target, "bends", self.requires)
+        spec = ComponentSpec("refiner", self.offers, self.target, "bends", self.requires, self.interface)
         return SimpleNamespace(tactile_loc_components=hookimpl(lambda: [spec]))
 
 
 @pytest.mark.parametrize(
-    "plugins",
+    ("error", "plugins"),
     [
-        [FakeEntryPoint("tactile-loc-spline", "json:dumps"), FakeEntryPoint("other-spline", "json:loads")],
-        [FakeEntryPoint("tactile-loc-spline", "bspline.refine:Spline", requires="bspline")],
-        [FakeEntryPoint("tactile-loc-spline", "json:Spline")],
-        [
-            FakeEntryPoint("tactile-loc", "json:loads", offers="icp"),
-            FakeEntryPoint("tactile-loc-spline", SyntaxError("invalid syntax")),
-        ],
+        (
+            PluginConflictError,
+            [FakeEntryPoint("tactile-loc-spline", "json:dumps"), FakeEntryPoint("other-spline", "json:loads")],
+        ),
+        (MissingLibraryError, [FakeEntryPoint("tactile-loc-spline", "bspline.refine:Spline", requires="bspline")]),
+        (PluginLoadError, [FakeEntryPoint("tactile-loc-spline", "json:Spline")]),
+        (PluginLoadError, [FakeEntryPoint("tactile-loc-spline", "json:Spline", interface=99)]),
+        (
+            UnknownPluginError,
+            [
+                FakeEntryPoint("tactile-loc", "json:loads", offers="icp"),
+                FakeEntryPoint("tactile-loc-spline", SyntaxError("invalid syntax")),
+            ],
+        ),
     ],
-    ids=["conflict", "missing library", "broken class", "broken plugin"],
+    ids=["conflict", "missing library", "broken class", "later interface", "broken plugin"],
 )
-def test_errors_read_as_documented(plugins):
-    with pytest.raises(PluginError) as caught:
-        Registry(plugins).load("refiner", "spline")
+def test_errors_read_as_documented(error, plugins):
+    found = Registry(plugins)
+    with pytest.raises(error) as caught:
+        found.load("refiner", "spline")
     assert str(caught.value) in re.sub(r"\s+", " ", PAGE)
+
+
+def test_versions_of_the_interface_are_listed_up_to_this_one():
+    section = PAGE.partition("## Versions of the interface")[2].partition("\n## ")[0]
+    versions = [int(version) for version in re.findall(r"^\| (\d+) \| ", section, re.MULTILINE)]
+    assert max(versions) == INTERFACE_VERSION
+    assert f"`ComponentSpec(interface={INTERFACE_VERSION})`" in section
+
+
+def test_the_formula_of_weighted_scores_is_that_of_dense():
+    (line,) = re.findall(r"^    scores = (.*)$", PAGE, re.MULTILINE)
+    rng = np.random.default_rng(0)
+    q, w, bank = (rng.uniform(size=(rows, 6)).astype(np.float32) for rows in (3, 3, 9))
+    dense = DenseMatcher()
+    dense.index(bank)
+    np.testing.assert_allclose(eval(line, {"q": q, "w": w, "bank": bank}), dense.scores(q, w), atol=1e-5)
 
 
 def test_failure_row_reads_as_documented():
     failure = Registry([FakeEntryPoint("tactile-loc-spline", SyntaxError("invalid syntax"))]).failures[0]
-    assert f"not loaded: {failure.plugin} of {failure.distribution}: {failure.error}" in PAGE
+    assert not missing(PAGE, failure.plugin, failure.distribution, failure.error)

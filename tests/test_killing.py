@@ -7,12 +7,11 @@ import json
 import numpy as np
 import pytest
 from killing import remains
-from killing.commands import FLAT, Done, Place, command
-from killing.kills import kill, undisturbed
-from killing.moments import Life, drawn
-from killing.record import Finding, Record
+from killing.commands import FLAT, Life, Moment, Place
+from killing.trials import Plan, Trials, kill
+from record import Done, Record
 
-from tactile_loc.store.files import replacing
+from tactile_loc.store.files import replace_file
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 
@@ -23,9 +22,7 @@ KEY = StageKey("bank", 1, {"mesh": "a"})
 def place(tmp_path) -> Place:
     """A place with something finished in it, and an interrupted build."""
     (tmp_path / "inputs").mkdir()
-    here = Place(tmp_path / "place")
-    here.root.mkdir()
-    here.make(tmp_path / "inputs")
+    here = Place(tmp_path / "place").make(tmp_path / "inputs")
     StageStore(here.store).build(KEY, lambda work: work.save_json("numbers", [1, 2]))
     with pytest.raises(KeyboardInterrupt):
         StageStore(here.store).build(StageKey("grid", 1, {}), interrupted)
@@ -42,14 +39,12 @@ def interrupted(work) -> None:
 def test_a_build_is_killed_and_begun_again(tmp_path):
     (tmp_path / "inputs").mkdir()
     (tmp_path / "inputs" / "flat.toml").write_text(FLAT)
-    (tmp_path / "calm").mkdir()
-    build, record = command("build"), Record(tmp_path / "record.json", 0)
-    calm = undisturbed(build, tmp_path / "calm", tmp_path / "inputs")
-    trials = record.trials("kill", "build")
-    kill(build, 1, trials, Place(tmp_path / "place"), tmp_path / "inputs", calm, lambda _: None)
-    assert trials.counts["killed"] == 1
-    assert record.findings == []
-    assert len(calm.answer) > 10
+    plan = Plan(tmp_path, tmp_path / "inputs", Record(tmp_path / "record.json", 0), ["build"], {"kill": 1})
+    assert sum(kill(plan)) == 1
+    assert Trials(plan, "kill", "build").counts["killed"] == 1
+    assert plan.record.findings == []
+    assert len(plan.calm("build").answer) > 10
+    assert list(kill(plan)) == [1], "nothing is left to do"
 
 
 def test_what_is_whole_is_no_finding(place):
@@ -87,7 +82,7 @@ def test_what_was_finished_and_is_gone_is_lost_unless_something_was_made_of_it(p
 
 def test_what_is_left_beside_is_told(place):
     assert remains.leftovers(place) == ["HEX.partial"]
-    with replacing(place.work / "a.txt") as temporary:
+    with replace_file(place.work / "a.txt") as temporary:
         temporary.touch()
         (place.temporary / "tmpabc").mkdir()
         assert remains.leftovers(place) == [".tmp-new-a.txt", "HEX.partial", "tmpabc"]
@@ -102,8 +97,8 @@ def test_the_answer_is_without_what_depends_on_the_clock(place):
 
 def test_moments_are_drawn_from_the_seed_and_after_work_has_begun():
     life = Life(1.0, 3.0, 40)
-    moments = [drawn(life, np.random.default_rng([1, n])) for n in range(50)]
-    assert moments == [drawn(life, np.random.default_rng([1, n])) for n in range(50)]
+    moments = [Moment.drawn(life, np.random.default_rng([1, n])) for n in range(50)]
+    assert moments == [Moment.drawn(life, np.random.default_rng([1, n])) for n in range(50)]
     assert all(0.8 <= m.seconds <= 3.0 if m.changes == 0 else 1 <= m.changes <= 40 for m in moments)
 
 
@@ -114,13 +109,17 @@ def test_a_sentence_is_one_line_with_the_exit_code_of_bad_input():
 
 
 def test_what_happened_is_kept(tmp_path):
-    record = Record.open(tmp_path / "record.json", 3)
-    trials = record.trials("kill", "build")
+    path = tmp_path / "record.json"
+
+    def plan(seed: int) -> Plan:
+        return Plan(tmp_path, tmp_path, Record.open(path, seed), ["build"], {"kill": 1})
+
+    trials = Trials(plan(3), "kill", "build")
     assert not trials.expect(False, "wrong", Done(1, "", "error"))
     trials.count("killed")
-    again = Record.open(tmp_path / "record.json", 3)
-    assert again.trials("kill", "build").number == 1
-    assert again.findings == [Finding("kill", "build", 0, "wrong: exit code 1, 'error'")]
-    counts = json.loads((tmp_path / "record.json").read_text())["counts"]
-    assert counts == {"kill build": {"trials": 1, "killed": 1}}
-    assert Record.open(tmp_path / "record.json", 4).counts == {}
+    again = plan(3)
+    assert Trials(again, "kill", "build").number == 1
+    told = {"kind": "kill", "name": "build", "number": 0, "what": "wrong: exit code 1, 'error'"}
+    assert again.record.findings == [told]
+    assert json.loads(path.read_text())["counts"] == {"kill build": {"trials": 1, "killed": 1}}
+    assert plan(4).record.counts == {}

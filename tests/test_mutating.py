@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from mutating.mutants import counts, sample, uncounted
-from mutating.targets import TARGETS
+from mutants import TARGETS, counts, sample, uncounted
 
 ROOT = Path(__file__).parents[1]
 

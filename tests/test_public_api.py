@@ -7,6 +7,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from message_helpers import naming
 
 import tactile_loc
 import tactile_loc.plugin
@@ -75,7 +76,7 @@ def test_the_names_are_those_that_people_look_for():
 
 @pytest.mark.parametrize("module", MODULES)
 def test_an_unknown_name_is_an_attribute_error(module):
-    with pytest.raises(AttributeError, match=f"module '{module.__name__}' has no attribute 'Localiser'"):
+    with pytest.raises(AttributeError, match=naming(module.__name__, "'Localiser'")):
         _ = module.Localiser
     with pytest.raises(ImportError):
         exec(f"from {module.__name__} import Localiser")

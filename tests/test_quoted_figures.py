@@ -4,11 +4,9 @@ import re
 from dataclasses import replace
 
 import figures
-import pages
 import pytest
-from figures import Quote, Results, checked, sentences, unmarked, with_tables, written
-from quotes import QUOTES
-from results import ROOT, Kept, Table, latest
+from figures import Quote, checked, quotes_of, sentences, unmarked, with_tables, written
+from results import ROOT, Kept, Results, Table, latest
 
 TABLE = Table(["object", "median, ms", "error, mm"], [["pin", "56", "0.004 (0.1)"], ["hook", "101", "0.016 (0.2)"]])
 PAGE = """# Benchmarks
@@ -27,7 +25,7 @@ Touches of a pin, 30 to 90 % deep.
 A touch takes 56 to
 101 ms. It was 200 ms before.
 """
-TIMES = Quote(figures.MARKED, "A touch takes {} to {} ms", lambda r: r.column("slides", 1, "median, ms"))
+TIMES = Quote("A touch takes {} to {} ms", lambda r: r.column("slides", 1, "median, ms"))
 BESIDE = ["Touches of a pin, 30 to 90 % deep.", "It was 200 ms before."]
 
 
@@ -36,16 +34,16 @@ def kept(table=TABLE, beside=BESIDE):
 
 
 def told(text, run=None, page=figures.MARKED):
-    return checked(page, text, Results(slides=run or kept()), [TIMES] if page == TIMES.page else [])
+    return checked(page, text, Results(slides=run or kept()), [TIMES] if page == figures.MARKED else [])
 
 
 def test_every_figure_of_the_documentation_is_that_of_its_results():
-    assert pages.problems() == []
+    assert figures.problems() == []
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/contacts.md", "docs/quickstart.md"])
 def test_whichever_figure_is_changed_is_told(page):
-    results, quotes = Results(latest()), [quote for quote in QUOTES if quote.page == page]
+    results, quotes = latest(), quotes_of(page)
     text = (ROOT / page).read_text()
     quoted = [match.span(k + 1) for q in quotes for match in [q.found(text)] for k in range(len(match.groups()))]
     assert quoted
@@ -55,7 +53,7 @@ def test_whichever_figure_is_changed_is_told(page):
 
 
 def test_whichever_table_is_changed_is_told():
-    results, page = Results(latest()), (ROOT / figures.MARKED).read_text()
+    results, page = latest(), (ROOT / figures.MARKED).read_text()
     tables = [marker.end() for marker in figures.MARKER.finditer(page) if marker["number"]]
     assert len(tables) > 40
     for end in tables:
@@ -71,15 +69,15 @@ def test_a_page_that_is_as_kept_has_no_problem():
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [
-        ("| 56 |", "| 57 |", "otherwise than the results"),
-        ("takes 56", "takes 57", "otherwise than the results"),
+        ("| 56 |", "| 57 |", "differs from the results"),
+        ("takes 56", "takes 57", "differs from the results"),
         ("A touch takes", "One touch takes", "should say so once, and does 0 times"),
-        ("30 to 90 %", "20 to 90 %", "what is not of its results"),
-        ("200 ms", "210 ms", "what is not of its results"),
+        ("30 to 90 %", "20 to 90 %", "what its results do not have"),
+        ("200 ms", "210 ms", "what its results do not have"),
         ("slides 1", "slides 2", "has 1 tables, and no number 2"),
         ("slides 1", "slides 1 | mass, g", "there is no column 'mass, g' among"),
         ("slides 1", "slide 1", "there is no run slide; there are slides"),
-        ("<!-- results: slides 1 -->\n\n", "", "a table follows no marker"),
+        ("<!-- results: slides 1 -->\n\n", "", "this table follows no marker"),
         ("## Tracking", "Ten in 7 ms.\n\n## Tracking", "figures of no results; quote them"),
     ],
 )
@@ -103,12 +101,11 @@ def test_what_was_looked_over_is_bound(tmp_path, monkeypatch):
     page.parent.mkdir()
     page.write_text(PAGE)
     kept(beside=[]).write(tmp_path)
-    monkeypatch.setattr(pages, "ROOT", tmp_path)
-    monkeypatch.setattr(pages, "pages", lambda: {figures.MARKED: [TIMES]})
-    pages.bind("slides", tmp_path)
+    monkeypatch.setattr(figures, "quotes_of", lambda page: [TIMES])
+    figures.bind("slides", tmp_path, tmp_path)
     assert latest(tmp_path)["slides"].beside == BESIDE
     with pytest.raises(SystemExit, match="there is no run others; there are slides"):
-        pages.bind("others", tmp_path)
+        figures.bind("others", tmp_path, tmp_path)
 
 
 def test_some_columns_of_a_table_can_be_shown():
@@ -155,7 +152,7 @@ At 11.5, no more.
 ## B
 
 At 2 GB."""
-    found = [(one.section, one.run, one.text) for one in sentences("page", text, [])]
+    found = [(one.section, one.run, one.text) for one in sentences(text, [])]
     assert found == [
         ("A", "one", "At 3 mm."),
         ("A", "one", "- It took 7 s ([how])."),

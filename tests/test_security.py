@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
-from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.errors import ObjectError, SensorError, TouchError
 from tactile_loc.io.images import read_colour_image
 from tactile_loc.io.meshes import load_object
 from tactile_loc.io.sensor_files import read_sensor_file
@@ -62,14 +63,14 @@ class Evil:
 
 
 READERS = {
-    "touch.npy": lambda path: read_touch(path, GelSlim()),
-    "touch.npz": lambda path: read_touch(path, GelSlim()),
-    "touch.png": lambda path: read_touch(path, GelSlim()),
-    "photo.npy": read_colour_image,
-    "part.stl": load_object,
-    "part.glb": load_object,
-    "part.ply": load_object,
-    "sensor.toml": read_sensor_file,
+    "touch.npy": (lambda path: read_touch(path, GelSlim()), TouchError),
+    "touch.npz": (lambda path: read_touch(path, GelSlim()), TouchError),
+    "touch.png": (lambda path: read_touch(path, GelSlim()), TouchError),
+    "photo.npy": (read_colour_image, TouchError),
+    "part.stl": (load_object, ObjectError),
+    "part.glb": (load_object, ObjectError),
+    "part.ply": (load_object, ObjectError),
+    "sensor.toml": (read_sensor_file, SensorError),
 }
 
 
@@ -78,8 +79,9 @@ def test_a_pickle_is_refused_and_does_nothing(tmp_path, name):
     trace = tmp_path / "trace"
     path = tmp_path / name
     path.write_bytes(pickle.dumps(Evil(trace)))
-    with pytest.raises(TactileLocError):
-        READERS[name](path)
+    read, error = READERS[name]
+    with pytest.raises(error, match=naming(name)):
+        read(path)
     assert not trace.exists()
 
 
@@ -88,7 +90,7 @@ def test_an_array_of_pickles_is_refused_and_does_nothing(tmp_path, name):
     trace, path = tmp_path / "trace", tmp_path / name
     array = np.array([[Evil(trace)]], dtype=object)
     np.save(path, array) if name.endswith("npy") else np.savez(path, depth=array)
-    with pytest.raises(TactileLocError):
+    with pytest.raises(TouchError, match=naming(name)):
         read_touch(path, GelSlim())
     assert not trace.exists()
 
@@ -98,7 +100,7 @@ def test_a_sensors_surface_that_is_a_pickle_is_refused(tmp_path):
     np.save(tmp_path / "gel.npy", np.array([[Evil(trace)]], dtype=object))
     keys = 'camera = "orthographic"\nimage_size_px = [4, 4]\nmm_per_px = 1.0\nmax_depth_mm = 1.0\nsurface = "gel.npy"\n'
     (tmp_path / "sensor.toml").write_text(keys)
-    with pytest.raises(TactileLocError):
+    with pytest.raises(SensorError, match=naming("sensor.toml", "gel.npy")):
         read_sensor_file(tmp_path / "sensor.toml")
     assert not trace.exists()
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import _ctypes
 import os
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from message_helpers import missing
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 TOOLS = ("sh", "env", "dirname", "uname", "ln", "cat", "true")
@@ -66,7 +68,9 @@ def system(tmp_path: Path) -> PretendedSystem:
 def test_nothing_missing_installs_nothing(system):
     system.apt()
     result = system.run()
-    assert (result.returncode, result.stdout) == (0, "system packages: all there\n")
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.count("\n") == 1
+    assert "libusb" not in result.stdout
     assert system.apt_calls == []
 
 
@@ -76,7 +80,8 @@ def test_root_installs_exactly_what_is_missing(system):
     system.apt(installs=f'ln -s "{_ctypes.__file__}" "{system.folder}/lib/libabsent.so.7"')
     result = system.run()
     assert result.returncode == 0, result.stderr
-    assert result.stdout == "system packages: installing libusb-1.0-0\n"
+    assert result.stdout.count("\n") == 1
+    assert not missing(result.stdout, "libusb-1.0-0")
     update, install = system.apt_calls
     assert "update" in update
     assert install == "noninteractive apt-get -qq install -y --no-install-recommends libusb-1.0-0"
@@ -108,7 +113,7 @@ def test_without_apt_the_library_is_named(system):
     system.user(0)
     result = system.run()
     assert result.returncode == 1
-    assert result.stderr.startswith("Missing on this system: libabsent.so.7.")
+    assert not missing(result.stderr, "libabsent.so.7")
 
 
 @pytest.mark.parametrize(("installs", "message"), [("exit 100", "apt-get could not install"), (":", "Still missing")])
@@ -137,7 +142,8 @@ def test_a_browser_that_is_there_is_left_as_it_is(system):
     system.user(0)
     for name in BROWSER:
         system.command(name, ":")
-    assert for_tests(system) == "system packages: a browser for the tests is there\n"
+    (line,) = for_tests(system).splitlines()
+    assert "browser" in line
     assert system.apt_calls == []
 
 
@@ -148,7 +154,7 @@ def test_the_tests_browser_is_installed_where_we_may(system, there):
     system.user(0)
     makes = [f'ln -sf "{system.folder}/bin/id" "{system.folder}/bin/{name}"' for name in BROWSER]
     system.apt(installs="; ".join(makes))
-    assert for_tests(system).endswith("a browser for the tests is there now\n")
+    assert "browser" in for_tests(system).splitlines()[-1]
     update, install = system.apt_calls
     assert "update" in update
     assert install == "noninteractive apt-get -qq install -y --no-install-recommends chromium chromium-driver"
@@ -160,12 +166,12 @@ def test_without_a_browser_its_tests_are_skipped_and_nothing_fails(system, uid, 
     system.apt(installs)
     system.command("sudo", "exit 1")
     system.command("python3.11", "exit 1")  # nor is Python asked for
-    assert "will be skipped; on Debian they want: chromium chromium-driver\n" in for_tests(system)
+    assert re.search(r"skipped.*chromium chromium-driver\n", for_tests(system))
 
 
 def test_elsewhere_than_on_debian_a_browser_is_not_looked_for(system):
     system.user(0)
-    assert "will be skipped" in for_tests(system)
+    assert "skipped" in for_tests(system)
 
 
 def without_venv(system: PretendedSystem, marker: Path) -> str:
@@ -205,4 +211,4 @@ def test_a_named_python_that_is_too_old_is_refused(system):
     system.command("python-old", "exit 1")
     result = system.run("find-python.sh", PYTHON="python-old")
     assert result.returncode == 1
-    assert "PYTHON=python-old is not a Python of 3.11 or newer" in result.stderr
+    assert not missing(result.stderr, "python-old", 3.11)

@@ -1,7 +1,14 @@
-"""One damaged input, and what its reader makes of it: an answer, a refusal in one sentence, or a finding."""
+"""Damaged inputs, and what their readers make of them: an answer, a refusal in one sentence, or a finding.
+
+As a program it reads the inputs of JOBS with SEED in the folder SANDBOX, and prints a line of JSON for each. A job is a
+reader's name, the folder of its files as they should be, and the first and the last number but one of its inputs. The
+process may die of an input.
+"""
 
 from __future__ import annotations
 
+import json
+import logging
 import os
 import re
 import resource
@@ -9,39 +16,26 @@ import shutil
 import signal
 import sys
 import traceback
-import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+import warnings
 from pathlib import Path
-
-import numpy as np
+from random import Random
 
 from fuzzing.damage import damaged
-from fuzzing.readers import Reader
+from fuzzing.readers import READERS, Reader
 from tactile_loc.core.errors import TactileLocError
+
+Job = tuple[str, str, int, int]
+Verdict = tuple[str, str]  # READ, REFUSED or the kind of a finding; and the details
 
 SECONDS = 60
 MOST_BYTES = 3 * 2**30  # of address space, beyond what the libraries take by themselves
-MOST_TAKEN = 2**30  # bytes of memory by which the most that was ever taken may grow
+MOST_TAKEN = 2**30  # bytes by which the peak of the memory may grow
 LONGEST = 1600  # letters of a sentence
 WRITES = re.compile(r"[wxa+]")
 CACHES = re.compile(r"__pycache__|/dev/null|/matplotlib|\.cache/")  # of what is compiled, not of what is read
 MOVES = {"os.rename": 2, "os.remove": 1, "os.rmdir": 1, "os.mkdir": 2, "os.symlink": 2, "shutil.rmtree": 1}
 READ, REFUSED = "read", "refused"
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What became of an input: READ or REFUSED, or a finding: its kind in a few words, and all there is to say."""
-
-    outcome: str
-    details: str = ""
-
-    @property
-    def is_finding(self) -> bool:
-        """Whether the reader did what it must not do."""
-        return self.outcome not in (READ, REFUSED)
+written: list[str] = []  # files that were written, moved or removed, since `watch_writes`
 
 
 class TooLongError(BaseException):
@@ -51,101 +45,104 @@ class TooLongError(BaseException):
 def make_input(reader: Reader, pristine: Path, folder: Path, seed: int, number: int) -> None:
     """Copy the files of `pristine` to `folder`, one of them damaged, seldom two."""
     shutil.copytree(pristine, folder)
-    draw = np.random.default_rng([seed, zlib.crc32(reader.name.encode()), number])
-    files = reader.files(folder)
-    count = 2 if draw.random() < 0.1 else 1
-    for place in draw.permutation(len(files))[:count]:
-        path, other = files[int(place)], files[int(draw.integers(len(files)))]
-        path.write_bytes(damaged(path.name, path.read_bytes(), other.read_bytes(), draw))
+    draw, files = Random(f"{seed} {reader.name} {number}"), reader.files(folder)
+    for path in draw.sample(files, min(len(files), 2 if draw.random() < 0.1 else 1)):
+        path.write_bytes(damaged(path.name, path.read_bytes(), draw.choice(files).read_bytes(), draw))
 
 
 def judged(reader: Reader, folder: Path) -> Verdict:
     """Have a reader read a folder, and judge what it does."""
-    outside = _listing(folder.parent, folder)
+    outside, peak = _listing(folder), _peak()
     written.clear()
-    taken = _taken()
+    signal.signal(signal.SIGALRM, _give_up)
     try:
-        with _deadline():
-            reader.read(folder)
-        verdict = Verdict(READ)
+        signal.setitimer(signal.ITIMER_REAL, SECONDS)
+        reader.read(folder)
+        verdict = READ, ""
     except TactileLocError as error:
         verdict = _of_sentence(error, folder, reader.names_file)
     except (Exception, TooLongError) as error:  # noqa: BLE001 - whatever a reader lets through is a finding
-        verdict = Verdict(_kind(error), traceback.format_exc())
-    if _taken() - taken > MOST_TAKEN:
-        verdict = Verdict("memory", f"{(_taken() - taken) / 2**30:.2f} GiB more than ever before")
-    strange = _listing(folder.parent, folder) ^ outside
+        ours = [frame for frame in traceback.extract_tb(error.__traceback__) if "/tactile_loc" in frame.filename]
+        where = f" at {Path(ours[-1].filename).name}:{ours[-1].lineno}" if ours else ""
+        verdict = f"{type(error).__name__}{where}", traceback.format_exc()
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+    if _peak() - peak > MOST_TAKEN:
+        verdict = "memory", f"{(_peak() - peak) / 2**30:.2f} GiB more than ever before"
+    strange = _listing(folder) ^ outside
     strange |= {path for path in written if not path.startswith(str(folder)) and not CACHES.search(path)}
-    return Verdict("writes elsewhere", str(sorted(strange))) if strange else verdict
+    return ("writes elsewhere", str(sorted(strange))) if strange else verdict
 
 
 def _of_sentence(error: TactileLocError, folder: Path, names_file: bool) -> Verdict:
-    """A refusal must be one sentence that says where, and not be due to memory that was asked for."""
-    text = str(error)
-    if any(isinstance(one, MemoryError) for one in _causes(error)):
-        return Verdict("memory", traceback.format_exc())
+    """Judge a refusal: one sentence that names a file, and not due to memory that was asked for."""
+    text, cause = str(error), error
+    while cause is not None:
+        if isinstance(cause, MemoryError):
+            return "memory", traceback.format_exc()
+        cause = cause.__cause__ or cause.__context__
     if not text or not text.isprintable() or len(text) > LONGEST:
-        return Verdict("no sentence", repr(text[:2000]))
+        return "no sentence", repr(text[:2000])
     names = {folder.name, "/dev/zero", *(path.name for path in folder.rglob("*"))}
-    if names_file and not any(name in text for name in names):
-        return Verdict("says not where", text)
-    return Verdict(REFUSED, text)
+    says_where = not names_file or any(name in text for name in names)
+    return (REFUSED, text) if says_where else ("says not where", text)
 
 
-def _causes(error: BaseException | None) -> Iterator[BaseException]:
-    while error is not None:
-        yield error
-        error = error.__cause__ or error.__context__
-
-
-def _kind(error: BaseException) -> str:
-    """The exception and the line of ours that it passed last."""
-    ours = [frame for frame in traceback.extract_tb(error.__traceback__) if "/tactile_loc" in frame.filename]
-    where = f" at {Path(ours[-1].filename).name}:{ours[-1].lineno}" if ours else ""
-    return f"{type(error).__name__}{where}"
-
-
-def _taken() -> int:
-    """The most bytes of memory that this process ever took."""
+def _peak() -> int:
+    """Return the most bytes of memory that this process ever took."""
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-def _listing(folder: Path, but: Path) -> set[str]:
-    return {str(path) for path in folder.rglob("*") if but not in (path, *path.parents)}
+def _listing(folder: Path) -> set[str]:
+    """Return all that lies beside a folder."""
+    return {str(path) for path in folder.parent.rglob("*") if folder not in (path, *path.parents)}
 
 
-@contextmanager
-def _deadline() -> Iterator[None]:
-    def give_up(*_: object) -> None:
-        raise TooLongError
-
-    signal.signal(signal.SIGALRM, give_up)
-    signal.setitimer(signal.ITIMER_REAL, SECONDS)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-
-
-written: list[str] = []
+def _give_up(*_: object) -> None:
+    raise TooLongError
 
 
 def watch_writes() -> None:
-    """Note from now on, in `written`, every file that Python opens for writing, and each that it moves or removes."""
+    """Note in `written`, from now on, each file that Python opens for writing, moves or removes."""
 
     def note(event: str, values: tuple[object, ...]) -> None:
         if event == "open" and isinstance(values[0], (str, bytes)):
             mode, flags = values[1:3]
-            writes = bool(WRITES.search(mode)) if isinstance(mode, str) else bool(isinstance(flags, int) and flags & 3)
-            if writes:
+            if WRITES.search(mode) if isinstance(mode, str) else isinstance(flags, int) and flags & 3:
                 written.append(os.path.abspath(os.fsdecode(values[0])))
         elif event in MOVES and not any(isinstance(value, int) and value >= 0 for value in values[MOVES[event] :]):
-            written.append(os.path.abspath(str(values[0])))  # what is named relative to a folder is within it
+            written.append(os.path.abspath(str(values[0])))  # a name relative to a folder lies within it
 
     sys.addaudithook(note)
 
 
-def limit_memory() -> None:
-    """Let this process take MOST_BYTES more than it has now; beyond, allocation fails."""
+def main(seed: int, sandbox: Path, jobs: list[Job]) -> None:
+    """Read the files as they should be, which imports and compiles, then the inputs of all jobs."""
+    out = os.fdopen(os.dup(1), "w")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries print to nowhere
+    os.dup2(1, 2)
+    logging.disable()
+    warnings.simplefilter("ignore")
+    folder = sandbox / "input"
+
+    def say(name: str, number: int | None) -> None:
+        outcome, details = judged(READERS[name], folder)
+        shutil.rmtree(folder)
+        print(
+            json.dumps({"reader": name, "number": number, "outcome": outcome, "details": details}), file=out, flush=True
+        )
+
+    for name, pristine, _, _ in jobs:
+        shutil.copytree(pristine, folder)
+        say(name, None)
+    watch_writes()
     taken = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (taken + MOST_BYTES,) * 2)
+    for name, pristine, first, last in jobs:
+        for number in range(first, last):
+            make_input(READERS[name], Path(pristine), folder, seed, number)
+            say(name, number)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), Path(sys.argv[2]), json.loads(sys.argv[3]))

@@ -7,15 +7,14 @@ import os
 import shutil
 import signal
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 from killing import remains
-from killing.commands import Place, begin, command, ended, whole
-from killing.kills import Undisturbed, judge_end
-from killing.moments import Moment, end_group, killed
-from killing.record import Trials
+from killing.commands import COMMANDS, Moment, Place, end_group
+from killing.trials import Plan, Trials
 from tactile_loc.io.recordings import Recording, RecordingWriter, write_recording
 
 YEAR_S = 365 * 86400
@@ -23,138 +22,109 @@ FAKETIME = shutil.which("faketime")
 WAITS_S = 120
 DEAD = "4194303\n"  # no process has such a number
 
-Case = Callable[[Place, Trials, Mapping[str, Undisturbed], Path], object]
+
+def stored_in_another_year(years: int, trials: Trials, place: Place) -> None:
+    """What is stored seems to be from another year, and is used all the same."""
+    for name in ("evaluate", "train", "sweep", "replay"):
+        place.make(trials.plan.inputs).whole(COMMANDS[name])
+        when_s = time.time() + years * YEAR_S
+        for path in (path for root in (place.work, place.store) for path in root.rglob("*")):
+            os.utime(path, (when_s, when_s))
+        trials.go_on(name, place, remains.finished(place))
+        listed = place.whole("store list")
+        trials.expect(listed.code == 0 and not listed.err, "store list", listed)
 
 
-def stored_in_another_year(years: int) -> Case:
-    """What is stored and written is said to be from another year: it is used all the same."""
-
-    def case(place: Place, trials: Trials, calm: Mapping[str, Undisturbed], inputs: Path) -> None:
-        for name in ("evaluate", "train", "sweep", "replay"):
-            place.make(inputs)
-            whole(place, command(name).words)
-            when_s = time.time() + years * YEAR_S
-            for root in (place.work, place.store):
-                for path in root.rglob("*"):
-                    os.utime(path, (when_s, when_s))
-            before = remains.finished(place)
-            judge_end(whole(place, command(name).words), place, calm[name], trials)
-            trials.find(*(f"lost: {one}" for one in remains.lost(before, remains.finished(place), place)))
-            listed = whole(place, ["store", "list"])
-            trials.expect(listed.code == 0 and not listed.err, "store list", listed)
-
-    return case
+def goes_back_between(name: str, trials: Trials, place: Place) -> None:
+    """A command is killed, and begun again a year before."""
+    place.make(trials.plan.inputs)
+    enough = len(trials.plan.calm(name).answer) // 3
+    process = place.begin(COMMANDS[name], (str(FAKETIME), "-f", "+1y"), FAKETIME_DONT_FAKE_MONOTONIC="1")
+    _wait(lambda: len(remains.finished(place)) > enough or process.poll() is not None)
+    end_group(process)
+    trials.find(*remains.broken(place, ended=False))
+    trials.go_on(name, place, remains.finished(place))
 
 
-def goes_back_between(name: str) -> Case:
-    """A command is killed, and goes on a year before."""
-
-    def case(place: Place, trials: Trials, calm: Mapping[str, Undisturbed], inputs: Path) -> None:
-        place.make(inputs)
-        later = (str(FAKETIME), "-f", "+1y")
-        process = begin(place, command(name).words, later, FAKETIME_DONT_FAKE_MONOTONIC="1")
-        _wait(lambda: len(remains.finished(place)) > len(calm[name].answer) // 3 or process.poll() is not None)
-        end_group(process)
-        before = remains.finished(place)
-        trials.find(*remains.broken(place, ended=False))
-        judge_end(whole(place, command(name).words), place, calm[name], trials)
-        trials.find(*(f"lost: {one}" for one in remains.lost(before, remains.finished(place), place)))
-
-    return case
-
-
-def recorded_with_jumps(place: Place, trials: Trials, calm: Mapping[str, Undisturbed], inputs: Path) -> None:
-    """A recording's clock goes back and forth by days; killed and begun again, the replay says the same."""
-    words = command("replay").words
-    answers = []
+def recorded_with_jumps(trials: Trials, place: Place) -> None:
+    """A recording's clock goes back and forth by days; a replay that was killed gives the same poses."""
+    answers, changes = [], trials.plan.calm("replay").cold.changes
     for kills in (0, 4):
-        place.make(inputs)
+        place.make(trials.plan.inputs)
         _with_jumps(place.work / "slide.mcap")
         for number in range(kills):
-            killed(place, words, Moment(0.01 * number, calm["replay"].cold.changes * (number + 1) // (kills + 1)))
+            place.killed(COMMANDS["replay"], Moment(0.01 * number, changes * (number + 1) // (kills + 1)))
             trials.find(*remains.broken(place, ended=False))
-        done = whole(place, words)
+        done = place.whole(COMMANDS["replay"])
         trials.expect(done.code == 0, "it does not work", done)
-        found = remains.answer(place)
-        answers.append({name: one for name, one in found.items() if name.startswith("poses")})
+        answers.append({name: one for name, one in remains.answer(place).items() if name.startswith("poses")})
         trials.expect(len(answers[-1]) == 3, "it does not write all")
     trials.expect(answers[0] == answers[1], "another answer")
 
 
-def seen_in_another_year(place: Place, trials: Trials, calm: Mapping[str, Undisturbed], inputs: Path) -> None:
+def seen_in_another_year(trials: Trials, place: Place) -> None:
     """The files that are located as they come are from the future, and from before 1970."""
     for when_s in (time.time() + YEAR_S, -YEAR_S):
-        place.make(inputs)
+        place.make(trials.plan.inputs)
         for path in (place.work / "touches").iterdir():
             os.utime(path, (when_s, when_s))
-        judge_end(whole(place, command("live").words), place, calm["live"], trials)
+        trials.go_on("live", place)
 
 
-def locks_of_the_dead(place: Place, trials: Trials, calm: Mapping[str, Undisturbed], inputs: Path) -> None:
-    """Files of locks are left, of processes that are dead, some from the future: nobody minds."""
+def locks_of_the_dead(trials: Trials, place: Place) -> None:
+    """Lock files of dead processes, some from the future, disturb nothing."""
     for name in ("build", "train"):
-        place.make(inputs)
-        whole(place, command(name).words)
+        place.make(trials.plan.inputs).whole(COMMANDS[name])
         for folder in [path for path in place.store.glob("*/*") if path.is_dir()]:
             shutil.rmtree(folder)
         for lock in place.store.glob("*/*.lock"):
             lock.write_text(DEAD, encoding="utf-8")
             os.utime(lock, (time.time() + YEAR_S,) * 2)
             lock.chmod(0o444)
-        judge_end(whole(place, command(name).words), place, calm[name], trials)
+        trials.go_on(name, place)
 
 
-def a_folder_for_a_lock(place: Place, trials: Trials, calm: Mapping[str, Undisturbed], inputs: Path) -> None:
-    """Something else stands where a lock should be: that is one sentence."""
-    place.make(inputs)
-    whole(place, command("build").words)
+def a_folder_for_a_lock(trials: Trials, place: Place) -> None:
+    """A folder in the place of a lock is refused in one sentence."""
+    place.make(trials.plan.inputs).whole(COMMANDS["build"])
     for lock in list(place.store.glob("*/*.lock")):
         lock.unlink()
         lock.mkdir()
         shutil.rmtree(lock.with_suffix(""))
-    done = whole(place, command("build").words)
+    done = place.whole(COMMANDS["build"])
     trials.expect(done.is_refusal, "no sentence", done)
 
 
-def waiting_for_one_that_is_killed(place: Place, trials: Trials, calm: Mapping[str, Undisturbed], inputs: Path) -> None:
-    """One process waits for another one's training; that is killed, and the waiting one goes on with it."""
-    place.make(inputs)
-    other = Place(place.root / "other", place.store)
-    other.root.mkdir(exist_ok=True)
-    words = command("train").words
-    builder = begin(place, words)
+def waiting_for_one_that_is_killed(trials: Trials, place: Place) -> None:
+    """A process waits for another one's training, which is killed, and continues with its checkpoint."""
+    other = Place(place.root / "other", place.store).make(trials.plan.inputs)
+    builder = place.make(trials.plan.inputs).begin(COMMANDS["train"])
     _wait(lambda: any(place.store.glob("encoder/*.partial/checkpoint.safetensors")) or builder.poll() is not None)
     os.killpg(builder.pid, signal.SIGSTOP)  # so that it does not end before the other has begun
-    shutil.rmtree(other.work, ignore_errors=True)
-    shutil.copytree(inputs, other.work)
-    other.temporary.mkdir(exist_ok=True)
-    waiting = begin(other, [*words, "-v"])
+    waiting = other.begin(f"{COMMANDS['train']} -v")
     _wait(lambda: "waiting for it" in other.outputs()[1].read_text() or waiting.poll() is not None)
     before = remains.finished(place)
     end_group(builder)
-    done = ended(other, waiting)
+    done = other.ended(waiting)
     trials.expect("waiting for it" in done.err, "it did not wait", done)
-    trials.find(*(f"lost: {one}" for one in remains.lost(before, remains.finished(other), other)))
+    trials.find_lost(before, other)
     trials.expect("the piece checkpoint.safetensors is there already" in done.err, "it began anew", done)
-    judge_end(done, other, calm["train"], trials)
+    trials.judge(done, other, "train")
 
 
-def only_the_first_process_is_killed(
-    place: Place, trials: Trials, calm: Mapping[str, Undisturbed], inputs: Path
-) -> None:
-    """A sweep's own process is killed alone; its workers hold no lock for long, and the next sweep goes on at once."""
-    place.make(inputs)
-    process = begin(place, command("sweep").words)
+def only_the_first_process_is_killed(trials: Trials, place: Place) -> None:
+    """A sweep's own process is killed alone; the next sweep continues at once."""
+    process = place.make(trials.plan.inputs).begin(COMMANDS["sweep"])
     _wait(lambda: any(place.work.glob("swept/rows/*.json")) or process.poll() is not None)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
-    judge_end(whole(place, command("sweep").words), place, calm["sweep"], trials)
+    trials.go_on("sweep", place)
 
 
-CASES: dict[str, Case] = {
-    "stored in the future": stored_in_another_year(10),
-    "stored long ago": stored_in_another_year(-30),
-    **{f"the clock goes back before {name} goes on": goes_back_between(name)
+CASES: dict[str, Callable[[Trials, Place], object]] = {
+    "stored in the future": partial(stored_in_another_year, 10),
+    "stored long ago": partial(stored_in_another_year, -30),
+    **{f"the clock goes back before {name} goes on": partial(goes_back_between, name)
        for name in ("run", "train", "evaluate", "sweep", "replay")},
     "a recording's clock jumps": recorded_with_jumps,
     "files from other years come": seen_in_another_year,
@@ -165,31 +135,31 @@ CASES: dict[str, Case] = {
 }  # fmt: skip
 
 
-def disturb(name: str, trials: Trials, folder: Path, inputs: Path, calm: Mapping[str, Undisturbed]) -> None:
-    """Do a case, once."""
-    if trials.number:
-        return
-    place = Place(folder / name.replace(" ", "-"))
-    shutil.rmtree(place.root, ignore_errors=True)
-    place.root.mkdir(parents=True)
-    if FAKETIME is None and name.startswith("the clock"):
-        trials.count("left out: faketime is not installed")
-        return
-    CASES[name](place, trials, calm, inputs)
-    trials.count("done")
+def clock(plan: Plan) -> Iterator[int]:
+    """Do each case once."""
+    for name in list(CASES)[: plan.wanted["clock"]]:
+        trials = Trials(plan, "clock", name)
+        if not trials.number and FAKETIME is None and name.startswith("the clock"):
+            trials.count("left out: faketime is not installed")
+        elif not trials.number:
+            folder = plan.out / "clock" / name.replace(" ", "-")
+            shutil.rmtree(folder, ignore_errors=True)
+            CASES[name](trials, Place(folder))
+            trials.count("done")
+        yield 1
 
 
 def _wait(reached: Callable[[], bool]) -> None:
     end_s = time.monotonic() + WAITS_S
     while time.monotonic() < end_s:
-        with suppress(FileNotFoundError):  # of what goes away while one looks
+        with suppress(FileNotFoundError):  # a file that goes away meanwhile
             if reached():
                 return
         time.sleep(0.01)
 
 
 def _with_jumps(path: Path) -> None:
-    """Let the clock with which a recording was logged go back by a day after each third message."""
+    """Turn a recording's log clock back by a day after each third message."""
     messages = list(Recording(path).messages())
 
     def write(writer: RecordingWriter) -> None:

@@ -1,163 +1,191 @@
-"""The commands that are killed and starved: small ones, each in a place of its own."""
+"""The commands that are killed and starved, the places where they run, and the moments at which they are killed."""
 
 from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+import numpy as np
+from record import ONE_THREAD, PROGRAM, Done
 
+ROOT = Path(__file__).resolve().parents[2]
 FLAT = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
 SMALL = 'camera = "orthographic"\nimage_size_px = [48, 40]\nmax_depth_mm = 2.0\nmm_per_px = 0.4\n'
 GRID = "--sensor flat.toml --grid face -o grid.spacing_mm=8"
-SURE = "-o temperature=0.001"  # which need not be fitted then
+SURE = "-o temperature=0.001"  # no temperature is fitted then
 MOCO = "--encoder moco -o encoder.epochs=4 -o encoder.queries=64 -o encoder.batch=32 -o encoder.channels=4"
+COMMANDS = {
+    "build": f"build --object pin {GRID}",
+    "run": f"run --object head {GRID} --seed 7 --report --out found",
+    "train": f"build --object pin {GRID} {MOCO} {SURE}",
+    "calibrate": "calibrate --simulated --presses 40 --sensor small.toml --estimator cnn -o channels=4 -o epochs=6 "
+                 "--out mine",
+    "evaluate": f"evaluate --object pin --object head {GRID} --refiner none --count 6 --out measured",
+    "sweep": "sweep --object pin,head --sensor flat.toml --refiner none,icp --count 2 -o grid.spacing_mm=8 "
+             "--workers 1 --out swept",
+    "live": f"live touches --object pin {GRID} {SURE} --once --no-view --out found.jsonl",
+    "replay": f"replay slide.mcap --object head {GRID} {SURE} --base-frame base --out poses.mcap",
+}  # fmt: skip
+INPUTS = (
+    f"simulate --object pin {GRID} --count 8 --seed 1 --out touches",
+    f"simulate --object head {GRID} --renderer zbuffer --seed 3 --count 30 --recording slide.mcap",
+)
 HANGS_S = 900
+GLANCE_S = 0.003  # between two looks at the disk
+AFTER_S = 0.02  # at most, between a change that was seen and the kill
+GONE_S = 10.0  # at most, until a killed group is gone
 
 
 @dataclass(frozen=True)
-class Command:
-    """A command that is killed, by its words; it writes into its folder and into a store."""
+class Life:
+    """An undisturbed run: when its first change is seen, when it ends, and how often the disk changes."""
 
-    name: str
-    line: str
-    resumes: bool = True
-    """Whether it goes on where it was; a camera's frames, for one, are located anew."""
-
-    @property
-    def words(self) -> list[str]:
-        """The words after the program's name."""
-        return self.line.split()
-
-
-COMMANDS = (
-    Command("build", f"build --object pin {GRID}"),
-    Command("run", f"run --object head {GRID} --seed 7 --report --out found"),
-    Command("train", f"build --object pin {GRID} {MOCO} {SURE}"),
-    Command("calibrate", "calibrate --simulated --presses 40 --sensor small.toml --estimator cnn -o channels=4 "
-            "-o epochs=6 --out mine"),
-    Command("evaluate", f"evaluate --object pin --object head {GRID} --refiner none --count 6 --out measured"),
-    Command("sweep", "sweep --object pin,head --sensor flat.toml --refiner none,icp --count 2 -o grid.spacing_mm=8 "
-            "--workers 1 --out swept"),
-    Command("live", f"live touches --object pin {GRID} {SURE} --once --no-view --out found.jsonl", resumes=False),
-    Command("replay", f"replay slide.mcap --object head {GRID} {SURE} --base-frame base --out poses.mcap"),
-)  # fmt: skip
+    first_s: float
+    whole_s: float
+    changes: int
 
 
 @dataclass(frozen=True)
+class Moment:
+    """When to kill: after so many seen changes, and then so many seconds."""
+
+    seconds: float
+    changes: int = 0
+
+    @classmethod
+    def drawn(cls, life: Life, draw: np.random.Generator) -> Moment:
+        """Draw a moment of a life: half of them by the time, half of them just after a change of the disk."""
+        if draw.random() < 0.5:
+            return cls(float(draw.uniform(0.8 * life.first_s, life.whole_s)))
+        return cls(float(draw.uniform(0, AFTER_S)), 1 + int(life.changes * draw.random() ** 2))
+
+
 class Place:
-    """Where a command is run: `work` is where it stands, `store` its store, `temporary` the system's temporary files.
+    """Where a command runs: its folder, its store, its temporary files, and the folder of its output."""
 
-    Both may be on disks of their own.
-    """
-
-    root: Path
-    elsewhere: Path | None = None
-    """The store, where it is not in the place."""
-    said: Path | None = None
-    """Where what the command says is kept, where that is not in the place."""
-
-    @property
-    def work(self) -> Path:
-        """The folder in which the command is run."""
-        return self.root / "work"
-
-    @property
-    def store(self) -> Path:
-        """The folder of the store."""
-        return self.elsewhere or self.root / "store"
-
-    @property
-    def temporary(self) -> Path:
-        """The folder of temporary files."""
-        return self.root / "tmp"
+    def __init__(self, root: Path, store: Path | None = None, said: Path | None = None) -> None:
+        self.root, self.work, self.temporary = root, root / "work", root / "tmp"
+        self.store, self.said = store or root / "store", said or root
 
     def make(self, inputs: Path) -> Place:
         """Make it anew, with nothing but the inputs in it, and return it."""
         for folder in (self.work, self.store, self.temporary):
             shutil.rmtree(folder, ignore_errors=True)
+        for folder in (self.root, self.said):
+            folder.mkdir(parents=True, exist_ok=True)
         shutil.copytree(inputs, self.work)
         self.temporary.mkdir()
         return self
 
-    def outputs(self) -> tuple[Path, Path]:
-        """The files of what the command says, and of its errors."""
-        folder = self.said or self.root
-        return folder / "out.txt", folder / "err.txt"
+    def renew_work(self, inputs: Path) -> None:
+        """Make the folder of the command anew, and keep the store."""
+        shutil.rmtree(self.work)
+        shutil.copytree(inputs, self.work)
 
-    def environment(self) -> dict[str, str]:
-        """The variables with which a command is run here; one thread, so that its answers can be had again."""
+    def outputs(self) -> tuple[Path, Path]:
+        """Return the files of the command's output and of its errors."""
+        return self.said / "out.txt", self.said / "err.txt"
+
+    def begin(self, line: str, prefix: tuple[str, ...] = (), **more: str) -> subprocess.Popen[str]:
+        """Start a command in a group of processes of its own. `prefix` stands before it, `more` are variables."""
         own = {"TACTILE_LOC_STORE": str(self.store), "TACTILE_LOC_PLUGINS": "", "TMPDIR": str(self.temporary),
                "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "cli")])}  # fmt: skip
-        threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-        return {**os.environ, **own, **threads}
+        said, complained = self.outputs()
+        with said.open("w") as out, complained.open("w") as err:
+            return subprocess.Popen(
+                [*prefix, *PROGRAM, *line.split()], cwd=self.work, env={**os.environ, **own, **ONE_THREAD, **more},
+                stdout=out, stderr=err, text=True, start_new_session=True,
+            )  # fmt: skip
+
+    def ended(self, process: subprocess.Popen[str]) -> Done:
+        """Wait for a command of this place."""
+        code = process.wait(timeout=HANGS_S)
+        return Done(code, *(path.read_text(encoding="utf-8", errors="replace") for path in self.outputs()))
+
+    def whole(self, line: str, prefix: tuple[str, ...] = ()) -> Done:
+        """Run a command to its end."""
+        return self.ended(self.begin(line, prefix))
+
+    def lived(self, line: str) -> tuple[Done, Life]:
+        """Run a command to its end, and watch it."""
+        start_s = time.monotonic()
+        process = self.begin(line)
+        seen = [time.monotonic() - start_s for _ in self._changes(process)]
+        done, whole_s = self.ended(process), time.monotonic() - start_s
+        return done, Life(seen[0] if seen else whole_s, whole_s, len(seen))
+
+    def killed(self, line: str, moment: Moment) -> Done:
+        """Run a command and kill its group of processes at a moment, unless it has ended before."""
+        process = self.begin(line)
+        if moment.changes:
+            for number, _ in enumerate(self._changes(process), start=1):
+                if number == moment.changes:
+                    break
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=moment.seconds)
+        end_group(process)
+        return self.ended(process)
+
+    def _changes(self, process: subprocess.Popen[str]) -> Iterator[None]:
+        """Yield whenever the folders have changed since the last look, as long as the process runs."""
+        before = self._state()
+        while process.poll() is None:
+            time.sleep(GLANCE_S)
+            if (state := self._state()) != before:
+                before = state
+                yield
+
+    def _state(self) -> set[tuple[str, int, int]]:
+        found = set()
+        for folder, folders, files in (step for root in (self.work, self.store) for step in os.walk(root)):
+            for name in folders + files:
+                with suppress(OSError):
+                    stat = os.lstat(path := f"{folder}/{name}")
+                    found.add((path, stat.st_mtime_ns, stat.st_size))
+        return found
 
 
-def program(*words: str) -> list[str]:
-    """The command line of a process of its own."""
-    return [sys.executable, "-m", "tactile_loc_cli.main", *words]
+def end_group(process: subprocess.Popen[str]) -> None:
+    """Kill a command with all that it has started, and wait until all of it is gone."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    end_s = time.monotonic() + GONE_S
+    while _alive(process.pid) and time.monotonic() < end_s:
+        time.sleep(0.01)
 
 
-def begin(place: Place, words: list[str], prefix: tuple[str, ...] = (), **more: str) -> subprocess.Popen[str]:
-    """Start a command in a group of processes of its own; what it says goes to the place's `outputs`."""
-    said, complained = place.outputs()
-    with said.open("w") as out, complained.open("w") as err:
-        return subprocess.Popen([*prefix, *program(*words)], cwd=place.work, env={**place.environment(), **more},
-                                stdout=out, stderr=err, text=True, start_new_session=True)  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Done:
-    """What a command came to: its exit code, minus a signal's number where it was killed, and what it said."""
-
-    code: int
-    out: str
-    err: str
-
-    @property
-    def is_refusal(self) -> bool:
-        """Whether it said one sentence, and what is told beside that, with the exit code of bad input."""
-        lines = [line for line in self.err.splitlines() if not line.startswith("warning: ")]
-        return self.code == 2 and len(lines) == 1 and lines[0].startswith("error: ") and lines[0].isprintable()
-
-
-def ended(place: Place, process: subprocess.Popen[str]) -> Done:
-    """Wait for a command of this place and return what it came to."""
-    code = process.wait(timeout=HANGS_S)
-    out, err = (path.read_text(encoding="utf-8", errors="replace") for path in place.outputs())
-    return Done(code, out, err)
-
-
-def whole(place: Place, words: list[str], prefix: tuple[str, ...] = (), **more: str) -> Done:
-    """Run a command to its end; keywords are environment variables, `prefix` stands before it, as `nice`."""
-    return ended(place, begin(place, words, prefix, **more))
+def _alive(group: int) -> bool:
+    """Whether a process of a group lives; zombies do not count."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError, IndexError):
+            state, _, of, *_ = (folder / "stat").read_text().rpartition(")")[2].split()
+            if int(of) == group and state not in "ZX":
+                return True
+    return False
 
 
 def make_inputs(folder: Path) -> Path:
-    """Write, once, what the commands read: sensors, touches and a recording. Return their folder."""
+    """Write, once, the sensors, touches and recording that the commands read. Return their folder."""
     if not folder.is_dir():
-        making = Place(folder.with_name(f".{folder.name}"))
-        shutil.rmtree(making.root, ignore_errors=True)
-        making.work.mkdir(parents=True)
-        making.temporary.mkdir()
+        making, empty = Place(folder.with_name(f".{folder.name}")), folder.with_name(".empty")
+        empty.mkdir(parents=True, exist_ok=True)
+        making.make(empty)
         for name, text in (("flat.toml", FLAT), ("small.toml", SMALL)):
             (making.work / name).write_text(text, encoding="utf-8")
-        touches = f"simulate --object pin {GRID} --count 8 --seed 1 --out touches"
-        slide = f"simulate --object head {GRID} --renderer zbuffer --seed 3 --count 30 --recording slide.mcap"
-        for line in (touches, slide):
-            done = whole(making, line.split())
-            if done.code:
+        for line in INPUTS:
+            if (done := making.whole(line)).code:
                 sys.exit(f"{line} does not work: {done.err}")
         (making.work / "touches" / "touches.png").unlink()
         making.work.rename(folder)
         shutil.rmtree(making.root)
+        empty.rmdir()
     return folder
-
-
-def command(name: str) -> Command:
-    """Return the command of this name."""
-    return next(one for one in COMMANDS if one.name == name)

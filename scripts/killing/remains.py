@@ -1,4 +1,4 @@
-"""What a command leaves: what of it is broken, what is finished, what should not be there, and what the answer is."""
+"""What a command leaves: what is broken, what is finished, what should not be there, and what the answer is."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import hashlib
 import json
 import re
 import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,36 +22,40 @@ from tactile_loc.store.artifact import MANIFEST, read_artifact
 from tactile_loc.store.keys import hash_file
 from tactile_loc.store.store import Entry, StageStore
 
-STAGE = "store: "  # before the names of stages in what commands answer
-BESIDE = ".tmp-"  # with which all begins that is written beside its place
+STAGE = "store: "  # before the names of stages in an answer
+BESIDE = ".tmp-"  # before the names of files that are written beside their place
 LINES = (".jsonl", ".journal")
-JOURNALS = "sweep-builds"
+UNREADABLE = (OSError, ValueError, LookupError, EOFError, SyntaxError, zipfile.BadZipFile, zlib.error, TactileLocError)
 CLOCKED = re.compile(
     r"result_sha256|seconds|created|versions|duration|time_s|^built$|_ms$|^time_|_s$|distributions|^(key|source|path)$"
 )  # what depends on the clock, on how often a command was begun, or on the folder it was begun in
-DRAWN = (".png", ".html", ".md", ".parquet", ".log", ".toml")  # what people look at, or holds the same again: as rows
+DRAWN = (".png", ".html", ".md", ".parquet", ".log", ".toml")  # pictures and pages, and the contents of rows again
 
 
 def broken(place: Place, ended: bool) -> list[str]:
-    """Return what cannot be read of what stands in the place; of a command that `ended` also half lines are wrong."""
-    found = [f"artifact {entry.stage}: {error}" for entry in _entries(place) if (error := _damage(entry))]
+    """Return what cannot be read. Of a command that `ended`, half lines are broken, too."""
+    found = [
+        f"artifact {entry.stage}: {error}" for entry in StageStore(place.store).entries() if (error := _damage(entry))
+    ]
     for path in _files(place):
         try:
-            _read(path, ended)
-        except (OSError, ValueError, KeyError, SyntaxError, zipfile.BadZipFile, TactileLocError) as error:
+            _content(path, ended)
+        except UNREADABLE as error:
             found.append(f"{path.relative_to(place.root)}: {type(error).__name__}: {error}")
     return found
 
 
 def finished(place: Place) -> set[str]:
-    """Return what is finished, each with what shows that it was not done again."""
+    """Return what is finished, each with what would change if it was done again."""
     found = set()
-    for entry in _entries(place):
+    for entry in StageStore(place.store).entries():
         manifest = entry.path / MANIFEST
-        if manifest.is_file():  # of one that is not complete yet, too: only its name is missing
+        if manifest.is_file():  # even of an artifact that lacks only its name
             found.add(f"artifact {entry.stage}/{entry.digest} of {manifest.stat().st_mtime_ns}")
-        else:
-            found |= {f"piece {entry.stage}/{entry.digest}/{name}" for name in _pieces(entry.path)}
+        elif (entry.path / ".pieces.json").is_file():  # of which the next build takes those that are whole
+            for name, sums in json.loads((entry.path / ".pieces.json").read_text(encoding="utf-8")).items():
+                if (entry.path / name).is_file() and hash_file(entry.path / name) in sums:
+                    found.add(f"piece {entry.stage}/{entry.digest}/{name}")
     for path in _files(place):
         if path.suffix in LINES:
             found |= {f"line {path.name} {number} {_digest(line)}" for number, line in enumerate(_lines(path))}
@@ -60,7 +65,7 @@ def finished(place: Place) -> set[str]:
 
 
 def lost(before: set[str], after: set[str], place: Place) -> list[str]:
-    """Return what was finished `before` and is not any more, though nothing that was made of it has taken its place."""
+    """Return what was finished `before` and is gone, unless something that was made of it has taken its place."""
     artifacts = {word.split()[1] for word in after if word.startswith("artifact ")}
 
     def served(word: str) -> bool:
@@ -73,28 +78,26 @@ def lost(before: set[str], after: set[str], place: Place) -> list[str]:
 
 
 def leftovers(place: Place) -> list[str]:
-    """Return what is there for no reason once a command has ended well, named without what is drawn by chance."""
+    """Return what is there for no reason after a command has ended well, without the random parts of names."""
     found = []
     for root in (place.work, place.store):
-        for path in root.rglob("*"):
-            if _is_left(path) and not any(map(_is_left, path.relative_to(root).parents)):
-                found.append(path.name)
-    if (place.store / JOURNALS).is_dir():
-        found += [path.name for path in (place.store / JOURNALS).iterdir()]
+        left = [path.relative_to(root) for path in root.rglob("*") if _is_left(path)]
+        found += [path.name for path in left if not any(map(_is_left, path.parents))]
+    found += [path.name for path in place.store.glob("sweep-builds/*")]
     found += [path.name for path in place.temporary.iterdir() if path.name != "dask-scratch-space"]
     found += [f"dask {path.name}" for path in place.temporary.glob("dask-scratch-space/*") if path.is_dir()]
     return sorted(re.sub(r"[0-9a-f]{16,}", "HEX", name) for name in found)
 
 
 def locks(place: Place) -> int:
-    """Return how many files of locks there are."""
-    return sum(1 for _ in place.store.glob("*/*.lock"))
+    """Return how many lock files there are."""
+    return len(list(place.store.glob("*/*.lock")))
 
 
 def answer(place: Place) -> dict[str, str]:
-    """Return a digest of each result, by its name, without what depends on the clock."""
+    """Return a digest of each result by its name, without what depends on the clock."""
     found = {}
-    for entry in _entries(place):
+    for entry in StageStore(place.store).entries():
         if entry.complete:
             records = read_artifact(entry.path).files.items()
             kept = sorted((name, one.sha256) for name, one in records if not CLOCKED.search(name.partition(".")[0]))
@@ -105,44 +108,25 @@ def answer(place: Place) -> dict[str, str]:
     return found
 
 
-def is_stage(name: str) -> bool:
-    """Whether a result's name in `answer` is that of a stored stage, and no file's."""
-    return name.startswith(STAGE)
-
-
 def _is_left(path: Path) -> bool:
-    """Whether by its name something is of use only while, or before, a command goes on."""
+    """Whether the name says that it serves only a command that goes on."""
     return path.name.startswith(BESIDE) or path.suffix in (".partial", ".journal")
 
 
-def _entries(place: Place) -> list[Entry]:
-    return StageStore(place.store).entries()
-
-
 def _damage(entry: Entry) -> str:
-    """What is wrong with an artifact that is said to be complete; nothing, if its checksums hold."""
-    if not entry.complete:
-        return ""
+    """Return what is wrong with an artifact that counts as complete."""
     try:
-        artifact = read_artifact(entry.path)
-        artifact.signature()
-        artifact.verify()
+        if entry.complete:
+            artifact = read_artifact(entry.path)
+            artifact.read_signature()
+            artifact.verify()
     except TactileLocError as error:
         return str(error)
     return ""
 
 
-def _pieces(partial: Path) -> list[str]:
-    """The pieces of an interrupted build that the next one takes."""
-    try:
-        known = json.loads((partial / ".pieces.json").read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return []
-    return [name for name, sums in known.items() if (partial / name).is_file() and hash_file(partial / name) in sums]
-
-
 def _files(place: Place) -> Iterator[Path]:
-    """The files in their place of the folder and of unfinished stages; those of finished ones have their checksums."""
+    """Yield the files in their place: of the folder and of the store."""
     for root in (place.work, place.store):
         for path in sorted(root.rglob("*")):
             beside = any(part.startswith(BESIDE) for part in path.relative_to(root).parts)
@@ -151,45 +135,32 @@ def _files(place: Place) -> Iterator[Path]:
 
 
 def _lines(path: Path) -> list[bytes]:
-    """The whole lines of a file."""
+    """Return the whole lines of a file."""
     return [line for line in path.read_bytes().splitlines(keepends=True) if line.endswith(b"\n")]
 
 
-def _read(path: Path, ended: bool) -> None:
-    """Read a file by what its name says. Raises ValueError and others where it is not whole."""
-    if path.suffix == ".json":
-        json.loads(path.read_text(encoding="utf-8"))
-    elif path.suffix in LINES:
-        for line in _lines(path):
-            json.loads(line)
-        if ended and not (b"\n" + path.read_bytes()).endswith(b"\n"):
-            raise ValueError("ends in half a line")
-    elif path.suffix == ".png":
-        with Image.open(path) as picture:
-            picture.load()
-    elif path.suffix in (".npz", ".npy"):
-        np.load(path, allow_pickle=False)
-    elif path.suffix == ".mcap":
-        if damage := Recording(path).contents().damage:
-            raise ValueError(damage)
-    elif path.suffix in (".csv", ".md", ".html") and not path.read_bytes().endswith(b"\n"):
+def _content(path: Path, ended: bool = True) -> str:
+    """Return what a file says, without what depends on the clock. Raises ValueError and others if it is not whole."""
+    text = path.read_bytes()
+    if path.suffix in (".csv", ".md", ".html", *(LINES if ended else ())) and not (b"\n" + text).endswith(b"\n"):
         raise ValueError("ends in half a line")
-
-
-def _content(path: Path) -> str:
-    """What a result says, without what depends on the clock."""
     if path.suffix == ".json":
-        return json.dumps(_timeless(json.loads(path.read_text(encoding="utf-8"))))
-    if path.suffix == ".jsonl":  # to which each run adds; the last that was said of a frame counts
+        return json.dumps(_timeless(json.loads(text)))
+    if path.suffix in LINES:  # each run appends to .jsonl; the last line of a frame counts
         records = [_timeless(json.loads(line)) for line in _lines(path)]
-        return json.dumps({record["name"]: record for record in records})
+        return json.dumps({record["name"]: record for record in records} if path.suffix == ".jsonl" else records)
     if path.suffix == ".csv":
-        with path.open(newline="", encoding="utf-8") as file:
-            return json.dumps(_timeless(list(csv.DictReader(file))))
+        return json.dumps(_timeless(list(csv.DictReader(text.decode().splitlines()))))
     if path.suffix == ".npz":
         with np.load(path, allow_pickle=False) as file:
             return json.dumps(_timeless({name: _digest(file[name].tobytes()) for name in sorted(file)}))
-    return path.read_bytes().hex()
+    if path.suffix == ".npy":
+        np.load(path, allow_pickle=False)
+    elif path.suffix == ".png":
+        Image.open(path).load()
+    elif path.suffix == ".mcap" and (damage := Recording(path).contents().damage):
+        raise ValueError(damage)
+    return text.hex()
 
 
 def _timeless(value: Any) -> Any:

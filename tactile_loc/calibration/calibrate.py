@@ -10,9 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.calibration.estimator import CalibrationProblem, GelEstimator, estimator_class, estimator_options
+from tactile_loc.calibration.estimator import (
+    CalibrationProblem,
+    GelEstimator,
+    load_estimator,
+    validate_estimator_options,
+)
 from tactile_loc.calibration.folder import WEIGHTS
-from tactile_loc.calibration.health import Health, health, worst
+from tactile_loc.calibration.health import Health, find_worst, measure_health
 from tactile_loc.calibration.labels import Chosen, Image, LabelledPresses, PressLabel
 from tactile_loc.calibration.presses import TABLE, PressFolder
 from tactile_loc.core.errors import CalibrationError
@@ -45,7 +50,7 @@ class PressErrors:
     untouched_m: float
 
 
-def mean_errors(errors: Sequence[PressErrors]) -> dict[str, float]:
+def average_errors(errors: Sequence[PressErrors]) -> dict[str, float]:
     """Return the mean of each error over the presses of which it can be said; none is left out silently otherwise."""
     found = {name: [getattr(e, name) for e in errors] for name in (f.name for f in fields(PressErrors))}
     said = {name: [v for v in values if np.isfinite(v)] for name, values in found.items()}
@@ -63,7 +68,7 @@ class Calibrated:
 
     def record(self) -> dict[str, Any]:
         """Return the errors as JSON values, the noise of the untouched gel, metres, and the usual health."""
-        mean = mean_errors(self.errors)
+        mean = average_errors(self.errors)
         held_out = {"presses": list(self.held_out), "mean": mean}
         return {"noise_m": mean.get("untouched_m", 0.0), "held_out": held_out, "health": self.usual.record()}
 
@@ -79,22 +84,22 @@ def calibrate(
     """
     if len(presses) < FEWEST:
         raise CalibrationError(f"there are {len(presses)} presses; a calibration needs {FEWEST} at least, better 30")
-    kind = estimator_class(estimator)
-    made = kind(geometry, background, estimator_options(kind, options or {}))
+    kind = load_estimator(estimator)
+    made = kind(geometry, background, validate_estimator_options(kind, options or {}))
     learned, held_out = split(len(presses), seed)
     problem = CalibrationProblem(
         geometry, background, Chosen(presses, learned), progress or Progress(), checkpoints or Checkpoints()
     )
     made.fit(problem)
-    errors = tuple(press_errors(made, *presses.press(number)) for number in held_out)
-    return Calibrated(made, held_out, errors, _usual_health(made, presses, learned))
+    errors = tuple(measure_press(made, *presses.read_press(number)) for number in held_out)
+    return Calibrated(made, held_out, errors, _measure_usual_health(made, presses, learned))
 
 
-def _usual_health(estimator: GelEstimator, presses: LabelledPresses, learned: Sequence[int]) -> Health:
+def _measure_usual_health(estimator: GelEstimator, presses: LabelledPresses, learned: Sequence[int]) -> Health:
     """The worst health of the presses that were learned from, or of some of many."""
     some = learned[:: -(-len(learned) // LOOKED_AT)]
-    images = (presses.press(number)[0] for number in some)
-    return worst(health(i, estimator.untouched, estimator.read(i)[1], estimator.geometry) for i in images)
+    images = (presses.read_press(number)[0] for number in some)
+    return find_worst(measure_health(i, estimator.untouched, estimator.read(i)[1], estimator.geometry) for i in images)
 
 
 def split(count: int, seed: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -104,22 +109,19 @@ def split(count: int, seed: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
     return tuple(sorted(drawn[few:].tolist())), tuple(sorted(drawn[:few].tolist()))
 
 
-def press_errors(estimator: GelEstimator, image: Image, label: PressLabel) -> PressErrors:
+def measure_press(estimator: GelEstimator, image: Image, label: PressLabel) -> PressErrors:
     """Measure an estimator on one press."""
-    off = estimator.indentation(image) - label.indentation_m
+    indentation, slopes = estimator.read(image)
+    off = indentation - label.indentation_m
     inside = off[label.contact]
     shape_m = _rms(inside - inside.mean()) if inside.size else np.nan
     depth_m = _rms(inside) if label.absolute else np.nan
     untouched_m = _rms(off[label.known & ~label.contact])
-    return PressErrors(_slope_error_deg(estimator, image, label), shape_m, depth_m, untouched_m)
-
-
-def _slope_error_deg(estimator: GelEstimator, image: Image, label: PressLabel) -> float:
-    slopes = getattr(estimator, "slopes", None)
-    inside = label.contact & label.known
-    if slopes is None or not inside.any():
-        return np.nan
-    return float(np.degrees(np.abs(np.arctan(slopes(image)[inside]) - np.arctan(label.slope[inside]))).mean())
+    known = label.contact & label.known
+    slope_deg = np.nan
+    if slopes is not None and known.any():
+        slope_deg = float(np.degrees(np.abs(np.arctan(slopes[known]) - np.arctan(label.slope[known]))).mean())
+    return PressErrors(slope_deg, shape_m, depth_m, untouched_m)
 
 
 def _rms(values: NDArray[np.floating]) -> float:
@@ -137,16 +139,16 @@ def calibrate_stage(
         "background": hash_arrays(image=presses.background), "geometry": presses.geometry.describe(),
         "camera": presses.camera.describe(),
     }  # fmt: skip
-    return learned(presses, presses.geometry, presses.background, inputs, estimator, options, seed, store, progress)
+    return learn_stage(presses, presses.geometry, presses.background, inputs, estimator, options, seed, store, progress)
 
 
-def learned(
+def learn_stage(
     presses: LabelledPresses, geometry: SensorGeometry, background: Image, inputs: dict[str, Any], estimator: str,
     options: dict[str, Any], seed: int, store: StageStore, progress: Progress,
 ) -> tuple[GelEstimator, dict[str, Any]]:  # fmt: skip
     """Calibrate with presses, or find what was; `inputs` (JSON values) identifies them and the sensor."""
-    kind = estimator_class(estimator)
-    chosen = estimator_options(kind, options)
+    kind = load_estimator(estimator)
+    chosen = validate_estimator_options(kind, options)
     described: dict[str, Any] = {"estimator": estimator, "options": chosen.model_dump(mode="json"), "seed": seed}
     key = StageKey("calibration", STAGE_VERSION, {**inputs, **described})
 
@@ -158,5 +160,5 @@ def learned(
 
     artifact = store.build(key, learn)
     made = kind(geometry, background, chosen)
-    made.load(artifact.file(WEIGHTS))
-    return made, artifact.json(RECORD)
+    made.load(artifact.find_file(WEIGHTS))
+    return made, artifact.load_json(RECORD)

@@ -42,13 +42,13 @@ class Circle:
     y_px: float
     radius_px: float
 
-    def distance_px(self, shape: tuple[int, int]) -> Array:
+    def measure_distance_px(self, shape: tuple[int, int]) -> Array:
         """Return how far each pixel's centre is from the circle's (H, W), pixels."""
         height, width = shape
         y, x = np.ogrid[:height, :width]
         return np.asarray(np.hypot(x + 0.5 - self.x_px, y + 0.5 - self.y_px))
 
-    def beyond_px(self, shape: tuple[int, int]) -> float:
+    def measure_overhang_px(self, shape: tuple[int, int]) -> float:
         """Return by how much the circle reaches over the border of an image (H, W), pixels; negative within it."""
         height, width = shape
         nearest = min(self.x_px, self.y_px, width - self.x_px, height - self.y_px)
@@ -68,7 +68,7 @@ class Imprint:
     contrast: float
 
 
-def colour_change(image: Image | Float32, untouched: Image | Float32) -> Float32:
+def compare_colours(image: Image | Float32, untouched: Image | Float32) -> Float32:
     """Return how the colours (H, W, 3) differ from the untouched gel's, counts, less what differs everywhere alike."""
     change = np.asarray(image, np.float32) - np.asarray(untouched, np.float32)
     return np.asarray(change - np.median(change[::2, ::2], axis=(0, 1)), np.float32)
@@ -81,28 +81,28 @@ def find_imprint(change: Float32, hidden: Mask | None = None) -> Imprint | None:
     visible circle is what `find_rim` finds near it.
     """
     seen = change if hidden is None else np.where(hidden[..., None], np.float32(0), change)
-    start = _strongest(seen)
+    start = _find_strongest(seen)
     if start is None:
         return None
-    circle, likeness = _fitted(seen, start)
-    return Imprint(circle, likeness, contrast(seen, circle))
+    circle, likeness = _fit_circle(seen, start)
+    return Imprint(circle, likeness, measure_contrast(seen, circle))
 
 
-def contrast(change: Float32, circle: Circle) -> float:
+def measure_contrast(change: Float32, circle: Circle) -> float:
     """Return the root mean square of a colour change (H, W, 3) in a circle, counts."""
-    inside = change[circle.distance_px(change.shape[:2]) < circle.radius_px]
+    inside = change[circle.measure_distance_px(change.shape[:2]) < circle.radius_px]
     return float(np.sqrt((inside**2).mean())) if inside.size else 0.0
 
 
-def concentration(change: Float32) -> float:
+def measure_concentration(change: Float32) -> float:
     """Return the share (0 ... 1) of all of a colour change (H, W, 3) that one imprint explains; 0 where none is."""
-    coarse, _ = _coarse(change, COARSER_PX)
+    coarse, _ = _coarsen(change, COARSER_PX)
     energy = float((coarse**2).sum())
-    best = _matched(coarse)
+    best = _match_filters(coarse)
     return 0.0 if best is None or not energy else min(1.0, best[0] / energy)
 
 
-def _coarse(change: Float32, side: int) -> tuple[Float32, int]:
+def _coarsen(change: Float32, side: int) -> tuple[Float32, int]:
     """The change as blocks' means, and the block's side in pixels."""
     step = max(1, round(max(change.shape) / side))
     rows, columns = (n // step for n in change.shape[:2])
@@ -110,13 +110,13 @@ def _coarse(change: Float32, side: int) -> tuple[Float32, int]:
     return np.asarray(blocks.mean(axis=(1, 3)), np.float32), step
 
 
-def _strongest(change: Float32) -> Circle | None:
-    coarse, step = _coarse(change, COARSE_PX)
-    best = _matched(coarse)
+def _find_strongest(change: Float32) -> Circle | None:
+    coarse, step = _coarsen(change, COARSE_PX)
+    best = _match_filters(coarse)
     return None if best is None else Circle((best[1] + 0.5) * step, (best[2] + 0.5) * step, best[3] * step)
 
 
-def _matched(coarse: Float32) -> tuple[float, int, int, float] | None:
+def _match_filters(coarse: Float32) -> tuple[float, int, int, float] | None:
     """The energy that the best of all filters explains, and its place (x, y) and radius in blocks."""
     height, width = coarse.shape[:2]
     margin = min(height, width) // 2
@@ -125,7 +125,7 @@ def _matched(coarse: Float32) -> tuple[float, int, int, float] | None:
     best: tuple[float, int, int, float] | None = None
     for radius in np.geomspace(SMALLEST_PX, max(LARGEST * min(height, width), 2 * SMALLEST_PX), SIZES).tolist():
         explained = np.zeros(coarse.shape[:2])
-        for kernel in _kernels(padded.shape[:2], radius):
+        for kernel in _make_kernels(padded.shape[:2], radius):
             answer = np.fft.irfft2(spectrum * kernel[..., None], s=padded.shape[:2], axes=(0, 1))
             explained += (answer[margin : margin + height, margin : margin + width] ** 2).sum(axis=2)
         y, x = divmod(int(explained.argmax()), width)
@@ -135,7 +135,7 @@ def _matched(coarse: Float32) -> tuple[float, int, int, float] | None:
 
 
 @lru_cache(maxsize=64)
-def _kernels(shape: tuple[int, int], radius: float) -> tuple[NDArray[np.complex128], ...]:
+def _make_kernels(shape: tuple[int, int], radius: float) -> tuple[NDArray[np.complex128], ...]:
     """The spectra of the two ramps, along x and along y, of unit energy."""
     y, x = (np.fft.fftfreq(n, 1 / n) for n in shape)
     u = np.hypot(*np.meshgrid(x, y)) / radius
@@ -144,7 +144,7 @@ def _kernels(shape: tuple[int, int], radius: float) -> tuple[NDArray[np.complex1
     return tuple(np.conj(np.fft.rfft2(ramp / np.sqrt((ramp**2).sum()))) for ramp in ramps)
 
 
-def _fitted(change: Float32, start: Circle) -> tuple[Circle, float]:
+def _fit_circle(change: Float32, start: Circle) -> tuple[Circle, float]:
     """The circle whose ramps, their products and a slant explain most of the change around it, and what share.
 
     The amplitudes of each colour follow from the circle by linear least squares (variable projection).
@@ -153,11 +153,11 @@ def _fitted(change: Float32, start: Circle) -> tuple[Circle, float]:
 
     circle, share = start, 0.0
     for _ in range(2):  # the window moves with the circle
-        x, y, colours = _around(change, circle)
+        x, y, colours = _take_around(change, circle)
         spread = float(((colours - colours.mean(axis=0)) ** 2).sum())
 
         def missed(values: Array, x: Array = x, y: Array = y, colours: Array = colours) -> Array:
-            q, _ = np.linalg.qr(_ramps(x, y, values))
+            q, _ = np.linalg.qr(_build_ramps(x, y, values))
             return np.asarray((colours - q @ (q.T @ colours)).ravel())
 
         first = np.array([circle.x_px, circle.y_px, circle.radius_px])
@@ -167,16 +167,16 @@ def _fitted(change: Float32, start: Circle) -> tuple[Circle, float]:
     return circle, share
 
 
-def _around(change: Float32, circle: Circle) -> tuple[Array, Array, Array]:
+def _take_around(change: Float32, circle: Circle) -> tuple[Array, Array, Array]:
     """Some pixels within REACH radii: x (P,), y (P,), and their colours' change (P, 3)."""
-    rows, columns = np.nonzero(circle.distance_px(change.shape[:2]) < REACH * circle.radius_px)
+    rows, columns = np.nonzero(circle.measure_distance_px(change.shape[:2]) < REACH * circle.radius_px)
     chosen = np.s_[:: max(1, len(rows) // FITTED)]
     rows, columns = rows[chosen], columns[chosen]
     x, y = (np.asarray(places, np.float64) + 0.5 for places in (columns, rows))
     return x, y, change[rows, columns].astype(np.float64)
 
 
-def _ramps(x: Array, y: Array, values: Array) -> Array:
+def _build_ramps(x: Array, y: Array, values: Array) -> Array:
     """What the change around a circle (x, y, radius) is made of (P, 8)."""
     dx, dy = (x - values[0]) / values[2], (y - values[1]) / values[2]
     falls = 1 / (1 + np.hypot(dx, dy) ** FALL)
@@ -190,13 +190,13 @@ def find_rim(change: Float32, near: Circle) -> tuple[Circle, float]:
     The fall is that of features narrower than SKIRT radii: the gel around a contact fades slowly and says nothing of
     its edge.
     """
-    relief = _relief(change, near)
+    relief = _find_relief(change, near)
     angle = np.arange(RAYS) * 2 * np.pi / RAYS
     directions = np.stack([np.cos(angle), np.sin(angle), np.ones(RAYS)], axis=1)
     circle, scatter_px = near, 0.0
     for _ in range(ROUNDS):
-        off, weight = _steepest(relief, circle, directions)
-        move, scatter_px = _agreed(directions, off, weight)
+        off, weight = _find_steepest(relief, circle, directions)
+        move, scatter_px = _fit_move(directions, off, weight)
         most = 0.15 * circle.radius_px
         dx, dy, dr = np.clip(move, -most, most).tolist()
         circle = Circle(circle.x_px + dx, circle.y_px + dy, circle.radius_px + dr)
@@ -205,7 +205,7 @@ def find_rim(change: Float32, near: Circle) -> tuple[Circle, float]:
     return circle, scatter_px
 
 
-def _relief(change: Float32, circle: Circle) -> Float32:
+def _find_relief(change: Float32, circle: Circle) -> Float32:
     """How strong the change is (H, W), along its own colour, without what is much larger or smaller than a rim."""
     from scipy.ndimage import gaussian_filter
 
@@ -216,7 +216,7 @@ def _relief(change: Float32, circle: Circle) -> Float32:
     return np.asarray(strength - gaussian_filter(strength, wide), np.float32)
 
 
-def _steepest(relief: Float32, circle: Circle, directions: Array) -> tuple[Array, Array]:
+def _find_steepest(relief: Float32, circle: Circle, directions: Array) -> tuple[Array, Array]:
     """Where on each ray the relief falls most steeply: pixels from the circle (RAYS,), and weights (RAYS,)."""
     from scipy.ndimage import gaussian_filter, map_coordinates
 
@@ -233,7 +233,7 @@ def _steepest(relief: Float32, circle: Circle, directions: Array) -> tuple[Array
     return circle.radius_px * (u[place] - 1), weight
 
 
-def _agreed(directions: Array, off: Array, weight: Array) -> tuple[Array, float]:
+def _fit_move(directions: Array, off: Array, weight: Array) -> tuple[Array, float]:
     """How a circle moves and grows (3,) to pass through places `off` (RAYS,) from it, and what they scatter by.
 
     Least squares with Tukey's weights, so that rays on which something else is steeper do not count.

@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -22,10 +21,7 @@ from tactile_loc.calibration.estimator import (
     PLANES,
     CalibrationProblem,
     GelEstimator,
-    features,
-    fixed_features,
-    load_network,
-    save_network,
+    stack_features,
 )
 from tactile_loc.calibration.labels import Float32, Image
 from tactile_loc.core.errors import CalibrationError, TrainingError
@@ -73,7 +69,7 @@ class GelNetwork(nn.Module):
         found: torch.Tensor = self.layers(scaled.contiguous(memory_format=torch.channels_last))  # twice as fast
         return found[:, 0]
 
-    def metres(self, features: torch.Tensor) -> torch.Tensor:
+    def predict_m(self, features: torch.Tensor) -> torch.Tensor:
         """Return indentations (N, H, W) in metres, at least 0."""
         return (self(features) * self.output_std + self.output_mean).clamp(min=0)
 
@@ -100,25 +96,25 @@ class Samples:
         images = np.empty((len(problem.presses), *geometry.shape, 3), np.uint8)
         shares = np.empty(images.shape[:3], np.float16)
         with problem.progress.task("reading presses", len(images)) as advance:
-            for number, (image, label) in enumerate(problem.presses.presses()):
+            for number, (image, label) in enumerate(problem.presses.read_presses()):
                 images[number], shares[number] = image, label.indentation_m / np.float32(deepest_m)
                 advance(1)
         if not shares[:, geometry.observed_mask].any():
             raise CalibrationError("no press shows any contact; a calibration needs presses of known shape")
         return cls(images, shares, problem.background, fixed, geometry.observed_mask, deepest_m)
 
-    def crops(
+    def draw_crops(
         self, chosen: NDArray[np.int64], rng: np.random.Generator, crop_px: int
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Features (B, F, h, w), indentations in metres and observed pixels (B, h, w) of a random crop of each press.
 
         No crop is turned or mirrored: the lamps are not.
         """
-        parts = [self._part(press, *self._crop(press, rng, crop_px)) for press in chosen]
+        parts = [self._cut(press, *self._draw_window(press, rng, crop_px)) for press in chosen]
         seen, indentation_m, observed = (torch.from_numpy(np.stack(part)) for part in zip(*parts, strict=True))
         return seen.permute(0, 3, 1, 2), indentation_m, observed
 
-    def _crop(self, press: int, rng: np.random.Generator, crop_px: int) -> tuple[slice, slice]:
+    def _draw_window(self, press: int, rng: np.random.Generator, crop_px: int) -> tuple[slice, slice]:
         """Rows and columns of a random crop: ON_CONTACT of them with a pixel of the contact somewhere in it."""
         sides = np.minimum(crop_px, self.observed.shape)
         last = self.observed.shape - sides
@@ -129,18 +125,19 @@ class Samples:
         (top, left), (bottom, right) = start, start + sides
         return slice(top, bottom), slice(left, right)
 
-    def _part(self, press: int, rows: slice, columns: slice) -> tuple[NDArray[np.float32], ...]:
+    def _cut(self, press: int, rows: slice, columns: slice) -> tuple[NDArray[np.float32], ...]:
         """Features (h, w, F), indentation in metres and observed pixels (h, w) of a part of a press."""
-        seen = features(self.images[press, rows, columns], self.background[rows, columns], self.fixed[rows, columns])
-        indentation_m = self.shares[press, rows, columns].astype(np.float32) * np.float32(self.deepest_m)
-        return seen, indentation_m, self.observed[rows, columns].astype(np.float32)
+        place = rows, columns
+        seen = stack_features(self.images[press][place], self.background[place], self.fixed[place])
+        indentation_m = self.shares[press][place].astype(np.float32) * np.float32(self.deepest_m)
+        return seen, indentation_m, self.observed[place].astype(np.float32)
 
     def normalise(self, network: GelNetwork) -> None:
         """Set a network's statistics to those of all observed pixels."""
         whole = slice(None)
         sums = np.zeros((2, 3 + self.fixed.shape[-1] + 1))
         for press in range(len(self.images)):
-            seen, indentation_m, _ = self._part(press, whole, whole)
+            seen, indentation_m, _ = self._cut(press, whole, whole)
             values = np.concatenate([seen, indentation_m[..., None]], axis=-1)[self.observed].astype(np.float64)
             sums += np.stack([values.mean(axis=0), np.square(values).mean(axis=0)])
         mean, square = sums / len(self.images)
@@ -173,7 +170,7 @@ class CnnTrainer:
             while self.epoch < self.recipe.epochs:
                 loss_m = self._train_epoch() * float(self.network.output_std)
                 self.epoch += 1
-                self._checkpoint()
+                self._save_checkpoint()
                 self.problem.progress.note(f"RMS error {1e3 * loss_m:.4f} mm")
                 log.info("epoch %d: RMS error %.4f mm", self.epoch, 1e3 * loss_m)
                 advance(1)
@@ -187,7 +184,7 @@ class CnnTrainer:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(int(rng.integers(2**62)))  # dropout's
             for step, chosen in enumerate(np.array_split(rng.permutation(len(self.samples.images)), self.steps)):
-                losses.append(self._step(*self.samples.crops(chosen, rng, self.recipe.crop_px), step))
+                losses.append(self._step(*self.samples.draw_crops(chosen, rng, self.recipe.crop_px), step))
                 if not math.isfinite(losses[-1]):
                     raise TrainingError(
                         f"the loss became NaN in epoch {self.epoch + 1} of training; lower the estimator's rate"
@@ -196,26 +193,26 @@ class CnnTrainer:
 
     def _step(self, features: torch.Tensor, indentation_m: torch.Tensor, observed: torch.Tensor, step: int) -> float:
         for group in self.optimizer.param_groups:
-            group["lr"] = self._rate(self.epoch + step / self.steps)
+            group["lr"] = self._schedule_rate(self.epoch + step / self.steps)
         network = self.network
         found = network(features)
         rms = _rms(found - (indentation_m - network.output_mean) / network.output_std, observed)
         found_m = found * network.output_std + network.output_mean
-        loss = rms + EDGE_WEIGHT * _rms(self._root(found_m) - self._root(indentation_m), observed)
+        loss = rms + EDGE_WEIGHT * _rms(self._take_root(found_m) - self._take_root(indentation_m), observed)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         self.optimizer.step()
         return float(rms.detach())
 
-    def _root(self, indentation_m: torch.Tensor) -> torch.Tensor:
+    def _take_root(self, indentation_m: torch.Tensor) -> torch.Tensor:
         """The root of an indentation's share of the deepest press: steep where the indentation is shallow."""
         return (indentation_m.clamp(min=0) / self.samples.deepest_m + EDGE_SHARE).sqrt()
 
-    def _rate(self, epochs_done: float) -> float:
+    def _schedule_rate(self, epochs_done: float) -> float:
         """Learning rate: a cosine down to a hundredth; dropout and crops leave a constant one unsteady to the end."""
         return self.recipe.rate * (0.505 + 0.495 * math.cos(math.pi * epochs_done / self.recipe.epochs))
 
-    def _checkpoint(self) -> None:
+    def _save_checkpoint(self) -> None:
         from safetensors.torch import save_file
 
         tensors = {f"network.{k}": v for k, v in self.network.state_dict().items()}
@@ -225,10 +222,14 @@ class CnnTrainer:
         self.problem.checkpoints.save(lambda path: save_file(copies, path, {"epoch": str(self.epoch)}))
 
     def _resume(self) -> None:
+        from safetensors import safe_open
+
         path = self.problem.checkpoints.load()
         if path is None:
             return
-        tensors, self.epoch = _read_checkpoint(path)
+        with safe_open(path, framework="pt") as file:
+            tensors = {k: file.get_tensor(k) for k in file.keys()}  # noqa: SIM118
+            self.epoch = int(file.metadata()["epoch"])
         self.network.load_state_dict({k[8:]: v for k, v in tensors.items() if k.startswith("network.")})
         state: dict[int, dict[str, torch.Tensor]] = {}
         for name, tensor in tensors.items():
@@ -237,13 +238,6 @@ class CnnTrainer:
                 state.setdefault(int(number), {})[key] = tensor
         self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": state})
         log.info("training goes on from epoch %d", self.epoch)
-
-
-def _read_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], int]:
-    from safetensors import safe_open
-
-    with safe_open(path, framework="pt") as file:
-        return {k: file.get_tensor(k) for k in file.keys()}, int(file.metadata()["epoch"])  # noqa: SIM118
 
 
 def _rms(off: torch.Tensor, observed: torch.Tensor) -> torch.Tensor:
@@ -281,24 +275,15 @@ class CnnEstimator(GelEstimator):
         chosen = self.options
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(chosen.seed)
-            self._network = GelNetwork(chosen.channels, chosen.dilations, chosen.dropout).eval()
-        self._fixed = fixed_features(background, geometry)
+            self._network: GelNetwork = GelNetwork(chosen.channels, chosen.dilations, chosen.dropout).eval()
 
     def fit(self, problem: CalibrationProblem) -> None:
         """Learn the contact's indentation at all observed pixels. Raises CalibrationError, TrainingError."""
         CnnTrainer(self.options, problem, self._network, self._fixed).run()
 
-    def indentation(self, image: Image) -> Float32:
-        """Return how far the gel is pressed in by the contact (H, W), metres, 0 outside of it."""
-        planes = features(image, self.untouched, self._fixed)
+    def read(self, image: Image) -> tuple[Float32, None]:
+        """Return how far the gel is pressed in by the contact (H, W), metres, 0 outside of it; and no slopes."""
+        planes = stack_features(image, self.untouched, self._fixed)
         with torch.inference_mode():
-            found = self._network.metres(torch.from_numpy(planes).permute(2, 0, 1)[None])
-        return found[0].numpy()
-
-    def save(self, path: Path) -> None:
-        """Write the network, with the statistics that it normalises by, to a safetensors file."""
-        save_network(self._network, path)
-
-    def load(self, path: Path) -> None:
-        """Read the network. Raises WeightsError when the file is damaged or of another estimator."""
-        load_network(self._network, path, self.name)
+            found = self._network.predict_m(torch.from_numpy(planes).permute(2, 0, 1)[None])
+        return found[0].numpy(), None

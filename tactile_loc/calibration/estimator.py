@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.calibration.labels import Float32, Image, LabelledPresses
 from tactile_loc.core.errors import CalibrationError, MissingLibraryError, WeightsError, did_you_mean
@@ -54,6 +53,7 @@ class GelEstimator(ABC):
     """
 
     name: ClassVar[str]
+    _network: nn.Module
     sees_skirt: ClassVar[bool] = True
 
     class Options(ComponentOptions):
@@ -61,6 +61,7 @@ class GelEstimator(ABC):
 
     def __init__(self, geometry: SensorGeometry, background: Image, options: ComponentOptions | None = None) -> None:
         self.geometry, self.background, self.untouched = geometry, background, background
+        self._fixed = stack_fixed_features(background, geometry)
         self.options: Any = options if options is not None else self.Options()
 
     @abstractmethod
@@ -68,23 +69,39 @@ class GelEstimator(ABC):
         """Learn from labelled presses. Raises TrainingError when that goes wrong."""
 
     @abstractmethod
-    def indentation(self, image: Image) -> NDArray[np.float32]:
+    def read(self, image: Image) -> tuple[Float32, Float32 | None]:
+        """Return the indentation (H, W), metres, and the slopes (H, W, 2), unitless, that it comes from, if any.
+
+        Where the gel is untouched the indentation is about 0.
+        """
+
+    def read_indentation(self, image: Image) -> Float32:
         """Return how far the gel is pressed in (H, W), metres, about 0 where it is untouched."""
+        return self.read(image)[0]
 
-    def read(self, image: Image) -> tuple[NDArray[np.float32], Float32 | None]:
-        """Return the indentation, and the slopes (H, W, 2), unitless, that it comes from, if there are any."""
-        return self.indentation(image), None
-
-    @abstractmethod
     def save(self, path: Path) -> None:
-        """Write what was learned to a safetensors file."""
+        """Write the network that was learned to a safetensors file."""
+        from safetensors.torch import save_file
 
-    @abstractmethod
+        tensors = self._network.state_dict().items()
+        save_file({name: tensor.detach().cpu().contiguous() for name, tensor in tensors}, path)
+
     def load(self, path: Path) -> None:
-        """Read what was learned. Raises WeightsError when the file is damaged or of another estimator."""
+        """Read the network. Raises WeightsError when the file is damaged or of another estimator."""
+        from safetensors import SafetensorError
+        from safetensors.torch import load_file
+
+        try:
+            self._network.load_state_dict(load_file(path))
+        except (SafetensorError, RuntimeError, OSError) as error:
+            reason = str(error).splitlines()[0]
+            raise WeightsError(
+                f"{path} cannot be read as the weights of a {self.name} estimator ({reason}); calibrate the sensor "
+                "again"
+            ) from error
 
 
-def estimator_class(name: str) -> type[GelEstimator]:
+def load_estimator(name: str) -> type[GelEstimator]:
     """Return the estimator called `name`. Raises CalibrationError for another, MissingLibraryError without torch."""
     if name not in ESTIMATORS:
         raise CalibrationError(
@@ -101,26 +118,26 @@ def estimator_class(name: str) -> type[GelEstimator]:
     return found
 
 
-def estimator_options(kind: type[GelEstimator], options: Mapping[str, Any]) -> ComponentOptions:
+def validate_estimator_options(kind: type[GelEstimator], options: Mapping[str, Any]) -> ComponentOptions:
     """Return an estimator's options. Raises ConfigError for unknown or ill-typed ones."""
     chosen: ComponentOptions = validate_options(kind.Options, options, f"estimator {kind.name!r}")
     return chosen
 
 
-def colour_difference(image: Image, background: Image) -> Float32:
+def scale_difference(image: Image, background: Image) -> Float32:
     """Return how an image (H, W, 3), or a part of it, differs from the untouched gel's (H, W, 3): about -1 to 1."""
     return (image.astype(np.float32) - background) / np.float32(COLOUR_STEP)
 
 
-def features(image: Image, background: Image, fixed: Float32) -> Float32:
+def stack_features(image: Image, background: Image, fixed: Float32) -> Float32:
     """Return what an estimator sees of an image (H, W, 3), or of a part of it: (H, W, PLANES), about -1 to 1.
 
     The colour's difference from the `background` (H, W, 3), and what no touch changes, `fixed` (H, W, 5).
     """
-    return np.concatenate([colour_difference(image, background), fixed], axis=-1)
+    return np.concatenate([scale_difference(image, background), fixed], axis=-1)
 
 
-def fixed_features(background: Image, geometry: SensorGeometry) -> Float32:
+def stack_fixed_features(background: Image, geometry: SensorGeometry) -> Float32:
     """Return what no touch changes, (H, W, 5): the smoothed background's colour, and the place; about -1 to 1."""
     from scipy.ndimage import gaussian_filter
 
@@ -129,24 +146,3 @@ def fixed_features(background: Image, geometry: SensorGeometry) -> Float32:
     height, width = geometry.shape
     y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
     return np.concatenate([colour, x[..., None], y[..., None]], axis=-1).astype(np.float32)
-
-
-def save_network(network: nn.Module, path: Path) -> None:
-    """Write a network's weights to a safetensors file."""
-    from safetensors.torch import save_file
-
-    save_file({name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}, path)
-
-
-def load_network(network: nn.Module, path: Path, name: str) -> None:
-    """Read weights into a network. Raises WeightsError when the file is damaged or of another estimator."""
-    from safetensors import SafetensorError
-    from safetensors.torch import load_file
-
-    try:
-        network.load_state_dict(load_file(path))
-    except (SafetensorError, RuntimeError, OSError) as error:
-        reason = str(error).splitlines()[0]
-        raise WeightsError(
-            f"{path} cannot be read as the weights of a {name} estimator ({reason}); calibrate the sensor again"
-        ) from error

@@ -3,33 +3,49 @@
 from __future__ import annotations
 
 import json
-import math
 import os
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from tactile_loc.calibration.estimator import GelEstimator, estimator_class, estimator_options
-from tactile_loc.calibration.health import Health, health, require_healthy
+from tactile_loc.calibration.estimator import GelEstimator, load_estimator, validate_estimator_options
+from tactile_loc.calibration.health import Health, measure_health, require_healthy
 from tactile_loc.calibration.labels import Image
-from tactile_loc.calibration.reading import press_depth_m, read_zero, require_image
+from tactile_loc.calibration.reading import measure_press_m, read_zero, require_image
 from tactile_loc.core.errors import CalibrationError, OutputError, SensorError, TouchError, named
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.imaging.optics import Optics
 from tactile_loc.io.images import read_colour_image, write_image
 from tactile_loc.io.sensor_files import CALIBRATION, read_sensor_file, write_sensor_file
-from tactile_loc.store.files import is_unfinished, read_json, recover_folder, replacing_folder
+from tactile_loc.store.files import guard_output, is_unfinished, read_json, recover_folder, replace_folder
 from tactile_loc.store.keys import hash_arrays, hash_file
 
 SCHEMA_VERSION = 1
 SENSOR, BACKGROUND, WEIGHTS = "sensor.toml", "background.png", "estimator.safetensors"
 PICTURE = "held-out.png"
 OURS = {SENSOR, "sensor_mask.png", "sensor_surface.npy", BACKGROUND, CALIBRATION, WEIGHTS, PICTURE}
+
+
+class _HealthRecord(BaseModel):
+    light: Annotated[float, Field(allow_inf_nan=False)] | None = None
+    unfit: Annotated[float, Field(allow_inf_nan=False)] | None = None
+
+
+class _Record(BaseModel):
+    """What of a calibration's record reading an image takes."""
+
+    model_config = ConfigDict(strict=True)
+
+    estimator: str
+    options: dict[str, Any]
+    noise_m: float
+    health: _HealthRecord | None = None
+    camera_px: Annotated[list[Annotated[int, Field(gt=0)]], Field(min_length=2, max_length=2)] = [1, 1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +70,7 @@ class Calibration:
     @cached_property
     def false_press_m(self) -> float:
         """How deep the untouched gel seems to be pressed in its own image, metres: as a touch would be, by error."""
-        return max(0.0, press_depth_m(self.estimator.read(self.untouched)[0], self.geometry))
+        return max(0.0, measure_press_m(self.estimator.read(self.untouched)[0], self.geometry))
 
     @property
     def camera_px(self) -> tuple[int, int]:
@@ -72,14 +88,14 @@ class Calibration:
     def estimator(self) -> GelEstimator:
         """The estimator with what it learned. Raises WeightsError, MissingLibraryError."""
         with named(self.folder / CALIBRATION):
-            kind = estimator_class(self.record["estimator"])
-            options = estimator_options(kind, self.record["options"])
+            kind = load_estimator(self.record["estimator"])
+            options = validate_estimator_options(kind, self.record["options"])
         estimator = kind(self.geometry, self.background, options)
         estimator.load(self.folder / WEIGHTS)
         estimator.untouched = self.untouched
         return estimator
 
-    def indentation(self, image: NDArray[Any]) -> NDArray[np.float32]:
+    def read_indentation(self, image: NDArray[Any]) -> NDArray[np.float32]:
         """Return how far the gel is pressed in (H, W), metres, of an image (H, W, 3) of the camera's or sensor's size.
 
         Raises TouchError for an image of another sensor, or of one that has changed; logs a warning if it has a little.
@@ -87,7 +103,7 @@ class Calibration:
         image = require_image(image, self.untouched, self.camera_px)
         indentation, slopes = self.estimator.read(image)
         if self.usual_health is not None:
-            require_healthy(health(image, self.untouched, slopes, self.geometry), self.usual_health)
+            require_healthy(measure_health(image, self.untouched, slopes, self.geometry), self.usual_health)
         return indentation
 
     @property
@@ -129,9 +145,16 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
         ) from error
     if not isinstance(record, dict) or record.get("schema_version") != SCHEMA_VERSION:
         raise CalibrationError(
-            f"{folder / CALIBRATION} is of another version of tactile-loc; calibrate the sensor again"
+            f"{folder / CALIBRATION} is of another version of tactile-loc; calibrate the sensor again with tactile-loc "
+            "calibrate"
         )
-    _require_record(record, folder / CALIBRATION)
+    try:
+        _Record(**record)
+    except ValidationError as error:
+        wrong = error.errors()[0]["loc"][0]
+        raise CalibrationError(
+            f"{folder / CALIBRATION} is damaged: {wrong} is missing or ill-typed; calibrate the sensor again"
+        ) from error
     if background is None or background.shape[:2] != geometry.shape:
         raise CalibrationError(
             f"{folder}: {BACKGROUND} does not have the size that {SENSOR} says; they belong to two sensors"
@@ -142,33 +165,10 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
     return replace(found, untouched=require_image(read_zero(zero), background, found.camera_px))
 
 
-def _require_record(record: dict[str, Any], path: Path) -> None:
-    """Refuse a record that does not say what reading an image takes."""
-    wanted: dict[str, Any] = {"estimator": str, "options": dict, "noise_m": (int, float)}
-    wrong = [key for key, kind in wanted.items() if not isinstance(record.get(key), kind)]
-    usual = record.get("health")
-    if usual is not None and not (isinstance(usual, dict) and _numbers(usual.get(n) for n in ("light", "unfit"))):
-        wrong.append("health")
-    camera = record.get("camera_px", [1, 1])
-    if not (isinstance(camera, list) and len(camera) == 2 and all(isinstance(v, int) and v > 0 for v in camera)):
-        wrong.append("camera_px")
-    if wrong:
-        raise CalibrationError(f"{path} is damaged: {wrong[0]} is missing or ill-typed; calibrate the sensor again")
-
-
-def _numbers(values: Iterable[Any]) -> bool:
-    return all(value is None or (isinstance(value, int | float) and math.isfinite(value)) for value in values)
-
-
 def require_replaceable(folder: Path) -> None:
     """Check that a calibrated sensor may be written to `folder`. Raises OutputError when it holds something else."""
-    if folder.exists() and not (folder.is_dir() and all(map(_is_ours, folder.iterdir()))):
+    if folder.exists() and not (folder.is_dir() and all(p.name in OURS or is_unfinished(p) for p in folder.iterdir())):
         raise OutputError(f"{folder} holds something else than a calibrated sensor; choose another --out")
-
-
-def _is_ours(path: Path) -> bool:
-    """Whether a calibration, or one that was killed, has written this."""
-    return path.name in OURS or is_unfinished(path)
 
 
 def write_calibration(
@@ -181,12 +181,9 @@ def write_calibration(
     require_replaceable(folder)
     options = estimator.options.model_dump(mode="json")
     whole = {"schema_version": SCHEMA_VERSION, "estimator": estimator.name, "options": options, **record}
-    try:
-        with replacing_folder(folder) as temporary:
-            write_sensor_file(temporary / SENSOR, geometry)
-            write_image(temporary / BACKGROUND, background)
-            estimator.save(temporary / WEIGHTS)
-            (temporary / CALIBRATION).write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{folder} cannot be written ({error.strerror or error}); choose another --out") from error
+    with guard_output(folder), replace_folder(folder) as temporary:
+        write_sensor_file(temporary / SENSOR, geometry)
+        write_image(temporary / BACKGROUND, background)
+        estimator.save(temporary / WEIGHTS)
+        (temporary / CALIBRATION).write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
     return folder

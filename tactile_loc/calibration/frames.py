@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.calibration.labels import Image
-from tactile_loc.calibration.reading import reduced
+from tactile_loc.calibration.reading import reduce_image
 from tactile_loc.core.errors import CalibrationError, TactileLocError
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_colour_image, write_image
-from tactile_loc.io.videos import VIDEO_SUFFIXES, video_frames
-from tactile_loc.store.files import replacing_folder
+from tactile_loc.io.videos import VIDEO_SUFFIXES, read_video
+from tactile_loc.store.files import replace_folder
 
 SHEET = "labels.png"
 THUMBNAIL_PX = 64  # longer side
@@ -48,25 +48,25 @@ def read_frames(source: Path) -> tuple[Path, list[Frame]]:
         raise CalibrationError(f"there is no {source}; give a folder with images of presses, or a video")
     if os.path.isfile(source):
         folder = take_frames(source)
-        return folder, _of_one_size(_pictures(folder, folder), folder)
-    frames = list(_pictures(source, source))
-    for video in _files(source, VIDEO_SUFFIXES):
-        frames += _pictures(take_frames(video), source)
-    return source, _of_one_size(frames, source)
+        return folder, _require_one_size(_read_pictures(folder, folder), folder)
+    frames = list(_read_pictures(source, source))
+    for video in _list_files(source, VIDEO_SUFFIXES):
+        frames += _read_pictures(take_frames(video), source)
+    return source, _require_one_size(frames, source)
 
 
-def picture_names(folder: Path) -> set[str]:
+def list_pictures(folder: Path) -> set[str]:
     """Return the names of the pictures in a folder, but for the sheet of labels."""
-    return {path.name for path in _files(folder, IMAGE_SUFFIXES)}
+    return {path.name for path in _list_files(folder, IMAGE_SUFFIXES)}
 
 
-def _files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
+def _list_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
     found = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file()]
     return sorted(path for path in found if path.name != SHEET and not path.name.startswith("."))
 
 
-def _pictures(folder: Path, root: Path) -> Iterator[Frame]:
-    for path in _files(folder, IMAGE_SUFFIXES):
+def _read_pictures(folder: Path, root: Path) -> Iterator[Frame]:
+    for path in _list_files(folder, IMAGE_SUFFIXES):
         try:
             image = read_colour_image(path)
         except TactileLocError as error:
@@ -76,7 +76,7 @@ def _pictures(folder: Path, root: Path) -> Iterator[Frame]:
         yield Frame(path.relative_to(root).as_posix(), image)
 
 
-def _of_one_size(frames: Iterable[Frame], folder: Path) -> list[Frame]:
+def _require_one_size(frames: Iterable[Frame], folder: Path) -> list[Frame]:
     found = list(frames)
     if not found:
         raise CalibrationError(f"there is no image in {folder}; give photos of presses, PNG or JPEG, or a video")
@@ -94,30 +94,30 @@ def take_frames(video: Path) -> Path:
     A folder of that name that is there already is left as it is. Raises CalibrationError when the video cannot be read,
     or never changes.
     """
-    folder = frames_folder(video)
+    folder = name_frames_folder(video)
     if folder.is_dir():
         return folder
-    thumbnails = np.stack([_thumbnail(image) for image in video_frames(video)])
+    thumbnails = np.stack([_shrink(image) for image in read_video(video)])
     chosen = set(choose_frames(thumbnails))
     if not chosen:
         raise CalibrationError(f"{video} shows no touch: its frames hardly differ; film the ball while it is pressed")
     digits = len(str(len(thumbnails)))
-    with replacing_folder(folder, fresh=True) as temporary:
-        for number, image in enumerate(video_frames(video)):
+    with replace_folder(folder, fresh=True) as temporary:
+        for number, image in enumerate(read_video(video)):
             if number in chosen:
                 write_image(temporary / f"{number:0{digits}d}.png", image)
     return folder
 
 
-def frames_folder(video: Path) -> Path:
+def name_frames_folder(video: Path) -> Path:
     """Return the folder that the chosen frames of a video are kept in."""
     return video.with_name(f"{video.stem}-frames")
 
 
-def _thumbnail(image: Image) -> Frames:
+def _shrink(image: Image) -> Frames:
     step = max(1.0, max(image.shape[:2]) / THUMBNAIL_PX)
     shape = (max(1, round(image.shape[0] / step)), max(1, round(image.shape[1] / step)))
-    return reduced(image, shape).astype(np.float32)
+    return reduce_image(image, shape).astype(np.float32)
 
 
 def choose_frames(thumbnails: Frames) -> list[int]:
@@ -127,8 +127,8 @@ def choose_frames(thumbnails: Frames) -> list[int]:
     frame is that of the most change. Nothing is chosen when no frame stands out from the rest.
     """
     typical = np.median(thumbnails[:: max(1, len(thumbnails) // 200)], axis=0)
-    nearest = np.argsort(_changes(thumbnails, typical))[: max(1, round(QUIET * len(thumbnails)))]
-    change = _changes(thumbnails, np.median(thumbnails[nearest], axis=0))
+    nearest = np.argsort(_measure_changes(thumbnails, typical))[: max(1, round(QUIET * len(thumbnails)))]
+    change = _measure_changes(thumbnails, np.median(thumbnails[nearest], axis=0))
     low, high = float(np.quantile(change, 0.05)), float(change.max())
     if high < 2 * low + 1:
         return []
@@ -139,6 +139,6 @@ def choose_frames(thumbnails: Frames) -> list[int]:
     return sorted({*deepest, *np.argsort(change)[:MOST_UNTOUCHED].tolist()})
 
 
-def _changes(thumbnails: Frames, reference: Frames) -> NDArray[np.float64]:
+def _measure_changes(thumbnails: Frames, reference: Frames) -> NDArray[np.float64]:
     """How much each frame (N, h, w, 3) differs from an image (h, w, 3): root mean square, counts."""
     return np.sqrt(((thumbnails - reference) ** 2).mean(axis=(1, 2, 3), dtype=np.float64))

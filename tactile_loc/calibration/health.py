@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from tactile_loc.calibration.labels import Float32, Image
-from tactile_loc.calibration.surface import integrate
+from tactile_loc.calibration.surface import differentiate, integrate
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
@@ -40,16 +40,16 @@ class Health:
     light: float
     unfit: float
 
-    def figure(self, usual: Health) -> float:
+    def compare(self, usual: Health) -> float:
         """Return how many times as far off this is as the calibration's worst press, `usual`; the worse of both."""
-        return float(np.fmax(self._light_ratio(usual), self.unfit / np.fmax(usual.unfit, LEAST_UNFIT)))
+        return float(np.fmax(self._compare_light(usual), self.unfit / np.fmax(usual.unfit, LEAST_UNFIT)))
 
-    def _light_ratio(self, usual: Health) -> float:
+    def _compare_light(self, usual: Health) -> float:
         return self.light / max(usual.light, LEAST_LIGHT)
 
-    def reason(self, usual: Health) -> str:
+    def explain(self, usual: Health) -> str:
         """Return which of both is the worse, in words."""
-        return "the light has changed" if self._light_ratio(usual) >= self.figure(usual) else "no surface looks so"
+        return "the light has changed" if self._compare_light(usual) >= self.compare(usual) else "no surface looks so"
 
     def record(self) -> dict[str, float | None]:
         """Return it as JSON values."""
@@ -61,28 +61,26 @@ class Health:
         return cls(*(np.nan if record[name] is None else float(record[name]) for name in ("light", "unfit")))
 
 
-def health(image: Image, untouched: Image, slopes: Float32 | None, geometry: SensorGeometry) -> Health:
+def measure_health(image: Image, untouched: Image, slopes: Float32 | None, geometry: SensorGeometry) -> Health:
     """Return the health of an image (H, W, 3), of whose gel `slopes` (H, W, 2) were read, if any were."""
     from scipy.ndimage import gaussian_filter
 
     difference = np.moveaxis(image.astype(np.float32) - untouched, -1, 0)
     smooth = np.stack([gaussian_filter(plane, SMOOTHING_PX) for plane in difference])
     light = float(np.quantile(np.abs(smooth).max(axis=0)[::2, ::2], QUIETEST))
-    return Health(light, np.nan if slopes is None else _unfit(slopes, geometry))
+    return Health(light, np.nan if slopes is None else _measure_unfit(slopes, geometry))
 
 
-def _unfit(slopes: Float32, geometry: SensorGeometry) -> float:
+def _measure_unfit(slopes: Float32, geometry: SensorGeometry) -> float:
     """The share of the steep slopes (H, W, 2) that the nearest surface does not have."""
     steep = np.hypot(slopes[..., 0], slopes[..., 1]) > STEEP
     if np.count_nonzero(steep) < FEWEST_STEEP * steep.size:
         return float(np.nan)
-    sx, sy = geometry.scale_at_surface
-    down, across = np.gradient(integrate(slopes, geometry))
-    off = np.stack([across * sx, down * sy], axis=-1)[steep] - slopes[steep]
+    off = differentiate(integrate(slopes, geometry), geometry)[steep] - slopes[steep]
     return float(np.sqrt(np.sum(off**2) / np.sum(slopes[steep] ** 2, dtype=float)))
 
 
-def worst(presses: Iterable[Health]) -> Health:
+def find_worst(presses: Iterable[Health]) -> Health:
     """Return the worst of each of several presses."""
     lights, unfits = zip(*((one.light, one.unfit) for one in presses), strict=True)
     known = [value for value in unfits if np.isfinite(value)]
@@ -94,11 +92,11 @@ def require_healthy(found: Health, usual: Health) -> None:
 
     Raises TouchError.
     """
-    figure = found.figure(usual)
+    figure = found.compare(usual)
     if figure <= WARNED:
         return
     said = (
-        f"{figure:.1f} times as far off as the calibration's worst press ({found.reason(usual)}): a worn gel, a moved "
+        f"{figure:.1f} times as far off as the calibration's worst press ({found.explain(usual)}): a worn gel, a moved "
         "lamp, or another sensor? Give a new image of the untouched gel (--zero), or calibrate again"
     )
     if figure > REFUSED:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.calibration.surface import differentiate
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.scene import Scene
@@ -43,7 +44,7 @@ class PressLabel:
     absolute: bool = True
 
 
-def ball_label(
+def label_ball(
     geometry: SensorGeometry, centre_px: tuple[float, float], radius_px: float, ball_radius_m: float
 ) -> PressLabel:
     """Return the label of a ball whose visible circle has its centre (x, y) and radius in pixels of the image.
@@ -74,39 +75,31 @@ def ball_label(
     y = ((np.arange(height) + 0.5 - centre_px[1]) / sy)[:, None]
     rho2 = x**2 + y**2
     contact = rho2 < r**2
-    gel = _gel_slopes(geometry)
+    relief_m = np.zeros(geometry.shape) if geometry.relief_m is None else geometry.relief_m.astype(float)
+    gel = differentiate(relief_m, geometry)
     tilt_x, tilt_y = gel[contact].mean(axis=0) if contact.any() else np.zeros(2)
     length = np.sqrt(1 + tilt_x**2 + tilt_y**2)
     x, y = x + R * tilt_x / length, y + R * tilt_y / length
-    below = _below_middle(x**2 + y**2, R)
+    below = _measure_below(x**2 + y**2, R)
     pushed = below if geometry.relief_m is None else below + geometry.relief_m
-    rim = np.sqrt(R**2 - r**2) if geometry.relief_m is None else _rim(pushed, rho2, r, geometry.pixel_pitch_m)
+    rim = np.sqrt(R**2 - r**2) if geometry.relief_m is None else _average_rim(pushed, rho2, r, geometry.pixel_pitch_m)
     indentation = np.where(contact, pushed - rim, 0.0).astype(np.float32)
     slope = (gel + np.stack([-x / below, -y / below], axis=-1)) * contact[..., None]
     return PressLabel(indentation, slope.astype(np.float32), contact, contact | (rho2 > (SKIRT * r) ** 2), False)
 
 
-def _gel_slopes(geometry: SensorGeometry) -> NDArray[np.float64]:
-    """How steep the undeformed gel is along x and y (H, W, 2), unitless."""
-    if geometry.relief_m is None:
-        return np.zeros((*geometry.shape, 2))
-    sx, sy = geometry.scale_at_surface
-    down, across = np.gradient(geometry.relief_m.astype(float))
-    return np.stack([sx * across, sy * down], axis=-1)
-
-
-def _rim(pushed_m: NDArray[np.float64], rho2: NDArray[np.float64], r: float, width_m: float) -> float:
+def _average_rim(pushed_m: NDArray[np.float64], rho2: NDArray[np.float64], r: float, width_m: float) -> float:
     """The mean (metres) of what is pushed in (H, W) along a circle of radius r, `width_m` to either side of it."""
     along = np.abs(np.sqrt(rho2) - r) < width_m
     return float(pushed_m[along].mean()) if along.any() else 0.0
 
 
-def _below_middle(rho2: NDArray[np.float64], R: float) -> NDArray[np.float64]:
+def _measure_below(rho2: NDArray[np.float64], R: float) -> NDArray[np.float64]:
     """How far a ball's surface is below its middle where that is rho away; nowhere upright. Metres."""
     return np.asarray(np.sqrt(np.maximum(R**2 - rho2, (R * (1 - STEEPEST)) ** 2)))
 
 
-def mesh_label(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> PressLabel:
+def label_mesh(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> PressLabel:
     """Return the label of the scene's object at a pose (4, 4), brought to contact and pressed `press_depth_m` metres.
 
     Raises CalibrationError when the object does not touch the sensor there, or is not pressed in.
@@ -116,26 +109,17 @@ def mesh_label(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m
     shape = scene.contact_shape(T_sensor_object, press_depth_m)
     if not shape.contact.any():
         raise CalibrationError(f"{scene.object.name} does not touch the sensor at this pose; check it")
-    return surface_label(np.where(shape.contact, press_depth_m - shape.depth_m, 0.0), shape.contact, scene.geometry)
+    return label_surface(np.where(shape.contact, press_depth_m - shape.depth_m, 0.0), shape.contact, scene.geometry)
 
 
-def surface_label(indentation_m: NDArray[np.floating], contact: Mask, geometry: SensorGeometry) -> PressLabel:
+def label_surface(indentation_m: NDArray[np.floating], contact: Mask, geometry: SensorGeometry) -> PressLabel:
     """Return the label of an indentation (H, W), metres, that is known where there is contact (H, W)."""
     from scipy.ndimage import binary_erosion, distance_transform_edt
 
-    sx, sy = geometry.scale_at_surface
-    down, across = np.gradient(indentation_m)
-    slope = np.stack([across * sx, down * sy], axis=-1).astype(np.float32)
+    slope = differentiate(indentation_m, geometry).astype(np.float32)
     away_m = distance_transform_edt(~contact) * geometry.pixel_pitch_m
     inside = binary_erosion(contact)  # where the slope is not half that of the step at the border
     return PressLabel(np.asarray(indentation_m, np.float32), slope, contact, inside | (away_m > SKIRT_M))
-
-
-def untouched_label(geometry: SensorGeometry) -> PressLabel:
-    """Return the label of an image without contact."""
-    nothing = np.zeros(geometry.shape, np.float32)
-    none = np.zeros(geometry.shape, bool)
-    return PressLabel(nothing, np.zeros((*geometry.shape, 2), np.float32), none, ~none)
 
 
 class LabelledPresses(ABC):
@@ -146,16 +130,16 @@ class LabelledPresses(ABC):
         """Return the number of presses."""
 
     @abstractmethod
-    def press(self, number: int) -> tuple[Image, PressLabel]:
+    def read_press(self, number: int) -> tuple[Image, PressLabel]:
         """Return an image (H, W, 3) and what is known of the gel in it."""
 
     def name(self, number: int) -> str:
         """Return what people know a press by."""
         return f"press {number}"
 
-    def presses(self) -> Iterator[tuple[Image, PressLabel]]:
+    def read_presses(self) -> Iterator[tuple[Image, PressLabel]]:
         """Yield every press."""
-        return (self.press(number) for number in range(len(self)))
+        return (self.read_press(number) for number in range(len(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,9 +153,9 @@ class Chosen(LabelledPresses):
         """Return the number of presses."""
         return len(self.numbers)
 
-    def press(self, number: int) -> tuple[Image, PressLabel]:
+    def read_press(self, number: int) -> tuple[Image, PressLabel]:
         """Return an image (H, W, 3) and what is known of the gel in it."""
-        return self.whole.press(self.numbers[number])
+        return self.whole.read_press(self.numbers[number])
 
     def name(self, number: int) -> str:
         """Return what people know a press by."""

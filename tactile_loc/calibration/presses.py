@@ -9,23 +9,23 @@ import csv
 import math
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tactile_loc.calibration.labels import STEEPEST, Image, LabelledPresses, PressLabel, ball_label, mesh_label
-from tactile_loc.calibration.reading import reduced
+from tactile_loc.calibration.labels import STEEPEST, Image, LabelledPresses, PressLabel, label_ball, label_mesh
+from tactile_loc.calibration.reading import reduce_image
 from tactile_loc.core.errors import CalibrationError, TactileLocError
 from tactile_loc.core.geometry.rigid import make_transform
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene
-from tactile_loc.io.arrays import load_npz
-from tactile_loc.io.images import read_colour_image, write_image
+from tactile_loc.io.images import load_npz, read_colour_image, write_image
 from tactile_loc.io.meshes import load_object
+from tactile_loc.io.toml import format_toml
+from tactile_loc.store.files import write_atomically
 
 TABLE, SENSOR = "presses.csv", "sensor.toml"
 KINDS = {
@@ -38,6 +38,7 @@ SAME_SHAPE = 0.01  # by which the sides of a smaller image may be off
 FOR_MEDIAN = 9  # presses at different places, at least, for their median to show the untouched gel
 CONVERTED = ("image", "kind", "center_x_px", "center_y_px", "radius_px", "ball_radius_mm")  # of a public set's table
 DEEPEST_MM = 1.5  # what the deepest press of a public set is taken for
+Rows = Iterable[tuple[str, tuple[float, float, float] | None]]  # images' names, and circles: x, y, radius
 HALF = 0.5  # public sets count pixels from the centre of the first; tactile-loc from its corner
 
 
@@ -58,7 +59,7 @@ class Row:
             raise CalibrationError("mesh is missing; a mesh press needs the path of its mesh, relative to the table")
         return self.folder / self.values["mesh"]
 
-    def number(self, column: str) -> float:
+    def read_number(self, column: str) -> float:
         """Return a column's value. Raises CalibrationError when it is missing or no finite number."""
         text = self.values.get(column, "")
         try:
@@ -83,12 +84,13 @@ class PressFolder(LabelledPresses):
     background: Image
     geometry: SensorGeometry
     camera: SensorGeometry
+    _scenes: dict[tuple[Path, str], Scene] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
         """Return the number of presses."""
         return len(self.rows)
 
-    def press(self, number: int) -> tuple[Image, PressLabel]:
+    def read_press(self, number: int) -> tuple[Image, PressLabel]:
         """Return an image (H, W, 3) and its label. Raises CalibrationError that names the row when it cannot be so."""
         return self.images[number], self.label(number)
 
@@ -100,44 +102,40 @@ class PressFolder(LabelledPresses):
         """Return the label of a press."""
         row = self.rows[number]
         try:
-            return self._ball(row) if row.kind == "ball" else self._mesh(row)
+            return self._label_ball(row) if row.kind == "ball" else self._label_mesh(row)
         except TactileLocError as error:
             if str(error).startswith(row.where):
                 raise
             raise CalibrationError(f"{row.where}: {error}") from error
 
-    def circle(self, number: int) -> tuple[tuple[float, float], float, float]:
+    def place_circle(self, number: int) -> tuple[tuple[float, float], float, float]:
         """Return the centre (x, y) of a ball's visible circle, its radius and the ball's, metres, on the surface."""
-        (x, y), radius_px, ball_m = self._circle_px(self.rows[number])
+        (x, y), radius_px, ball_m = self._scale_circle(self.rows[number])
         sx, sy = self.geometry.scale_at_surface
         centre_m = (x - self.geometry.cx) / sx, (y - self.geometry.cy) / sy
         return centre_m, radius_px * self.geometry.pixel_pitch_m, ball_m
 
-    def _circle_px(self, row: Row) -> tuple[tuple[float, float], float, float]:
-        x, y, radius, ball_mm = (row.number(column) for column in KINDS["ball"])
+    def _scale_circle(self, row: Row) -> tuple[tuple[float, float], float, float]:
+        x, y, radius, ball_mm = (row.read_number(column) for column in KINDS["ball"])
         (rows, columns), (height, width) = self.geometry.shape, self.camera.shape
         radius_px = radius * self.camera.pixel_pitch_m / self.geometry.pixel_pitch_m
         return (x * columns / width, y * rows / height), radius_px, 1e-3 * ball_mm
 
-    def _ball(self, row: Row) -> PressLabel:
-        return ball_label(self.geometry, *self._circle_px(row))
+    def _label_ball(self, row: Row) -> PressLabel:
+        return label_ball(self.geometry, *self._scale_circle(row))
 
-    def _mesh(self, row: Row) -> PressLabel:
+    def _label_mesh(self, row: Row) -> PressLabel:
         from scipy.spatial.transform import Rotation
 
-        scene = self._scene(row.mesh, row.values.get("units") or "auto")
-        angles = [row.number(f"{name}_deg") for name in ("yaw", "pitch", "roll")]
+        scene = self._load_scene(row.mesh, row.values.get("units") or "auto")
+        angles = [row.read_number(f"{name}_deg") for name in ("yaw", "pitch", "roll")]
         T = make_transform(
             Rotation.from_euler("ZYX", angles, degrees=True).as_matrix(),
-            [1e-3 * row.number("x_mm"), 1e-3 * row.number("y_mm"), 0.0],
+            [1e-3 * row.read_number("x_mm"), 1e-3 * row.read_number("y_mm"), 0.0],
         )
-        return mesh_label(scene, T, 1e-3 * row.number("press_mm"))
+        return label_mesh(scene, T, 1e-3 * row.read_number("press_mm"))
 
-    @cached_property
-    def _scenes(self) -> dict[tuple[Path, str], Scene]:
-        return {}
-
-    def _scene(self, path: Path, units: Any) -> Scene:
+    def _load_scene(self, path: Path, units: Any) -> Scene:
         key = (path, units)
         if key not in self._scenes:
             renderer = registry().create("renderer", "heightmap", {})
@@ -157,9 +155,9 @@ def read_presses(
     wrong, naming the row.
     """
     table = folder / TABLE
-    geometry = camera if size_px is None else _smaller(camera, size_px)
+    geometry = camera if size_px is None else _shrink_sensor(camera, size_px)
     rows = _read_table(table)
-    images = {row: reduced(_read_image(row, camera), geometry.shape) for row in rows}
+    images = {row: reduce_image(_read_image(row, camera), geometry.shape) for row in rows}
     unpressed = [image for row, image in images.items() if row.kind == "background"]
     pressed = tuple(row for row in rows if row.kind != "background")
     if not pressed:
@@ -184,7 +182,7 @@ def read_presses(
     return presses
 
 
-def reading_size_px(camera: SensorGeometry) -> tuple[int, int]:
+def choose_size_px(camera: SensorGeometry) -> tuple[int, int]:
     """Return the size (width, height) to which a camera's images are reduced for reading: whole pixels are merged.
 
     Of a gel some 20 mm wide a tenth of a millimetre is seen then.
@@ -193,7 +191,7 @@ def reading_size_px(camera: SensorGeometry) -> tuple[int, int]:
     return round(camera.width_px / merged), round(camera.height_px / merged)
 
 
-def _smaller(camera: SensorGeometry, size_px: tuple[int, int]) -> SensorGeometry:
+def _shrink_sensor(camera: SensorGeometry, size_px: tuple[int, int]) -> SensorGeometry:
     """The sensor at a smaller image size (width, height). Raises CalibrationError for another shape or a larger one."""
     width, height = size_px
     shares = width / camera.width_px, height / camera.height_px
@@ -221,19 +219,20 @@ def _read_table(table: Path) -> list[Row]:
         raise CalibrationError(
             f"{table} has no column {' and no column '.join(sorted(missing))}; its first line names them"
         )
-    return [_row(line, f"{table}, line {number}", table.parent) for number, line in lines]
+    return [_parse_row(line, f"{table}, line {number}", table.parent) for number, line in lines]
 
 
-def table_summary(folder: Path) -> tuple[set[str], set[float]]:
+def summarize_table(folder: Path) -> tuple[set[str], set[float]]:
     """Return the paths of the images that a folder's table lists, and the radii of its balls, mm.
 
     Raises CalibrationError when it cannot be read.
     """
     rows = _read_table(folder / TABLE)
-    return {row.values["image"] for row in rows}, {row.number(KINDS["ball"][-1]) for row in rows if row.kind == "ball"}
+    radii_mm = {row.read_number(KINDS["ball"][-1]) for row in rows if row.kind == "ball"}
+    return {row.values["image"] for row in rows}, radii_mm
 
 
-def _row(line: dict[str, str | None], where: str, folder: Path) -> Row:
+def _parse_row(line: dict[str, str | None], where: str, folder: Path) -> Row:
     values = {key: (value or "").strip() for key, value in line.items() if key and not isinstance(value, list)}
     image, kind = values["image"], values["kind"]
     if not image:
@@ -271,23 +270,34 @@ def convert(source: Path, out: Path, format: str, ball_radius_mm: float, mm_per_
     if format not in FORMATS:
         raise CalibrationError(f"there is no format {format!r}; give one of {', '.join(FORMATS)}")
     out.mkdir(parents=True, exist_ok=True)
-    largest = np.floor(1e3 * STEEPEST * ball_radius_mm / mm_per_px) / 1e3
     try:
-        rows = list(FORMATS[format](source, out))
+        found = FORMATS[format](source, out)
+        rows = [(image, None if c is None else (c[0] + HALF, c[1] + HALF, c[2])) for image, c in found]
     except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
         raise CalibrationError(f"{source} cannot be read as a set in the format {format} ({error})") from error
     if all(circle is None for _, circle in rows):
         raise CalibrationError(f"{source} holds no press in the format {format}")
-    with (out / TABLE).open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(CONVERTED)
-        for image, circle in rows:
-            if circle is None:
-                writer.writerow([image, "background"])
-                continue
-            x, y, radius = circle
-            writer.writerow([image, "ball", x + HALF, y + HALF, min(radius, largest), ball_radius_mm])
-    return out / TABLE
+    return write_table(out / TABLE, rows, ball_radius_mm, mm_per_px)
+
+
+def write_table(table: Path, rows: Rows, ball_radius_mm: float, mm_per_px: float) -> Path:
+    """Write a table of images, atomically: with a ball's circle (x, y, radius), pixels, or of the untouched gel.
+
+    Circles larger than the ball are cut to the largest that it can make. Raises OutputError when the disk refuses.
+    """
+    largest = np.floor(1e3 * STEEPEST * ball_radius_mm / mm_per_px) / 1e3
+    lines: list[tuple[object, ...]] = [CONVERTED]
+    for image, circle in rows:
+        if circle is None:
+            lines.append((image, "background"))
+        else:
+            lines.append((image, "ball", circle[0], circle[1], min(circle[2], largest), ball_radius_mm))
+
+    def write(path: Path) -> None:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows(lines)
+
+    return write_atomically(table, write)
 
 
 def write_sensor(folder: Path, mm_per_px: float) -> Path:
@@ -305,33 +315,23 @@ def write_sensor(folder: Path, mm_per_px: float) -> Path:
 
 def write_scale(folder: Path, shape: tuple[int, int], mm_per_px: float) -> Path:
     """Describe a sensor by the size (rows, columns) and the scale of its images, `sensor.toml`; return its path."""
-    height, width = shape
-    lines = [
-        'camera = "orthographic"',
-        f"image_size_px = [{width}, {height}]",
-        f"mm_per_px = {float(mm_per_px)}",
-        f"max_depth_mm = {DEEPEST_MM}",
-    ]
+    scale = {"mm_per_px": float(mm_per_px), "max_depth_mm": DEEPEST_MM}
     path = folder / SENSOR
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    path.write_text(format_toml({"camera": "orthographic", "image_size_px": shape[::-1], **scale}), encoding="utf-8")
     return path
 
 
-Circle = tuple[float, float, float]
-Rows = Iterable[tuple[str, Circle | None]]
-
-
-def _gs_sdk(source: Path, out: Path) -> Rows:
+def _read_gs_sdk(source: Path, out: Path) -> Rows:
     """gs_sdk: background.png, and a folder a press with gelsight.png and label.npz (center, radius)."""
-    yield _link(source / "background.png", out, "background.png"), None
+    yield _copy_image(source / "background.png", out, "background.png"), None
     for label in sorted(source.glob("*/label.npz"), key=lambda path: (len(path.parent.name), path.parent.name)):
         values = load_npz(label)
         x, y = map(float, values["center"])
         circle = (x, y, float(values["radius"]))
-        yield _link(label.with_name("gelsight.png"), out, f"{label.parent.name}.png"), circle
+        yield _copy_image(label.with_name("gelsight.png"), out, f"{label.parent.name}.png"), circle
 
 
-def _taxim(source: Path, out: Path) -> Rows:
+def _read_taxim(source: Path, out: Path) -> Rows:
     """Taxim: a data pack (npz) with imgs, f0, touch_center and touch_radius."""
     pack = load_npz(source)
     pack |= {name: pack[name].astype(np.uint8) for name in ("imgs", "f0")}
@@ -342,20 +342,20 @@ def _taxim(source: Path, out: Path) -> Rows:
         yield write_image(out / f"{number:04d}.png", image).name, (float(centre[0]), float(centre[1]), float(radius))
 
 
-def _fots(source: Path, out: Path) -> Rows:
+def _read_fots(source: Path, out: Path) -> Rows:
     """FOTS: gelsight/*.png and csv/annotate.csv (img_names, center_x, center_y, radius); no untouched gel."""
     with (source / "csv" / "annotate.csv").open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
             name = Path(row["img_names"]).name
             circle = (float(row["center_x"]), float(row["center_y"]), float(row["radius"]))
-            yield _link(source / "gelsight" / name, out, name), circle
+            yield _copy_image(source / "gelsight" / name, out, name), circle
 
 
-def _circles(source: Path, out: Path) -> Rows:
+def _read_circles(source: Path, out: Path) -> Rows:
     """A text file of lines `image (x, y) radius`, and background_real.png or background.png."""
     for name in ("background.png", "background_real.png"):
         if (source / name).is_file():
-            yield _link(source / name, out, name), None
+            yield _copy_image(source / name, out, name), None
     tables = sorted(source.glob("labels*.txt"))
     if len(tables) != 1:
         raise ValueError(f"it has {len(tables)} files labels*.txt; it must have one")
@@ -364,18 +364,18 @@ def _circles(source: Path, out: Path) -> Rows:
         if found is None:
             raise ValueError(f"{tables[0].name} has the line {line!r}; each must be: image (x, y) radius")
         name, x, y, radius = found.groups()
-        yield _link(source / name, out, name), (float(x), float(y), float(radius))
+        yield _copy_image(source / name, out, name), (float(x), float(y), float(radius))
 
 
 FORMATS: dict[str, Callable[[Path, Path], Rows]] = {
-    "gs_sdk": _gs_sdk,
-    "taxim": _taxim,
-    "fots": _fots,
-    "circles": _circles,
+    "gs_sdk": _read_gs_sdk,
+    "taxim": _read_taxim,
+    "fots": _read_fots,
+    "circles": _read_circles,
 }
 
 
-def _link(image: Path, out: Path, name: str) -> str:
+def _copy_image(image: Path, out: Path, name: str) -> str:
     """Put an image into the folder under a name."""
     (out / name).write_bytes(image.read_bytes())
     return name

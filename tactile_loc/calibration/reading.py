@@ -27,7 +27,7 @@ BLACK, WHITE = 8, 253  # counts of 255
 STRANGE = 22  # counts by which half the image may differ from the untouched gel's; presses do by 2 to 19
 
 
-def reduced(image: Image, shape: tuple[int, int]) -> Image:
+def reduce_image(image: Image, shape: tuple[int, int]) -> Image:
     """Return an image (H, W, 3) at a smaller size (rows, columns): each pixel is the mean of what it covers."""
     from PIL import Image as Picture
 
@@ -39,7 +39,7 @@ def reduced(image: Image, shape: tuple[int, int]) -> Image:
 def require_image(image: NDArray[Any], background: Image, camera_px: tuple[int, int] | None = None) -> Image:
     """Return an image that can be this sensor's, as large as `background` (H, W, 3), that of the untouched gel.
 
-    One of the camera's own size `camera_px` (rows, columns) is `reduced` to it. Raises TouchError for another size or
+    One of the camera's own size `camera_px` (rows, columns) is reduced to it. Raises TouchError for another size or
     type, or what no gel looks like: all black, mostly saturated, or altogether unlike the background.
     """
     image = np.asarray(image)
@@ -48,7 +48,7 @@ def require_image(image: NDArray[Any], background: Image, camera_px: tuple[int, 
             f"the image is {image.dtype} of shape {image.shape}; it must be colour, (H, W, 3) of 8 bits; convert it"
         )
     if image.shape[:2] == camera_px:
-        image = reduced(image, background.shape[:2])
+        image = reduce_image(image, background.shape[:2])
     if image.shape != background.shape:
         sizes = (image.shape, background.shape, camera_px or background.shape)
         got, want, own = (f"{shape[1]} x {shape[0]}" for shape in sizes)
@@ -78,14 +78,14 @@ def read_zero(path: Path) -> Image:
     return image
 
 
-def press_depth_m(indentation_m: NDArray[np.float32], geometry: SensorGeometry) -> float:
+def measure_press_m(indentation_m: NDArray[np.float32], geometry: SensorGeometry) -> float:
     """Return how deep the gel is pressed in, metres: at the border of the deepest TIP_M x TIP_M of (H, W)."""
     pixels = max(1, round((TIP_M / geometry.pixel_pitch_m) ** 2))
     observed = np.sort(indentation_m[geometry.observed_mask])
     return float(observed[-min(pixels, len(observed))])
 
 
-def contact_shape(
+def find_contact_shape(
     indentation_m: NDArray[np.float32], geometry: SensorGeometry, noise_m: float, sees_skirt: bool = True,
     false_press_m: float = 0.0,
 ) -> ContactShape:  # fmt: skip
@@ -93,12 +93,12 @@ def contact_shape(
 
     Untouched, the gel seems to be pressed by `false_press_m` metres.
     The object is where the gel is, except at the skirt, where the gel hangs from the contact's edge to its untouched
-    surface: `in_contact` tells them apart. The shape is cut at a lighter press, which leaves as much contact: a steep
+    surface: `find_contact` tells them apart. The shape is cut at a lighter press, which leaves as much contact: a steep
     edge is then where it is, and a ball's imprint as wide as at that press; how deep the object really was is its
     indentation. An indentation that is of the contact alone
     (`sees_skirt` False) is cut where it stands out of the noise. Raises TouchError when the gel is not pressed in.
     """
-    press = press_depth_m(indentation_m, geometry)
+    press = measure_press_m(indentation_m, geometry)
     least = max(LEAST_M, ABOVE_NOISE * noise_m, min(ABOVE_FALSE * false_press_m, MOST_FALSE_M))
     if press < least:
         raise NoContactError(
@@ -110,7 +110,7 @@ def contact_shape(
         contact = geometry.observed_mask & (indentation_m > least)
         depth = np.maximum(np.float32(press) - indentation_m, 0)
         return ContactShape(np.where(contact, depth, press).astype(np.float32), press)
-    contact = in_contact(indentation_m, press, geometry)
+    contact = find_contact(indentation_m, press, geometry)
     observed = np.sort(indentation_m[geometry.observed_mask])
     pixels = min(int(np.count_nonzero(contact)), len(observed) - 1)
     level = float(observed[-pixels - 1])  # as many are deeper
@@ -122,7 +122,7 @@ def contact_shape(
     return ContactShape(np.where(contact, depth, cut).astype(np.float32), float(cut), press)
 
 
-def in_contact(indentation_m: NDArray[np.float32], press_m: float, geometry: SensorGeometry) -> NDArray[np.bool_]:
+def find_contact(indentation_m: NDArray[np.float32], press_m: float, geometry: SensorGeometry) -> NDArray[np.bool_]:
     """Mark (H, W) where the gel lies on the object, and does not hang down from it, of an indentation (H, W), metres.
 
     At a contact's rim the gel bends over it; where it hangs it is steep, and straight or bent the other way. The border

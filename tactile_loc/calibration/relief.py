@@ -54,13 +54,13 @@ def learn_relief(presses: PressFolder, seed: int = 0, progress: Progress | None 
             f"there are {len(balls)} presses of a ball; the surface of a curved gel needs {FEWEST} at least, at places "
             "all over it"
         )
-    pixels = _pixels(presses, balls, np.random.default_rng(seed))
-    coefficients = _fitted(pixels, seed, progress or Progress())
-    relief_m = _powers(presses.geometry) @ coefficients * UNIT_M
+    pixels = _collect_pixels(presses, balls, np.random.default_rng(seed))
+    coefficients = _fit_polynomial(pixels, seed, progress or Progress())
+    relief_m = _evaluate_terms(presses.geometry) @ coefficients * UNIT_M
     return (relief_m - relief_m.max()).astype(np.float32)
 
 
-def _fitted(pixels: _Pixels, seed: int, progress: Progress) -> NDArray[np.float64]:
+def _fit_polynomial(pixels: _Pixels, seed: int, progress: Progress) -> NDArray[np.float64]:
     """The polynomial's coefficients (K,), in UNIT_M."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -74,7 +74,7 @@ def _fitted(pixels: _Pixels, seed: int, progress: Progress) -> NDArray[np.float6
     with progress.task("learning the gel's surface", STEPS) as advance:
         for _ in range(STEPS):
             some = torch.randint(len(pixels.colours), (PIXELS,), generator=generator)
-            colours, wanted = pixels.colours[some], _slopes(_Pixels(*(part[some] for part in pixels)), relief)
+            colours, wanted = pixels.colours[some], _predict_slopes(_Pixels(*(part[some] for part in pixels)), relief)
             loss = nn.functional.huber_loss(network(colours) + linear(colours), wanted, delta=OUTLIER)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
@@ -84,7 +84,7 @@ def _fitted(pixels: _Pixels, seed: int, progress: Progress) -> NDArray[np.float6
     return relief.detach().numpy().astype(float)
 
 
-def _slopes(pixels: _Pixels, relief: torch.Tensor) -> torch.Tensor:
+def _predict_slopes(pixels: _Pixels, relief: torch.Tensor) -> torch.Tensor:
     """The slopes (P, 2) of what is seen below the plane z = surface, given the relief's coefficients (K,)."""
     rest = -(pixels.slopes @ relief)
     untouched = torch.isnan(pixels.radius_m)
@@ -95,20 +95,20 @@ def _slopes(pixels: _Pixels, relief: torch.Tensor) -> torch.Tensor:
     return torch.where(untouched, rest, ball)
 
 
-def _pixels(presses: PressFolder, balls: list[int], rng: np.random.Generator) -> _Pixels:
+def _collect_pixels(presses: PressFolder, balls: list[int], rng: np.random.Generator) -> _Pixels:
     """All pixels in the balls' imprints, and half as many of the untouched gel."""
     x, y = np.meshgrid(*presses.geometry.pixel_slopes)
-    slopes = _slopes_of_powers(presses.geometry)
+    slopes = _differentiate_terms(presses.geometry)
     parts = []
     for number in balls:
-        (cx, cy), circle_m, ball_m = presses.circle(number)
+        (cx, cy), circle_m, ball_m = presses.place_circle(number)
         inside = np.hypot(x - cx, y - cy) < INNER * circle_m
         row, column = np.unravel_index(np.hypot(x - cx, y - cy).argmin(), x.shape)
         at = np.broadcast_to(slopes[row, column], (int(inside.sum()), *slopes.shape[2:]))
         off_m = np.stack([x[inside] - cx, y[inside] - cy], axis=-1)
-        parts.append((_colours(presses.images[number])[inside], off_m, np.full((len(off_m), 1), ball_m), at))
+        parts.append((_smooth_colours(presses.images[number])[inside], off_m, np.full((len(off_m), 1), ball_m), at))
     some = rng.permutation(x.size)[: sum(len(part[0]) for part in parts) // 2]
-    untouched = _colours(presses.background).reshape(-1, 3)[some]
+    untouched = _smooth_colours(presses.background).reshape(-1, 3)[some]
     rest = slopes.reshape(-1, *slopes.shape[2:])[some]
     parts.append((untouched, np.zeros((len(some), 2)), np.full((len(some), 1), np.nan), rest))
     colours, *others = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -116,17 +116,17 @@ def _pixels(presses: PressFolder, balls: list[int], rng: np.random.Generator) ->
     return _Pixels(*(torch.from_numpy(part.astype(np.float32)) for part in (colours, *others)))
 
 
-def _colours(image: Image) -> NDArray[np.float64]:
+def _smooth_colours(image: Image) -> NDArray[np.float64]:
     from scipy.ndimage import gaussian_filter
 
     return np.asarray(gaussian_filter(image.astype(float), (SMOOTHING_PX, SMOOTHING_PX, 0), mode="nearest"))
 
 
-def _exponents() -> list[tuple[int, int]]:
+def _list_exponents() -> list[tuple[int, int]]:
     return [(degree - j, j) for degree in DEGREES for j in range(degree + 1)]
 
 
-def _places(geometry: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _normalize_places(geometry: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """x and y (H, W) on the plane, in half diagonals of the image, and that in metres."""
     k = geometry.surface_m if geometry.is_pinhole else 1.0
     x, y = (k * side for side in np.meshgrid(*geometry.pixel_slopes))
@@ -134,15 +134,15 @@ def _places(geometry: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.f
     return x / half_m, y / half_m, half_m
 
 
-def _powers(geometry: SensorGeometry) -> NDArray[np.float64]:
+def _evaluate_terms(geometry: SensorGeometry) -> NDArray[np.float64]:
     """The polynomial's terms (H, W, K), unitless."""
-    x, y, _ = _places(geometry)
-    return np.stack([x**i * y**j for i, j in _exponents()], axis=-1)
+    x, y, _ = _normalize_places(geometry)
+    return np.stack([x**i * y**j for i, j in _list_exponents()], axis=-1)
 
 
-def _slopes_of_powers(geometry: SensorGeometry) -> NDArray[np.float64]:
+def _differentiate_terms(geometry: SensorGeometry) -> NDArray[np.float64]:
     """How steep the gel is along x and y (H, W, 2, K), unitless, by each of the polynomial's coefficients."""
-    x, y, half_m = _places(geometry)
-    along_x = np.stack([i * x ** max(i - 1, 0) * y**j for i, j in _exponents()], axis=-1)
-    along_y = np.stack([j * x**i * y ** max(j - 1, 0) for i, j in _exponents()], axis=-1)
+    x, y, half_m = _normalize_places(geometry)
+    along_x = np.stack([i * x ** max(i - 1, 0) * y**j for i, j in _list_exponents()], axis=-1)
+    along_y = np.stack([j * x**i * y ** max(j - 1, 0) for i, j in _list_exponents()], axis=-1)
     return np.stack([along_x, along_y], axis=-2) * UNIT_M / half_m

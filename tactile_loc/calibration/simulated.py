@@ -13,23 +13,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.calibration.calibrate import learned
-from tactile_loc.calibration.estimator import GelEstimator, estimator_class, estimator_options
-from tactile_loc.calibration.labels import Image, LabelledPresses, PressLabel, surface_label
+from tactile_loc.calibration.calibrate import learn_stage
+from tactile_loc.calibration.estimator import GelEstimator, load_estimator, validate_estimator_options
+from tactile_loc.calibration.labels import Image, LabelledPresses, PressLabel, label_surface
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.imaging.gel import SOFTNESS_M
-from tactile_loc.imaging.optics import OPTICS, Optics, optics, optics_of
-from tactile_loc.imaging.shading import background
-from tactile_loc.imaging.simulate import board_presses
+from tactile_loc.imaging.optics import OPTICS, Optics, choose_optics, find_optics
+from tactile_loc.imaging.shading import render_background
+from tactile_loc.imaging.simulate import press_boards
 from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 STAGE_VERSION = 3
+PIECES = "images-{:04d}", "indentation-{:04d}"  # by the number of a shard
 SHARD = 64  # presses rendered, saved and resumed at once, under lamps of their own
 DEEPEST = 65535  # indentations are 16-bit shares of the sensor's deepest press
 VARIATION = 0.25  # of the lamps, of what one make's specimens differ by
@@ -53,11 +54,11 @@ class SimulatedPresses(LabelledPresses):
         """Return the number of presses."""
         return sum(len(shard) for shard in self.images)
 
-    def press(self, number: int) -> tuple[Image, PressLabel]:
+    def read_press(self, number: int) -> tuple[Image, PressLabel]:
         """Return an image (H, W, 3) and its label, the indentation of what touches: press - depth, metres."""
         shard, place = divmod(number, SHARD)
         indentation = self.codes[shard][place] * np.float32(self.geometry.max_depth_m / DEEPEST)
-        label = surface_label(indentation, indentation > 0, self.geometry)
+        label = label_surface(indentation, indentation > 0, self.geometry)
         return np.array(self.images[shard][place]), label
 
     def name(self, number: int) -> str:
@@ -65,17 +66,17 @@ class SimulatedPresses(LabelledPresses):
         return f"simulated press {number}"
 
 
-def simulated_presses(
+def simulate_presses(
     geometry: SensorGeometry, optics: Optics, count: int, seed: int, store: StageStore,
     progress: Progress | None = None, variation: float = VARIATION,
 ) -> SimulatedPresses:  # fmt: skip
     """Press the boards `count` times on a sensor, or fetch from the store what was pressed with the same `seed`.
 
-    `variation` (unitless) is how far the lamps of each SHARD of presses are from `optics`, see `Optics.varied`; the
+    `variation` (unitless) is how far the lamps of each SHARD of presses are from `optics`, see `Optics.vary`; the
     untouched gel is that of `optics` in all of them. Raises TouchError when the boards leave no imprint on the sensor.
     """
     renderer = registry().create("renderer", "heightmap", {})
-    untouched = background(geometry, optics)
+    untouched = render_background(geometry, optics)
     key = StageKey("board-presses", STAGE_VERSION, {
         "geometry": geometry.describe(), "optics": optics.describe(), "variation": variation, "count": count,
         "seed": seed, "softness_m": SOFTNESS_M, "renderer": renderer.describe(), "shard": SHARD,
@@ -83,45 +84,39 @@ def simulated_presses(
 
     def shard(number: int, size: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
         rng = np.random.default_rng([seed, number])
-        lamps = optics.varied(rng, variation)
-        done = list(board_presses(geometry, size, lamps, rng, renderer, background=untouched))
+        lamps = optics.vary(rng, variation)
+        done = list(press_boards(geometry, size, lamps, rng, renderer, background=untouched))
         indentation = np.concatenate([batch.indentation_m for batch in done])
         codes = np.ceil(indentation * np.float32(DEEPEST / geometry.max_depth_m))  # no contact is rounded away
         return np.concatenate([batch.images for batch in done]), np.minimum(codes, DEEPEST).astype(np.uint16)
 
     def render(work: Workspace) -> None:
         with (progress or Progress()).task("pressing the calibration boards", count) as advance:
-            for number, size in enumerate(_sizes(count)):
-                if work.load(_images(number)) is None or work.load(_codes(number)) is None:
+            for number, size in enumerate(_split_shards(count)):
+                names = [name.format(number) for name in PIECES]
+                if any(work.load(name) is None for name in names):
                     images, codes = shard(number, size)
-                    work.save_array(_images(number), images)
-                    work.save_array(_codes(number), codes)
+                    work.save_array(names[0], images)
+                    work.save_array(names[1], codes)
                 advance(size)
 
     artifact = store.build(key, render)
-    images, codes = ([artifact.array(name(n)) for n in range(len(_sizes(count)))] for name in (_images, _codes))
+    shards = range(len(_split_shards(count)))
+    images, codes = ([artifact.load_array(name.format(number)) for number in shards] for name in PIECES)
     return SimulatedPresses(geometry, untouched, images, codes, key)
 
 
-def _sizes(count: int) -> list[int]:
+def _split_shards(count: int) -> list[int]:
     return [min(SHARD, count - start) for start in range(0, count, SHARD)]
 
 
-def _images(number: int) -> str:
-    return f"images-{number:04d}"
-
-
-def _codes(number: int) -> str:
-    return f"indentation-{number:04d}"
-
-
-def simulated_sensor(sensor: str, lamps: str | None = None) -> tuple[SensorGeometry, Optics]:
+def find_sensor(sensor: str, lamps: str | None = None) -> tuple[SensorGeometry, Optics]:
     """Return the geometry of a sensor, by its name or its file (.toml), and the optics called `lamps`.
 
     By default the optics are the sensor's own, or a usual sensor's. Raises SensorError, ConfigError or
     UnknownPluginError for what there is not, CalibrationError for a sensor that reads no images of its own.
     """
-    chosen = optics(lamps) if lamps else optics_of(sensor)
+    chosen = find_optics(lamps) if lamps else choose_optics(sensor)
     if sensor.endswith(".toml"):
         return read_sensor_file(Path(sensor)), chosen
     if sensor not in OPTICS:
@@ -133,7 +128,7 @@ def simulated_sensor(sensor: str, lamps: str | None = None) -> tuple[SensorGeome
     return geometry, chosen
 
 
-def camera_px(sensor: str) -> list[int] | None:
+def find_camera_px(sensor: str) -> list[int] | None:
     """Return the size (rows, columns) of the images of a sensor by its name; None for one in a file: its own."""
     return list(registry().create("sensor", sensor, {}).native.shape) if sensor in OPTICS else None
 
@@ -147,11 +142,11 @@ def calibrate_simulated(
     Return the presses, the estimator, and a record of JSON values: its errors, and the optics. Raises CalibrationError,
     ConfigError or TrainingError.
     """
-    estimator_options(estimator_class(estimator), options)  # what is wrong is said before anything is rendered
+    validate_estimator_options(load_estimator(estimator), options)  # what is wrong is said before anything is rendered
     watcher = progress or Progress()
-    presses = simulated_presses(geometry, lamps, count or PRESSES[estimator], seed, store, watcher)
+    presses = simulate_presses(geometry, lamps, count or PRESSES[estimator], seed, store, watcher)
     inputs = {"presses": presses.key.digest}
-    made, record = learned(
+    made, record = learn_stage(
         presses, geometry, presses.background, inputs, estimator, options, seed, store, watcher
     )  # fmt: skip
     return presses, made, {**record, "simulated": {"optics": lamps.describe(), "variation": VARIATION}}

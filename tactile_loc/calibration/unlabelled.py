@@ -6,18 +6,25 @@ where there is none, it is pieced together from what each image shows away from 
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.calibration.circles import Circle, Imprint, colour_change, concentration, find_imprint, find_rim
+from tactile_loc.calibration.circles import (
+    Circle,
+    Imprint,
+    compare_colours,
+    find_imprint,
+    find_rim,
+    measure_concentration,
+)
 from tactile_loc.calibration.frames import Frame
 from tactile_loc.calibration.labels import STEEPEST, Float32, Image, Mask
-from tactile_loc.calibration.presses import CONVERTED, TABLE
+from tactile_loc.calibration.presses import TABLE, write_table
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.progress import Progress
 from tactile_loc.io.images import write_image
@@ -94,16 +101,17 @@ def find_presses(
     watcher = progress or Progress()
     images = [frame.image for frame in frames]
     with watcher.task("looking for the untouched gel", len(images)) as advance:
-        reference = _first_reference(images)
-        imprints = _looked_for(images, reference)
-        quiet = _quiet(images, reference, imprints)
-        reference = _mean(images, quiet) if quiet else _pieced(images, imprints)
+        reference = _choose_reference(images)
+        imprints = [find_imprint(compare_colours(image, reference)) for image in images]
+        quiet = _find_quiet(images, reference, imprints)
+        reference = np.mean([images[n] for n in quiet], axis=0) if quiet else _piece_together(images, imprints)
+        reference = np.asarray(reference, np.float32)
         advance(len(images))
     presses = []
     with watcher.task("looking for the ball", len(images)) as advance:
         for number, frame in enumerate(frames):
             if number not in quiet:
-                presses.append(_judged(frame, reference, ball_px))
+                presses.append(_judge(frame, reference, ball_px))
             advance(1)
     untouched = np.clip(np.rint(reference), 0, 255).astype(np.uint8)
     found = FoundPresses(untouched, tuple(frames[n].name for n in quiet), tuple(presses))
@@ -131,7 +139,7 @@ def _require_balls(found: FoundPresses, ball_px: float | None) -> None:
         raise CalibrationError(f"no image shows one whole ball: {said}; {HOW_TO_PRESS}")
 
 
-def press_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> tuple[float, float]:
+def estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> tuple[float, float]:
     """Return how deep the balls were pressed, the least and the most, by their visible circles, mm.
 
     Raises CalibrationError when a ball of this radius would have been pressed in nowhere.
@@ -146,40 +154,36 @@ def press_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: float
     return float(depths_mm.min()), float(depths_mm.max())
 
 
-def _first_reference(images: Sequence[Image]) -> Float32:
+def _choose_reference(images: Sequence[Image]) -> Float32:
     """The image, median, or smoothed median against which single imprints explain most of how the others differ."""
     stack = np.stack(images[:: max(1, len(images) // 40)])
     median = np.median(stack, axis=0).astype(np.float32)
-    off = [float(np.abs(colour_change(image, median)).mean()) for image in images]
-    candidates = [median, _smooth(median, np.ones(median.shape[:2], np.float32), 3)]
+    off = [float(np.abs(compare_colours(image, median)).mean()) for image in images]
+    candidates = [median, _fit_smooth(median, np.ones(median.shape[:2], np.float32), 3)]
     candidates += [images[n].astype(np.float32) for n in np.argsort(off)[:TRIED]]
     judges = [images[n] for n in np.argsort(off)[::-1][:: max(1, len(images) // JUDGES)]]
-    scores = [np.median([concentration(colour_change(judge, one)) for judge in judges]) for one in candidates]
+    scores = [np.median([measure_concentration(compare_colours(judge, one)) for judge in judges]) for one in candidates]
     return candidates[int(np.argmax(scores))]
 
 
-def _looked_for(images: Sequence[Image], reference: Float32) -> list[Imprint | None]:
-    return [find_imprint(colour_change(image, reference)) for image in images]
-
-
-def _is_ball(imprint: Imprint | None) -> bool:
+def _is_ball(imprint: Imprint | None) -> TypeGuard[Imprint]:
     return imprint is not None and imprint.likeness >= LIKENESS and imprint.contrast >= CONTRAST
 
 
-def _quiet(images: Sequence[Image], reference: Float32, imprints: Sequence[Imprint | None]) -> list[int]:
+def _find_quiet(images: Sequence[Image], reference: Float32, imprints: Sequence[Imprint | None]) -> list[int]:
     """The numbers of the images that show no ball and nowhere change as much as where a ball usually lies."""
-    contrasts = [imprint.contrast for imprint in imprints if imprint is not None and _is_ball(imprint)]
+    contrasts = [imprint.contrast for imprint in imprints if _is_ball(imprint)]
     if not contrasts:
         return []
     usual, found = float(np.median(contrasts)), []
     for number, (image, imprint) in enumerate(zip(images, imprints, strict=True)):
         least = max(CONTRAST / 2, (QUIET if _is_ball(imprint) else STILL) * usual)
-        if _strongest_change(colour_change(image, reference)) < least:
+        if _measure_strongest(compare_colours(image, reference)) < least:
             found.append(number)
     return found
 
 
-def _strongest_change(change: Float32) -> float:
+def _measure_strongest(change: Float32) -> float:
     """The largest change (H, W, 3) of any block of some pixels a side, counts."""
     from scipy.ndimage import uniform_filter
 
@@ -187,13 +191,9 @@ def _strongest_change(change: Float32) -> float:
     return float(np.sqrt((uniform_filter(change, (side, side, 0)) ** 2).mean(axis=2).max()))
 
 
-def _mean(images: Sequence[Image], numbers: Sequence[int]) -> Float32:
-    return np.asarray(np.mean([images[n] for n in numbers], axis=0), np.float32)
-
-
-def _pieced(images: Sequence[Image], imprints: Sequence[Imprint | None]) -> Float32:
+def _piece_together(images: Sequence[Image], imprints: Sequence[Imprint | None]) -> Float32:
     """The untouched gel (H, W, 3), counts, from images that all are touched somewhere."""
-    balls = [(image, i.circle) for image, i in zip(images, imprints, strict=True) if i is not None and _is_ball(i)]
+    balls = [(image, i.circle) for image, i in zip(images, imprints, strict=True) if _is_ball(i)]
     if not balls:
         raise CalibrationError(f"no image shows one whole ball: {HOW_TO_PRESS}")
     gel = None
@@ -203,28 +203,28 @@ def _pieced(images: Sequence[Image], imprints: Sequence[Imprint | None]) -> Floa
                 f"no image shows the untouched gel, and {len(balls)} with a ball are too few to piece it together; add "
                 "an image in which nothing touches"
             )
-        gel = _away_from(balls)
-        found = [(image, find_imprint(colour_change(image, gel))) for image, _ in balls]
-        balls = [(image, i.circle) for image, i in found if i is not None and _is_ball(i)]
+        gel = _merge_away(balls)
+        found = [(image, find_imprint(compare_colours(image, gel))) for image, _ in balls]
+        balls = [(image, i.circle) for image, i in found if _is_ball(i)]
     assert gel is not None
     return gel
 
 
-def _away_from(balls: Sequence[tuple[Image, Circle]]) -> Float32:
+def _merge_away(balls: Sequence[tuple[Image, Circle]]) -> Float32:
     """The median of the KEPT images whose ball is farthest from a pixel, and smooth where these are not far enough."""
     shape = balls[0][0].shape[:2]
-    away = np.stack([circle.distance_px(shape) / circle.radius_px for _, circle in balls]).astype(np.float32)
+    away = np.stack([circle.measure_distance_px(shape) / circle.radius_px for _, circle in balls]).astype(np.float32)
     order = np.argsort(-away, axis=0)[:KEPT]
     images = np.stack([image for image, _ in balls])
     seen = np.median(np.take_along_axis(images, order[..., None], axis=0), axis=0).astype(np.float32)
     least = np.take_along_axis(away, order[-1:], axis=0)[0]
     trust = np.clip((least - AWAY[0]) / (AWAY[1] - AWAY[0]), 0, 1)
-    smooth = _smooth(seen, trust + np.float32(1e-3), ORDER)
+    smooth = _fit_smooth(seen, trust + np.float32(1e-3), ORDER)
     share = np.clip((least - AWAY[0]) / (AWAY[1] - AWAY[0]) * 2 - 0.5, 0, 1)[..., None]
     return np.asarray(share * seen + (1 - share) * smooth, np.float32)
 
 
-def _smooth(image: Float32, weight: Float32, order: int) -> Float32:
+def _fit_smooth(image: Float32, weight: Float32, order: int) -> Float32:
     """The polynomial of x and y through an image (H, W, 3), robustly, by the weight (H, W) of its pixels."""
     height, width = image.shape[:2]
     y, x = (np.linspace(-1, 1, n) for n in (height, width))
@@ -232,39 +232,35 @@ def _smooth(image: Float32, weight: Float32, order: int) -> Float32:
     terms = np.stack([np.outer(y**j, x**i) for i, j in powers], axis=-1)
     some = np.s_[:: max(1, height // 80), :: max(1, width // 80)]
     base, wanted = terms[some].reshape(-1, len(powers)), image[some].reshape(-1, 3)
-    factors, _ = _robust_fit(base, wanted, weight[some].ravel(), lambda typical: 3 * (2 * typical + 1), 12)
+    factors, _ = _fit_robustly(base, wanted, weight[some].ravel(), lambda typical: 3 * (2 * typical + 1), 12)
     return np.asarray(terms @ factors, np.float32)
 
 
-def _judged(frame: Frame, reference: Float32, ball_px: float | None) -> FoundPress:
+def _judge(frame: Frame, reference: Float32, ball_px: float | None) -> FoundPress:
     """Find the ball in an image, and say why it cannot be used, if so."""
-    change = colour_change(frame.image, reference)
+    change = compare_colours(frame.image, reference)
     imprint = find_imprint(change)
-    around = None if imprint is None else _near(imprint.circle, change.shape[:2])
-    if (shift_px := _shift(change, reference, around)) > MOVED_PX:
+    around = None
+    if imprint is not None:
+        around = imprint.circle.measure_distance_px(change.shape[:2]) < APART * imprint.circle.radius_px
+    if (shift_px := _measure_shift(change, reference, around)) > MOVED_PX:
         return FoundPress(frame, None, f"camera moved by {shift_px:.1f} px")
-    if imprint is None or around is None or imprint.contrast < CONTRAST:
-        return FoundPress(frame, None, "no ball found")
-    if imprint.likeness < BLURRED:
+    if imprint is None or around is None or imprint.contrast < CONTRAST or imprint.likeness < BLURRED:
         return FoundPress(frame, None, "no ball found")
     other = find_imprint(change, around)
-    if other is not None and _is_ball(other) and other.contrast > SECOND * imprint.contrast:
+    if _is_ball(other) and other.contrast > SECOND * imprint.contrast:
         return FoundPress(frame, imprint.circle, "two balls")
     if imprint.likeness < LIKENESS:
         return FoundPress(frame, None, "no ball found")
     circle, _ = find_rim(change, imprint.circle)
-    return FoundPress(frame, circle, _why_not(frame.image, reference, circle, ball_px))
+    return FoundPress(frame, circle, _find_fault(frame.image, reference, circle, ball_px))
 
 
-def _near(circle: Circle, shape: tuple[int, int]) -> Mask:
-    return np.asarray(circle.distance_px(shape) < APART * circle.radius_px)
-
-
-def _why_not(image: Image, reference: Float32, circle: Circle, ball_px: float | None) -> str:
+def _find_fault(image: Image, reference: Float32, circle: Circle, ball_px: float | None) -> str:
     """Why a press of a found circle cannot be used; empty when it can."""
-    if circle.beyond_px(image.shape[:2]) > OUTSIDE * circle.radius_px:
+    if circle.measure_overhang_px(image.shape[:2]) > OUTSIDE * circle.radius_px:
         return "cut off at the border"
-    inside = circle.distance_px(image.shape[:2]) < circle.radius_px
+    inside = circle.measure_distance_px(image.shape[:2]) < circle.radius_px
     white = (image >= EXPOSED) & (reference < EXPOSED)
     if white[inside].mean() > MOST_EXPOSED:
         return "over-exposed"
@@ -273,28 +269,28 @@ def _why_not(image: Image, reference: Float32, circle: Circle, ball_px: float | 
     return ""
 
 
-def _shift(change: Float32, reference: Float32, touched: Mask | None) -> float:
+def _measure_shift(change: Float32, reference: Float32, touched: Mask | None) -> float:
     """By how many pixels the gel's texture has moved, seen where it is not touched (H, W); 0 when it has not.
 
     Small shifts by least squares of the change on the gel's gradients, larger ones by correlation.
     """
     free = np.ones(change.shape[:2], bool) if touched is None else ~touched
-    gel, seen = _details(reference), _details(change)
+    gel, seen = _extract_details(reference), _extract_details(change)
     if free.mean() < LEAST_FREE or np.quantile(np.abs(gel[free]), 0.99) < SEEN:
         return 0.0
     gradients = np.stack([np.gradient(gel, axis=axis)[free].ravel() for axis in (1, 0)], axis=1)
     values = seen[free].ravel()
     evenly = np.ones(len(values))
-    factors, weight = _robust_fit(gradients, values[:, None], evenly, lambda typical: 4 * 1.48 * typical + 1e-6, 8)
+    factors, weight = _fit_robustly(gradients, values[:, None], evenly, lambda typical: 4 * 1.48 * typical + 1e-6, 8)
     shift = factors[:, 0]
     made = gradients @ shift
     share = 1 - float((weight * (values - made) ** 2).sum()) / max(float((weight * values**2).sum()), 1e-9)
     explains = min(share, float(weight.mean())) > MOVED_SHARE and np.quantile(np.abs(made), 0.99) > SEEN
     small_px = float(np.hypot(*shift)) if explains else 0.0
-    return small_px if small_px > MOVED_PX else _large_shift(gel + seen, gel, free)
+    return small_px if small_px > MOVED_PX else _measure_large_shift(gel + seen, gel, free)
 
 
-def _large_shift(seen: Float32, gel: Float32, free: Mask) -> float:
+def _measure_large_shift(seen: Float32, gel: Float32, free: Mask) -> float:
     """The shift in whole pixels at which details (H, W, 3) are clearly more alike than where they are; else 0."""
     one, other = (values * free[..., None] for values in (seen, gel))
     spectra = np.fft.rfft2(one, axes=(0, 1)) * np.conj(np.fft.rfft2(other, axes=(0, 1)))
@@ -306,7 +302,7 @@ def _large_shift(seen: Float32, gel: Float32, free: Mask) -> float:
     return float(np.hypot(*away)) if gained > ALIKE else 0.0
 
 
-def _robust_fit(
+def _fit_robustly(
     terms: NDArray[np.floating], values: NDArray[np.floating], first: NDArray[np.floating],
     scale: Callable[[float], float], rounds: int,
 ) -> tuple[Array, Array]:  # fmt: skip
@@ -324,7 +320,7 @@ def _robust_fit(
     return factors, np.asarray(weight, np.float64)
 
 
-def _details(image: Float32) -> Float32:
+def _extract_details(image: Float32) -> Float32:
     """An image (H, W, 3) without its noise, and without what changes slowly, as light does."""
     from scipy.ndimage import gaussian_filter
 
@@ -344,15 +340,9 @@ def write_labels(folder: Path, found: FoundPresses, ball_radius_mm: float, mm_pe
     if not names:
         write_atomically(folder / UNTOUCHED, lambda path: write_image(path, found.untouched))
         names = [UNTOUCHED]
-    largest = np.floor(1e3 * STEEPEST * ball_radius_mm / mm_per_px) / 1e3
-    rows: list[tuple[object, ...]] = [(name, "background") for name in names]
+    rows: list[tuple[str, tuple[float, float, float] | None]] = [(name, None) for name in names]
     for press in found.used:
         assert press.circle is not None
         x, y, radius = (round(v, 2) for v in (press.circle.x_px, press.circle.y_px, press.circle.radius_px))
-        rows.append((press.name, "ball", x, y, min(radius, largest), ball_radius_mm))
-
-    def write(path: Path) -> None:
-        with path.open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file, lineterminator="\n").writerows([CONVERTED, *rows])
-
-    return write_atomically(table, write)
+        rows.append((press.name, (x, y, radius)))
+    return write_table(table, rows, ball_radius_mm, mm_per_px)

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
-from tactile_loc.core.errors import ObjectError, did_you_mean
-
 _FOLDER = Path(__file__).parent / "objects"
 
 
@@ -29,12 +27,7 @@ class DemoObject:
     symmetry: str
 
 
-def _table(*rows: tuple[str, str, str]) -> Mapping[str, DemoObject]:
-    objects = {name: DemoObject(name, _FOLDER / f"{name}.ply", about, symmetry) for name, symmetry, about in rows}
-    return MappingProxyType(objects)
-
-
-DEMO_OBJECTS: Mapping[str, DemoObject] = _table(
+_ROWS = (
     ("pin", "z2", "stepped locating pin: grooved shank with a cross hole, head with two flats (31 mm)"),
     ("damping_pin", "zinf", "damping pin: barbed stem, round flange, bulbous end (39 mm)"),
     ("head", "z2", "slotted bolt head: hexagon on a washer flange, dome, short shaft (24 mm, 28 mm wide)"),
@@ -42,15 +35,6 @@ DEMO_OBJECTS: Mapping[str, DemoObject] = _table(
     ("cotter", "none", "split cotter pin: round eye, two half-round legs of unequal length (64 mm)"),
     ("hook", "none", "J hook: ring-grooved shank, hexagonal collar, round wire (77 mm)"),
 )
-
-
-def demo_object_path(name: str) -> Path:
-    """Return the mesh file (binary PLY, metres) of the demo object called `name`.
-
-    Raises ObjectError if there is no such object.
-    """
-    if name not in DEMO_OBJECTS:
-        known = ", ".join(DEMO_OBJECTS)
-        hint = did_you_mean(name, DEMO_OBJECTS)
-        raise ObjectError(f"There is no demo object {name!r}; choose one of {known}.{hint}")
-    return DEMO_OBJECTS[name].path
+DEMO_OBJECTS: Mapping[str, DemoObject] = MappingProxyType(
+    {name: DemoObject(name, _FOLDER / f"{name}.ply", about, symmetry) for name, symmetry, about in _ROWS}
+)

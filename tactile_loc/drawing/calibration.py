@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.calibration.circles import colour_change
+from tactile_loc.calibration.circles import compare_colours
 from tactile_loc.calibration.estimator import GelEstimator
 from tactile_loc.calibration.labels import LabelledPresses
 from tactile_loc.calibration.unlabelled import FoundPress, FoundPresses
@@ -34,8 +34,8 @@ def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Se
     rows: NDArray[Any] = figure.subplots(len(shown), 4, squeeze=False)
     extent = compute_extent_mm(estimator.geometry)
     for row, number in zip(rows, shown, strict=True):
-        image, label = presses.press(number)
-        found_mm, known_mm = 1e3 * estimator.indentation(image), 1e3 * label.indentation_m
+        image, label = presses.read_press(number)
+        found_mm, known_mm = 1e3 * estimator.read_indentation(image), 1e3 * label.indentation_m
         if not label.absolute:  # how deep the visible circle lies is taken from the estimate
             known_mm = np.where(label.contact, known_mm + (found_mm - known_mm)[label.contact].mean(), known_mm)
         deepest = float(max(found_mm.max(), known_mm.max()))
@@ -79,7 +79,7 @@ def draw_labels(found: FoundPresses, title: str) -> Figure:
     tiles[0].imshow(found.untouched)
     names = ", ".join(found.untouched_names) or "pieced together"
     tiles[0].set_title(f"untouched gel\n{_shorten(names)}", size=7.5)
-    changes = [colour_change(press.frame.image, found.untouched) for press in found.presses]
+    changes = [compare_colours(press.frame.image, found.untouched) for press in found.presses]
     amplified = 127 / max(1.0, float(np.median([np.quantile(np.abs(change), STRONG) for change in changes])))
     for axes, press, change in zip(tiles[1:], found.presses, changes, strict=False):
         _draw_press(axes, press, np.clip(128 + amplified * change, 0, 255).astype(np.uint8))

@@ -66,7 +66,7 @@ def measure_ambiguity(
     apart_m = localizer.sampler.options.spacing_mm * 1e-3
     ratios = []
     for touch, T_true, apart, rng in zip(touches, truths, distances, rngs, strict=True):
-        rivals = find_rivals(localizer.grid_of(touch), T_true, apart, apart_m)
+        rivals = find_rivals(localizer.listed.grid_of(touch), T_true, apart, apart_m)
         ratios.append(_Judge(localizer.scene.as_seen(), refiner, noise).find_ratio(touch, T_true, rivals, rng))
     return np.array(ratios)
 

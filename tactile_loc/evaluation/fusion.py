@@ -168,4 +168,4 @@ def _draw(posterior: PosePosterior, lot: float) -> int:
 
 
 def _read(contacts: tuple[int, ...], artifact: Artifact) -> FusionEvaluation:
-    return FusionEvaluation(contacts, *(artifact.array(name, mmap=False) for name in ARRAYS))
+    return FusionEvaluation(contacts, *(artifact.load_array(name, mmap=False) for name in ARRAYS))

@@ -198,7 +198,7 @@ def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: Simulat
     localizer = evaluator.localizer
     touches, refused = zip(*(source.draw_counted(localizer, number) for number in numbers), strict=True)
     for touch in touches:
-        localizer.matcher(touch.press_depth_m)  # what is built once is no part of a touch's time
+        localizer.listed.matcher(touch.press_depth_m)  # what is built once is no part of a touch's time
     localizer.most_probable_pose(touches[0])  # nor is loading libraries
     noise = noise_level(choose_judging_noise(source.noise))
     rngs = [np.random.default_rng(source.seed_touch(number, 3)) for number in numbers]
@@ -220,7 +220,7 @@ def measure_contact_share(touch: Touch) -> float:
 
 
 def _read(artifact: Artifact) -> Evaluation:
-    return Evaluation(*(artifact.array(name, mmap=False) for name in ARRAYS))
+    return Evaluation(*(artifact.load_array(name, mmap=False) for name in ARRAYS))
 
 
 def save_in_shards(
@@ -252,7 +252,7 @@ def describe_located(localizer: Localizer, touches: SimulatedTouches, count: int
     """Return what decides the posteriors of `count` simulated touches, and those fused with them, as JSON values."""
     matcher = registry().create("matcher", localizer.config.matcher.name, localizer.config.matcher.options)
     return {
-        **localizer.describe_scores(), "temperature_scaling": asdict(localizer.temperature_scaling),
+        **localizer.describe_scores(), "temperature_scaling": asdict(localizer.probabilities.temperature_scaling),
         "matcher": matcher.describe(),
         "fuser": localizer.fuser.describe(), **touches.describe(localizer), "count": count,
     }  # fmt: skip

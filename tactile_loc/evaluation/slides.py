@@ -21,10 +21,17 @@ from tactile_loc.core.slots.scene import Scene
 from tactile_loc.evaluation.robot_touches import NO_NOISE, measure_noisily
 from tactile_loc.evaluation.simulated_touches import require_true_pose
 from tactile_loc.imaging.optics import Optics
-from tactile_loc.imaging.simulate import touch_images
+from tactile_loc.imaging.simulate import render_touches
 from tactile_loc.io.recordings import RecordingWriter, write_recording
-from tactile_loc.io.ros_messages import IMAGE, NS, TF
-from tactile_loc.io.ros_types import POSE_STAMPED, image_message, plain_pose_message, transform_message
+from tactile_loc.io.ros_messages import (
+    IMAGE,
+    NS,
+    POSE_STAMPED,
+    TF,
+    make_image,
+    make_plain_pose,
+    make_transforms,
+)
 from tactile_loc.locate.localizer import Localizer
 
 IMAGE_TOPIC, TRUTH_TOPIC = "/gel/image", "/object/truth"
@@ -140,7 +147,7 @@ class Photos:
     def __call__(self, depth_m: NDArray[np.float32], press_m: float) -> tuple[NDArray[Any], str]:
         """Return the photo (H, W, 3) of a contact shape (H, W), metres."""
         press = press_m if press_m > 0 else self._geometry.max_depth_m
-        return touch_images(depth_m[None], [press], self._geometry, self._optics, self._rng)[0], "rgb8"
+        return render_touches(depth_m[None], [press], self._geometry, self._optics, self._rng)[0], "rgb8"
 
 
 def show_depths(depth_m: NDArray[np.float32], press_m: float) -> tuple[NDArray[Any], str]:
@@ -157,15 +164,15 @@ def write_slide(path: Path, slide: Slide, show: Show = show_depths) -> Path:
 
     def write(writer: RecordingWriter) -> None:
         first = int(slide.stamps_ns[0])
-        mounted = transform_message({(FLANGE, GEL): T_FLANGE_GEL}, first)
+        mounted = make_transforms({(FLANGE, GEL): T_FLANGE_GEL}, first)
         writer.write("/tf_static", TF, mounted, first)
         for number, T_base_flange in enumerate(slide.T_base_flange):
             stamp = int(slide.stamps_ns[number])
-            writer.write("/tf", TF, transform_message({(BASE, FLANGE): T_base_flange}, stamp), stamp)
+            writer.write("/tf", TF, make_transforms({(BASE, FLANGE): T_base_flange}, stamp), stamp)
             if number in slide.frames:
                 values, encoding = show(slide.draw_depths_m(number), float(slide.press_m[number]))
-                writer.write(IMAGE_TOPIC, IMAGE, image_message(values, encoding, stamp, GEL), stamp)
-                truth = plain_pose_message(slide.T_sensor_object[number], stamp, GEL)
+                writer.write(IMAGE_TOPIC, IMAGE, make_image(values, encoding, stamp, GEL), stamp)
+                truth = make_plain_pose(slide.T_sensor_object[number], stamp, GEL)
                 writer.write(TRUTH_TOPIC, POSE_STAMPED, truth, stamp)
 
     return write_recording(path, write)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.locate.result_json import versions
+from tactile_loc.io.records import read_versions
 from tactile_loc.store.files import write_atomically
 
 Table = list[list[str]]
@@ -111,7 +111,7 @@ def build_document(
     return {
         "schema_version": schema_version,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": versions(),
+        "versions": read_versions(),
         "protocol": dict(protocol),
         "runs": list(runs),
     }

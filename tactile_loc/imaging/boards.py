@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,7 +36,7 @@ ABOVE_M = 0.001  # of the undeformed surface, before a pose is brought to contac
 Shape = Callable[[float, float], "trimesh.Trimesh"]
 
 
-def board(number: int) -> ObjectModel:
+def make_board(number: int) -> ObjectModel:
     """Return calibration board 1 or 2, metres. Raises ConfigError for another number.
 
     Board 1 has cylinders, boxes, cones, spherical caps, pairs of rods and caps with a slot, board 2 pyramids, rings,
@@ -47,16 +47,17 @@ def board(number: int) -> ObjectModel:
 
     if number not in (1, 2):
         raise ConfigError(f"there is no calibration board {number}; give 1 or 2")
-    first, second = (_cylinder, _box, _cone, _cap, _rods, _slotted), (_pyramid, _ring, _ridge, _steps, _rod, _torus)
+    first = (_make_cylinder, _make_box, _make_cone, _make_cap, _make_rods, _make_slotted)
+    second = (_make_pyramid, _make_ring, _make_ridge, _make_steps, _make_rod, _make_torus)
     shapes = first if number == 1 else second
     x, y, thickness = PLATE_M
     plate = trimesh.creation.box(bounds=[(-x / 2, -y / 2, -thickness), (x / 2, y / 2, 0.0)])
-    whole: Any = trimesh.util.concatenate([plate, *_raised(shapes)])
+    whole = _join(plate, *_place_shapes(shapes))
     mesh = TriangleMesh(np.asarray(whole.vertices, np.float64), np.asarray(whole.faces, np.int64))
     return ObjectModel(f"calibration-board-{number}", mesh, SymmetryGroup.parse("none", mesh.centroid_m))
 
 
-def random_board_poses(board: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
+def draw_board_poses(board: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
     """Draw poses `T_sensor_object` (count, 4, 4), metres, of a board above the sensor, its raised side down on it.
 
     Any yaw, tilts up to `MOST_TILT_RAD` in any direction, any place of the board over the middle of the sensing
@@ -78,7 +79,7 @@ def random_board_poses(board: ObjectModel, geometry: SensorGeometry, count: int,
     return make_transform(R, t)
 
 
-def _raised(shapes: tuple[Shape, ...]) -> list[trimesh.Trimesh]:
+def _place_shapes(shapes: tuple[Shape, ...]) -> list[trimesh.Trimesh]:
     """The shapes at their places on the plate, in turn, of sizes, heights and yaws that follow one another."""
     placed = []
     for i in range(ROWS * COLUMNS):
@@ -98,46 +99,50 @@ def _raised(shapes: tuple[Shape, ...]) -> list[trimesh.Trimesh]:
     return placed
 
 
-def _cylinder(radius_m: float, height_m: float) -> trimesh.Trimesh:
-    return _hull([*_circle(radius_m, -SUNK_M), *_circle(radius_m, height_m)])
+def _make_cylinder(radius_m: float, height_m: float) -> trimesh.Trimesh:
+    return _wrap([*_trace(radius_m, -SUNK_M), *_trace(radius_m, height_m)])
 
 
-def _cone(radius_m: float, height_m: float) -> trimesh.Trimesh:
+def _make_cone(radius_m: float, height_m: float) -> trimesh.Trimesh:
     """A cone with a blunt tip."""
-    return _hull([*_circle(radius_m, -SUNK_M), *_circle(radius_m, 0.0), *_circle(0.25 * radius_m, height_m)])
+    return _wrap([*_trace(radius_m, -SUNK_M), *_trace(radius_m, 0.0), *_trace(0.25 * radius_m, height_m)])
 
 
-def _cap(radius_m: float, height_m: float) -> trimesh.Trimesh:
+def _make_cap(radius_m: float, height_m: float) -> trimesh.Trimesh:
     """The cap of a sphere, as high as asked for, at most half of it."""
     height = min(height_m, radius_m)
     sphere_m = (radius_m**2 + height**2) / (2 * height)
     widest = math.asin(min(1.0, radius_m / sphere_m))
     rings = [
-        _circle(sphere_m * math.sin(a), height - sphere_m * (1 - math.cos(a)))
+        _trace(sphere_m * math.sin(a), height - sphere_m * (1 - math.cos(a)))
         for a in np.linspace(0, widest, 17)[1:]
     ]  # fmt: skip
-    return _hull([(0.0, 0.0, height), *np.concatenate(rings), *_circle(radius_m, -SUNK_M)])
+    return _wrap([(0.0, 0.0, height), *np.concatenate(rings), *_trace(radius_m, -SUNK_M)])
 
 
-def _slotted(radius_m: float, height_m: float) -> trimesh.Trimesh:
+def _make_slotted(radius_m: float, height_m: float) -> trimesh.Trimesh:
     """A cap with a slot through its middle, as a screw's head."""
-    whole, gap = np.asarray(_cap(radius_m, height_m).vertices), 0.12 * radius_m
+    whole, gap = np.asarray(_make_cap(radius_m, height_m).vertices), 0.12 * radius_m
     halves = [side * np.maximum(side * whole[:, 0], gap) for side in (-1, 1)]
-    return _together(*(_hull(np.column_stack([x, whole[:, 1:]])) for x in halves))
+    return _join(*(_wrap(np.column_stack([x, whole[:, 1:]])) for x in halves))
 
 
-def _box(radius_m: float, height_m: float) -> trimesh.Trimesh:
+def _make_box(radius_m: float, height_m: float) -> trimesh.Trimesh:
     x, y = 0.86 * radius_m, 0.5 * radius_m
-    return _hull([(a, b, z) for a in (-x, x) for b in (-y, y) for z in (-SUNK_M, height_m)])
+    return _wrap([(a, b, z) for a in (-x, x) for b in (-y, y) for z in (-SUNK_M, height_m)])
 
 
-def _pyramid(radius_m: float, height_m: float) -> trimesh.Trimesh:
+def _make_pyramid(radius_m: float, height_m: float) -> trimesh.Trimesh:
     """A square pyramid with a blunt tip."""
-    corners = [_circle(radius_m, -SUNK_M, 4), _circle(radius_m, 0.0, 4), _circle(0.25 * radius_m, height_m, 4)]
-    return _hull(np.concatenate(corners))
+    corners = [
+        _trace(radius_m, -SUNK_M, 4),
+        _trace(radius_m, 0.0, 4),
+        _trace(0.25 * radius_m, height_m, 4),
+    ]
+    return _wrap(np.concatenate(corners))
 
 
-def _ring(radius_m: float, height_m: float) -> trimesh.Trimesh:
+def _make_ring(radius_m: float, height_m: float) -> trimesh.Trimesh:
     import trimesh
 
     solid: trimesh.Trimesh = trimesh.creation.annulus(0.6 * radius_m, radius_m, height_m + SUNK_M, sections=64)
@@ -145,74 +150,69 @@ def _ring(radius_m: float, height_m: float) -> trimesh.Trimesh:
     return solid
 
 
-def _ridge(radius_m: float, height_m: float) -> trimesh.Trimesh:
+def _make_ridge(radius_m: float, height_m: float) -> trimesh.Trimesh:
     """A rounded ridge: half an elliptic cylinder, lying."""
     angle = np.linspace(0, math.pi, 33)
     arc = np.stack([0.45 * radius_m * np.cos(angle), height_m * np.sin(angle)], axis=1)
     profile = [*arc, (0.45 * radius_m, -SUNK_M), (-0.45 * radius_m, -SUNK_M)]
-    return _hull([(x, y, z) for x in (-0.85 * radius_m, 0.85 * radius_m) for y, z in profile])
+    return _wrap([(x, y, z) for x in (-0.85 * radius_m, 0.85 * radius_m) for y, z in profile])
 
 
-def _rod(radius_m: float, height_m: float) -> trimesh.Trimesh:
+def _make_rod(radius_m: float, height_m: float) -> trimesh.Trimesh:
     """A lying rod with round ends, sunk to half of itself or less."""
-    return _capsule(radius_m, 0.3 * radius_m, height_m, 0.0)
+    return _make_capsule(radius_m, 0.3 * radius_m, height_m, 0.0)
 
 
-def _rods(radius_m: float, height_m: float) -> trimesh.Trimesh:
+def _make_rods(radius_m: float, height_m: float) -> trimesh.Trimesh:
     """Two lying rods side by side, a narrow gap between them; one is longer."""
-    lengths = (radius_m, 0.7 * radius_m)
-    return _together(
-        *(_capsule(x, 0.25 * radius_m, height_m, s * 0.28 * radius_m) for x, s in zip(lengths, (-1, 1), strict=True))
-    )
+    rods = ((radius_m, -1), (0.7 * radius_m, 1))
+    return _join(*(_make_capsule(x, 0.25 * radius_m, height_m, s * 0.28 * radius_m) for x, s in rods))
 
 
-def _capsule(half_length_m: float, radius_m: float, height_m: float, aside_m: float) -> trimesh.Trimesh:
+def _make_capsule(half_length_m: float, radius_m: float, height_m: float, aside_m: float) -> trimesh.Trimesh:
     """A lying rod of this radius, its top at a height, with straight walls below its middle."""
-    ball = radius_m * _hemisphere()
-    ends = [
-        ball + np.array([x, aside_m, height_m - radius_m]) for x in (radius_m - half_length_m, half_length_m - radius_m)
-    ]
-    upper = np.concatenate(ends)
-    return _hull([*upper, *(upper * [1, 1, 0] - [0, 0, SUNK_M])])
+    ball = radius_m * _trace_hemisphere()
+    x = half_length_m - radius_m
+    upper = np.concatenate([ball + np.array([end, aside_m, height_m - radius_m]) for end in (-x, x)])
+    return _wrap([*upper, *(upper * [1, 1, 0] - [0, 0, SUNK_M])])
 
 
-def _torus(radius_m: float, height_m: float) -> trimesh.Trimesh:
+def _make_torus(radius_m: float, height_m: float) -> trimesh.Trimesh:
     import trimesh
 
     thick = 0.25 * radius_m
     solid: trimesh.Trimesh = trimesh.creation.torus(radius_m - thick, thick, major_sections=48, minor_sections=24)
-    solid.apply_scale([1, 1, (height_m + SUNK_M) / (2 * thick)])
+    solid.apply_transform(np.diag([1, 1, (height_m + SUNK_M) / (2 * thick), 1]))
     solid.apply_translation([0, 0, (height_m - SUNK_M) / 2])
     return solid
 
 
-def _steps(radius_m: float, height_m: float) -> trimesh.Trimesh:
+def _make_steps(radius_m: float, height_m: float) -> trimesh.Trimesh:
     """A hexagonal prism with a lower, wider one around it."""
     sizes = ((radius_m, height_m - 0.0008), (0.6 * radius_m, height_m))
-    prisms = [_hull([*_circle(r, -SUNK_M, 6), *_circle(r, z, 6)]) for r, z in sizes]
-    return _together(*prisms)
+    prisms = [_wrap([*_trace(r, -SUNK_M, 6), *_trace(r, z, 6)]) for r, z in sizes]
+    return _join(*prisms)
 
 
-def _circle(radius_m: float, z_m: float, points: int = 64) -> NDArray[np.float64]:
+def _trace(radius_m: float, z_m: float, points: int = 64) -> NDArray[np.float64]:
     """Points (points, 3) of a circle about z, metres."""
     angle = np.arange(points) * 2 * math.pi / points
     return np.stack([radius_m * np.cos(angle), radius_m * np.sin(angle), np.full(points, z_m)], axis=1)
 
 
-def _hemisphere() -> NDArray[np.float64]:
+def _trace_hemisphere() -> NDArray[np.float64]:
     """Points (P, 3) of the upper half of a unit sphere."""
-    rings = [_circle(math.cos(a), math.sin(a), 32) for a in np.linspace(0, math.pi / 2, 9)]
+    rings = [_trace(math.cos(a), math.sin(a), 32) for a in np.linspace(0, math.pi / 2, 9)]
     return np.concatenate(rings)
 
 
-def _together(*solids: trimesh.Trimesh) -> trimesh.Trimesh:
+def _join(*solids: trimesh.Trimesh) -> trimesh.Trimesh:
     import trimesh
 
-    joined: Any = trimesh.util.concatenate(list(solids))
-    return cast("trimesh.Trimesh", joined)
+    return cast("trimesh.Trimesh", trimesh.util.concatenate(list(solids)))
 
 
-def _hull(points_m: ArrayLike) -> trimesh.Trimesh:
+def _wrap(points_m: ArrayLike) -> trimesh.Trimesh:
     """The convex solid around points (P, 3), metres."""
     import trimesh
 

@@ -24,7 +24,7 @@ WIDTHS = (2.0, 1.0, 0.5, 0.25)  # of the blurs, in softnesses
 ROUNDING = 0.06  # width of the last blur, in softnesses
 
 
-def contact_indentation(depth_m: NDArray[np.floating[Any]], press_depth_m: ArrayLike) -> Float32:
+def find_indentation(depth_m: NDArray[np.floating[Any]], press_depth_m: ArrayLike) -> Float32:
     """Return how far the object reaches below the undeformed surface (N, H, W), metres: press - depth, 0 off contact.
 
     `depth_m` (N, H, W) are contact depths, `press_depth_m` (N,) the presses. Raises ConfigError when these do not fit.
@@ -39,7 +39,7 @@ def contact_indentation(depth_m: NDArray[np.floating[Any]], press_depth_m: Array
     return indentation
 
 
-def gel_surface(
+def press_gel(
     depth_m: NDArray[np.floating[Any]],
     press_depth_m: ArrayLike,
     geometry: SensorGeometry,
@@ -47,11 +47,12 @@ def gel_surface(
 ) -> Float32:
     """Return how far the elastomer's surface is pushed in (N, H, W) float32, metres, at least 0.
 
-    `depth_m` (N, H, W) are contact depths at presses `press_depth_m` (N,), both metres. The surface is `relaxed` over
-    about `softness_m` metres, and its edges rounded by a small share of that: zero follows the object exactly. Off the
-    sensing rectangle there is no elastomer and nothing is pushed in. Raises ConfigError for sizes that do not fit.
+    `depth_m` (N, H, W) are contact depths at presses `press_depth_m` (N,), both metres. The surface goes back to rest
+    over about `softness_m` metres, and its edges are rounded by a small share of that; zero follows the object exactly.
+    Off the sensing rectangle there is no elastomer and nothing is pushed in. Raises ConfigError for sizes that do not
+    fit.
     """
-    contact = contact_indentation(depth_m, press_depth_m)
+    contact = find_indentation(depth_m, press_depth_m)
     if contact.shape[1:] != geometry.shape:
         raise ConfigError(f"depths of {contact.shape[1:]} pixels do not fit the sensor's image of {geometry.shape}")
     if not (math.isfinite(softness_m) and softness_m >= 0):
@@ -60,12 +61,12 @@ def gel_surface(
     surface = np.zeros_like(contact)
     pushed = contact[:, gel.rows, gel.columns]
     if softness_m > 0:
-        pushed = gel.blurred(relaxed(pushed, gel, softness_m), ROUNDING * softness_m)
+        pushed = gel.blurred(relax(pushed, gel, softness_m), ROUNDING * softness_m)
     surface[:, gel.rows, gel.columns] = pushed
     return surface
 
 
-def relaxed(contact_m: Float32, gel: Gel, softness_m: float) -> Float32:
+def relax(contact_m: Float32, gel: Gel, softness_m: float) -> Float32:
     """Return the surface (N, h, w), metres, around what the object pushes in (N, h, w), metres; nowhere below it.
 
     Where it lies above, inside the contact's outline too, the object has a gap that the elastomer bridges.

@@ -68,7 +68,7 @@ class Light:
         """How far the light stands above the sensing surface, 0 to pi/2 radians."""
         return math.atan2(self.direction[2], math.hypot(*self.direction[:2]))
 
-    def varied(self, rng: np.random.Generator, strength: float) -> Light:
+    def vary(self, rng: np.random.Generator, strength: float) -> Light:
         """Return a light that differs as one specimen's from another's; `strength` 1 (unitless) is a usual spread."""
         elevation = self.elevation_rad + strength * math.radians(3) * rng.normal()
         red, green, blue = (c * math.exp(0.1 * strength * rng.normal()) for c in self.colour)
@@ -135,11 +135,11 @@ class Optics:
         )  # fmt: skip
         return cls(**{**described, "lights": lights, "ambient": tuple(described["ambient"])})
 
-    def noiseless(self) -> Optics:
+    def remove_noise(self) -> Optics:
         """Return the same optics before a camera without noise."""
         return dataclasses.replace(self, read_noise=0.0, shot_noise=0.0)
 
-    def varied(self, rng: np.random.Generator, strength: float = 1.0) -> Optics:
+    def vary(self, rng: np.random.Generator, strength: float = 1.0) -> Optics:
         """Return optics as another specimen of the sensor has: lights, exposure, curvature, blur and noise differ.
 
         `strength` (unitless) scales the spread: 0 gives the same optics, 1 what one would expect of a make. Raises
@@ -153,7 +153,7 @@ class Optics:
             return value * math.exp(spread * strength * rng.normal())
 
         exposure = scaled(1.0, 0.1)
-        lights = tuple(light.varied(rng, strength) for light in self.lights)
+        lights = tuple(light.vary(rng, strength) for light in self.lights)
         red, green, blue = (exposure * scaled(a, 0.2) for a in self.ambient)
         return dataclasses.replace(
             self,
@@ -174,35 +174,35 @@ def _require_share(name: str, value: float) -> None:
         raise ConfigError(f"{name} is {value}; it must be zero or a positive number")
 
 
-def _ring(*lamps: tuple[float, float, float, Vector], distance: float = math.inf) -> tuple[Light, ...]:
+def _arrange(*lamps: tuple[float, float, float, Vector], distance: float = math.inf) -> tuple[Light, ...]:
     """Lights of (azimuth, elevation, strength, colour), angles in degrees, at one distance in field radii."""
     return tuple(Light.at(math.radians(a), math.radians(e), c, s, distance) for a, e, s, c in lamps)
 
 
 GENERIC = "gelslim"
-OPTICS = {  # set beside photos of balls pressed into one specimen of each make; others differ: see `Optics.varied`
+OPTICS = {  # set beside photos of balls pressed into one specimen of each make; others differ: see `Optics.vary`
     "gelslim": Optics(
-        _ring((-29, 23, 1.4, (1.0, 0.0, 0.0)), (117, 22, 0.6, (0.0, 1.0, 0.15)), (205, 28, 1.2, (0.0, 0.1, 1.0))),
+        _arrange((-29, 23, 1.4, (1.0, 0.0, 0.0)), (117, 22, 0.6, (0.0, 1.0, 0.15)), (205, 28, 1.2, (0.0, 0.1, 1.0))),
         ambient=(0.03, 0.35, 0.03), dome=0.3, vignetting=0.35, blur_m=4e-5, read_noise=1.0, shot_noise=2.0,
     ),
     "gelsight-mini": Optics(
-        _ring((-100, 25, 0.55, (1.0, 0.0, 0.15)), (0, 30, 0.5, (0.05, 1.0, 0.2)), (125, 30, 0.5, (0.0, 0.25, 1.0))),
+        _arrange((-100, 25, 0.55, (1.0, 0.0, 0.15)), (0, 30, 0.5, (0.05, 1.0, 0.2)), (125, 30, 0.5, (0.0, 0.25, 1.0))),
         ambient=(0.16, 0.2, 0.24), dome=0.35, vignetting=0.35, blur_m=6e-5, read_noise=1.0, shot_noise=2.0,
     ),
     "digit": Optics(
-        _ring((-30, 25, 0.8, (1.0, 0.1, 0.1)), (200, 25, 0.8, (0.05, 1.0, 0.05)), (90, 25, 0.65, (0.0, 0.1, 1.0))),
+        _arrange((-30, 25, 0.8, (1.0, 0.1, 0.1)), (200, 25, 0.8, (0.05, 1.0, 0.05)), (90, 25, 0.65, (0.0, 0.1, 1.0))),
         ambient=(0.12, 0.08, 0.1), dome=0.35, specular=0.1, vignetting=0.4, blur_m=8e-5, read_noise=1.5, shot_noise=2.0,
     ),
 }  # fmt: skip
 
 
-def optics(name: str) -> Optics:
+def find_optics(name: str) -> Optics:
     """Return the optics called gelslim, gelsight-mini or digit. Raises ConfigError for another name."""
     if name not in OPTICS:
         raise ConfigError(f"there are no optics {name!r}; give one of {', '.join(OPTICS)}.{did_you_mean(name, OPTICS)}")
     return OPTICS[name]
 
 
-def optics_of(sensor: str) -> Optics:
+def choose_optics(sensor: str) -> Optics:
     """Return the optics of a sensor by its name; of one whose lamps nobody has described, a usual sensor's."""
     return OPTICS.get(sensor, OPTICS[GENERIC])

@@ -40,21 +40,21 @@ def render_images(
             f"{geometry.shape}"
         )
     field = _Field(geometry)
-    counts = field.brightness(indentation, optics)
+    counts = field.compute_brightness(indentation, optics)
     if background is not None:
-        unpressed = field.brightness(np.zeros((1, *geometry.shape), np.float32), optics)
-        counts += _photo(background, geometry) - unpressed
-    return _exposed(counts, optics, rng)
+        unpressed = field.compute_brightness(np.zeros((1, *geometry.shape), np.float32), optics)
+        counts += _check_photo(background, geometry) - unpressed
+    return _expose(counts, optics, rng)
 
 
-def background(geometry: SensorGeometry, optics: Optics) -> Image:
+def render_background(geometry: SensorGeometry, optics: Optics) -> Image:
     """Return the picture (H, W, 3) uint8 RGB of the unpressed gel, without noise."""
     unpressed = np.zeros((1, *geometry.shape), np.float32)
-    picture: Image = render_images(unpressed, geometry, optics.noiseless(), np.random.default_rng(0))[0]
+    picture: Image = render_images(unpressed, geometry, optics.remove_noise(), np.random.default_rng(0))[0]
     return picture
 
 
-def surface_slopes(indentation_m: Float32, geometry: SensorGeometry) -> tuple[Float32, Float32]:
+def measure_slopes(indentation_m: Float32, geometry: SensorGeometry) -> tuple[Float32, Float32]:
     """Return the indentation's slopes (N, H, W) along x and y, metres per metre: central differences.
 
     Off the sensing rectangle they are zero.
@@ -80,11 +80,11 @@ class _Field:
         self.y = ((whole.y_m - (y0 + y1) / 2) / radius_m).astype(np.float32)[:, None]
         self.whole = whole
 
-    def brightness(self, indentation_m: Float32, optics: Optics) -> Float32:
+    def compute_brightness(self, indentation_m: Float32, optics: Optics) -> Float32:
         """What reaches the camera (3, N, H, W) in counts, neither cut at white nor noisy."""
         relief_m = self.geometry.relief_m
         below_m = indentation_m if relief_m is None else indentation_m - relief_m
-        slope_x, slope_y = surface_slopes(below_m, self.geometry)
+        slope_x, slope_y = measure_slopes(below_m, self.geometry)
         if relief_m is None:  # of the gel's curve nothing else is known
             slope_x += np.float32(optics.dome) * self.x
             slope_y += np.float32(optics.dome) * self.y
@@ -108,7 +108,7 @@ class _Field:
 
         The normal, towards the camera, is (-slope_x, -slope_y, 1) / length, as are the light's axes.
         """
-        x, y, z, falloff = self._towards(light)
+        x, y, z, falloff = self._aim(light)
         shade: Float32 = slope_x * -x
         shade -= slope_y * y
         shade += z
@@ -121,7 +121,7 @@ class _Field:
         shade *= falloff
         return shade
 
-    def _towards(self, light: Light) -> tuple[Any, Any, Any, Any]:
+    def _aim(self, light: Light) -> tuple[Any, Any, Any, Any]:
         """The unit vector from each pixel to a light, and its fall-off: 1 in the middle. Unitless, broadcast (H, W)."""
         direction = np.asarray(light.direction, np.float64) / np.linalg.norm(light.direction)
         if math.isinf(light.distance):
@@ -133,7 +133,7 @@ class _Field:
         return dx / away, dy / away, lamp[2] / away, (np.float32(light.distance) / away) ** 2
 
 
-def _photo(background: Image, geometry: SensorGeometry) -> Float32:
+def _check_photo(background: Image, geometry: SensorGeometry) -> Float32:
     """Check a photo (H, W, 3) and return it as counts (3, 1, H, W)."""
     if background.shape != (*geometry.shape, 3) or background.dtype != np.uint8:
         raise ConfigError(
@@ -143,7 +143,7 @@ def _photo(background: Image, geometry: SensorGeometry) -> Float32:
     return np.moveaxis(background.astype(np.float32), -1, 0)[:, None]
 
 
-def _exposed(counts: Float32, optics: Optics, rng: np.random.Generator) -> Image:
+def _expose(counts: Float32, optics: Optics, rng: np.random.Generator) -> Image:
     """Add the camera's noise to brightness (3, N, H, W) in counts, cut it at black and white: (N, H, W, 3) uint8."""
     if optics.read_noise > 0 or optics.shot_noise > 0:
         signal = np.clip(counts, 0, np.float32(WHITE))

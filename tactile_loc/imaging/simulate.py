@@ -13,8 +13,8 @@ from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.core.slots.scene import Scene
-from tactile_loc.imaging.boards import board, random_board_poses
-from tactile_loc.imaging.gel import SOFTNESS_M, contact_indentation, gel_surface
+from tactile_loc.imaging.boards import draw_board_poses, make_board
+from tactile_loc.imaging.gel import SOFTNESS_M, find_indentation, press_gel
 from tactile_loc.imaging.optics import Optics
 from tactile_loc.imaging.shading import render_images
 
@@ -38,7 +38,7 @@ class BoardPresses(NamedTuple):
     press_depth_m: NDArray[np.float64]
 
 
-def touch_images(
+def render_touches(
     depth_m: NDArray[np.floating[Any]],
     press_depth_m: ArrayLike,
     geometry: SensorGeometry,
@@ -49,14 +49,14 @@ def touch_images(
 ) -> Image:
     """Return pictures (N, H, W, 3) uint8 RGB of contact depths (N, H, W) at presses (N,), metres.
 
-    `softness_m` is the elastomer's (see `gel_surface`), `background` (H, W, 3) uint8 a photo of the unpressed sensor
+    `softness_m` is the elastomer's (see `press_gel`), `background` (H, W, 3) uint8 a photo of the unpressed sensor
     (see `render_images`). Raises ConfigError for sizes that do not fit.
     """
-    surface = gel_surface(depth_m, press_depth_m, geometry, softness_m)
+    surface = press_gel(depth_m, press_depth_m, geometry, softness_m)
     return render_images(surface, geometry, optics, rng, background)
 
 
-def board_presses(
+def press_boards(
     geometry: SensorGeometry,
     count: int,
     optics: Optics,
@@ -67,27 +67,27 @@ def board_presses(
 ) -> Iterator[BoardPresses]:
     """Yield `count` presses of the calibration boards in batches of at most `BATCH`, the two boards in turn.
 
-    Poses are `random_board_poses` in contact, the same for one `rng` whatever the optics; presses are uniform
+    Poses are `draw_board_poses` in contact, the same for one `rng` whatever the optics; presses are uniform
     from `LIGHTEST` of the sensor's deepest to all of it.
-    For lights that differ, take each share of the presses with optics of its own (`Optics.varied`). Raises ConfigError
+    For lights that differ, take each share of the presses with optics of its own (`Optics.vary`). Raises ConfigError
     for a negative count, TouchError when the boards hardly ever leave an imprint.
     """
     if count < 0:
         raise ConfigError(f"{count} presses were asked for; give zero or more")
     camera = rng.spawn(1)[0]  # so that its noise does not change the presses
-    scenes = [Scene(board(number), geometry, renderer) for number in (1, 2)]
+    scenes = [Scene(make_board(number), geometry, renderer) for number in (1, 2)]
     for i in range(math.ceil(count / BATCH)):
-        depth, press = _presses(scenes[i % 2], min(BATCH, count - i * BATCH), rng)
-        images = touch_images(depth, press, geometry, optics, camera, softness_m, background)
-        yield BoardPresses(images, contact_indentation(depth, press), press)
+        depth, press = _draw_presses(scenes[i % 2], min(BATCH, count - i * BATCH), rng)
+        images = render_touches(depth, press, geometry, optics, camera, softness_m, background)
+        yield BoardPresses(images, find_indentation(depth, press), press)
 
 
-def _presses(scene: Scene, count: int, rng: np.random.Generator) -> tuple[Float32, NDArray[np.float64]]:
+def _draw_presses(scene: Scene, count: int, rng: np.random.Generator) -> tuple[Float32, NDArray[np.float64]]:
     """Draw contact depths (count, H, W) of a board, and their presses (count,), metres; each shows something."""
     geometry = scene.geometry
     depths, presses = np.empty((0, *geometry.shape), np.float32), np.empty(0)
     for _ in range(MOST_ROUNDS):
-        T, touching = scene.in_contact(random_board_poses(scene.object, geometry, count - len(depths), rng))
+        T, touching = scene.in_contact(draw_board_poses(scene.object, geometry, count - len(depths), rng))
         press = geometry.max_depth_m * rng.uniform(LIGHTEST, 1.0, len(T))
         depth = np.minimum(scene.contact_depths(T), press.astype(np.float32)[:, None, None])
         contact = (depth < press.astype(np.float32)[:, None, None]) & geometry.observed_mask

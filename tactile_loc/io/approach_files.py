@@ -4,15 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import require_rigid
-from tactile_loc.io.toml import MATRIX, Matrix, PoseKeys, Positive, explain, listed_tables, pose_from_keys, read_toml
+from tactile_loc.io.toml import (
+    MATRIX,
+    Matrix,
+    PoseKeys,
+    Positive,
+    list_tables,
+    name_errors,
+    read_pose,
+    read_toml,
+    scale,
+)
 
 Pose = NDArray[np.float64]
 
@@ -57,34 +66,25 @@ def read_approaches(path: str | Path, T_base_sensor: Pose | None = None) -> tupl
     """
     path = Path(path)
     approaches = []
-    tables = listed_tables(path, read_toml(path), "approach", "where its sensor starts")
+    tables = list_tables(path, read_toml(path), "approach", "where its sensor starts")
     for number, table in enumerate(tables, start=1):
-        try:
-            approaches.append(_approach(table, f"approach {number}", T_base_sensor))
-        except ValidationError as error:
-            reason = explain(error, _ApproachTable, table, "an approach")
-            raise ConfigError(f"{path}, approach {number}: {reason}") from error
-        except ValueError as error:
-            raise ConfigError(f"{path}, approach {number}: {error}") from error
+        with name_errors(f"{path}, approach {number}", _ApproachTable, table, "an approach"):
+            keys = _ApproachTable(**table)
+            start, travel_m = _place_start(keys, T_base_sensor), scale(keys.travel_mm) or TRAVEL_M
+            name = keys.name or f"approach {number}"
+            approaches.append(Approach(start, scale(keys.press_depth_mm), travel_m, keys.cost, name))
     return tuple(approaches)
 
 
-def _approach(table: dict[str, Any], name: str, T_base_first: Pose | None) -> Approach:
-    keys = _ApproachTable(**table)
-    return Approach(
-        _start(keys, T_base_first), None if keys.press_depth_mm is None else 1e-3 * keys.press_depth_mm,
-        TRAVEL_M if keys.travel_mm is None else 1e-3 * keys.travel_mm, keys.cost, keys.name or name,
-    )  # fmt: skip
-
-
-def _start(keys: _ApproachTable, T_base_first: Pose | None) -> Pose:
+def _place_start(keys: _ApproachTable, T_base_first: Pose | None) -> Pose:
     """Where the sensor starts: in the base frame, or in that of the touch's sensor, if its pose is not known."""
-    T = pose_from_keys(keys, keys.T_base_sensor, "T_base_sensor")
+    T = read_pose(keys, keys.T_base_sensor, "T_base_sensor")
     if keys.T_sensor_next is not None:
         if T is not None:
             raise ValueError("T_sensor_next tells where the sensor starts; leave its pose in the base frame out")
-        motion = np.asarray(pose_from_keys(PoseKeys(), keys.T_sensor_next, "T_sensor_next"))
-        return motion if T_base_first is None else np.asarray(T_base_first @ motion)
+        motion = read_pose(PoseKeys(), keys.T_sensor_next, "T_sensor_next")
+        assert motion is not None
+        return motion if T_base_first is None else T_base_first @ motion
     if T is None:
         raise ValueError("its start is missing; give T_base_sensor, xyz_mm with rpy_deg, or T_sensor_next")
     if T_base_first is None:

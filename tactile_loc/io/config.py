@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,8 +13,9 @@ from pydantic_core import PydanticCustomError
 from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.sensing.sensor_geometry import Drawing
 from tactile_loc.core.simulation.noise import NoiseLevel
-from tactile_loc.core.slots.registry import SLOTS
-from tactile_loc.io.toml import read_toml, toml_value
+from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
+from tactile_loc.io.options import TUNABLE, HypothesisOptions, SearchOptions, TrackerOptions
+from tactile_loc.io.toml import parse_value, read_toml
 from tactile_loc.store.files import recover_folder
 
 
@@ -30,7 +31,7 @@ class SlotConfig(_Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _flat(cls, value: Any) -> Any:
+    def _unfold(cls, value: Any) -> Any:
         """Accept "icp" and {name = "icp", max_iterations = 30} beside the full form."""
         if isinstance(value, str):
             return {"name": value}
@@ -60,6 +61,11 @@ class TouchConfig(_Strict):
     press_depth_mm: float | None = None
     noise: NoiseLevel = "none"
 
+    @property
+    def press_depth_m(self) -> float | None:
+        """How deep the press was, metres; None where the file is to say it."""
+        return None if self.press_depth_mm is None else 1e-3 * self.press_depth_mm
+
 
 WHOLE = SlotConfig(name="whole")
 LISTED = SlotConfig(name="face")  # of what needs poses that are listed, as the paper's protocol and sweeps do
@@ -68,7 +74,7 @@ OF_WHOLE = {  # what suits the places of a whole object, where nothing is given
 }
 
 
-def default_component(slot: str, grid: str = WHOLE.name) -> SlotConfig:
+def choose_component(slot: str, grid: str = WHOLE.name) -> SlotConfig:
     """Return what fills a slot that is not given, with a grid of that name, by default the default one."""
     chosen: SlotConfig = RunConfig.model_fields[slot].default
     return OF_WHOLE.get(slot, chosen) if grid == WHOLE.name else chosen
@@ -81,6 +87,7 @@ class RunConfig(_Strict):
     `drop_outliers` leaves out those of several touches that contradict the others.
     `coverage` asks for all modes of a set of poses that holds the true one with that probability, 0 to 1.
     An `encoder` that is not given suits the grid: of a whole object, pixel with its options.
+    `search`, `hypotheses` and `tracker` are numbers to tune: see their classes.
     `drawing` is what touches are compared with: the object "pressed", as the sensor sees it, or where it just touches,
     as in the "paper".
     """
@@ -102,16 +109,19 @@ class RunConfig(_Strict):
     coverage: float | None = Field(default=None, gt=0, lt=1)
     drawing: Drawing = "pressed"
     drop_outliers: bool = False
+    search: SearchOptions = SearchOptions()
+    hypotheses: HypothesisOptions = HypothesisOptions()
+    tracker: TrackerOptions = TrackerOptions()
 
     @model_validator(mode="before")
     @classmethod
-    def _suiting_the_grid(cls, value: Any) -> Any:
+    def _suit_the_grid(cls, value: Any) -> Any:
         """What is not given is what suits the grid."""
         if not isinstance(value, dict):
             return value
         grid = value.get("grid", WHOLE)
         named = grid.get("name") if isinstance(grid, dict) else getattr(grid, "name", grid)
-        return {slot: default_component(slot, str(named)) for slot in OF_WHOLE} | value
+        return {slot: choose_component(slot, str(named)) for slot in OF_WHOLE} | value
 
     @classmethod
     def from_toml(cls, path: str | Path) -> RunConfig:
@@ -121,8 +131,6 @@ class RunConfig(_Strict):
     @classmethod
     def from_dict(cls, values: dict[str, Any], source: str = "the configuration") -> RunConfig:
         """Validate nested values; raises ConfigError in one sentence that names `source` and what is allowed."""
-        from tactile_loc.core.slots.registry import validate_options
-
         unknown = set(values) - set(cls.model_fields)
         if unknown:
             key = sorted(unknown)[0]
@@ -131,11 +139,22 @@ class RunConfig(_Strict):
         result: RunConfig = validate_options(cls, values, f"configuration {source!r}")
         return result
 
+    def resolve(self) -> dict[str, Any]:
+        """Return every setting as JSON values, each component's options complete with their defaults.
 
-def kind_of_sensor(name: str) -> str | None:
+        Raises ConfigError when a component refuses its options.
+        """
+        settings = self.model_dump(mode="json")
+        for slot in SLOTS:
+            chosen = getattr(self, slot)
+            options = registry().load(slot, chosen.name).Options
+            complete = validate_options(options, chosen.options, f"{slot} {chosen.name!r}")
+            settings[slot] = {"name": chosen.name, "options": complete.model_dump(mode="json")}
+        return settings
+
+
+def find_sensor_kind(name: str) -> str | None:
     """Return the component that reads a sensor given by its path; None when it is the name of one."""
-    from tactile_loc.core.slots.registry import registry
-
     if name in registry().names("sensor"):
         return None
     if name.endswith(".toml"):
@@ -149,21 +168,21 @@ def parse_settings(assignments: Iterable[str]) -> tuple[dict[str, Any], list[str
 
     Values are read as TOML, else as text.
     """
-    plain = RunConfig.model_fields.keys() - {*SLOTS, "object", "touch"}
+    plain = RunConfig.model_fields.keys() - {*SLOTS, *TUNABLE, "object", "touch"}
     settings, others = {}, []
     for word in assignments:
         name, equals, text = word.partition("=")
         if equals and name.strip() in plain:
-            settings[name.strip()] = toml_value(text.strip())
+            settings[name.strip()] = parse_value(text.strip())
         else:
             others.append(word)
     return settings, others
 
 
-def parse_overrides(assignments: Iterable[str]) -> dict[str, dict[str, Any]]:
+def parse_overrides(assignments: Iterable[str], tables: Sequence[str] = SLOTS) -> dict[str, dict[str, Any]]:
     """Turn "slot.option=value" words into {slot: {option: value}}; values are read as TOML, else as text.
 
-    Raises ConfigError for words of another form or an unknown slot.
+    `tables` are the slots, and perhaps TUNABLE. Raises ConfigError for words of another form or an unknown slot.
     """
     overrides: dict[str, dict[str, Any]] = {}
     for word in assignments:
@@ -171,9 +190,9 @@ def parse_overrides(assignments: Iterable[str]) -> dict[str, dict[str, Any]]:
         slot, dot, option = (part.strip() for part in target.partition("."))
         if not (equals and dot and option):
             raise ConfigError(f"cannot read the option {word!r}; write it as slot.option=value, as grid.spacing_mm=3")
-        if slot not in SLOTS:
+        if slot not in tables:
             raise ConfigError(
-                f"there is no slot {slot!r} in {word!r}.{did_you_mean(slot, SLOTS)} Slots: {', '.join(SLOTS)}"
+                f"there is no slot {slot!r} in {word!r}.{did_you_mean(slot, tables)} Slots: {', '.join(tables)}"
             )
-        overrides.setdefault(slot, {})[option] = toml_value(text.strip())
+        overrides.setdefault(slot, {})[option] = parse_value(text.strip())
     return overrides

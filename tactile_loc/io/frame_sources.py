@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -20,7 +20,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.sensor import SensorModel
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_colour_image
 from tactile_loc.io.touches import read_contents, read_touch, touch_from_image
-from tactile_loc.io.videos import TO_INSTALL, video_facts, video_frames
+from tactile_loc.io.videos import TO_INSTALL, read_video, read_video_facts
 
 SUFFIXES = (".npz", ".npy", *IMAGE_SUFFIXES)
 POLL_S = 0.05
@@ -44,7 +44,7 @@ class SourceFrame:
     path: Path | None = None
     problem: TactileLocError | None = None
 
-    def touch(self, sensor: SensorModel, unit: str | None = None, press_depth_m: float | None = None) -> Touch:
+    def read_touch(self, sensor: SensorModel, unit: str | None = None, press_depth_m: float | None = None) -> Touch:
         """Return what a sensor reads in it, as `read_touch` does. Raises NoContactError, or TouchError."""
         if self.problem is not None:
             raise self.problem
@@ -67,12 +67,12 @@ class FrameSource(Protocol):
     def dropped(self) -> int:
         """How many frames nobody got so far."""
 
-    def frames(self) -> Frames:
+    def read_frames(self) -> Frames:
         """Yield frames as they come, until there are no more. Raises SourceError when the source goes away."""
 
 
 class _Newest:
-    """A place for one frame, the newest: put there by a thread, taken by another."""
+    """The newest of the frames that another thread gets, while it goes on; `dropped` are those that nobody took."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -81,20 +81,35 @@ class _Newest:
         self._error: BaseException | None = None
         self.dropped = 0
 
-    def put(self, frame: SourceFrame) -> None:
+    def follow(self, frames: Iterator[SourceFrame]) -> Frames:
+        """Yield the newest frame, again and again, until there are no more. Raises what ended the other thread."""
+        left = threading.Event()
+        thread = threading.Thread(target=self._fill, args=(frames, left), name="frames", daemon=True)
+        thread.start()
+        try:
+            while (frame := self._take()) is not None:
+                yield frame
+        finally:
+            left.set()
+            thread.join(LEAVES_S)
+
+    def _fill(self, frames: Iterator[SourceFrame], left: threading.Event) -> None:
+        try:
+            for frame in frames:
+                if left.is_set():
+                    break
+                with self._changed:
+                    self.dropped += self._frame is not None
+                    self._frame = frame
+                    self._changed.notify()
+        except BaseException as error:  # noqa: BLE001 - the other thread raises it
+            self._error = error
         with self._changed:
-            self.dropped += self._frame is not None
-            self._frame = frame
+            self._ended = True
             self._changed.notify()
 
-    def end(self, error: BaseException | None = None) -> None:
-        """Say that nothing more will come, and why, if that is an error."""
-        with self._changed:
-            self._ended, self._error = True, error
-            self._changed.notify()
-
-    def take(self) -> SourceFrame | None:
-        """Wait for a frame; None when there will be none. Raises what ended the other thread."""
+    def _take(self) -> SourceFrame | None:
+        """Wait for a frame; None when there will be none."""
         with self._changed:
             self._changed.wait_for(lambda: self._frame is not None or self._ended)
             frame, self._frame = self._frame, None
@@ -103,48 +118,23 @@ class _Newest:
         return frame
 
 
-def _newest_of(make: Callable[[], Iterator[SourceFrame]], place: _Newest) -> Frames:
-    """Yield the newest of the frames that another thread gets, while it goes on."""
-    left = threading.Event()
-
-    def fill() -> None:
-        try:
-            for frame in make():
-                if left.is_set():
-                    break
-                place.put(frame)
-            place.end()
-        except BaseException as error:  # noqa: BLE001 - the other thread raises it
-            place.end(error)
-
-    thread = threading.Thread(target=fill, name="frames", daemon=True)
-    thread.start()
-    try:
-        while (frame := place.take()) is not None:
-            yield frame
-    finally:
-        left.set()
-        thread.join(LEAVES_S)
-
-
 class Camera:
     """A camera that OpenCV opens: its number, or the name of a device. The newest frame counts."""
 
     def __init__(self, device: str) -> None:
         self.device, self.about = device, f"camera {device}"
-        self._place = _Newest()
+        self._newest = _Newest()
 
     @property
     def dropped(self) -> int:
         """How many frames nobody got so far."""
-        return self._place.dropped
+        return self._newest.dropped
 
-    def frames(self) -> Frames:
+    def read_frames(self) -> Frames:
         """Yield the newest frame, again and again. Raises SourceError where there is no camera, or it goes away."""
-        opened = self._opened()
-        return _newest_of(lambda: self._grabbed(opened), self._place)
+        return self._newest.follow(self._grab(self._open()))
 
-    def _opened(self) -> Any:
+    def _open(self) -> Any:
         try:
             import cv2
         except ImportError as error:
@@ -159,7 +149,7 @@ class Camera:
             )
         return found
 
-    def _grabbed(self, opened: Any) -> Iterator[SourceFrame]:
+    def _grab(self, opened: Any) -> Iterator[SourceFrame]:
         number = 0
         try:
             while (answer := opened.read())[0]:
@@ -176,21 +166,21 @@ class Video:
 
     def __init__(self, path: Path, every: bool) -> None:
         self.path, self.every, self.about = path, every, f"video {path}"
-        self._place = _Newest()
+        self._newest = _Newest()
 
     @property
     def dropped(self) -> int:
         """How many frames nobody got so far."""
-        return self._place.dropped
+        return self._newest.dropped
 
-    def frames(self) -> Frames:
+    def read_frames(self) -> Frames:
         """Yield its frames. Raises SourceError when it cannot be read, or breaks off before its end."""
-        return self._read() if self.every else _newest_of(self._played, self._place)
+        return self._read() if self.every else self._newest.follow(self._play())
 
     def _read(self) -> Frames:
-        facts, number = video_facts(self.path), 0
+        facts, number = read_video_facts(self.path), 0
         try:
-            for number, image in enumerate(video_frames(self.path), 1):
+            for number, image in enumerate(read_video(self.path), 1):
                 yield SourceFrame(number - 1, (number - 1) / facts.rate_hz, f"frame-{number - 1:06d}", image)
         except TactileLocError as error:
             raise SourceError(str(error)) from error
@@ -199,7 +189,7 @@ class Video:
                 f"{self.path} breaks off after {number} of {facts.count} frames; is it whole? {TO_INSTALL}"
             )
 
-    def _played(self) -> Iterator[SourceFrame]:
+    def _play(self) -> Iterator[SourceFrame]:
         start = time.monotonic()
         for frame in self._read():
             time.sleep(max(0.0, start + frame.time_s - time.monotonic()))
@@ -220,47 +210,47 @@ class ImageFolder:
         self._seen: dict[str, int] = {}  # when each file was written, ns
         self._growing: dict[str, tuple[int, float]] = {}  # size, and since when it has been that
 
-    def frames(self) -> Frames:
+    def read_frames(self) -> Frames:
         """Yield its files as frames. Raises SourceError when the folder is not there, or vanishes."""
         while True:
-            waiting = self._waiting()
-            yield from self._each(waiting) if self.every else self._newest(waiting)
+            waiting = self._list_waiting()
+            yield from self._take_each(waiting) if self.every else self._take_newest(waiting)
             if self.every and not self._growing:
                 return
             time.sleep(POLL_S)
 
-    def _waiting(self) -> list[tuple[int, Path]]:
+    def _list_waiting(self) -> list[tuple[int, Path]]:
         """When the files that nobody got yet were written, and where they are, the oldest first."""
         try:
-            found = sorted((_written_ns(path), path) for path in self.path.iterdir() if _is_frame(path))
+            found = sorted((_read_time_ns(path), path) for path in self.path.iterdir() if _is_frame(path))
         except OSError as error:
             raise SourceError(f"{self.path} cannot be read any more ({error.strerror}); is it still there?") from error
         waiting = [(when, path) for when, path in found if self._seen.get(path.name) != when]
         self._growing = {path.name: self._growing[path.name] for _, path in waiting if path.name in self._growing}
         return waiting
 
-    def _each(self, waiting: list[tuple[int, Path]]) -> Iterator[SourceFrame]:
+    def _take_each(self, waiting: list[tuple[int, Path]]) -> Iterator[SourceFrame]:
         for when, path in waiting:
-            if (frame := self._frame(path)) is not None:
-                yield self._counted(frame, when, path)
+            if (frame := self._read_frame(path)) is not None:
+                yield self._count(frame, when, path)
 
-    def _newest(self, waiting: list[tuple[int, Path]]) -> Iterator[SourceFrame]:
+    def _take_newest(self, waiting: list[tuple[int, Path]]) -> Iterator[SourceFrame]:
         """The newest that is whole; those before it are dropped."""
         for place in reversed(range(len(waiting))):
             when, path = waiting[place]
-            if (frame := self._frame(path)) is not None:
+            if (frame := self._read_frame(path)) is not None:
                 self._seen |= {older.name: ns for ns, older in waiting[:place]}
                 self.dropped += place
                 self._number += place
-                yield self._counted(frame, when, path)
+                yield self._count(frame, when, path)
                 return
 
-    def _counted(self, frame: SourceFrame, when: int, path: Path) -> SourceFrame:
+    def _count(self, frame: SourceFrame, when: int, path: Path) -> SourceFrame:
         self._seen[path.name] = when
         self._number += 1
         return replace(frame, number=self._number - 1)
 
-    def _frame(self, path: Path) -> SourceFrame | None:
+    def _read_frame(self, path: Path) -> SourceFrame | None:
         """A file as a frame; None while somebody may still be writing it."""
         problem = None
         try:
@@ -286,7 +276,7 @@ def _is_frame(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and path.is_file()
 
 
-def _written_ns(path: Path) -> int:
+def _read_time_ns(path: Path) -> int:
     """When a file was written, ns; 0 for one that has just been taken away."""
     try:
         return path.stat().st_mtime_ns

@@ -1,11 +1,20 @@
-"""Images as files: photos of the gel, masks, 16-bit depths. Nothing is ever unpickled, and a damaged file is told."""
+"""Images and arrays as files, from anybody: photos, masks, depths, .npy and .npz.
+
+Nothing is ever unpickled, no more memory is taken than the file fills, and a damaged file is refused.
+"""
 
 from __future__ import annotations
 
+import lzma
+import math
 import os
 import struct
+import tokenize
 import warnings
+import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
@@ -14,12 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TouchError
-from tactile_loc.io.arrays import load_npy
 
 FORMATS = ".npz, .npy or 16-bit grey .png"  # of contact shapes
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
-MOST_PIXELS = 2**26  # 8192 x 8192: more than any camera behind a gel has
+MOST_PIXELS, MOST_SIDE_PX = 2**26, 2**14  # of an image, and of a side of it: more than any camera behind a gel has
+MOST_BYTES = 2**30  # of all arrays of one .npz
+HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+DAMAGES = (
+    EOFError, KeyError, SyntaxError, TypeError, RuntimeError, OverflowError, AttributeError, MemoryError,
+    lzma.LZMAError, struct.error, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 
 UNREADABLE = (
     OSError, ValueError, TypeError, EOFError, KeyError, IndexError, SyntaxError, RuntimeError, MemoryError,
@@ -39,7 +53,7 @@ def read_colour_image(path: Path) -> NDArray[np.uint8] | None:
     try:
         mode, values = ("RGB", load_npy(path)) if suffix == ".npy" else load_image(path)
     except UNREADABLE as error:
-        raise TouchError(why_unreadable(path, error)) from error
+        raise TouchError(explain_unreadable(path, error)) from error
     colour = mode == "RGB" and values.ndim == 3 and values.shape[2] == 3 and values.dtype == np.uint8
     return values if colour else None
 
@@ -56,17 +70,14 @@ def load_image(path: Path | IO[bytes], mode: str | None = None) -> tuple[str, ND
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the bound is ours
             file = BytesIO(path.read_bytes()) if isinstance(path, Path) else path  # beyond whose end no length leads
             with Image.open(file) as image:
-                _require_bounded(image.size)
+                width, height = image.size
+                if width * height > MOST_PIXELS or max(width, height) > MOST_SIDE_PX:
+                    most = f"more than any sensor has ({MOST_PIXELS / 1e6:.0f} million, {MOST_SIDE_PX} along a side)"
+                    raise ValueError(f"{width} x {height} pixels are {most}")
                 wanted = image if mode is None else image.convert(mode)
                 return wanted.mode, np.asarray(wanted)
     except Image.DecompressionBombError as error:
         raise ValueError(str(error)) from error
-
-
-def _require_bounded(size_px: tuple[int, int]) -> None:
-    width, height = size_px
-    if width * height > MOST_PIXELS:
-        raise ValueError(f"{width} x {height} pixels are more than the {MOST_PIXELS / 1e6:.0f} million of any sensor")
 
 
 def write_image(path: Path, values: NDArray[Any]) -> Path:
@@ -85,9 +96,68 @@ def require_file(path: Path) -> None:
         raise TouchError(f"there is no file {path}; check the path")
 
 
-def why_unreadable(path: Path, error: BaseException) -> str:
+def explain_unreadable(path: Path, error: BaseException) -> str:
     """Return the sentence that says why a file could not be read."""
     if "allow_pickle" in str(error):
         return f"{path} holds Python objects, which are never loaded; save plain numbers (H, W)"
-    reason = " ".join(str(error).split()) or type(error).__name__
-    return f"{path} cannot be read as {path.suffix.lower()[1:]} ({reason}); it is damaged or of another kind"
+    return f"{path} cannot be read as {path.suffix.lower()[1:]} ({summarize(error)}); it is damaged or of another kind"
+
+
+def summarize(error: BaseException) -> str:
+    """Return what an error says in one line, or its kind where it says nothing."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def load_npy(path: Path) -> NDArray[Any]:
+    """Return the array of an .npy file. Raises ValueError when it is damaged or none, OSError as any read."""
+    with path.open("rb") as file, _convert_damage():
+        _require_filled(file, path.stat().st_size)
+        file.seek(0)
+        array: NDArray[Any] = np.load(file, allow_pickle=False)
+    return array
+
+
+def load_npz(path: Path) -> dict[str, NDArray[Any]]:
+    """Return the arrays of an .npz file by their names. Raises ValueError when it is damaged or none, OSError."""
+    with path.open("rb") as file, _convert_damage():
+        _require_magic(file, b"PK")
+        file.seek(0)
+        with zipfile.ZipFile(file) as archive:
+            members = archive.infolist()
+            held = sum(member.file_size for member in members)
+            if held > MOST_BYTES:
+                raise ValueError(f"it inflates to {held / 2**30:.3g} GiB, more than {MOST_BYTES / 2**30:g}")
+            for member in members:
+                with archive.open(member) as stream:
+                    _require_filled(stream, member.file_size)
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+
+
+@contextmanager
+def _convert_damage() -> Iterator[None]:
+    """Whatever a damaged file makes of the readers' code is a ValueError."""
+    try:
+        yield
+    except DAMAGES as error:
+        raise ValueError(str(error) or type(error).__name__) from error
+
+
+def _require_filled(file: IO[bytes], size: int) -> None:
+    """Raise ValueError unless a file of `size` bytes begins as .npy, and holds as many numbers as it says."""
+    _require_magic(file, np.lib.format.MAGIC_PREFIX)
+    version = tuple(file.read(2))
+    if version not in HEADERS:
+        raise ValueError(f"it is of version {version}, which cannot be read")
+    shape, _, dtype = HEADERS[version](file)
+    left, said = size - file.tell(), math.prod(shape) * dtype.itemsize
+    if dtype.hasobject:
+        raise ValueError("allow_pickle")
+    if min(shape, default=0) < 0 or dtype.itemsize == 0 or said > left:
+        raise ValueError(f"it says to hold {dtype} of shape {shape}, {said} bytes, but {left} follow")
+
+
+def _require_magic(file: IO[bytes], magic: bytes) -> None:
+    if file.read(len(magic)) != magic:
+        raise ValueError("its first bytes are those of another kind of file")

@@ -53,7 +53,7 @@ def read_surface(path: Path) -> Surface:
             warnings.simplefilter("ignore")
             raw = trimesh.load(path, force="mesh", process=False)
     except Exception as error:
-        raise ObjectError(f"{path} cannot be read as a mesh ({_first_line(error)}); give an STL, OBJ or PLY") from error
+        raise ObjectError(f"{path} cannot be read as a mesh ({_summarize(error)}); give an STL, OBJ or PLY") from error
     if not isinstance(raw, trimesh.Trimesh):
         raise ObjectError(f"{path} is no surface mesh; export it as one")
     _require_surface(np.asarray(raw.vertices), np.asarray(raw.faces), path)
@@ -114,7 +114,7 @@ def load_object(
     path = Path(path)
     name = name or path.stem
     surface = read(path)
-    scale, notes = _unit_scale(surface, units, path.name)
+    scale, notes = _find_scale(surface, units, path.name)
     mesh = TriangleMesh(surface.vertices * scale, surface.faces)
     check_surface(mesh, path.name)
     if not surface.is_watertight:
@@ -127,7 +127,7 @@ def load_object(
     return ObjectModel(name, mesh, group, tuple(notes), str(path))
 
 
-def _unit_scale(surface: Surface, units: str, name: str) -> tuple[float, list[str]]:
+def _find_scale(surface: Surface, units: str, name: str) -> tuple[float, list[str]]:
     """Return metres per file unit, and what was guessed.
 
     Parts that a hand-sized sensor touches are 4 mm to 1 m long: a number below 1 is read as metres, others as mm.
@@ -145,11 +145,11 @@ def _unit_scale(surface: Surface, units: str, name: str) -> tuple[float, list[st
     ]  # fmt: skip
 
 
-def _first_line(error: Exception) -> str:
+def _summarize(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0][:120]
 
 
-def simplified(mesh: TriangleMesh, faces: int) -> TriangleMesh:
+def simplify_mesh(mesh: TriangleMesh, faces: int) -> TriangleMesh:
     """Return the surface with about so many faces, by quadric error metrics; open3d's."""
     import open3d as o3d
 

@@ -8,9 +8,8 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import covariance_at
 from tactile_loc.io.toml import (
     MATRIX,
@@ -18,10 +17,10 @@ from tactile_loc.io.toml import (
     Matrix,
     PoseKeys,
     Positive,
-    explain,
-    pose_from_keys,
+    format_toml,
+    name_errors,
+    read_pose,
     read_toml,
-    toml_text,
 )
 from tactile_loc.store.files import write_atomically
 
@@ -40,7 +39,7 @@ class Mount:
     T_flange_sensor: NDArray[np.float64]
     covariance: NDArray[np.float64] | None = None
 
-    def std_at(self, point_m: NDArray[np.float64]) -> tuple[float, float]:
+    def find_std_at(self, point_m: NDArray[np.float64]) -> tuple[float, float]:
         """Return the standard deviation (m, rad) along and about an axis at a point (3,) of the sensor, or 0."""
         if self.covariance is None:
             return 0.0, 0.0
@@ -86,28 +85,24 @@ def read_mount(path: str | Path) -> Mount:
     Raises ConfigError, in one sentence, when the file is missing or a key is missing, unknown or wrong.
     """
     path, values = Path(path), read_toml(path)
-    try:
+    with name_errors(path, MountRecord, values, "a mount"):
         keys = MountRecord(**values)
-        T = pose_from_keys(keys, keys.T_flange_sensor, "T_flange_sensor")
-        covariance = None if keys.covariance is None else _covariance(np.array(keys.covariance))
-    except ValidationError as error:
-        raise ConfigError(f"{path}: {explain(error, MountRecord, values, 'a mount')}") from error
-    except ValueError as error:
-        raise ConfigError(f"{path}: {error}") from error
-    if T is None:
-        raise ConfigError(
-            f"{path}: the mount is missing; give T_flange_sensor, or xyz_mm with either rpy_deg or quaternion_wxyz"
-        )
-    return Mount(T, covariance)
+        T = read_pose(keys, keys.T_flange_sensor, "T_flange_sensor")
+        covariance = None if keys.covariance is None else _check_covariance(np.array(keys.covariance))
+        if T is None:
+            raise ValueError(
+                "the mount is missing; give T_flange_sensor, or xyz_mm with either rpy_deg or quaternion_wxyz"
+            )
+        return Mount(T, covariance)
 
 
 def write_mount(path: Path, record: MountRecord) -> Path:
     """Write a mount as TOML, atomically, and return the path. Raises OutputError when that is impossible."""
-    text = toml_text(record.model_dump(mode="json", exclude_none=True))
+    text = format_toml(record.model_dump(mode="json", exclude_none=True))
     return write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def _covariance(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def _check_covariance(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     if not np.allclose(covariance, covariance.T, atol=1e-12) or np.linalg.eigvalsh(covariance).min() < 0:
         raise ValueError("covariance is none: it must be symmetric, with no negative variance")
     return covariance

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.priors import GaussianPrior, PosePrior, RegionPrior
-from tactile_loc.io.toml import MATRIX, Matrix, PoseKeys, Positive, Three, explain, pose_from_keys, read_toml
+from tactile_loc.io.toml import MATRIX, Matrix, PoseKeys, Positive, Three, name_errors, read_pose, read_toml
 
 Frame = Literal["sensor", "base"]
 Bounds = Annotated[list[Annotated[float, Field(allow_inf_nan=True)]], Field(min_length=3, max_length=3)]
@@ -54,6 +53,13 @@ class _Gaussian(PoseKeys):
         None, description="a positive number (degrees), left out where the rotation is unknown"
     )
 
+    def make(self, obj: ObjectModel) -> PosePrior:
+        T = read_pose(self, self.T, "T")
+        if T is None:
+            raise ValueError("the pose is missing; give T, or xyz_mm with either rpy_deg or quaternion_wxyz")
+        rotation_std_deg = math.inf if self.rotation_std_deg is None else self.rotation_std_deg
+        return GaussianPrior(T, 1e-3 * self.translation_std_mm, math.radians(rotation_std_deg), obj.symmetry)
+
 
 class _Placed(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -63,7 +69,7 @@ class _Placed(BaseModel):
         None, description="[x, y, z] (mm), the point of the object, in its frame, by default its centroid"
     )
 
-    def point_m(self, obj: ObjectModel) -> NDArray[np.float64]:
+    def find_point_m(self, obj: ObjectModel) -> NDArray[np.float64]:
         return obj.mesh.centroid_m if self.object_point_mm is None else 1e-3 * np.array(self.object_point_mm)
 
 
@@ -72,11 +78,22 @@ class _Region(_Placed):
     low_mm: Bounds = Field([-math.inf] * 3, description="[x, y, z] (mm), -inf where it is open")
     high_mm: Bounds = Field([math.inf] * 3, description="[x, y, z] (mm), inf where it is open")
 
+    def make(self, obj: ObjectModel) -> PosePrior:
+        return RegionPrior(1e-3 * np.array(self.low_mm), 1e-3 * np.array(self.high_mm), self.find_point_m(obj))
+
 
 class _HalfSpace(_Placed):
     kind: Literal["half-space"] = Field(description="'gaussian', 'region' or 'half-space'")
     normal: Three = Field(description="[x, y, z], pointing from the plane to where the object is")
     plane_point_mm: Three = Field(description="[x, y, z] (mm), a point of the plane")
+
+    def make(self, obj: ObjectModel) -> PosePrior:
+        return RegionPrior.half_space(self.normal, 1e-3 * np.array(self.plane_point_mm), self.find_point_m(obj))
+
+
+_KINDS: dict[str, type[_Gaussian | _Region | _HalfSpace]] = {
+    "gaussian": _Gaussian, "region": _Region, "half-space": _HalfSpace,
+}  # fmt: skip
 
 
 def read_prior(path: str | Path, obj: ObjectModel) -> FramedPrior:
@@ -91,38 +108,7 @@ def read_prior(path: str | Path, obj: ObjectModel) -> FramedPrior:
     if not isinstance(kind, str) or kind not in _KINDS:
         near = did_you_mean(kind, _KINDS) if isinstance(kind, str) else ""
         raise ConfigError(f"{path}: kind = {kind!r} is no kind of prior.{near} Kinds: {', '.join(_KINDS)}")
-    model, make = _KINDS[kind]
-    try:
+    model = _KINDS[kind]
+    with name_errors(path, model, values, f"a prior of kind {kind!r}"):
         keys = model(**values)
-        return FramedPrior(make(keys, obj), keys.frame, str(path))
-    except ValidationError as error:
-        _refuse(path, explain(error, model, values, f"a prior of kind {kind!r}"), error)
-    except (ConfigError, ValueError) as error:
-        _refuse(path, str(error), error)
-
-
-def _refuse(path: Path, reason: str, error: Exception) -> NoReturn:
-    raise ConfigError(f"{path}: {reason}") from error
-
-
-def _gaussian(keys: _Gaussian, obj: ObjectModel) -> PosePrior:
-    T = pose_from_keys(keys, keys.T, "T")
-    if T is None:
-        raise ValueError("the pose is missing; give T, or xyz_mm with either rpy_deg or quaternion_wxyz")
-    rotation_std_deg = math.inf if keys.rotation_std_deg is None else keys.rotation_std_deg
-    return GaussianPrior(T, 1e-3 * keys.translation_std_mm, math.radians(rotation_std_deg), obj.symmetry)
-
-
-def _region(keys: _Region, obj: ObjectModel) -> PosePrior:
-    return RegionPrior(1e-3 * np.array(keys.low_mm), 1e-3 * np.array(keys.high_mm), keys.point_m(obj))
-
-
-def _half_space(keys: _HalfSpace, obj: ObjectModel) -> PosePrior:
-    return RegionPrior.half_space(keys.normal, 1e-3 * np.array(keys.plane_point_mm), keys.point_m(obj))
-
-
-_KINDS: dict[str, tuple[type[Any], Callable[[Any, ObjectModel], PosePrior]]] = {
-    "gaussian": (_Gaussian, _gaussian),
-    "region": (_Region, _region),
-    "half-space": (_HalfSpace, _half_space),
-}
+        return FramedPrior(keys.make(obj), keys.frame, str(path))

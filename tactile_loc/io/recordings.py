@@ -11,17 +11,20 @@ from typing import IO, Any
 
 from tactile_loc.core.errors import RecordingError, did_you_mean
 from tactile_loc.core.geometry.frame_tree import FrameTree
-from tactile_loc.io.ros_messages import IMAGE_TYPES, STATIC, TF, add_transforms
-from tactile_loc.io.ros_types import (
+from tactile_loc.io.images import summarize
+from tactile_loc.io.ros_messages import (
     CDR,
+    IMAGE_TYPES,
     ROS1,
+    STATIC,
+    TF,
     Topic,
-    decoded,
-    definition_of,
-    encoded,
+    add_transforms,
+    encode,
+    find_definition,
+    load_types,
+    make_topic,
     require_libraries,
-    topic_of,
-    type_store,
 )
 from tactile_loc.store.files import write_atomically
 
@@ -37,9 +40,20 @@ class Message:
     publish_time_ns: int
     data: bytes
 
-    def decoded(self) -> Any:
+    def decode(self) -> Any:
         """Return the message with its fields. Raises RecordingError when it is damaged or of an unknown encoding."""
-        return decoded(self.topic, self.data)
+        topic = self.topic
+        types = load_types(topic.message_encoding)
+        if types is None:
+            raise RecordingError(
+                f"the messages of {topic.name} are written as {topic.message_encoding or 'nothing that is named'}; "
+                "only those of ROS 2 (cdr) and ROS 1 (ros1) can be read"
+            )
+        read = types.deserialize_cdr if topic.message_encoding == CDR else types.deserialize_ros1
+        try:
+            return read(self.data, topic.type)
+        except Exception as error:  # whatever stray bytes make of generated code
+            raise RecordingError(f"a message of {topic.name} is no {topic.type}: it is damaged") from error
 
 
 @dataclass(frozen=True)
@@ -72,11 +86,11 @@ class Recording:
         if not (self._in_mcap or os.path.isdir(self.path) or self.path.suffix.lower() == ".bag"):
             raise RecordingError(f"{self.path} is no recording; give {FORMATS}")
 
-    def messages(self, *names: str) -> Iterator[Message]:
+    def read_messages(self, *names: str) -> Iterator[Message]:
         """Yield the messages of the topics of these names, or all. Raises RecordingError when there is none to read."""
         self.damage = ""
         found = 0
-        for message in self._from_mcap() if self._in_mcap else self._from_bag():
+        for message in self._read_mcap() if self._in_mcap else self._read_bag():
             found += 1
             if not names or message.topic.name in names:
                 yield message
@@ -85,43 +99,43 @@ class Recording:
         if self.damage:
             self.damage = f"{self.path} is damaged or ends early ({self.damage}); its first {found} messages are read"
 
-    def contents(self) -> Contents:
+    def read_contents(self) -> Contents:
         """Return what the recording holds. Raises RecordingError when there is nothing that can be read."""
         counts: dict[Topic, int] = {}
-        for message in self.messages():
+        for message in self.read_messages():
             counts[message.topic] = counts.get(message.topic, 0) + 1
         return Contents(counts, self.damage)
 
-    def frame_tree(self) -> FrameTree:
+    def read_frame_tree(self) -> FrameTree:
         """Return the frames that topics of type TFMessage speak of. Raises FrameError when they are no tree."""
         tree = FrameTree()
-        for message in self.messages():
+        for message in self.read_messages():
             if message.topic.type == TF:
-                add_transforms(tree, message.decoded(), fixed=message.topic.name.endswith(STATIC))
+                add_transforms(tree, message.decode(), fixed=message.topic.name.endswith(STATIC))
         return tree
 
-    def extras(self) -> Iterator[Any]:
+    def read_extras(self) -> Iterator[Any]:
         """Yield the attachments and metadata of an MCAP file, as the library mcap has them."""
         from mcap.records import Attachment, Metadata
 
         if self._in_mcap:
-            yield from (record for record in self._records() if isinstance(record, Attachment | Metadata))
+            yield from (record for record in self._read_records() if isinstance(record, Attachment | Metadata))
 
-    def _from_mcap(self) -> Iterator[Message]:
+    def _read_mcap(self) -> Iterator[Message]:
         from mcap.records import Channel, Schema
         from mcap.records import Message as Record
 
         schemas: dict[int, Schema] = {}
         topics: dict[int, Topic] = {}
-        for record in self._records():
+        for record in self._read_records():
             if isinstance(record, Schema):
                 schemas[record.id] = record
             elif isinstance(record, Channel):
-                topics[record.id] = _topic(record, schemas.get(record.schema_id))
+                topics[record.id] = _read_topic(record, schemas.get(record.schema_id))
             elif isinstance(record, Record) and record.channel_id in topics:
                 yield Message(topics[record.channel_id], record.log_time, record.publish_time, record.data)
 
-    def _records(self) -> Iterator[Any]:
+    def _read_records(self) -> Iterator[Any]:
         """The records of the data section, to its end or to where it is damaged."""
         from mcap.exceptions import EndOfFile
         from mcap.records import DataEnd
@@ -134,23 +148,23 @@ class Recording:
                     if isinstance(record, DataEnd):
                         return
                     yield record
-            except _damages() as error:
-                self.damage = "it breaks off" if isinstance(error, EndOfFile) else _one_line(error)
+            except _list_damages() as error:
+                self.damage = "it breaks off" if isinstance(error, EndOfFile) else summarize(error)
 
-    def _from_bag(self) -> Iterator[Message]:
+    def _read_bag(self) -> Iterator[Message]:
         from rosbags.highlevel import AnyReader
 
         try:
-            with AnyReader([self.path], default_typestore=type_store(CDR)) as reader:
+            with AnyReader([self.path], default_typestore=load_types(CDR)) as reader:
                 encoding = CDR if reader.is2 else ROS1
-                topics = {c.id: _topic_of_bag(c, encoding) for c in reader.connections}
+                topics = {c.id: _read_bag_topic(c, encoding) for c in reader.connections}
                 for connection, time_ns, data in reader.messages():
                     yield Message(topics[connection.id], time_ns, time_ns, bytes(data))
-        except _damages() as error:
-            self.damage = _one_line(error)
+        except _list_damages() as error:
+            self.damage = summarize(error)
 
 
-def image_topic(contents: Contents, path: Path, name: str | None) -> Topic:
+def choose_image_topic(contents: Contents, path: Path, name: str | None) -> Topic:
     """Return the topic of images called `name`, or the only one.
 
     Raises RecordingError, which names those there are, when there is none, another or several.
@@ -176,7 +190,7 @@ class RecordingWriter:
         require_libraries()
         from mcap.writer import Writer
 
-        self._writer = Writer(file)
+        self._writer: Any = Writer(file)  # whose methods are untyped
         self._writer.start(profile="ros2", library="tactile-loc")
         self._channels: dict[Topic, int] = {}
         self._schemas: dict[tuple[str, bytes], int] = {}
@@ -187,7 +201,7 @@ class RecordingWriter:
 
     def write(self, name: str, type_name: str, message: Any, log_time_ns: int) -> None:
         """Write a message of a type that ROS comes with to the topic of this name."""
-        self._add(topic_of(name, type_name), encoded(message, type_name), log_time_ns, log_time_ns)
+        self._add(make_topic(name, type_name), encode(message, type_name), log_time_ns, log_time_ns)
 
     def copy_extra(self, record: Any) -> None:
         """Write an attachment or metadata of another recording as it is."""
@@ -204,10 +218,10 @@ class RecordingWriter:
 
     def _add(self, topic: Topic, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         if topic not in self._channels:
-            self._channels[topic] = self._channel(topic)
+            self._channels[topic] = self._find_channel(topic)
         self._writer.add_message(self._channels[topic], log_time_ns, data, publish_time_ns)
 
-    def _channel(self, topic: Topic) -> int:
+    def _find_channel(self, topic: Topic) -> int:
         schema = (topic.type, topic.definition)
         if schema not in self._schemas:
             self._schemas[schema] = self._writer.register_schema(
@@ -233,26 +247,26 @@ def write_recording(path: Path, write: Callable[[RecordingWriter], object]) -> P
     return write_atomically(path, write_file)
 
 
-def _topic(channel: Any, schema: Any) -> Topic:
+def _read_topic(channel: Any, schema: Any) -> Topic:
     name, data, encoding = ("", b"", "") if schema is None else (schema.name, schema.data, schema.encoding)
     return Topic(
-        channel.topic, _type_name(name), data, encoding, channel.message_encoding, tuple(channel.metadata.items())
+        channel.topic, _complete_type(name), data, encoding, channel.message_encoding, tuple(channel.metadata.items())
     )
 
 
-def _topic_of_bag(connection: Any, encoding: str) -> Topic:
-    definition = connection.msgdef.data.encode() or definition_of(connection.msgtype)  # older bags have none
+def _read_bag_topic(connection: Any, encoding: str) -> Topic:
+    definition = connection.msgdef.data.encode() or find_definition(connection.msgtype)  # older bags have none
     kind = "ros2idl" if connection.msgdef.format.name == "IDL" else "ros2msg" if encoding == CDR else "ros1msg"
     return Topic(connection.topic, connection.msgtype, definition, kind, encoding)
 
 
-def _type_name(name: str) -> str:
+def _complete_type(name: str) -> str:
     """A type's name as ROS 2 has it: package/msg/Name."""
     package, _, kind = name.partition("/")
     return name if "/" in kind or not kind else f"{package}/msg/{kind}"
 
 
-def _damages() -> tuple[type[Exception], ...]:
+def _list_damages() -> tuple[type[Exception], ...]:
     """What reading damaged bytes raises."""
     import apsw
     from mcap.exceptions import McapError
@@ -264,7 +278,3 @@ def _damages() -> tuple[type[Exception], ...]:
     of_libraries = (McapError, AnyReaderError, Ros1Error, Ros2Error, ZstdError, struct.error, apsw.Error)
     of_code = (LookupError, ArithmeticError, AssertionError, TypeError, AttributeError, RuntimeError)  # on stray bytes
     return (OSError, ValueError, EOFError, MemoryError, *of_code, *of_libraries)  # lengths are damaged, too
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__

@@ -5,20 +5,18 @@ docs/conventions.md lists the keys, examples/my_sensor.toml shows one.
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.errors import ConfigError, SensorError
 from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
-from tactile_loc.io.arrays import load_npy
-from tactile_loc.io.images import UNREADABLE, load_image, write_image
-from tactile_loc.io.toml import Finite, Positive, explain, read_toml
+from tactile_loc.io.images import UNREADABLE, load_image, load_npy, write_image
+from tactile_loc.io.toml import Finite, Positive, format_toml, name_errors, read_toml
 from tactile_loc.store.files import recover_folder
 
 CALIBRATION = "calibration.json"  # what the folder of a calibrated sensor holds
@@ -78,63 +76,52 @@ def read_sensor_file(path: Path) -> SensorGeometry:
     except ConfigError as error:
         raise SensorError(str(error)) from error
     model = _Orthographic if values.get("camera") == "orthographic" else _Pinhole
-    try:
-        description = model(**values)
-    except ValidationError as error:
-        kind = f"an {values['camera']}" if model is _Orthographic else "a pinhole"
-        reason = explain(error, model, values, f"{kind} sensor", decisive="camera")
-        raise SensorError(f"{path}: {reason}") from error
-    mask = None if description.mask is None else _read_mask(path.parent / description.mask, path)
-    relief_m = None if description.surface is None else _read_surface(path.parent / description.surface, path)
-    try:
-        return _geometry(description, mask, relief_m)
-    except SensorError as error:
-        raise SensorError(f"{path}: {error}") from error
+    kind = f"an {values['camera']}" if model is _Orthographic else "a pinhole"
+    with name_errors(path, model, values, f"{kind} sensor", SensorError, decisive="camera"):
+        return _build_geometry(model(**values), path.parent)
 
 
-def _geometry(
-    description: _Pinhole | _Orthographic, mask: NDArray[np.bool_] | None, relief_m: Depth | None
-) -> SensorGeometry:
-    width, height = description.image_size_px
-    fx, fy = description.focal
-    rectangle = description.sensing_rectangle_mm
+def _build_geometry(keys: _Pinhole | _Orthographic, folder: Path) -> SensorGeometry:
+    width, height = keys.image_size_px
+    fx, fy = keys.focal
+    rectangle = keys.sensing_rectangle_mm
     x0, x1, y0, y1 = (v * 1e-3 for v in rectangle or (0.0,) * 4)
     return SensorGeometry(
-        description.camera, width, height, fx, fy,
-        cx=width / 2 if description.cx is None else description.cx,
-        cy=height / 2 if description.cy is None else description.cy,
-        standoff_m=description.standoff_mm * 1e-3,
-        max_depth_m=description.max_depth_mm * 1e-3,
+        keys.camera, width, height, fx, fy,
+        cx=width / 2 if keys.cx is None else keys.cx,
+        cy=height / 2 if keys.cy is None else keys.cy,
+        standoff_m=keys.standoff_mm * 1e-3,
+        max_depth_m=keys.max_depth_mm * 1e-3,
         rectangle_m=None if rectangle is None else (x0, x1, y0, y1),
-        observed=mask,
-        relief_m=relief_m,
+        observed=None if keys.mask is None else _read_mask(folder / keys.mask),
+        relief_m=None if keys.surface is None else _read_surface(folder / keys.surface),
     )  # fmt: skip
 
 
-def _read_mask(path: Path, sensor_file: Path) -> NDArray[np.bool_]:
+def _read_mask(path: Path) -> NDArray[np.bool_]:
     """Read the mask (H, W) of observed pixels from a PNG: white (at least half) is observed."""
     try:
         return load_image(path, "L")[1] >= 128
     except UNREADABLE as error:
         raise SensorError(
-            f"{sensor_file}: the mask {path} cannot be read as an image ({error}); mask must be the path of a PNG, "
-            "white where the sensor observes, relative to the sensor file"
+            f"the mask {path} cannot be read as an image ({error}); mask must be the path of a PNG, white where the "
+            "sensor observes, relative to the sensor file"
         ) from error
 
 
-def _read_surface(path: Path, sensor_file: Path) -> Depth:
+def _read_surface(path: Path) -> Depth:
     """Read the undeformed gel's relief (H, W), metres, from a .npy file."""
     try:
         surface = load_npy(path)
     except UNREADABLE as error:
         raise SensorError(
-            f"{sensor_file}: the surface {path} cannot be read as .npy ({error}); surface must be the path of an array "
-            "(rows, columns) in metres, relative to the sensor file"
+            f"the surface {path} cannot be read as .npy ({error}); surface must be the path of an array (rows, "
+            "columns) in metres, relative to the sensor file"
         ) from error
     if surface.ndim != 2 or surface.dtype.kind != "f":
         raise SensorError(
-            f"{sensor_file}: the surface {path} is an array of shape {surface.shape} and type {surface.dtype}; it must "
-            "be one number a pixel, metres, (rows, columns)"
+            f"the surface {path} is an array of shape {surface.shape} and type {surface.dtype}; it must be one number "
+            "a pixel, metres, (rows, columns)"
         )
     return surface.astype(np.float32)
 
@@ -163,6 +150,5 @@ def write_sensor_file(path: Path, geometry: SensorGeometry) -> Path:
     if geometry.relief_m is not None:
         values |= {"surface": f"{path.stem}_surface.npy"}
         np.save(path.with_name(values["surface"]), geometry.relief_m)
-    lines = [f"{key} = {json.dumps(value)}" for key, value in values.items()]  # these values look alike in TOML
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    path.write_text(format_toml(values), encoding="utf-8")
     return path

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from tactile_loc.core.errors import ConfigError, did_you_mean, quoted
+from tactile_loc.core.errors import ConfigError, TactileLocError, did_you_mean, quoted
 from tactile_loc.core.geometry.rigid import is_rigid, make_transform, quaternion_to_rotation, rotation_about
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -40,7 +41,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         raise ConfigError(f"{path} is not valid TOML: {error}") from error
 
 
-def listed_tables(path: Path, values: dict[str, Any], name: str, needs: str, *others: str) -> list[dict[str, Any]]:
+def list_tables(path: Path, values: dict[str, Any], name: str, needs: str, *others: str) -> list[dict[str, Any]]:
     """Return the `[[name]]` tables of a file's values, of which it has one at least, and but for `others` nothing else.
 
     Raises ConfigError, which says what each `needs`.
@@ -58,7 +59,7 @@ def listed_tables(path: Path, values: dict[str, Any], name: str, needs: str, *ot
     return tables
 
 
-def toml_value(text: str) -> Any:
+def parse_value(text: str) -> Any:
     """Return the value that a text has in TOML; the text itself where it has none."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
@@ -84,6 +85,28 @@ def explain(
     return f"{key} = {quoted(values[key])} is wrong; {must_be}" if key in values else f"{key} is missing; {must_be}"
 
 
+@contextmanager
+def name_errors(
+    where: object, model: type[BaseModel], values: dict[str, Any], what: str,
+    kind: type[TactileLocError] = ConfigError, decisive: str = "",
+) -> Iterator[None]:  # fmt: skip
+    """Raise what is wrong with a table of `model`'s keys as a `kind` of error that begins with `where` it stands.
+
+    The other arguments are those of `explain`.
+    """
+    try:
+        yield
+    except ValidationError as error:
+        raise kind(f"{where}: {explain(error, model, values, what, decisive)}") from error
+    except (ValueError, TactileLocError) as error:
+        raise kind(f"{where}: {error}") from error
+
+
+def scale(value: float | None, factor: float = 1e-3) -> float | None:
+    """Return a value times a factor, by default that from mm to metres; None where there is none."""
+    return None if value is None else factor * value
+
+
 class PoseKeys(BaseModel):
     """The keys of a pose but for the matrix, whose name tells the frames. Unknown ones are refused.
 
@@ -99,7 +122,7 @@ class PoseKeys(BaseModel):
     quaternion_wxyz: Four | None = Field(default=None, description="[w, x, y, z], a unit quaternion, scalar first")
 
 
-def pose_from_keys(keys: PoseKeys, matrix: Sequence[Sequence[float]] | None, name: str) -> NDArray[np.float64] | None:
+def read_pose(keys: PoseKeys, matrix: Sequence[Sequence[float]] | None, name: str) -> NDArray[np.float64] | None:
     """Return the pose (4, 4), metres, of `matrix`, the key called `name`, or of the other keys; None if there is none.
 
     R = Rz(yaw) Ry(pitch) Rx(roll), as in URDF. Raises ValueError that says what is wrong.
@@ -116,10 +139,10 @@ def pose_from_keys(keys: PoseKeys, matrix: Sequence[Sequence[float]] | None, nam
         return None
     if "xyz_mm" not in given or len(given) != 2:
         raise ValueError(f"a pose is {name}, or xyz_mm with either rpy_deg or quaternion_wxyz, not {', '.join(given)}")
-    return make_transform(_rotation(keys), 1e-3 * np.array(keys.xyz_mm))
+    return make_transform(_read_rotation(keys), 1e-3 * np.array(keys.xyz_mm))
 
 
-def _rotation(keys: PoseKeys) -> NDArray[np.float64]:
+def _read_rotation(keys: PoseKeys) -> NDArray[np.float64]:
     if keys.rpy_deg is not None:
         roll, pitch, yaw = (
             rotation_about(axis, angle) for axis, angle in zip(np.eye(3), np.radians(keys.rpy_deg), strict=True)
@@ -132,42 +155,42 @@ def _rotation(keys: PoseKeys) -> NDArray[np.float64]:
     return quaternion_to_rotation(q / length)
 
 
-def toml_text(configuration: Mapping[str, Any]) -> str:
+def format_toml(configuration: Mapping[str, Any]) -> str:
     """Return a resolved configuration as TOML; what is not set is left out. A slot's options stand beside its name.
 
     A list of tables becomes an array of tables.
     """
     plain = {
-        key: value for key, value in configuration.items() if not isinstance(value, Mapping) and not _tables(value)
+        key: value for key, value in configuration.items() if not isinstance(value, Mapping) and not _find_tables(value)
     }
-    parts = [_lines(plain)] if plain else []
+    parts = [_format_lines(plain)] if plain else []
     for name, section in configuration.items():
-        parts += [f"[[{name}]]\n" + _lines(table) for table in _tables(section)]
+        parts += [f"[[{name}]]\n" + _format_lines(table) for table in _find_tables(section)]
         if isinstance(section, Mapping):
             options = section.get("options")
             flat = {k: v for k, v in section.items() if k != "options"}
-            parts.append(f"[{name}]\n" + _lines({**flat, **(options if isinstance(options, Mapping) else {})}))
+            parts.append(f"[{name}]\n" + _format_lines({**flat, **(options if isinstance(options, Mapping) else {})}))
     return "\n".join(parts)
 
 
-def _tables(value: Any) -> Sequence[Mapping[str, Any]]:
+def _find_tables(value: Any) -> Sequence[Mapping[str, Any]]:
     """The tables of a list that holds nothing else."""
     is_array = isinstance(value, (list, tuple)) and all(isinstance(item, Mapping) for item in value)
     return value if is_array else ()
 
 
-def _lines(values: Mapping[str, Any]) -> str:
-    return "".join(f"{_key(key)} = {_value(value)}\n" for key, value in values.items() if value is not None)
+def _format_lines(values: Mapping[str, Any]) -> str:
+    return "".join(f"{_quote_key(key)} = {_quote(value)}\n" for key, value in values.items() if value is not None)
 
 
-def _key(key: str) -> str:
+def _quote_key(key: str) -> str:
     bare = key.replace("_", "").replace("-", "").isalnum() and key.isascii()
-    return key if bare else _value(key)
+    return key if bare else _quote(key)
 
 
-def _value(value: Any) -> str:
+def _quote(value: Any) -> str:
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None) + " }"
+        return "{ " + ", ".join(f"{_quote_key(k)} = {_quote(v)}" for k, v in value.items() if v is not None) + " }"
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_value(item) for item in value) + "]"
+        return "[" + ", ".join(_quote(item) for item in value) + "]"
     return json.dumps(value, ensure_ascii=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,12 +10,22 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.io.mount_files import Mount, read_mount
 from tactile_loc.io.sensor_files import is_calibrated_sensor
-from tactile_loc.io.toml import MATRIX, Matrix, PoseKeys, Positive, explain, listed_tables, pose_from_keys, read_toml
+from tactile_loc.io.toml import (
+    MATRIX,
+    Matrix,
+    PoseKeys,
+    Positive,
+    list_tables,
+    name_errors,
+    read_pose,
+    read_toml,
+    scale,
+)
 from tactile_loc.io.touches import TouchUnit, read_contents
 
 Pose = NDArray[np.float64]
@@ -63,23 +74,18 @@ def read_touch_list(path: str | Path, of_flange: bool = False) -> tuple[ListedTo
     or a file or pose is missing.
     """
     path, values = Path(path), read_toml(path)
-    tables = listed_tables(path, values, "touch", "its path", "mount")
-    mount = None if of_flange else _mount(path, values)
+    tables = list_tables(path, values, "touch", "its path", "mount")
+    mount = None if of_flange else _read_mount(path, values)
     touches = []
     for number, table in enumerate(tables, start=1):
-        try:
-            listed = _listed(table, path.parent, mount, of_flange)
-            _require_pose(listed, len(tables) > 1, of_flange)
-            touches.append(listed)
-        except ValidationError as error:
-            reason = explain(error, _TouchTable, table, "a touch")
-            raise TouchError(f"{path}, touch {number}: {reason}") from error
-        except (ValueError, TouchError, ConfigError) as error:
-            raise TouchError(f"{path}, touch {number}: {error}") from error
+        with name_errors(f"{path}, touch {number}", _TouchTable, table, "a touch", TouchError):
+            touch = _read_listed(_TouchTable(**table), path.parent, mount, of_flange)
+            _require_pose(touch, len(tables) > 1, of_flange)
+            touches.append(touch)
     return tuple(touches)
 
 
-def _mount(path: Path, values: dict[str, Any]) -> Mount | None:
+def _read_mount(path: Path, values: dict[str, Any]) -> Mount | None:
     """The mount in the file that a list names, if it names one."""
     name = values.get("mount")
     if name is None:
@@ -89,24 +95,24 @@ def _mount(path: Path, values: dict[str, Any]) -> Mount | None:
     return read_mount(path.parent / name)
 
 
-def _listed(table: dict[str, Any], folder: Path, mount: Mount | None, of_flange: bool) -> ListedTouch:
-    keys = _TouchTable(**table)
+def _read_listed(keys: _TouchTable, folder: Path, mount: Mount | None, of_flange: bool) -> ListedTouch:
     file = folder / keys.path
     if not os.path.isfile(file):
         raise ValueError(f"there is no file {file}; path is relative to the list")
-    T, F = pose_from_keys(keys, keys.T_base_sensor, "T_base_sensor"), _flange(keys)
-    used = None if of_flange else _used_mount(keys, folder, mount)
+    T = read_pose(keys, keys.T_base_sensor, "T_base_sensor")
+    F = read_pose(PoseKeys(), keys.T_base_flange, "T_base_flange")
+    used = None if of_flange else _choose_mount(keys, folder, mount)
     if used is not None and F is not None:
         T = F @ used.T_flange_sensor
     if T is None and file.suffix.lower() == ".npz":
         T = read_contents(file).T_base_sensor
-    press_depth_m = None if keys.press_depth_mm is None else 1e-3 * keys.press_depth_mm
-    std_m = None if keys.T_base_sensor_std_mm is None else 1e-3 * keys.T_base_sensor_std_mm
-    std_rad = None if keys.T_base_sensor_std_deg is None else float(np.radians(keys.T_base_sensor_std_deg))
-    return ListedTouch(file, _sensor(keys.sensor, folder), keys.unit, press_depth_m, T, std_m, std_rad, F, used)
+    return ListedTouch(
+        file, _find_sensor(keys.sensor, folder), keys.unit, scale(keys.press_depth_mm), T,
+        scale(keys.T_base_sensor_std_mm), scale(keys.T_base_sensor_std_deg, math.pi / 180), F, used,
+    )  # fmt: skip
 
 
-def _used_mount(keys: _TouchTable, folder: Path, mount: Mount | None) -> Mount | None:
+def _choose_mount(keys: _TouchTable, folder: Path, mount: Mount | None) -> Mount | None:
     """The mount by which a touch's flange tells where its sensor was: its own, or the list's; None without a flange."""
     if keys.T_base_flange is None:
         if keys.mount is not None:
@@ -116,10 +122,6 @@ def _used_mount(keys: _TouchTable, folder: Path, mount: Mount | None) -> Mount |
     if used is not None and (keys.T_base_sensor is not None or keys.xyz_mm is not None):
         raise ValueError("T_base_flange and the mount tell T_base_sensor; leave the one or the other out")
     return used
-
-
-def _flange(keys: _TouchTable) -> Pose | None:
-    return None if keys.T_base_flange is None else pose_from_keys(PoseKeys(), keys.T_base_flange, "T_base_flange")
 
 
 def _require_pose(touch: ListedTouch, several: bool, of_flange: bool) -> None:
@@ -135,7 +137,7 @@ def _require_pose(touch: ListedTouch, several: bool, of_flange: bool) -> None:
         )
 
 
-def _sensor(sensor: str | None, folder: Path) -> str | None:
+def _find_sensor(sensor: str | None, folder: Path) -> str | None:
     """A sensor's path if there is one, else its name: a folder of touches may well be called after their sensor."""
     if sensor is None:
         return None

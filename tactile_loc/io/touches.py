@@ -17,18 +17,19 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import OutputError, TouchError
 from tactile_loc.core.geometry.rigid import require_rigid
 from tactile_loc.core.sensing.touch import ContactShape, Touch, contact_shape_from_array
-from tactile_loc.io.arrays import load_npy, load_npz
 from tactile_loc.io.images import (
     FORMATS,
     IMAGE_SUFFIXES,
     UNREADABLE,
+    explain_unreadable,
     load_image,
+    load_npy,
+    load_npz,
     read_colour_image,
     require_file,
-    why_unreadable,
 )
 from tactile_loc.io.meshes import METRES_PER_UNIT
-from tactile_loc.store.files import replacing
+from tactile_loc.store.files import replace_file
 
 if TYPE_CHECKING:
     from tactile_loc.core.slots.sensor import SensorModel
@@ -50,35 +51,31 @@ class FileContents:
 
 def read_contents(path: Path) -> FileContents:
     """Read what an .npz, .npy or 16-bit grey .png file says; raises TouchError when it is none or damaged."""
-    readers = {".npz": _read_npz, ".npy": _read_npy, ".png": _read_png}
+    readers = {".npz": _read_npz, ".npy": lambda path: FileContents(load_npy(path)), ".png": _read_png}
     suffix = path.suffix.lower()
     require_file(path)
     if suffix not in readers:
-        raise TouchError(_is_image(path) if suffix in IMAGE_SUFFIXES else f"{path} is no touch; give {FORMATS}")
+        raise TouchError(_explain_image(path) if suffix in IMAGE_SUFFIXES else f"{path} is no touch; give {FORMATS}")
     try:
         return readers[suffix](path)
     except UNREADABLE as error:
-        raise TouchError(why_unreadable(path, error)) from error
+        raise TouchError(explain_unreadable(path, error)) from error
 
 
-def _is_image(path: Path) -> str:
+def _explain_image(path: Path) -> str:
     return (
         f"{path} is an image, but not one in colour of 8 bits, which a sensor calibrated for images reads; convert it, "
         f"or give a contact shape as {FORMATS}, with its unit"
     )
 
 
-def _read_npy(path: Path) -> FileContents:
-    return FileContents(load_npy(path))
-
-
 def _read_npz(path: Path) -> FileContents:
     arrays = load_npz(path)
     unit = str(arrays["unit"]) if "unit" in arrays else None
     return FileContents(
-        _find_depth(arrays, path), unit, _number(arrays, "press_depth", path),
-        _pose(arrays, "T_sensor_object", path), _pose(arrays, "T_base_sensor", path),
-        _number(arrays, "indentation", path),
+        _find_depth(arrays, path), unit, _find_number(arrays, "press_depth", path),
+        _find_pose(arrays, "T_sensor_object", path), _find_pose(arrays, "T_base_sensor", path),
+        _find_number(arrays, "indentation", path),
     )  # fmt: skip
 
 
@@ -93,7 +90,7 @@ def _find_depth(arrays: Mapping[str, NDArray[Any]], path: Path) -> NDArray[Any]:
     return maps[0]
 
 
-def _number(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> float | None:
+def _find_number(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> float | None:
     if name not in arrays:
         return None
     value = arrays[name]
@@ -102,7 +99,7 @@ def _number(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> float 
     return float(value.reshape(()))
 
 
-def _pose(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> NDArray[np.float64] | None:
+def _find_pose(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> NDArray[np.float64] | None:
     if name not in arrays:
         return None
     return require_rigid(arrays[name], f"{name} in {path}", TouchError)
@@ -111,7 +108,7 @@ def _pose(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> NDArray[
 def _read_png(path: Path) -> FileContents:
     mode, values = load_image(path)
     if mode != "I" and not mode.startswith("I;16"):  # Pillow before 11 opens 16-bit grey as "I"
-        raise TouchError(_is_image(path))
+        raise TouchError(_explain_image(path))
     return FileContents(values.astype(np.uint16))
 
 
@@ -131,7 +128,7 @@ def read_contact_shape(
     Raises TouchError when the file is no contact shape.
     """
     path = Path(path)
-    return _shape(read_contents(path), path, max_depth_m, unit, press_depth_m)
+    return _build_shape(read_contents(path), path, max_depth_m, unit, press_depth_m)
 
 
 def read_touch(
@@ -149,7 +146,7 @@ def read_touch(
         shape = _cut(_ask_sensor(sensor, image, path), str(path), press_depth_m)
         return Touch(shape, geometry, path.name, image=image)
     contents = read_contents(path)
-    shape = _shape(contents, path, geometry.max_depth_m, unit, press_depth_m)
+    shape = _build_shape(contents, path, geometry.max_depth_m, unit, press_depth_m)
     return Touch(shape, geometry, path.name, contents.T_base_sensor, contents.T_sensor_object)
 
 
@@ -182,20 +179,20 @@ def write_touch(path: str | Path, touch: Touch) -> Path:
         **{name: np.asarray(T, np.float64) for name, T in poses.items() if T is not None},
     }
     try:
-        with replacing(path) as temporary, temporary.open("xb") as file:
+        with replace_file(path) as temporary, temporary.open("xb") as file:
             np.savez_compressed(file, allow_pickle=False, **arrays)
     except OSError as error:
         raise OutputError(f"{path} cannot be written ({error.strerror}); choose another place") from error
     return path
 
 
-def _shape(
+def _build_shape(
     contents: FileContents, path: Path, max_depth_m: float, unit: str | None, press_depth_m: float | None
 ) -> ContactShape:
     raw = contents.depth
     if raw.ndim != 2 or raw.dtype.kind not in "fiu":
         raise TouchError(f"{path} holds {raw.dtype} of shape {raw.shape}; a contact shape is (H, W) numbers")
-    scale = _scale(contents, path, unit)
+    scale = _find_scale(contents, path, unit)
     depth = raw.astype(np.float64) * scale
     if raw.dtype.kind == "u" and raw.dtype.itemsize == 2:
         depth[raw == NO_CONTACT_U16] = np.nan
@@ -203,11 +200,11 @@ def _shape(
         return contact_shape_from_array(depth, max_depth_m, press_depth_m, str(path))
     shape = contact_shape_from_array(depth, max_depth_m, contents.press_depth * scale, str(path))
     if contents.indentation is not None:
-        shape = dataclasses.replace(shape, indentation_m=_indentation_m(contents.indentation * scale, shape, path))
+        shape = dataclasses.replace(shape, indentation_m=_check_depth_m(contents.indentation * scale, shape, path))
     return _cut(shape, str(path), press_depth_m)
 
 
-def _indentation_m(indentation_m: float, shape: ContactShape, path: Path) -> float:
+def _check_depth_m(indentation_m: float, shape: ContactShape, path: Path) -> float:
     """How deep the object was pressed, metres: no less than what the contact shape shows of it."""
     if not shape.press_depth_m * (1 - 1e-6) <= indentation_m < LARGEST_INDENTATION_M:
         raise TouchError(
@@ -229,7 +226,7 @@ def _cut(shape: ContactShape, name: str, press_depth_m: float | None) -> Contact
     return shape.pressed_to(press_depth_m)
 
 
-def _scale(contents: FileContents, path: Path, unit: str | None) -> float:
+def _find_scale(contents: FileContents, path: Path, unit: str | None) -> float:
     """Return the metres per unit of a file's depths."""
     for name in (unit, contents.unit):
         if name is not None and name not in UNITS:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import CalibrationError
+from tactile_loc.io.images import summarize
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".mpg", ".mpeg", ".m4v", ".wmv", ".gif")
 TO_INSTALL = "pip install 'tactile-loc[video]'"
@@ -26,12 +27,12 @@ class VideoFacts:
     count: int | None = None
 
 
-def video_frames(path: Path) -> Iterator[NDArray[np.uint8]]:
+def read_video(path: Path) -> Iterator[NDArray[np.uint8]]:
     """Yield the frames (H, W, 3) of a video, red first.
 
     Raises CalibrationError when it holds none, is damaged, or nothing is installed that reads its kind.
     """
-    read = _by_opencv if importlib.util.find_spec("cv2") else _by_imageio
+    read = _read_opencv if importlib.util.find_spec("cv2") else _read_imageio
     number = 0
     for frame in read(path):
         number += 1
@@ -40,15 +41,15 @@ def video_frames(path: Path) -> Iterator[NDArray[np.uint8]]:
         raise CalibrationError(f"{path} holds no frame that can be read; is it a whole video? {TO_INSTALL}")
 
 
-def video_facts(path: Path) -> VideoFacts:
+def read_video_facts(path: Path) -> VideoFacts:
     """Return the rate and the number of frames that a video's own header tells; containers estimate the latter."""
-    read = _facts_by_opencv if importlib.util.find_spec("cv2") else _facts_by_imageio
+    read = _read_opencv_facts if importlib.util.find_spec("cv2") else _read_imageio_facts
     rate_hz, count = read(path)
     known = math.isfinite(count) and count >= 1
     return VideoFacts(rate_hz if math.isfinite(rate_hz) and rate_hz > 0 else USUAL_HZ, round(count) if known else None)
 
 
-def _facts_by_opencv(path: Path) -> tuple[float, float]:
+def _read_opencv_facts(path: Path) -> tuple[float, float]:
     import cv2
 
     film = cv2.VideoCapture(str(path))
@@ -58,7 +59,7 @@ def _facts_by_opencv(path: Path) -> tuple[float, float]:
         film.release()
 
 
-def _facts_by_imageio(path: Path) -> tuple[float, float]:
+def _read_imageio_facts(path: Path) -> tuple[float, float]:
     try:
         import imageio.v3
 
@@ -72,7 +73,7 @@ def _facts_by_imageio(path: Path) -> tuple[float, float]:
     return rate_hz, rate_hz * duration
 
 
-def _by_opencv(path: Path) -> Iterator[NDArray[np.uint8]]:
+def _read_opencv(path: Path) -> Iterator[NDArray[np.uint8]]:
     import cv2
 
     film = cv2.VideoCapture(str(path))
@@ -83,7 +84,7 @@ def _by_opencv(path: Path) -> Iterator[NDArray[np.uint8]]:
         film.release()
 
 
-def _by_imageio(path: Path) -> Iterator[NDArray[np.uint8]]:
+def _read_imageio(path: Path) -> Iterator[NDArray[np.uint8]]:
     try:
         import imageio.v3
     except ImportError as error:
@@ -91,7 +92,7 @@ def _by_imageio(path: Path) -> Iterator[NDArray[np.uint8]]:
     try:
         yield from imageio.v3.imiter(path, **({"mode": "RGB"} if path.suffix.lower() == ".gif" else {}))
     except Exception as error:  # whatever stray bytes make of the readers' code
-        reason = " ".join(str(error).split())[:120]
         raise CalibrationError(
-            f"{path} cannot be read as a video ({reason}); is it whole? for films such as mp4: {TO_INSTALL}"
+            f"{path} cannot be read as a video ({summarize(error)[:120]}); is it whole? for films such as mp4: "
+            f"{TO_INSTALL}"
         ) from error

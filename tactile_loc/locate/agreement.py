@@ -13,9 +13,10 @@ from tactile_loc.core.geometry.rigid import transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.refiner import Candidate, Refiner
+from tactile_loc.core.slots.refiner import Candidate
 from tactile_loc.core.slots.scene import View
-from tactile_loc.locate.hypotheses import LISTED, apart
+from tactile_loc.io.options import HypothesisOptions
+from tactile_loc.locate.hypotheses import Refine, apart
 from tactile_loc.locate.result import Agreement, Hypothesis
 
 FAR = 0.45  # imprint IoU: a touch contradicts a pose that explains it so much worse than another one does
@@ -39,7 +40,7 @@ class _Trial:
         return self.far == set(self.outliers) and self.hypotheses[0].imprint_iou >= WELL
 
 
-def agreed(
+def agree(
     find: Callable[[tuple[int, ...]], Hypotheses], best_alone: Callable[[], NDArray[np.float64]]
 ) -> tuple[Hypotheses, Agreement]:
     """Return the hypotheses of all touches but those that contradict the others, and what is to be said of that.
@@ -54,12 +55,12 @@ def agreed(
     best = ious.max(axis=0)
     if (ious[0] < 1 - FAR).any():
         best = np.maximum(best, best_alone())
-    if not _tried((), found, best).far:
+    if not _try((), found, best).far:
         return found, Agreement(_floats(best))
     left_out: tuple[int, ...] = ()
     while len(left_out) < (len(best) - 1) // 2:
         more = [(*left_out, k) for k in range(len(best)) if k not in left_out]
-        trials = [_tried(outliers, find(outliers), best) for outliers in more]
+        trials = [_try(outliers, find(outliers), best) for outliers in more]
         blamed = [trial for trial in trials if trial.rest_agree]
         if len(blamed) == 1:
             return blamed[0].hypotheses, Agreement(_floats(best), tuple(sorted(blamed[0].outliers)), True)
@@ -69,23 +70,25 @@ def agreed(
     return found, Agreement(_floats(best), (), True)
 
 
-def best_alone(view: View, posterior: PosePosterior, refiner: Refiner, radius_m: float) -> float:
+def explain_alone(
+    view: View, posterior: PosePosterior, refine: Refine, radius_m: float, options: HypothesisOptions
+) -> float:
     """Return the best imprint IoU, 0 to 1, of the most probable poses of a touch's own grid, refined to it alone.
 
-    Of its LISTED most probable ones these are ALONE, none within `radius_m` metres of a more probable one.
+    Of the most probable ones these are ALONE, none within `radius_m` metres of a more probable one.
     """
-    listed = posterior.top(LISTED)
+    listed = posterior.top(options.listed)
     poses = posterior.grid.T_sensor_object[listed]
     poses = poses[apart(poses, posterior.log_p[listed], posterior.grid.metric, radius_m, ALONE)]
     alone = View(view.touch, view.scene)
-    refined = refiner.refine_together([alone], [Candidate(T, -1, 0.0) for T in poses])
+    refined = refine([alone], [Candidate(T, -1, 0.0) for T in poses])
     return float(alone.imprint_ious(np.concatenate([poses, [r.T_sensor_object for r in refined]])).max())
 
 
 def require_within_reach(touches: Sequence[Touch], obj: ObjectModel) -> None:
     """Raise GridError when no two of several touches are near enough to be of one object: a unit is wrong, or a frame.
 
-    Where some are, one farther off is for `agreed` to name. Touches of unknown sensor poses are left to others.
+    Where some are, one farther off is for `agree` to name. Touches of unknown sensor poses are left to others.
     """
     if len(touches) < 2 or any(touch.T_base_sensor is None for touch in touches):
         return
@@ -105,7 +108,7 @@ def require_within_reach(touches: Sequence[Touch], obj: ObjectModel) -> None:
         )
 
 
-def _tried(outliers: tuple[int, ...], hypotheses: Hypotheses, best: NDArray[np.float64]) -> _Trial:
+def _try(outliers: tuple[int, ...], hypotheses: Hypotheses, best: NDArray[np.float64]) -> _Trial:
     short = best - hypotheses[0].imprint_ious
     return _Trial(outliers, hypotheses, frozenset(map(int, np.flatnonzero(short > FAR))))
 

@@ -3,44 +3,45 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
+from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric, distances_between
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.progress import StageTimes
-from tactile_loc.core.slots.refiner import Candidate, RefinedPose, Refiner
+from tactile_loc.core.slots.refiner import Candidate, RefinedPose
 from tactile_loc.core.slots.scene import IOU_PX, View
+from tactile_loc.io.options import HypothesisOptions
 from tactile_loc.locate.result import Hypothesis
 
 SHARPNESS = 30.0  # nats that an imprint IoU of 1 is worth beside errors of sensor poses
 STILL_MOVING = 10
-REFINED = 40  # hypotheses of several touches
-LISTED, GLANCED_AT = 400, 200  # poses that a touch proposes, and those that are drawn at GLANCE_PX pixels a side
-GLANCE_PX = 40
 AT_ONCE = 500  # poses that are compared with those chosen before
 DOUBT = 8.0  # nats: no touch's grid makes a pose less likely than that
 
+Refine = Callable[[Sequence[View], Sequence[Candidate]], list[RefinedPose]]  # against touches, of the first one's frame
+
 
 def find_hypotheses(
-    views: Sequence[View], modes: Sequence[Mode], refiner: Refiner, metric: PoseMetric, radius_m: float,
+    views: Sequence[View], modes: Sequence[Mode], refine: Refine, metric: PoseMetric, radius_m: float,
     prior: Prior | None, times: StageTimes, outliers: Collection[int] = (),
 ) -> tuple[Hypothesis, ...]:  # fmt: skip
     """Refine modes, poses in the first touch's sensor frame, merge those that end within `radius_m` metres, and weigh.
 
-    After refinement the right one of several explanations shows: see `weighed`. Views numbered `outliers` have no say.
+    After refinement the right one of several explanations shows: see `weigh`. Views numbered `outliers` have no say.
     """
     trusted = [number for number in range(len(views)) if number not in outliers]
     with times.stage("refine"):
         candidates = [Candidate(m.T_sensor_object, m.index, float(np.log(max(m.probability, 1e-300)))) for m in modes]
-        refined = refiner.refine_together([views[number] for number in trusted], candidates)
+        refined = refine([views[number] for number in trusted], candidates)
     with times.stage("choose"):
         T = np.stack([pose.T_sensor_object for pose in refined])
-        seen = None if len(views) == 1 else _seen(views, refined, refiner, trusted)
+        seen = None if len(views) == 1 else _see(views, refined, refine, trusted)
         ious, evidence = explained_where_seen(views, T, seen)
         hypotheses = [
             Hypothesis(
@@ -50,7 +51,7 @@ def find_hypotheses(
             for mode, pose, each in zip(modes, refined, ious, strict=True)
         ]  # fmt: skip
         log_prior = None if prior is None else prior(np.stack([h.T_sensor_object for h in hypotheses]))
-        return merge_hypotheses(weighed(hypotheses, evidence[:, trusted].sum(axis=1), log_prior), metric, radius_m)
+        return merge_hypotheses(weigh(hypotheses, evidence[:, trusted].sum(axis=1), log_prior), metric, radius_m)
 
 
 def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radius_m: float) -> tuple[Hypothesis, ...]:
@@ -60,23 +61,17 @@ def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radiu
     started towards it: it has the probability of its likeliest. One that did not converge must be nearer, within a
     STILL_MOVING-th of that.
     """
-    merged: list[Hypothesis] = []
-    for h in hypotheses:
-        poses = np.array([m.T_sensor_object for m in merged]).reshape(-1, 4, 4)
-        same = np.broadcast_to(h.T_sensor_object, poses.shape)
-        limit_m = radius_m if h.refined.converged else radius_m / STILL_MOVING
-        near = np.flatnonzero(metric.symmetric_distance(poses, same) < limit_m)
-        if len(near):
-            likelier = merged[near[0]]
-            merged[near[0]] = dataclasses.replace(likelier, grid_poses=likelier.grid_poses + h.grid_poses)
-        else:
-            merged.append(h)
+    poses = np.array([h.T_sensor_object for h in hypotheses]).reshape(-1, 4, 4)
+    still_m = [radius_m if h.refined.converged else radius_m / STILL_MOVING for h in hypotheses]
+    of = merge_modes(poses, metric, still_m)
+    counts = np.bincount(of, [h.grid_poses for h in hypotheses]).astype(int)
+    merged = [dataclasses.replace(hypotheses[k], grid_poses=int(counts[k])) for k in np.unique(of)]
     kept, total = sum(h.probability for h in merged), sum(h.probability for h in hypotheses)
     share = total / kept if kept > 0 else 1.0
     return tuple(dataclasses.replace(h, probability=min(1.0, share * h.probability)) for h in merged)
 
 
-def weighed(
+def weigh(
     hypotheses: Sequence[Hypothesis], evidence: NDArray[np.float64], log_prior: NDArray[np.float64] | None = None
 ) -> tuple[Hypothesis, ...]:
     """Give hypotheses the probabilities of what their refined poses explain, the most probable first.
@@ -121,15 +116,17 @@ def explained_where_seen(
     return ious, evidence
 
 
-def likeliest(modes: Sequence[Mode], views: Sequence[View], freedom_m: float, count: int) -> list[Mode]:
-    """Return the modes, at most `count`, that explain touches best at a glance, `freedom_m` metres free along z."""
+def keep_likeliest(
+    modes: Sequence[Mode], views: Sequence[View], freedom_m: float, options: HypothesisOptions
+) -> list[Mode]:
+    """Return the modes that explain touches best, drawn coarsely, `freedom_m` metres free along z."""
     poses = np.stack([mode.T_sensor_object for mode in modes])
-    ious = explained(views, poses, GLANCE_PX, freedom_m).mean(axis=1)
-    return [modes[k] for k in np.argsort(-ious, kind="stable")[:count]]
+    ious = explained(views, poses, options.image_px, freedom_m).mean(axis=1)
+    return [modes[k] for k in np.argsort(-ious, kind="stable")[: options.refined_again]]
 
 
-def _seen(
-    views: Sequence[View], refined: Sequence[RefinedPose], refiner: Refiner, trusted: Sequence[int]
+def _see(
+    views: Sequence[View], refined: Sequence[RefinedPose], refine: Refine, trusted: Sequence[int]
 ) -> NDArray[np.float64]:
     """Where sensors may see refined poses, (K, N, 4, 4): the trusted as the refiner says, others as fits them alone."""
     seen = np.stack([view.T_sensor_first @ [pose.T_sensor_object for pose in refined] for view in views], axis=1)
@@ -138,7 +135,7 @@ def _seen(
             seen[k, trusted] = pose.T_sensors_object
     for number in set(range(len(views))) - set(trusted):
         alone = View(views[number].touch, views[number].scene)
-        fitted = refiner.refine_together([alone], [Candidate(T, -1, 0.0) for T in seen[:, number]])
+        fitted = refine([alone], [Candidate(T, -1, 0.0) for T in seen[:, number]])
         seen[:, number] = [pose.T_sensor_object for pose in fitted]
     return seen
 
@@ -152,26 +149,27 @@ def _sensor_error_nats(view: View, first: View, error: Poses) -> NDArray[np.floa
     return np.asarray((shift_m / std_m) ** 2 + (rotation_angle(error[:, :3, :3]) / std_rad) ** 2) / 2
 
 
-def proposed(
-    views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, radius_m: float, top: int
-) -> list[Mode]:
-    """Return modes to refine against several touches, at most `top`, in the first touch's sensor frame.
+def propose_together(
+    views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, radius_m: float,
+    options: HypothesisOptions,
+) -> list[Mode]:  # fmt: skip
+    """Return modes to refine against several touches, in the first touch's sensor frame.
 
-    Every touch proposes its most probable poses, LISTED of them; those that the grids of all touches together find
-    likely, GLANCED_AT of them, are drawn coarsely, and the ones that explain all touches best are taken, none within
-    `radius_m` metres of a better one. The grid index of another touch's pose is that of the first grid's nearest.
+    Every touch proposes its most probable poses. Those that the grids of all touches together find likely are drawn
+    coarsely, and the ones that explain all touches best are taken, none within `radius_m` metres of a better one. The
+    grid index of another touch's pose is that of the first grid's nearest.
     """
     poses = np.concatenate([
-        invert(view.T_sensor_first) @ posterior.grid.T_sensor_object[posterior.top(LISTED)]
+        invert(view.T_sensor_first) @ posterior.grid.T_sensor_object[posterior.top(options.listed)]
         for view, posterior in zip(views, alone, strict=True)
     ])  # fmt: skip
     likely = np.zeros(len(poses))
     for view, posterior in zip(views, alone, strict=True):
         far, nearest = posterior.grid.nearest(view.T_sensor_first @ poses)
         likely += np.maximum(posterior.log_p[nearest], posterior.log_p.max() - DOUBT) - far / radius_m
-    poses = poses[apart(poses, likely, fused.grid.metric, 0.5 * radius_m, GLANCED_AT)]
-    ious = explained(views, poses, pixels=GLANCE_PX, freedom_m=radius_m).mean(axis=1)
-    poses = poses[apart(poses, ious, fused.grid.metric, radius_m, top)]
+    poses = poses[apart(poses, likely, fused.grid.metric, 0.5 * radius_m, options.drawn)]
+    ious = explained(views, poses, pixels=options.image_px, freedom_m=radius_m).mean(axis=1)
+    poses = poses[apart(poses, ious, fused.grid.metric, radius_m, options.refined_together)]
     nearest = fused.grid.nearest(poses)[1]
     p = fused.probabilities[nearest]
     return [

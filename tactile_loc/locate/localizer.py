@@ -1,93 +1,200 @@
-"""The method, read aloud: what touches say of the grid's poses is fused, its modes are found and refined."""
+"""The method, read aloud: score poses for each touch, fuse what touches say, propose modes, refine and weigh them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ConfigError, GridError, TouchError
+from tactile_loc.core.errors import ConfigError, GridError, TouchError, quoted
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.poses.posterior import Mode, PosePosterior
+from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.priors import Prior, SeenFrom, tempered, touches_behind
 from tactile_loc.core.progress import Progress, StageTimes
+from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.noise import noise_level
+from tactile_loc.core.simulation.touch_simulation import simulate_touches
 from tactile_loc.core.slots.common_poses import require_sensor_poses
+from tactile_loc.core.slots.compatibility import require_compatible
+from tactile_loc.core.slots.matcher import ExactMatcher
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose, Refiner
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.core.slots.scene import View
+from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.io.config import RunConfig
-from tactile_loc.locate.agreement import agreed, best_alone, require_within_reach
+from tactile_loc.io.meshes import Units
+from tactile_loc.io.touches import read_touch
+from tactile_loc.locate.agreement import agree, explain_alone, require_within_reach
 from tactile_loc.locate.conformal import PoseSet
-from tactile_loc.locate.hypotheses import REFINED, best_apart, find_hypotheses, likeliest, proposed
-from tactile_loc.locate.posteriors import TouchPosteriors
+from tactile_loc.locate.fitted_probabilities import FittedProbabilities
+from tactile_loc.locate.hypotheses import find_hypotheses, keep_likeliest
+from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel
+from tactile_loc.locate.place_banks import PlaceBanks
 from tactile_loc.locate.result import Agreement, Hypothesis, Localization
-from tactile_loc.locate.search import found_together
+from tactile_loc.locate.scoring import NewMatcher
+from tactile_loc.locate.search import PlaceSearch, build_places, search_together
+from tactile_loc.locate.sources import GridSource, PlaceSource, PoseSource
+from tactile_loc.locate.stored_object import stored_object
 from tactile_loc.store.store import StageStore
 
-MODE_RADIUS = 2.0  # grid spacings between poses that count as one hypothesis
-PROPOSAL_RADIUS = 0.25  # mode radii between poses that are refined
-SAME_POSE = 0.25  # mode radii between refined poses that count as one
-SEARCHED = 20  # poses of a whole object that are refined, at least, and a tenth of what was found
-DOUBTED = 12  # modes that are refined again without a touch that may contradict the others
 
-
-class Localizer(TouchPosteriors):
+class Localizer:
     """Locates one object with one sensor. Build it once, then ask it about any number of touches."""
 
     def __init__(
         self, config: RunConfig, obj: ObjectModel, store: StageStore | None = None, progress: Progress | None = None
     ) -> None:
-        super().__init__(config, obj, store, progress)
-        self.refiner = self._component("refiner")
+        self.config, self.object = config, obj
+        self.store, self.progress = store or StageStore(), progress or Progress()
+        self.sensor = self._create("sensor")
+        self.sampler = self._create("grid")
+        self.encoder = self._create("encoder")
+        self.refiner: Refiner = self._create("refiner")
+        self.fuser = self._create("fuser")
+        renderer = self._create("renderer")
+        self._require_compatible(renderer)
+        self.registration = JointRegistration()
+        self.scene = Scene(obj, self.sensor.geometry, renderer, config.drawing)
+        coarse = self.sensor.geometry.with_long_side(config.shape_px)
+        coarse = coarse.pressed(coarse.max_depth_m)  # the grid's, at full press
+        self.coarse_scene = replace(self.scene, geometry=coarse)
 
-    @cached_property
-    def refiner_of_several(self) -> Refiner:
-        """What refines against several touches: a refiner that knows one at a time gives way to the joint one."""
-        one_at_a_time = type(self.refiner).refine_together is Refiner.refine_together
-        if self.config.together == "each" or not (one_at_a_time and self.refiner.capabilities.refines):
-            return self.refiner
-        joint: Refiner = self._joint
-        return joint
+    @classmethod
+    def create(
+        cls, object: str | Path = "hook", *, units: Units = "auto", symmetry: str = "auto",
+        store: StageStore | str | Path | None = None, progress: Progress | None = None, **settings: Any,
+    ) -> Self:  # fmt: skip
+        """Load an object (a mesh file or a demo object's name) and make its localizer; `store` may be a folder.
 
-    @cached_property
-    def _joint(self) -> Any:
-        return registry().create("refiner", "joint", {})
-
-    def with_covariances(self, views: Sequence[View], hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
-        """Return hypotheses with the covariances that the joint registration finds where the refiner says none.
-
-        They are of the touches `views`. A pose that was not refined has none.
+        `settings` are RunConfig's: slots by name (`refiner="icp"`) or with options
+        (`grid={"name": "face", "spacing_mm": 3}`), `top`, `seed`, ... Raises TactileLocError for bad input.
         """
-        unknown = [k for k, h in enumerate(hypotheses) if h.refined.covariance is None]
-        if not unknown or not self.refiner.capabilities.refines:
-            return tuple(hypotheses)
-        found = list(hypotheses)
-        poses = np.stack([hypotheses[k].T_sensor_object for k in unknown])
-        for k, covariance in zip(unknown, self._joint.covariances(views, poses), strict=True):
-            refined = replace(hypotheses[k].refined, covariance=covariance)
-            found[k] = replace(hypotheses[k], refined=refined)
-        return tuple(found)
+        chosen = {"path": str(object), "units": units, "symmetry": symmetry}
+        config = RunConfig.from_dict({"object": chosen, **settings}, "Localizer.create")
+        store = store if isinstance(store, StageStore) else StageStore(store)
+        return cls(config, stored_object(object, units, symmetry, store), store, progress)
+
+    def _create(self, slot: str) -> Any:
+        chosen = getattr(self.config, slot)
+        return registry().create(slot, chosen.name, chosen.options)
+
+    def _require_compatible(self, renderer: Any) -> None:
+        """Raise ConfigError for components that cannot work together."""
+        made = {
+            "sensor": self.sensor, "grid": self.sampler, "encoder": self.encoder, "refiner": self.refiner,
+            "fuser": self.fuser, "renderer": renderer, "matcher": self._create("matcher"),
+        }  # fmt: skip
+        require_compatible(made, {slot: getattr(self.config, slot).name for slot in made})
+
+    # touches
+
+    def read_touch(self, path: str | Path, unit: str | None = None, press_depth_m: float | None = None) -> Touch:
+        """Read a contact shape (npz, npy, 16-bit PNG) as this sensor's touch. Raises TouchError."""
+        return read_touch(Path(path), self.sensor, unit, press_depth_m)
+
+    def simulate(
+        self, count: int = 1, seed: int = 0, press_depth_m: float | None = None, noise: str = "none"
+    ) -> list[Touch]:
+        """Make touches at random poses of the continuous set that the grid covers, with their true poses; metres.
+
+        `noise` is none, mild or strong. Raises ConfigError for another, or a count or a seed below 0.
+        """
+        if min(count, seed) < 0:
+            raise ConfigError(f"{count} touches of seed {seed} cannot be simulated; give whole numbers from 0 on")
+        rng = np.random.default_rng(seed)
+        return simulate_touches(self.sampler, self.scene, count, rng, press_depth_m, noise_level(noise))
+
+    def require_own(self, touch: Touch) -> None:
+        """Raise TouchError when another sensor took the touch, or it is none."""
+        if not isinstance(touch, Touch):
+            raise TouchError(f"{quoted(touch)} is no touch; `Localizer.read_touch` reads a file, `simulate` makes one")
+        ours = self.scene.geometry
+        if touch.geometry is not ours and not touch.geometry.is_same_sensor(ours):
+            raise TouchError(
+                f"{touch.name} was taken by another sensor than {self.config.sensor.name}: its camera, field or "
+                "maximal depth differs; make a Localizer for the sensor that took it"
+            )
+
+    # what is built once
+
+    @cached_property
+    def source(self) -> PoseSource:
+        """Where candidate poses come from: the grid's list, or a search of the whole object."""
+        return self._make_source(lambda: self._create("matcher"))
+
+    def _make_source(self, new_matcher: NewMatcher) -> PoseSource:
+        config = self.config
+        if not self.sampler.capabilities.places:
+            return GridSource(
+                self.sampler, self.coarse_scene, self.encoder, new_matcher, self.store, self.progress,
+                config.hypotheses, self.mode_radius_m,
+            )  # fmt: skip
+        places, key = build_places(self.sampler, self.scene, self.store, self.progress)
+        banks = PlaceBanks(places, key, self.scene, self.sampler, self.encoder, self.store, self.progress)
+        search = PlaceSearch(
+            places, key, self.scene, self.encoder, new_matcher, self.sampler.options, config.search, banks.bank
+        )
+        return PlaceSource(search, banks, config.hypotheses, self.mode_radius_m)
+
+    @property
+    def search(self) -> PlaceSearch | None:
+        """The search of the whole object, if the grid lists its places."""
+        return self.source.search if isinstance(self.source, PlaceSource) else None
+
+    @property
+    def listed(self) -> GridSource:
+        """The listed grid. Raises ConfigError if the grid lists places instead of poses."""
+        if isinstance(self.source, GridSource):
+            return self.source
+        raise ConfigError(
+            f"the grid {self.config.grid.name} lists no poses, which the command or encoder that was asked for needs; "
+            "choose --grid face or --grid hopf"
+        )
+
+    @property
+    def model(self) -> ObjectPoseModel:
+        """The object's listed grid and contact shapes: from the store, or built now. Raises ConfigError as `listed`."""
+        return self.listed.model
+
+    @cached_property
+    def probabilities(self) -> FittedProbabilities:
+        """How sure touches make: temperatures and calibrated sets, each fitted at first use and stored."""
+        exact = self._create("matcher").capabilities.top_k_only
+        source = self._make_source(ExactMatcher) if exact else self.source
+        return FittedProbabilities(
+            source, self.scene, self.fuser, lambda count, seed, noise: self.simulate(count, seed, noise=noise),
+            self.describe_scores, {"sampler": self.sampler.describe()}, self.config.temperature, self.store,
+            self.progress,
+        )  # fmt: skip
+
+    def describe_scores(self) -> dict[str, Any]:
+        """Return what decides a touch's scores but for the touch, as JSON values; trains the encoder if need be.
+
+        The matcher is not among it: all find the same scores, if they look at all poses.
+        """
+        return {
+            **self.source.describe(), "sensor": self.sensor.geometry.describe(), "encoder": self.encoder.describe(),
+            "training": STAGE_VERSIONS["encoder"], "bank": STAGE_VERSIONS["bank"],
+        }  # fmt: skip
 
     @property
     def mode_radius_m(self) -> float:
-        """How near to one another poses count as one hypothesis, metres."""
+        """How near to one another poses count as one mode, metres."""
         spacing_mm: float = self.sampler.options.spacing_mm
-        return MODE_RADIUS * spacing_mm * 1e-3
+        return self.config.hypotheses.mode_radius * spacing_mm * 1e-3
 
     @property
-    def same_pose_m(self) -> float:
-        """How near to one another refined poses count as one, metres."""
-        return SAME_POSE * self.mode_radius_m
+    def merge_radius_m(self) -> float:
+        """How near to one another refined poses count as one hypothesis, metres."""
+        return self.config.hypotheses.merge_radius * self.mode_radius_m
 
-    def posterior(self, touch: Touch, prior: Prior | None = None, times: StageTimes | None = None) -> PosePosterior:
-        """Return the posterior over the grid's poses of a touch and a prior: encode, match, fuse; adds to `times`."""
-        return posterior_together([(self, touch)], prior, times)
+    # answers
 
     def localize(
         self, touch: Touch, prior: Prior | None = None, top: int | None = None, coverage: float | None = None
@@ -107,9 +214,26 @@ class Localizer(TouchPosteriors):
         times = StageTimes()
         alone = self.posteriors(touches, times)
         return [
-            _located([(self, touch)], [posterior], None, top, times.shared_among(len(touches)))
+            _Question.of([(self, touch)], None, top, None, times.shared_among(len(touches))).answer([posterior])
             for touch, posterior in zip(touches, alone, strict=True)
         ]
+
+    def posterior(self, touch: Touch, prior: Prior | None = None, times: StageTimes | None = None) -> PosePosterior:
+        """Return the posterior over the grid's poses of a touch and a prior: encode, match, fuse; adds to `times`."""
+        return posterior_together([(self, touch)], prior, times)
+
+    def posteriors(
+        self, touches: Sequence[Touch], times: StageTimes | None = None, prior: Prior | None = None
+    ) -> list[PosePosterior]:
+        """Return what each touch alone says of the grid's poses, before anything is fused with it.
+
+        A `prior` only says where a whole object is searched the more. Raises TouchError for another sensor's touch.
+        """
+        for touch in touches:
+            self.require_own(touch)
+        scaling = self.probabilities.temperature_scaling
+        scored = self.source.score(touches, times or StageTimes(), prior)
+        return [scaling.posterior(grid, scores) for grid, scores in scored]
 
     def most_probable_pose(self, touch: Touch) -> RefinedPose:
         """Return the most probable pose of the grid, refined: the shortest way, for a control loop."""
@@ -120,20 +244,54 @@ class Localizer(TouchPosteriors):
         """Refine poses of the posterior's grid against the touch, in the order of their indices."""
         poses = posterior.grid.T_sensor_object
         candidates = [Candidate(poses[index], int(index), float(posterior.log_p[index])) for index in indices]
-        refined: list[RefinedPose] = self.refiner.refine_many(touch, candidates, self.scene.of_touch(touch))
-        return refined
+        return self.refiner.refine_many(touch, candidates, self.scene.of_touch(touch))
+
+    def refine_together(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
+        """Refine candidates against one touch or several, by the chosen refiner or, of several, `refines_jointly`."""
+        if len(views) == 1 or not self.refines_jointly:
+            return self.refiner.refine_together(views, candidates)
+        return self.registration.refine(views, np.stack([candidate.T_sensor_object for candidate in candidates]))
+
+    @property
+    def refines_jointly(self) -> bool:
+        """Whether the joint registration refines against several touches, as the chosen refiner knows one at a time."""
+        one_at_a_time = type(self.refiner).refine_together is Refiner.refine_together
+        return one_at_a_time and self.refiner.capabilities.refines and self.config.together == "joint"
+
+    @property
+    def other_refinement(self) -> str:
+        """Which parts of locating the joint registration does instead of the chosen refiner, and why; "" if none."""
+        if self.refiner.capabilities.covariances:
+            return ""
+        parts = [
+            "the rough search" if self.sampler.capabilities.places else "",
+            "touches together" if self.refines_jointly else "",
+            "covariances" if self.refiner.capabilities.refines else "",
+        ]
+        named = ", ".join(part for part in parts if part)
+        if not named:
+            return ""
+        return (
+            f"the joint registration does {named}; the refiner {self.config.refiner.name} refines one touch's "
+            "hypotheses, as it gives no covariance and is too slow for hundreds of poses"
+        )
+
+    def add_covariances(self, views: Sequence[View], hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+        """Return hypotheses with the joint registration's covariances where the refiner gives none.
+
+        They are of the touches `views`. A pose that was not refined has none.
+        """
+        unknown = [k for k, h in enumerate(hypotheses) if h.refined.covariance is None]
+        if not unknown or not self.refiner.capabilities.refines:
+            return tuple(hypotheses)
+        found = list(hypotheses)
+        poses = np.stack([hypotheses[k].T_sensor_object for k in unknown])
+        for k, covariance in zip(unknown, self.registration.covariances(views, poses), strict=True):
+            found[k] = replace(hypotheses[k], refined=replace(hypotheses[k].refined, covariance=covariance))
+        return tuple(found)
 
 
 Observation = tuple[Localizer, Touch]
-
-
-def posterior_together(
-    observations: Sequence[Observation], prior: Prior | None = None, times: StageTimes | None = None
-) -> PosePosterior:
-    """Return the posterior over the first localizer's grid given touches of one object, as for `localize_together`."""
-    _require_one_object(observations)
-    times = times or StageTimes()
-    return _fused(observations, _each(observations, times, prior), _beside(observations, prior), times)
 
 
 def localize_together(
@@ -152,134 +310,171 @@ def localize_together(
     """
     _require_one_object(observations)
     require_within_reach([touch for _, touch in observations], observations[0][0].object)
-    times = StageTimes()
-    first, left = observations[0], list(range(len(observations)))
+    question = _Question.of(observations, prior, top, coverage, StageTimes())
     while True:
-        some = [observations[k] for k in left]
-        known = _prior_of(prior, first[1], some[0][1])
-        posteriors = _each(some, times, known)
+        alone = question.score_each()
         try:
-            found = _located(some, posteriors, known, top, times, coverage)
+            found = question.answer(alone)
             outliers = found.agreement.outliers
         except GridError as error:
-            outliers = _excluding(some, posteriors)
+            outliers = question.find_excluding(alone)
             if not outliers:
                 raise
-            if not first[0].config.drop_outliers:
-                name = some[outliers[0]][1].name
+            if not question.first.config.drop_outliers:
+                name = question.touches[outliers[0]].name
                 raise GridError(f"{error}; without {name} the others agree: --drop-outliers leaves it out") from error
-        if not outliers or not first[0].config.drop_outliers:
-            left_out = tuple(touch for k, (_, touch) in enumerate(observations) if k not in left)
+        if not outliers or not question.first.config.drop_outliers:
+            left_out = tuple(touch for _, touch in observations if all(touch is not one for one in question.touches))
             return replace(found, left_out=left_out)
-        left = [k for place, k in enumerate(left) if place not in outliers]
+        question = question.leave_out(outliers)
 
 
-def _excluding(observations: Sequence[Observation], alone: Sequence[PosePosterior]) -> tuple[int, ...]:
-    """Which one of three touches or more excludes all poses of the others: its number; empty if none or several do."""
-    if len(observations) < 3:
-        return ()
-    excluding = []
-    for k in range(len(observations)):
-        rest = [observations[i] for i in range(len(observations)) if i != k]
-        try:
-            rest[0][0].fuser.fuse([*alone[:k], *alone[k + 1 :]], [touch.T_base_sensor for _, touch in rest])
-        except GridError:
-            continue
-        excluding.append(k)
-    return tuple(excluding) if len(excluding) == 1 else ()
-
-
-def _prior_of(prior: Prior | None, first: Touch, other: Touch) -> Prior | None:
-    """A prior over poses in the first touch's sensor frame as one over those in another's."""
-    if prior is None or other is first:
-        return prior
-    T_first_other = invert(np.asarray(first.T_base_sensor)) @ np.asarray(other.T_base_sensor)
-    return SeenFrom(prior, T_first_other)
-
-
-def _located(
-    observations: Sequence[Observation], alone: Sequence[PosePosterior], prior: Prior | None, top: int | None,
-    times: StageTimes, coverage: float | None = None,
-) -> Localization:  # fmt: skip
-    """What touches say together, of each one's posterior alone."""
-    first, touch = observations[0]
-    touches = tuple(t for _, t in observations)
-    coverage = first.config.coverage if coverage is None else coverage
-    known = _beside(observations, prior)
-    posterior = _fused(observations, alone, known, times)
-    poses = None if coverage is None else PoseSet.of(posterior, first.conformal_sets(posterior.touches), coverage)
-    top = first.config.top if top is None else top
-    if top < 1:
-        raise ConfigError(f"{top} hypotheses cannot be listed; `top` must be 1 or more")
-    views = [view_of(touch, localizer, t) for localizer, t in observations]
-    radius_m = PROPOSAL_RADIUS * first.mode_radius_m
-    with times.stage("modes"):
-        modes: list[Mode] = []
-        if first.search is not None:
-            modes = best_apart(posterior, radius_m, max(top, SEARCHED, len(posterior.grid) // 10))
-        elif len(views) > 1:
-            modes = proposed(views, alone, posterior, radius_m, REFINED)
-        if poses is not None:
-            modes += posterior.modes(first.mode_radius_m, None, core=poses.indices)
-        elif not modes:
-            modes = posterior.modes(first.mode_radius_m, top)
-    refiner = first.refiner if len(views) == 1 else first.refiner_of_several
-
-    def find(outliers: tuple[int, ...] = ()) -> tuple[Hypothesis, ...]:
-        metric, some = posterior.grid.metric, modes
-        if outliers:
-            some = likeliest(modes, [v for k, v in enumerate(views) if k not in outliers], radius_m, DOUBTED)
-        return find_hypotheses(views, some, refiner, metric, first.same_pose_m, known, times, outliers)
-
-    def at_best() -> NDArray[np.float64]:
-        own = alone if first.search is None else [_each([one], times)[0] for one in observations]
-        with times.stage("refine"):
-            return np.array([best_alone(v, p, refiner, radius_m) for v, p in zip(views, own, strict=True)])
-
-    found, agreement = (find(), Agreement()) if len(views) == 1 else agreed(find, at_best)
-    with times.stage("choose"):
-        listed = first.with_covariances(views, found if poses is not None else found[:top])
-    return Localization(touch, posterior, listed, times.seconds, touches[1:], poses, agreement)
-
-
-def _each(observations: Sequence[Observation], times: StageTimes, prior: Prior | None = None) -> list[PosePosterior]:
-    """What each touch says for itself: of its localizer's grid, or of the poses that a search of all together found.
-
-    A prior over poses in the first sensor's frame only says where to search the more.
-    """
-    searches = [localizer.search for localizer, _ in observations if localizer.search is not None]
-    if len(observations) == 1 or not searches:
-        return [localizer.posteriors([touch], times, prior)[0] for localizer, touch in observations]
-    if len(searches) < len(observations):
-        raise ConfigError("some touches are searched for in the whole object and others in a grid of listed poses; "
-                          "give all their localizers the grid whole, or none")  # fmt: skip
-    require_sensor_poses([touch.T_base_sensor for _, touch in observations])
-    first = observations[0][1]
-    views = [view_of(first, localizer, touch) for localizer, touch in observations]
-    found = found_together(views, searches, times, prior)
-    elsewhere = observations[0][0].fused_scaling.elsewhere(found.best)
-    return found.posteriors(views, [localizer.temperature_scaling for localizer, _ in observations], elsewhere)
-
-
-def _fused(
-    observations: Sequence[Observation], alone: Sequence[PosePosterior], prior: Prior | None, times: StageTimes
+def posterior_together(
+    observations: Sequence[Observation], prior: Prior | None = None, times: StageTimes | None = None
 ) -> PosePosterior:
-    """What touches and a prior say of the first one's grid, as sure as so many touches can make."""
-    count = len(alone) + touches_behind(prior)
-    powers = [localizer.fused_scaling.power(count) if count > 1 else 1.0 for localizer, _ in observations]
-    with times.stage("fuse"):
-        each = [posterior.tempered(power) for posterior, power in zip(alone, powers, strict=True)]
-        fused: PosePosterior = observations[0][0].fuser.fuse(each, [t.T_base_sensor for _, t in observations], prior)
-    return replace(fused, touches=count, elsewhere=max(posterior.elsewhere for posterior in alone))
+    """Return the posterior over the first localizer's grid given touches of one object, as for `localize_together`."""
+    _require_one_object(observations)
+    question = _Question.of(observations, prior, None, None, times or StageTimes())
+    return question.fuse(question.score_each())
 
 
-def _beside(observations: Sequence[Observation], prior: Prior | None) -> Prior | None:
-    """A prior as it counts beside touches: an earlier posterior was as sure as its own touches alone could make."""
-    told = touches_behind(prior)
-    if prior is None or not told:
-        return prior
-    power = observations[0][0].fused_scaling.power
-    return tempered(prior, lambda count: power(len(observations) + told) / power(count))
+@dataclass(frozen=True, eq=False)
+class _Question:
+    """Touches to be located together, each with its localizer, and a prior over poses in the first one's frame."""
+
+    observations: Sequence[Observation]
+    views: Sequence[View]
+    prior: Prior | None
+    top: int
+    coverage: float | None
+    times: StageTimes
+
+    @classmethod
+    def of(
+        cls, observations: Sequence[Observation], prior: Prior | None, top: int | None, coverage: float | None,
+        times: StageTimes,
+    ) -> _Question:  # fmt: skip
+        """Return the question; what is None is as the first localizer's configuration says. Raises ConfigError."""
+        first, touch = observations[0]
+        top = first.config.top if top is None else top
+        if top < 1:
+            raise ConfigError(f"{top} hypotheses cannot be listed; `top` must be 1 or more")
+        coverage = first.config.coverage if coverage is None else coverage
+        if len(observations) > 1:
+            require_sensor_poses([touch.T_base_sensor for _, touch in observations])
+        views = [view_of(touch, localizer, other) for localizer, other in observations]
+        return cls(observations, views, prior, top, coverage, times)
+
+    @property
+    def first(self) -> Localizer:
+        return self.observations[0][0]
+
+    @property
+    def touches(self) -> list[Touch]:
+        return [touch for _, touch in self.observations]
+
+    def score_each(self) -> list[PosePosterior]:
+        """What each touch says: alone of its localizer's grid, or of the poses that a search by all of them found."""
+        searches = [localizer.search for localizer, _ in self.observations]
+        if len(searches) == 1 or not any(searches):
+            return [localizer.posteriors([touch], self.times, self.prior)[0] for localizer, touch in self.observations]
+        together = [search for search in searches if search is not None]
+        if len(together) < len(searches):
+            raise ConfigError("some touches are searched for in the whole object and others in a grid of listed poses; "
+                              "give all their localizers the grid whole, or none")  # fmt: skip
+        found = search_together(self.views, together, self.times, self.prior)
+        scalings = [localizer.probabilities.temperature_scaling for localizer, _ in self.observations]
+        return found.posteriors(self.views, scalings, self.first.probabilities.fused_scaling.elsewhere(found.best))
+
+    def fuse(self, alone: Sequence[PosePosterior]) -> PosePosterior:
+        """What touches and the prior say of the first one's grid, as sure as so many touches can make."""
+        count = len(alone) + touches_behind(self.prior)
+        powers = [localizer.probabilities.fused_scaling.power(count) if count > 1 else 1.0
+                  for localizer, _ in self.observations]  # fmt: skip
+        with self.times.stage("fuse"):
+            each = [posterior.tempered(power) for posterior, power in zip(alone, powers, strict=True)]
+            fused = self.first.fuser.fuse(each, [touch.T_base_sensor for touch in self.touches], self.known)
+        return replace(fused, touches=count, elsewhere=max(posterior.elsewhere for posterior in alone))
+
+    def answer(self, alone: Sequence[PosePosterior]) -> Localization:
+        """What touches say together, of each one's posterior alone: fuse, propose modes, refine and weigh them."""
+        posterior = self.fuse(alone)
+        pose_set = self._calibrate(posterior)
+        with self.times.stage("modes"):
+            indices = None if pose_set is None else pose_set.indices
+            modes = self.first.source.propose(self.views, alone, posterior, self.top, indices)
+        hypotheses, agreement = self._refine(modes, alone, posterior)
+        with self.times.stage("choose"):
+            kept = hypotheses if pose_set is not None else hypotheses[: self.top]
+            listed = self.first.add_covariances(self.views, kept)
+        touch, *others = self.touches
+        return Localization(touch, posterior, listed, self.times.seconds, tuple(others), pose_set, agreement)
+
+    @property
+    def known(self) -> Prior | None:
+        """The prior as it counts beside touches: an earlier posterior was as sure as its own touches could make."""
+        told = touches_behind(self.prior)
+        if self.prior is None or not told:
+            return self.prior
+        power = self.first.probabilities.fused_scaling.power
+        return tempered(self.prior, lambda count: power(len(self.observations) + told) / power(count))
+
+    def _calibrate(self, posterior: PosePosterior) -> PoseSet | None:
+        """The set of poses that holds the truth as often as asked for, if it was."""
+        if self.coverage is None:
+            return None
+        return PoseSet.of(posterior, self.first.probabilities.conformal_sets(posterior.touches), self.coverage)
+
+    def _refine(
+        self, modes: Sequence[Any], alone: Sequence[PosePosterior], posterior: PosePosterior
+    ) -> tuple[tuple[Hypothesis, ...], Agreement]:
+        """Refine modes against all touches but those that contradict the others."""
+        first, options = self.first, self.first.config.hypotheses
+        radius_m = options.start_radius * first.mode_radius_m
+
+        def find(outliers: tuple[int, ...] = ()) -> tuple[Hypothesis, ...]:
+            some = modes
+            if outliers:
+                trusted = [view for k, view in enumerate(self.views) if k not in outliers]
+                some = keep_likeliest(modes, trusted, radius_m, options)
+            return find_hypotheses(
+                self.views, some, first.refine_together, posterior.grid.metric, first.merge_radius_m, self.known,
+                self.times, outliers,
+            )  # fmt: skip
+
+        def at_best() -> NDArray[np.float64]:
+            own = alone
+            if first.source.searched:
+                own = [localizer.posteriors([touch], self.times)[0] for localizer, touch in self.observations]
+            with self.times.stage("refine"):
+                ious = [explain_alone(view, p, first.refine_together, radius_m, options)
+                        for view, p in zip(self.views, own, strict=True)]  # fmt: skip
+            return np.array(ious)
+
+        return (find(), Agreement()) if len(self.views) == 1 else agree(find, at_best)
+
+    def find_excluding(self, alone: Sequence[PosePosterior]) -> tuple[int, ...]:
+        """Which one of three touches or more excludes all poses of the others; empty if none or several do."""
+        if len(self.observations) < 3:
+            return ()
+        excluding = []
+        for k in range(len(self.observations)):
+            rest = [*self.observations[:k], *self.observations[k + 1 :]]
+            try:
+                rest[0][0].fuser.fuse([*alone[:k], *alone[k + 1 :]], [touch.T_base_sensor for _, touch in rest])
+            except GridError:
+                continue
+            excluding.append(k)
+        return tuple(excluding) if len(excluding) == 1 else ()
+
+    def leave_out(self, outliers: Sequence[int]) -> _Question:
+        """The same question of the other touches, in the first one's frame of them."""
+        left = [one for k, one in enumerate(self.observations) if k not in outliers]
+        before, after = self.touches[0], left[0][1]
+        prior = self.prior
+        if prior is not None and after is not before:
+            prior = SeenFrom(prior, invert(np.asarray(before.T_base_sensor)) @ np.asarray(after.T_base_sensor))
+        return _Question.of(left, prior, self.top, self.coverage, self.times)
 
 
 def view_of(first: Touch, localizer: Localizer, touch: Touch) -> View:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -14,7 +14,7 @@ from tactile_loc.core.errors import GridError
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.progress import Progress, rank
 from tactile_loc.core.simulation.contact_poses import contact_grid, enough_contact
-from tactile_loc.core.slots.encoder import Encoder, TrainingProblem
+from tactile_loc.core.slots.encoder import Checkpoints, Encoder, TrainingProblem
 from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.store.artifact import Artifact
@@ -51,21 +51,21 @@ class ShapeBank:
     @property
     def kept(self) -> NDArray[np.int64]:
         """The indices (K,) of the contact grid's poses that make enough contact."""
-        return self.artifact.array("kept")
+        return self.artifact.load_array("kept")
 
     def shards(self, press_depth_m: float | None = None) -> Iterator[NDArray[np.float32]]:
         """Yield contact depths (S, H, W), S > 0, in metres, cut at `press_depth_m`, in the grid's order."""
         press = np.float32(self.max_depth_m if press_depth_m is None else press_depth_m)
-        for number, size in enumerate(self.artifact.json("sizes")):
+        for number, size in enumerate(self.artifact.load_json("sizes")):
             if size:  # of a whole shard perhaps no pose makes enough contact
-                yield self._decoded(self.artifact.array(_shard_name(number)), press)
+                yield self._decoded(self.artifact.load_array(_shard_name(number)), press)
 
     def shape(self, index: int, press_depth_m: float) -> NDArray[np.float32]:
         """Return the contact depth (H, W) in metres of one pose of the grid, cut at `press_depth_m`."""
-        ends = np.cumsum(self.artifact.json("sizes"))
+        ends = np.cumsum(self.artifact.load_json("sizes"))
         number = int(np.searchsorted(ends, index, side="right"))
         start = int(ends[number - 1]) if number else 0
-        code = self.artifact.array(_shard_name(number))[index - start]
+        code = self.artifact.load_array(_shard_name(number))[index - start]
         return self._decoded(code, np.float32(press_depth_m))
 
     def _decoded(self, codes: NDArray[np.uint16], press_depth_m: np.float32) -> NDArray[np.float32]:
@@ -93,7 +93,7 @@ def build_model(scene: Scene, sampler: GridSampler, store: StageStore, progress:
     artifact = store.build(
         grid, lambda work: work.save_array("T_sensor_object", _grid(scene, sampler, progress), packed=True)
     )
-    contact = PoseGrid(np.array(artifact.array("T_sensor_object")), PoseMetric(scene.object))
+    contact = PoseGrid(np.array(artifact.load_array("T_sensor_object")), PoseMetric(scene.object))
     key = shapes_key(grid, scene)
     percent = sampler.options.min_contact_percent
     rendered = store.build(key, lambda work: _render_all(work, contact, scene, percent, progress))
@@ -131,7 +131,7 @@ def build_bank(
         # vectors of what is mostly empty, unless they were learned
         work.save_array("bank", np.concatenate(rows), packed=not encoder.capabilities.needs_training)
 
-    return np.asarray(store.build(bank_key(model.key, encoder, press_depth_m, trained), encode).array("bank"))
+    return np.asarray(store.build(bank_key(model.key, encoder, press_depth_m, trained), encode).load_array("bank"))
 
 
 def _pressed_shapes(model: ObjectPoseModel, pressed: Scene) -> Iterator[NDArray[np.float32]]:
@@ -209,25 +209,22 @@ def encoder_key(shapes: StageKey, encoder: Encoder, sampler: GridSampler) -> Sta
 
 
 def train_encoder(
-    encoder: Encoder, model: ObjectPoseModel, scene: Scene, sampler: GridSampler, store: StageStore,
-    progress: Progress,
-) -> str:  # fmt: skip
-    """Train `encoder` on the model's object, or load what was trained before; return what identifies the result.
+    encoder: Encoder, key: StageKey | None, problem: Callable[[Checkpoints], TrainingProblem], store: StageStore
+) -> str:
+    """Train `encoder` on a problem, or load what was trained before under `key`; return what identifies the result.
 
-    Encoders that need no training are left alone and identified by their description. Of several processes that
+    Without a key the encoder needs no training: it is left alone, and the result is empty. Of several processes that
     torchrun started, the first stores what all of them train together. Raises what `fit` raises.
     """
-    key = encoder_key(model.key, encoder, sampler)
     if key is None:
         return ""
 
     def fit(work: Workspace) -> None:
-        checkpoints = WorkspaceCheckpoints(work)
-        encoder.fit(TrainingProblem(model.grid, scene, sampler, model.shapes.shards, progress, checkpoints))
+        encoder.fit(problem(WorkspaceCheckpoints(work)))
         work.save_file(WEIGHTS, encoder.save_weights)
 
     if rank() > 0 and store.get(key) is None:  # the first process holds the lock, and waits for this one in `fit`
-        encoder.fit(TrainingProblem(model.grid, scene, sampler, model.shapes.shards, progress))
+        encoder.fit(problem(Checkpoints()))
     else:
-        encoder.load_weights(store.build(key, fit).file(WEIGHTS))
+        encoder.load_weights(store.build(key, fit).find_file(WEIGHTS))
     return key.digest

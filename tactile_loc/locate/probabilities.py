@@ -43,6 +43,24 @@ EXPONENTS = np.linspace(0.0, 1.0, 41)
 
 
 @dataclass(frozen=True)
+class FitPlan:
+    """What probabilities are fitted to: so many simulated `touches` of the `noise` levels in turn, and, for each of
+    `fused_touches`, `fused_examples` of so many touches together."""
+
+    touches: int
+    noise: tuple[str, ...]
+    fused_touches: tuple[int, ...]
+    fused_examples: int
+
+
+def plan_fit(searched: bool) -> FitPlan:
+    """Return the plan for a listed grid, or for a whole object that is `searched`, which takes longer."""
+    if searched:
+        return FitPlan(SEARCHED, SEARCHED_NOISE, SEARCHED_TOUCHES, SEARCHED_EXAMPLES)
+    return FitPlan(TOUCHES, (TOUCH_NOISE,), FUSED_TOUCHES, FUSED_EXAMPLES)
+
+
+@dataclass(frozen=True)
 class TemperatureScaling:
     """How scores become probabilities: (1 - tail) softmax(s / T) + tail softmax(s / (TAIL_HEAT T)), all unitless.
 

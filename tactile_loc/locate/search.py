@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import Poses, invert, make_transform
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.priors import Prior, SeenFrom
 from tactile_loc.core.progress import Progress, StageTimes
+from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
 from tactile_loc.core.sensing.clouds import contact_cloud
 from tactile_loc.core.sensing.places import CAMERA, HIGHEST_M, Places
 from tactile_loc.core.sensing.touch import Touch
@@ -27,6 +27,7 @@ from tactile_loc.core.slots.encoder import Encoder
 from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.scene import Scene, View
+from tactile_loc.io.options import SearchOptions
 from tactile_loc.locate.hypotheses import apart, explained
 from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.scoring import GridScores, Scores
@@ -35,18 +36,8 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 STAGE, STAGE_VERSION = "places", 1
-SEARCH_VERSION = 3
-ALIKE = 1000  # turned places that are most alike
-POOL = 30_000  # turned places among which those are that a prior finds likeliest
-SETTLED = 300  # poses that are registered to a touch
-DRAWN_PX = 40  # pixels a side of what is drawn of them
-ENCODED = 512  # places at once: what fits a cache
-NEAREST_MM = 0.5  # between poses that are kept
-PROPOSED = 3000  # turned places that each of several touches is most like
-LOOKED_AT, LOOKED_AT_PX = 30, 120  # points of a touch, and pixels a side that they are taken from
-JOINTLY, WIDELY = 60, 400  # poses that are registered to several touches; if those explain them badly
-WELL = 0.8  # imprint IoU: what the best pose explains of touches that need no wider search, the mean
-FREEDOM_M = 1e-3  # along z, of a pose that is registered roughly to several touches
+SEARCH_VERSION = 5
+GAP_POINTS, GAP_PX = 30, 120  # points of a touch whose gap to the surface is measured, and the image they come from
 
 
 def build_places(sampler: GridSampler, scene: Scene, store: StageStore, progress: Progress) -> tuple[Places, StageKey]:
@@ -60,58 +51,58 @@ def build_places(sampler: GridSampler, scene: Scene, store: StageStore, progress
         work.save_array("patches", places.patches)
 
     stored = store.build(key, build)
-    return Places(np.array(stored.array("T_place_object")), stored.array("patches")), key
+    return Places(np.array(stored.load_array("T_place_object")), stored.load_array("patches")), key
 
 
 class PlaceSearch:
-    """Searches all places of an object for those that a touch may show."""
+    """Searches all places of an object for those that a touch may show, with the encoder and matchers given."""
 
     def __init__(
         self, places: Places, key: StageKey, scene: Scene, encoder: Encoder, new_matcher: Callable[[], Matcher],
-        settler: Any, options: Any,
+        grid_options: Any, options: SearchOptions, bank: Callable[[float], Scores],
     ) -> None:  # fmt: skip
-        if encoder.capabilities.needs_training:
-            raise ConfigError(
-                f"the encoder {type(encoder).__name__} learns from poses that are listed; choose pixel, or a grid that "
-                "lists its poses, such as face or hopf"
-            )
-        self.places, self.key, self.scene, self.encoder, self.settler = places, key, scene, encoder, settler
-        self.metric, spacing_m = PoseMetric(scene.object), 1e-3 * options.spacing_mm
+        """`bank` returns the embeddings (N, D) of the places cut at a press depth, metres."""
+        self.places, self.key, self.scene, self.encoder, self.options = places, key, scene, encoder, options
+        self.registration = JointRegistration(
+            RegistrationOptions(points=options.points, iterations=options.iterations, image_px=options.registration_px)
+        )
+        self.metric, spacing_m = PoseMetric(scene.object), 1e-3 * grid_options.spacing_mm
         self.radius_m, self.found_m = 0.5 * spacing_m, spacing_m  # between starts; how near the truth is found
-        self.yaws_rad = 2 * np.pi * np.arange(options.turns) / options.turns
-        self._banks = GridScores(encoder, new_matcher, self._bank, HIGHEST_M)
+        self.yaws_rad = 2 * np.pi * np.arange(grid_options.turns) / grid_options.turns
+        self._banks = GridScores(encoder, new_matcher, bank, HIGHEST_M, follow=True)
 
-    def found(self, touch: Touch, times: StageTimes, prior: Prior | None = None) -> tuple[PoseGrid, Scores]:
+    def score(self, touch: Touch, times: StageTimes, prior: Prior | None = None) -> tuple[PoseGrid, Scores]:
         """Return the likeliest poses of a touch, and their imprint IoUs (K,), drawn coarsely; adds to `times`.
 
         With a `prior` half of the poses that are registered are those that it finds likeliest of many.
         """
-        view = View(touch, self.scene.of_touch(touch))
+        view, options = View(touch, self.scene.of_touch(touch)), self.options
         with times.stage("match"):
-            groups = self.proposed(touch, ALIKE, prior)
+            groups = self.propose(touch, options.candidates, prior)
         with times.stage("settle"):
-            most = SETTLED // len(groups)
+            most = options.registered // len(groups)
             poses = np.concatenate([p[apart(p, scores, self.metric, self.radius_m, most)] for p, scores in groups])
-            poses = self.settler.settled([view], poses)
-            ious = explained([view], poses, DRAWN_PX)[:, 0]
-            kept = apart(poses, ious, self.metric, NEAREST_MM * 1e-3, SETTLED)
+            poses = self.registration.settle([view], poses)
+            ious = explained([view], poses, options.image_px)[:, 0]
+            kept = apart(poses, ious, self.metric, options.apart_mm * 1e-3, options.registered)
         return PoseGrid(poses[kept], self.metric), ious[kept].astype(np.float32)
 
     def describe(self) -> dict[str, Any]:
         """Return what decides what is found of a touch, but for the encoder, as JSON values."""
         return {
-            "places": self.key.digest, "search": SEARCH_VERSION, "settler": self.settler.describe(),
+            "places": self.key.digest, "search": SEARCH_VERSION, "options": self.options.model_dump(mode="json"),
+            "registration": self.registration.describe(),
             "renderer": self.scene.renderer.describe(), "drawing": self.scene.drawing,
         }  # fmt: skip
 
-    def proposed(self, touch: Touch, count: int, prior: Prior | None = None) -> list[tuple[Poses, NDArray[np.float64]]]:
-        """Return the `count` most alike turned places, and as many that a prior finds likeliest of the POOL most alike.
+    def propose(self, touch: Touch, count: int, prior: Prior | None = None) -> list[tuple[Poses, NDArray[np.float64]]]:
+        """Return the `count` most similar turned places, and as many that a prior finds likeliest of the `pool` ones.
 
         Each group are poses (K, 4, 4), metres, and by what they are ordered (K,).
         """
         if prior is None:
             return [self.alike(touch, count)]
-        poses, scores = self.alike(touch, POOL)
+        poses, scores = self.alike(touch, self.options.pool)
         order = np.argsort(-scores, kind="stable")
         poses, scores = poses[order], scores[order]
         weights = prior_weights(prior, PoseGrid(poses, self.metric))
@@ -120,7 +111,7 @@ class PlaceSearch:
         alike = poses[:count], scores[:count]
         return [alike, (poses[likeliest], -np.arange(len(likeliest), dtype=float))] if len(likeliest) else [alike]
 
-    def alike(self, touch: Touch, count: int = ALIKE) -> tuple[Poses, NDArray[np.float64]]:
+    def alike(self, touch: Touch, count: int) -> tuple[Poses, NDArray[np.float64]]:
         """Return the poses (K, 4, 4), metres, of the `count` most alike turned places, and how alike they are (K,)."""
         from tactile_loc.core.sensing.turned_patches import anchor, turned_patches
 
@@ -130,16 +121,12 @@ class PlaceSearch:
         depths_m, seen = turned_patches(touch, anchor_m, R_sensor_gel, self.yaws_rad)
         cut_m = np.minimum(depths_m, np.float32(press_m))
         queries, weights = self.encoder.encode_seen(cut_m, seen, press_m, CAMERA)
-        scores = matcher.weighted_scores(queries, weights)
+        scores = matcher.scores(queries, weights)
         best = np.argpartition(-scores, min(count, scores.size) - 1, axis=None)[:count]
+        best = best[scores.ravel()[best] > -np.inf]  # a matcher may look at fewer
         yaw, number = np.unravel_index(best, scores.shape)
         poses = make_transform(R_sensor_gel, anchor_m) @ self.places.poses(number, self.yaws_rad[yaw])
         return poses, scores.ravel()[best].astype(float)
-
-    def _bank(self, press_depth_m: float) -> Scores:
-        starts = range(0, len(self.places), ENCODED)
-        depths = (self.places.depths(press_depth_m, slice(start, start + ENCODED)) for start in starts)
-        return np.concatenate([self.encoder.encode(some, press_depth_m, CAMERA) for some in depths])
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +139,7 @@ class FoundTogether:
 
     @property
     def best(self) -> float:
-        """What the best pose explains of the touches on the mean, 0 to 1."""
+        """The greatest mean imprint IoU of a pose over the touches, 0 to 1."""
         return float(self.ious.mean(axis=1).max())
 
     def posteriors(
@@ -164,12 +151,12 @@ class FoundTogether:
         """
         grids = [PoseGrid(view.T_sensor_first @ self.T_first_object, self.metric) for view in views]
         return [
-            replace(scaling.posterior(grid, said), elsewhere=elsewhere)
-            for grid, scaling, said in zip(grids, scalings, self.ious.T, strict=True)
+            replace(scaling.posterior(grid, ious), elsewhere=elsewhere)
+            for grid, scaling, ious in zip(grids, scalings, self.ious.T, strict=True)
         ]
 
 
-def found_together(
+def search_together(
     views: Sequence[View], searches: Sequence[PlaceSearch], times: StageTimes, prior: Prior | None = None
 ) -> FoundTogether:
     """Return the likeliest poses of several touches; adds to `times`. A `prior` is over poses of the first one's frame.
@@ -178,21 +165,21 @@ def found_together(
     touches show, none near to a better one; they are registered to all touches, drawn, and compared with each touch.
     Where none of the best few explains the touches well, more are looked at.
     """
-    metric = searches[0].metric
+    search, options = searches[0], searches[0].options
     with times.stage("match"):
         poses = np.concatenate([
             invert(view.T_sensor_first) @ some
-            for view, search in zip(views, searches, strict=True)
-            for some, _ in search.proposed(view.touch, PROPOSED, _seen_by(view, prior))
+            for view, one in zip(views, searches, strict=True)
+            for some, _ in one.propose(view.touch, one.options.candidates_together, _see_from(view, prior))
         ])  # fmt: skip
-        poses = _nearest(views, searches[0], poses, WIDELY)
+        poses = _keep_nearest(views, search, poses, options.registered_widely)
     with times.stage("settle"):
-        settled, ious = _settled(views, searches[0], poses[:JOINTLY])
-        if ious.mean(axis=1).max() < WELL:
-            more, more_ious = _settled(views, searches[0], poses[JOINTLY:])
+        settled, ious = _settle(views, search, poses[: options.registered_together])
+        if ious.mean(axis=1).max() < options.wide_below_iou:
+            more, more_ious = _settle(views, search, poses[options.registered_together :])
             settled, ious = np.concatenate([settled, more]), np.concatenate([ious, more_ious])
-        kept = apart(settled, ious.mean(axis=1), metric, NEAREST_MM * 1e-3, WIDELY)
-    return FoundTogether(settled[kept], ious[kept], metric)
+        kept = apart(settled, ious.mean(axis=1), search.metric, options.apart_mm * 1e-3, options.registered_widely)
+    return FoundTogether(settled[kept], ious[kept], search.metric)
 
 
 def rough_iou(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> float:
@@ -200,34 +187,34 @@ def rough_iou(views: Sequence[View], search: PlaceSearch, poses: Poses, count: i
 
     Those `count` whose surface is nearest to what the touches show are registered roughly, and drawn coarsely.
     """
-    _, ious = _settled(views, search, _nearest(views, search, poses, count))
+    _, ious = _settle(views, search, _keep_nearest(views, search, poses, count))
     return float(ious.mean(axis=1).max())
 
 
-def _nearest(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> Poses:
-    """At most `count` of poses (K, 4, 4), whose surface is nearest to what all touches show, none near to a better."""
-    return poses[apart(poses, -_gaps(views, poses), search.metric, search.radius_m, count)]
+def _keep_nearest(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> Poses:
+    """Return at most `count` of poses (K, 4, 4) whose surface is nearest to the touches', none near to a better one."""
+    return poses[apart(poses, -_measure_gaps(views, poses), search.metric, search.radius_m, count)]
 
 
-def _seen_by(view: View, prior: Prior | None) -> Prior | None:
+def _see_from(view: View, prior: Prior | None) -> Prior | None:
     return None if prior is None else SeenFrom(prior, invert(view.T_sensor_first))
 
 
-def _settled(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple[Poses, NDArray[np.float64]]:
-    """Poses (K, 4, 4), metres, registered roughly to all touches, and their imprint IoUs (K, N), drawn coarsely."""
-    settled = search.settler.settled(views, poses)
-    return settled, explained(views, settled, DRAWN_PX, FREEDOM_M)
+def _settle(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple[Poses, NDArray[np.float64]]:
+    """Register poses (K, 4, 4), metres, roughly to all touches; also return their imprint IoUs (K, N), coarsely."""
+    settled, options = search.registration.settle(views, poses), search.options
+    return settled, explained(views, settled, options.image_px, 1e-3 * options.free_z_mm)
 
 
-def _gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
-    """How far what the touches show is from the surface of the object at poses (K, 4, 4): (K,), metres, their sum."""
-    from tactile_loc.core.objects.surface_field import surface_field
+def _measure_gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
+    """Return how far the touches' points are from the object's surface at poses (K, 4, 4): sums (K,), metres."""
+    from tactile_loc.core.objects.surface_field import surface_field  # numba takes a while to import
 
     field, seen_from = surface_field(views[0].scene.object.mesh), invert(poses)
     gaps = np.zeros(len(poses))
     for view in views:
-        geometry, shape = view.touch.thinned(LOOKED_AT_PX)
+        geometry, shape = view.touch.thinned(GAP_PX)
         points_m = contact_cloud(shape, geometry)[0]
-        points_m = points_m[:: max(1, len(points_m) // LOOKED_AT)]
+        points_m = points_m[:: max(1, len(points_m) // GAP_POINTS)]
         gaps += field.mean_gaps(points_m, seen_from @ invert(view.T_sensor_first), field.reach_m)
     return gaps

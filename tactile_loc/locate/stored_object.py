@@ -52,7 +52,9 @@ def _stored_surface(path: Path, store: StageStore) -> Surface:
         work.save_json("watertight", surface.is_watertight)
 
     def load(kept: Artifact) -> Surface:
-        return Surface(np.array(kept.array("vertices")), np.array(kept.array("faces")), kept.json("watertight"))
+        return Surface(
+            np.array(kept.load_array("vertices")), np.array(kept.load_array("faces")), kept.load_json("watertight")
+        )
 
     return _kept(store, key, lambda: read_surface(path), save, load)
 
@@ -65,7 +67,7 @@ def _stored_symmetry(declared: str, mesh: TriangleMesh, name: str, store: StageS
         work.save_json("group", {"centre_m": group.centre_m.tolist(), "terms": terms})
 
     def load(kept: Artifact) -> SymmetryGroup:
-        group = kept.json("group")
+        group = kept.load_json("group")
         terms = [SymmetryTerm((x, y, z), float(order)) for x, y, z, order in group["terms"]]
         return SymmetryGroup(np.array(group["centre_m"]), tuple(terms))
 

@@ -16,7 +16,7 @@ import numpy as np
 from tactile_loc.core.errors import TactileLocError, TouchError
 from tactile_loc.core.geometry.rigid import axis_angle
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.config import SlotConfig, kind_of_sensor
+from tactile_loc.io.config import SlotConfig, find_sensor_kind
 from tactile_loc.io.images import IMAGE_SUFFIXES
 from tactile_loc.io.mount_files import Mount
 from tactile_loc.io.touch_lists import ListedTouch, read_touch_list
@@ -142,7 +142,7 @@ def read_observations(localizer: Localizer, path: Path) -> list[Observation]:
 
 def _with_sensor(localizer: Localizer, sensor: str) -> Localizer:
     """The same localizer, but for its sensor, which is given by name, folder or file."""
-    kind = kind_of_sensor(sensor)
+    kind = find_sensor_kind(sensor)
     chosen = SlotConfig(name=kind, options={"path": sensor}) if kind else SlotConfig(name=sensor)
     config = localizer.config.model_copy(update={"sensor": chosen})
     return Localizer(config, localizer.object, localizer.store, localizer.progress)
@@ -162,7 +162,7 @@ def read_listed_touch(localizer: Localizer, listed: ListedTouch) -> Touch:
 
 def _with_mounts_error(touch: Touch, mount: Mount) -> Touch:
     """The touch, its sensor's pose known no better than the flange's and the mount together tell."""
-    std_m, std_rad = mount.std_at(np.array([0.0, 0.0, touch.geometry.standoff_m]))
+    std_m, std_rad = mount.find_std_at(np.array([0.0, 0.0, touch.geometry.standoff_m]))
     return dataclasses.replace(
         touch, T_base_sensor_std_m=float(np.hypot(touch.T_base_sensor_std_m, std_m)),
         T_base_sensor_std_rad=float(np.hypot(touch.T_base_sensor_std_rad, std_rad)),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tactile_loc.plugin import ComponentSpec, hookimpl
+from tactile_loc.plugin import INTERFACE_VERSION, ComponentSpec, hookimpl
 
 LEARNED, KISS = "tactile-loc[learned]", "tactile-loc[kiss]"
 # slot, name, class, what it is, and what to install for it
@@ -29,7 +29,7 @@ BUILT_IN = [
     ("matcher", "dense", "matchers.dense:DenseMatcher", "exact, one matrix product"),
     ("matcher", "faiss", "matchers.faiss:FaissMatcher", "faiss: exact (flat) or approximate"),
     ("refiner", "none", "refiners.none:NoRefiner", "the grid pose as it is"),
-    ("refiner", "joint", "refiners.joint.refiner:JointRefiner",
+    ("refiner", "joint", "refiners.joint:JointRefiner",
      "point to plane on the object's surface, one pose against all touches at once; knows how sure it is"),
     ("refiner", "icp", "refiners.icp:IcpRefiner", "point-to-plane ICP (open3d)"),
     ("refiner", "filterreg", "refiners.filterreg.refiner:FilterRegRefiner",
@@ -47,4 +47,7 @@ BUILT_IN = [
 @hookimpl
 def tactile_loc_components() -> list[ComponentSpec]:
     """Return the built-in components of all seven slots."""
-    return [ComponentSpec(slot, name, f"{__name__}.{kind}", *more) for slot, name, kind, *more in BUILT_IN]
+    return [
+        ComponentSpec(slot, name, f"{__name__}.{kind}", summary, "".join(requires), INTERFACE_VERSION)
+        for slot, name, kind, summary, *requires in BUILT_IN
+    ]

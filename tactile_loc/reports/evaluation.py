@@ -12,8 +12,8 @@ from tactile_loc.core.errors import ResultError
 from tactile_loc.core.formatting import mm
 from tactile_loc.evaluation import fusion_tables, tables
 from tactile_loc.evaluation.metrics import LEVELS
-from tactile_loc.io.toml import toml_text
-from tactile_loc.locate.result_files import read_document
+from tactile_loc.io.records import read_document
+from tactile_loc.io.toml import format_toml
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.reports.pictures import encode_gallery
 
@@ -87,7 +87,7 @@ def _describe_settings(document: Mapping[str, Any], runs: Sequence[Run]) -> Sect
         (
             run["name"],
             f"{run['name']}: {run['grid_poses']} grid poses, symmetry {run['symmetry']}, encoder {run['encoder']}",
-            toml_text(run.get("configuration", {})),
+            format_toml(run.get("configuration", {})),
         )
         for run in runs
     ]

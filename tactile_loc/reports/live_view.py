@@ -15,7 +15,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.drawing.pose_panel import choose_view
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result_files import drawn_mesh
+from tactile_loc.locate.result_arrays import reduce_mesh
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.tasks.live import LiveRecord, LiveResult
@@ -35,7 +35,7 @@ NOTHING = "-"
 
 def make_live_page(localizer: Localizer, about: str) -> Page:
     """Return the page that shows frames as they come; `about` says of what."""
-    geometry, mesh = localizer.sensor.geometry, drawn_mesh(localizer.object.mesh)
+    geometry, mesh = localizer.sensor.geometry, reduce_mesh(localizer.object.mesh)
     frame = pictures.Frame.of(geometry)
     numbers = {"numbers": NUMBERS, "frame": frame}
     data = {

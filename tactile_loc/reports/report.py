@@ -66,8 +66,13 @@ def write_report(source: Source, out: Path | None = None) -> Path:
     if path.suffix.lower() not in (".html", ".htm"):
         raise OutputError(f"a report is written as .html, not as {path.name}; choose another --out")
     with name_damage(source.path):
-        html = render(make_page(source))
-    return write_atomically(path, lambda temporary: temporary.write_bytes(html.encode(errors="backslashreplace")))
+        return write_page(make_page(source), path)
+
+
+def write_page(page: Page, path: Path) -> Path:
+    """Write a page as one HTML file, atomically, and return its path. Raises OutputError."""
+    html = render(page).encode(errors="backslashreplace")
+    return write_atomically(path, lambda temporary: temporary.write_bytes(html))
 
 
 def _find_in_folder(folder: Path) -> Source:

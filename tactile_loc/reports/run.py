@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import millimetres, percent
-from tactile_loc.core.geometry.rigid import axis_angle
-from tactile_loc.io.toml import toml_text
-from tactile_loc.locate.result_files import NAME, ResultArrays, TouchArrays, read_arrays, read_record
-from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord, TouchRecord, doubts
+from tactile_loc.core.geometry.rigid import format_pose
+from tactile_loc.io.toml import format_toml
+from tactile_loc.locate.doubts import list_doubts
+from tactile_loc.locate.result_arrays import NAME, ResultArrays, TouchArrays, read_arrays
+from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord, TouchRecord, read_record
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.distribution import SurfaceDistribution, count_yaws, map_sides, spread_over_surface
 from tactile_loc.reports.page import Page, Section
@@ -36,7 +37,7 @@ def make_result_page(record: ResultRecord, arrays: ResultArrays) -> Page:
     """Return the page of a result that has been read."""
     data = collect_data(record, arrays)
     truth = record.touch.T_sensor_object is not None
-    notes = [*record.object.notes, *doubts(record)]
+    notes = [*record.object.notes, *list_doubts(record)]
     sections = [
         Section("summary", "", {"numbers": list(_list_numbers(record)), "notes": notes}),
         Section(
@@ -47,7 +48,7 @@ def make_result_page(record: ResultRecord, arrays: ResultArrays) -> Page:
         Section("times", "Times", {"built": _write_build_time(record)}),
         Section("made", "Made with", _describe_settings(record)),
     ]
-    title = f"{record.object.name} on {_name_sensor(record)}"
+    title = f"{record.object.name} on {record.sensor_name}"
     return Page("run", title, _write_about(record), sections, data, ["solids.js", "run.js"])
 
 
@@ -95,13 +96,6 @@ def _sum_rotations(arrays: ResultArrays) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _name_sensor(record: ResultRecord) -> str:
-    """The sensor's name, or that of its file."""
-    sensor = record.configuration.get("sensor", {})
-    path = sensor.get("options", {}).get("path")
-    return Path(path).stem if path else str(sensor.get("name", "a sensor"))
-
-
 def _write_about(record: ResultRecord) -> str:
     touch = record.touch
     what = f"touch {touch.name}" if touch.path is not None else f"simulated touch, noise {touch.noise}"
@@ -113,7 +107,7 @@ def _write_about(record: ResultRecord) -> str:
 
 def _list_numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
     best = record.hypotheses[0]
-    x, y, z, angle_deg, axis = _write_pose(best)
+    x, y, z, angle_deg, axis = format_pose(np.array(best.T_sensor_object))
     turned = f"of the object in the sensor's frame, turned {angle_deg}° about {axis}"
     yield "best pose: x, y, z", f"{x}, {y}, {z} mm", turned
     yield "normalised entropy", f"{record.normalised_entropy:.2f}", "0: one pose is certain, 1: nothing is known"
@@ -131,13 +125,6 @@ def _list_numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
         yield "error", millimetres(errors.best_m), closest
 
 
-def _write_pose(h: HypothesisRecord) -> list[str]:
-    """The refined pose: x, y, z in mm, the turn in degrees, and about which axis."""
-    T = np.array(h.T_sensor_object)
-    angle_deg, axis = axis_angle(T[:3, :3])
-    return [*(f"{1e3 * v:.2f}" for v in T[:3, 3]), f"{angle_deg:.1f}", "({:.3f}, {:.3f}, {:.3f})".format(*axis)]
-
-
 def _list_heads(record: ResultRecord) -> list[str]:
     return [*COLUMNS, *([] if record.errors is None else ["error (mm)"])]
 
@@ -145,8 +132,8 @@ def _list_heads(record: ResultRecord) -> list[str]:
 def _list_rows(record: ResultRecord) -> list[list[str]]:
     return [
         [
-            str(h.rank), f"{100 * h.probability:.1f}", f"{100 * h.imprint_iou:.0f}", *_write_pose(h),
-            *([] if h.error_m is None else [f"{1e3 * h.error_m:.2f}"]),
+            str(h.rank), f"{100 * h.probability:.1f}", f"{100 * h.imprint_iou:.0f}",
+            *format_pose(np.array(h.T_sensor_object)), *([] if h.error_m is None else [f"{1e3 * h.error_m:.2f}"]),
         ]
         for h in record.hypotheses
     ]  # fmt: skip
@@ -234,6 +221,6 @@ def _describe_settings(record: ResultRecord) -> dict[str, Any]:
     return {
         "object": f"{obj.name}: {size} mm, {obj.triangles} triangles, symmetry {obj.symmetry}, read from {obj.source}.",
         "components": components,
-        "configuration": toml_text(record.configuration),
+        "configuration": format_toml(record.configuration),
         "versions": list(record.versions.items()),
     }

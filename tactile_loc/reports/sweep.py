@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from tactile_loc.core.slots.registry import SLOTS
-from tactile_loc.io.toml import toml_text
-from tactile_loc.locate.result_files import read_document
+from tactile_loc.io.records import read_document
+from tactile_loc.io.toml import format_toml
 from tactile_loc.reports.page import Page, Section
 
 FACTORS = ("object", *SLOTS, "noise", "seed", "count")  # and every "slot.option": what a combination is made of
@@ -167,7 +167,7 @@ def _describe_settings(document: Mapping[str, Any], rows: Sequence[Row]) -> dict
     return {
         "same": [(c, str(first[c])) for c in first if is_factor(c) and c not in factors and first[c] is not None],
         "built": [(stage, count) for stage, count in built.items() if isinstance(count, int)],
-        "plan": toml_text(plan),
+        "plan": format_toml(plan),
         "versions": list(versions.items()),
     }
 

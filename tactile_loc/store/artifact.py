@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -15,11 +17,12 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import StoreError
 from tactile_loc.store.files import read_json
-from tactile_loc.store.keys import StageKey, canonical_json, hash_file
-from tactile_loc.store.packed import read_packed
+from tactile_loc.store.keys import StageKey, hash_file, write_canonical_json
 
 MANIFEST = "manifest.json"
 _FORMAT = 1
+_MEMBER = "array"  # of a packed array's file, an npz that numpy reads as any other
+_LEVEL = 1  # of deflation: higher ones take several times as long and save a twentieth
 
 
 class DamagedError(StoreError):
@@ -54,7 +57,7 @@ class Artifact:
         """The size of all files together, bytes."""
         return sum(record.size for record in self.files.values())
 
-    def file(self, name: str) -> Path:
+    def find_file(self, name: str) -> Path:
         """Return the path of the file of this name (with its suffix).
 
         Raises:
@@ -64,7 +67,7 @@ class Artifact:
             raise StoreError(f"Stage {self.key} holds no {name!r}; it holds {', '.join(self.names) or 'no files'}.")
         return self.path / name
 
-    def array(self, name: str, mmap: bool = True) -> NDArray[Any]:
+    def load_array(self, name: str, mmap: bool = True) -> NDArray[Any]:
         """Return the array stored as `<name>.npy`, mapped read-only from the disk, or in memory if not `mmap`.
 
         One that was packed, `<name>.npz`, is always in memory.
@@ -73,7 +76,7 @@ class Artifact:
             StoreError: if there is no such array or it cannot be read; arrays of pickled objects never are.
         """
         packed = f"{name}.npz" in self.files
-        path = self.file(f"{name}.npz" if packed else f"{name}.npy")
+        path = self.find_file(f"{name}.npz" if packed else f"{name}.npy")
         try:
             array: NDArray[Any]
             array = read_packed(path) if packed else np.load(path, "r" if mmap else None, allow_pickle=False)
@@ -81,19 +84,19 @@ class Artifact:
             raise StoreError(f"Cannot read {path}: {error}; remove {self.path} and run again.") from error
         return array
 
-    def json(self, name: str) -> Any:
+    def load_json(self, name: str) -> Any:
         """Return the value stored as `<name>.json`.
 
         Raises:
             StoreError: if there is no such file or it cannot be read.
         """
-        path = self.file(f"{name}.json")
+        path = self.find_file(f"{name}.json")
         try:
             return read_json(path)
         except (OSError, ValueError) as error:
             raise StoreError(f"Cannot read {path}: {error}; remove {self.path} and run again.") from error
 
-    def signature(self) -> tuple[tuple[int, int], ...]:
+    def read_signature(self) -> tuple[tuple[int, int], ...]:
         """Return (mtime_ns, size) of the manifest and of every file: cheap to get, and changed by any ordinary write.
 
         Raises:
@@ -121,6 +124,25 @@ class Artifact:
                 raise DamagedError(f"{name} cannot be read") from error
             if found != record.sha256:
                 raise DamagedError(f"the content of {name} does not match its checksum")
+
+
+def write_packed(path: Path, array: NDArray[Any]) -> None:
+    """Write an array of any shape, without Python objects, deflated; the same array makes the same bytes."""
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=_LEVEL) as file,
+        file.open(f"{_MEMBER}.npy", "w", force_zip64=True) as member,
+    ):
+        np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
+
+
+def read_packed(path: Path) -> NDArray[Any]:
+    """Return the array that `write_packed` wrote. Raises ValueError when the file holds none, OSError as any read."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            array: NDArray[Any] = file[_MEMBER]
+    except (zipfile.BadZipFile, zlib.error, KeyError, EOFError) as error:
+        raise ValueError(f"it holds no packed array ({error})") from error
+    return array
 
 
 def write_manifest(path: Path, key: StageKey, files: Mapping[str, FileRecord]) -> None:
@@ -159,4 +181,4 @@ def read_artifact(folder: Path) -> Artifact:
 
 
 def _seal(manifest: Mapping[str, Any]) -> str:
-    return hashlib.sha256(canonical_json(manifest).encode()).hexdigest()
+    return hashlib.sha256(write_canonical_json(manifest).encode()).hexdigest()

@@ -23,13 +23,13 @@ _OS_ERROR = re.compile(r"\(os error (\d+)\)")
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replace_file(path: Path) -> Iterator[Path]:
     """Give a temporary path near `path`, of the same name; when the block ends well, sync it and rename it.
 
     Whatever goes wrong, an older file at `path` is still whole and nothing is left beside it; what a process that was
     killed has left there is removed by the next replacement. Raises OSError.
     """
-    with _folder_beside(path) as folder:
+    with _make_folder_beside(path) as folder:
         temporary = folder / path.name
         yield temporary
         _sync_file(temporary)
@@ -37,7 +37,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def replacing_folder(path: Path, fresh: bool = False) -> Iterator[Path]:
+def replace_folder(path: Path, fresh: bool = False) -> Iterator[Path]:
     """Give an empty folder near `path`; when the block ends well, sync all it holds and put it in `path`'s place.
 
     A process that is killed at any moment leaves the old folder whole or the new one, and what it leaves beside them is
@@ -49,7 +49,7 @@ def replacing_folder(path: Path, fresh: bool = False) -> Iterator[Path]:
     recover_folder(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        with _folder_beside(path) as folder:
+        with _make_folder_beside(path) as folder:
             temporary = folder / path.name
             temporary.mkdir()
             yield temporary
@@ -61,14 +61,16 @@ def replacing_folder(path: Path, fresh: bool = False) -> Iterator[Path]:
             sync_folder(path.parent)
     finally:
         recover_folder(path)
-        _remove_aside(path)
+        if os.path.lexists(path):
+            with suppress(OSError):
+                delete(_name_aside(path))  # what was set aside for what stands there now
 
 
 def recover_folder(path: Path) -> None:
-    """Put back the folder that a killed `replacing_folder` had set aside, if nothing stands in its place."""
+    """Put back the folder that a killed `replace_folder` had set aside, if nothing stands in its place."""
     with suppress(OSError, ValueError):  # there is none, none can be called so, or another process was faster
         path = path.resolve()
-        aside = _aside(path)
+        aside = _name_aside(path)
         if not os.path.lexists(path) and aside.is_dir():
             aside.rename(path)
 
@@ -80,8 +82,9 @@ def remove_abandoned(folder: Path, names: str = "*") -> None:
     """
     for pattern in (f"{_TEMPORARY}new-{names}", f"{_TEMPORARY}{'[0-9a-f]' * 32}-{names}"):
         for left in folder.glob(pattern):
-            with suppress(OSError), _opened(left) as descriptor:
-                if _lock(descriptor) and _stands_at(left, descriptor):
+            with suppress(OSError), _open_folder(left) as descriptor:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # refused: another holds it, or there are none
+                if _is_at(left, descriptor):
                     delete(left)  # while it is locked: nobody can begin to use it
 
 
@@ -92,10 +95,10 @@ def is_unfinished(path: Path) -> bool:
 
 def read_json(path: Path) -> Any:
     """Return what a JSON file holds. Raises OSError, and ValueError when it holds none, or is nested without end."""
-    return json_value(path.read_bytes())
+    return parse_json(path.read_bytes())
 
 
-def json_value(text: str | bytes) -> Any:
+def parse_json(text: str | bytes) -> Any:
     """Return the value of a JSON text. Raises ValueError when it is none, or is nested without end."""
     try:
         return json.loads(text)
@@ -113,7 +116,7 @@ def delete(path: Path) -> None:
 
 def sync_folder(folder: Path) -> None:
     """Have a folder's entries written to the disk, where the file system knows how to."""
-    with suppress(OSError), _opened(folder) as descriptor:
+    with suppress(OSError), _open_folder(folder) as descriptor:
         os.fsync(descriptor)
 
 
@@ -142,17 +145,24 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
 
     Raises OutputError when the disk refuses; an older file at `path` is then still whole.
     """
-    try:
+    with guard_output(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as temporary:
+        with replace_file(path) as temporary:
             write(temporary)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written ({error.strerror or error}); choose another --out") from error
     return path
 
 
 @contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
+def guard_output(path: Path) -> Iterator[None]:
+    """Turn an OSError of the block, in which `path` is written, into an OutputError that says so."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written ({error.strerror or error}); choose another --out") from error
+
+
+@contextmanager
+def lock_folder(folder: Path) -> Iterator[None]:
     """Have others who ask for the same folder wait until the block ends: files that belong together stay together.
 
     The folder is made if needed, and nothing is put there. Where the file system has no locks, nobody waits. Raises
@@ -178,20 +188,20 @@ def write_json(path: Path, value: Any) -> Path:
 
 
 @contextmanager
-def _folder_beside(path: Path) -> Iterator[Path]:
+def _make_folder_beside(path: Path) -> Iterator[Path]:
     """Give an empty folder beside `path`, locked as long as the block lasts; at its end what is left of it is removed.
 
     The folder's name is always the same: so what a killed process left is found again without listing all that there
     is, which would take long where many files are written into one folder.
     """
     folder = path.with_name(f"{_TEMPORARY}new-{path.name}")
-    descriptor = _claimed(folder)
+    descriptor = _claim(folder)
     while descriptor is None:  # it is there already: another process is at work on it, or was
         remove_abandoned(path.parent, glob.escape(path.name))
         folder = path.with_name(f"{_TEMPORARY}{uuid.uuid4().hex}-{path.name}") if os.path.lexists(folder) else folder
-        descriptor = _claimed(folder)
+        descriptor = _claim(folder)
     try:
-        with _told_by_number():
+        with _raise_by_number():
             yield folder
     finally:
         with suppress(OSError):
@@ -200,7 +210,7 @@ def _folder_beside(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _told_by_number() -> Iterator[None]:
+def _raise_by_number() -> Iterator[None]:
     """Raise as an OSError what libraries in Rust say of the system in words only, as "... (os error 28)"."""
     try:
         yield
@@ -211,7 +221,7 @@ def _told_by_number() -> Iterator[None]:
         raise OSError(int(said[1]), os.strerror(int(said[1]))) from error
 
 
-def _claimed(folder: Path) -> int | None:
+def _claim(folder: Path) -> int | None:
     """Make a folder and lock it; None if it is there already, or somebody who took it for abandoned was faster."""
     try:
         folder.mkdir()
@@ -223,13 +233,13 @@ def _claimed(folder: Path) -> int | None:
         return None
     with suppress(OSError):  # a file system without locks
         fcntl.flock(descriptor, fcntl.LOCK_EX)
-    if _stands_at(folder, descriptor):
+    if _is_at(folder, descriptor):
         return descriptor
     os.close(descriptor)
     return None
 
 
-def _stands_at(folder: Path, descriptor: int) -> bool:
+def _is_at(folder: Path, descriptor: int) -> bool:
     """Whether an open folder has not been removed, another of its name perhaps made since."""
     try:
         return os.path.samestat(folder.stat(), os.fstat(descriptor))
@@ -237,7 +247,7 @@ def _stands_at(folder: Path, descriptor: int) -> bool:
         return False
 
 
-def _aside(path: Path) -> Path:
+def _name_aside(path: Path) -> Path:
     return path.with_name(f"{_TEMPORARY}old-{path.name}")
 
 
@@ -245,7 +255,7 @@ def _swap(new: Path, path: Path) -> None:
     """Exchange two folders: at once where the kernel and the file system can, else by way of a third place."""
     if _exchange(new, path):
         return
-    aside = _aside(path)
+    aside = _name_aside(path)
     if aside.exists():  # a leftover, as there is a folder at `path`
         delete(aside)
     path.rename(aside)
@@ -263,29 +273,13 @@ def _exchange(one: Path, other: Path) -> bool:
     return renameat2(here, os.fsencode(one), here, os.fsencode(other), exchange) == 0
 
 
-def _remove_aside(path: Path) -> None:
-    """Remove what was set aside for what stands at `path` now."""
-    if os.path.lexists(path):
-        with suppress(OSError):
-            delete(_aside(path))
-
-
 @contextmanager
-def _opened(folder: Path) -> Iterator[int]:
+def _open_folder(folder: Path) -> Iterator[int]:
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         yield descriptor
     finally:
         os.close(descriptor)
-
-
-def _lock(descriptor: int) -> bool:
-    """Take the lock of an open folder until it is closed; False where it is taken or the file system has none."""
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
 
 
 def _sync_tree(folder: Path) -> None:

@@ -43,8 +43,8 @@ class StageKey:
     def __post_init__(self) -> None:
         if not _STAGE_NAME.fullmatch(self.stage):
             raise StoreError(f"{self.stage!r} cannot name a stage; use letters, digits, '-' and '_'.")
-        inputs = _plain(self.inputs, f"Stage {self.stage!r}: the input")
-        text = canonical_json({"stage": self.stage, "version": self.version, "inputs": inputs})
+        inputs = _copy_plain(self.inputs, f"Stage {self.stage!r}: the input")
+        text = write_canonical_json({"stage": self.stage, "version": self.version, "inputs": inputs})
         object.__setattr__(self, "inputs", inputs)
         object.__setattr__(self, "digest", hashlib.sha256(text.encode()).hexdigest())
 
@@ -57,13 +57,13 @@ class StageKey:
         return f"{self.stage} {self.short}"
 
 
-def canonical_json(value: JsonValue) -> str:
+def write_canonical_json(value: JsonValue) -> str:
     """Return the one JSON text of a value: keys sorted, no spaces, ASCII only, floats by `repr`, tuples as lists.
 
     Raises:
         StoreError: if the value holds NaN, an infinity, a key that is not a string, or anything JSON does not know.
     """
-    return json.dumps(_plain(value, "The value"), sort_keys=True, separators=(",", ":"))
+    return json.dumps(_copy_plain(value, "The value"), sort_keys=True, separators=(",", ":"))
 
 
 def hash_arrays(**arrays: NDArray[Any]) -> str:
@@ -100,16 +100,16 @@ def hash_file(path: Path) -> str:
         ) from error
 
 
-def _plain(value: object, where: str) -> Any:
+def _copy_plain(value: object, where: str) -> Any:
     """Return a deep copy made of JSON's own types only, or raise a StoreError that says where another one stands."""
     if value is None or isinstance(value, str | bool | int):
         return value
     if isinstance(value, float) and math.isfinite(value):
         return float(value)
     if isinstance(value, list | tuple):
-        return [_plain(item, f"{where}[{i}]") for i, item in enumerate(value)]
+        return [_copy_plain(item, f"{where}[{i}]") for i, item in enumerate(value)]
     if isinstance(value, Mapping) and all(isinstance(name, str) for name in value):
-        return {str(name): _plain(item, f"{where}[{name!r}]") for name, item in value.items()}
+        return {str(name): _copy_plain(item, f"{where}[{name!r}]") for name, item in value.items()}
     found = str(value) if isinstance(value, float) else f"of type {type(value).__module__}.{type(value).__qualname__}"
     if isinstance(value, Mapping):
         found = "a mapping whose keys are not all strings"

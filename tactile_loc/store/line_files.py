@@ -5,22 +5,23 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import IO
 
 from tactile_loc.core.errors import OutputError
+from tactile_loc.store.files import guard_output
 
 LONGEST = 1_000_000  # bytes of a line
 
 
 def open_locked(path: Path) -> IO[bytes]:
     """Open a file to read it and to add to it, alone. Raises OutputError when that is impossible."""
-    try:
+    with guard_output(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("a+b")
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written ({error.strerror}); choose another --out") from error
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
@@ -45,40 +46,28 @@ def add_line(file: IO[bytes], line: str) -> None:
         ) from error
 
 
-class JsonLines:
-    """A file of JSON values, one a line, that is open for more; a context. What is in it already stays.
+@contextmanager
+def open_json_lines(path: Path) -> Iterator[Callable[[str], None]]:
+    """Give what adds a value, as JSON without line breaks, to a file of JSON lines; what is in it already stays.
 
     A last line that a killed process left half-written is removed. Raises OutputError when it cannot be written, or
     another process is at work on it.
     """
+    with open_locked(path) as file:
+        _end_last_line(file.fileno())
+        yield partial(add_line, file)
 
-    def __init__(self, path: Path) -> None:
-        self.path, self._file = path, open_locked(path)
-        self._descriptor = self._file.fileno()
-        self._end_last_line()
 
-    def __enter__(self) -> JsonLines:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._file.close()
-
-    def append(self, line: str) -> None:
-        """Add a value, as JSON without line breaks, all of it or nothing. Raises OutputError when the disk refuses."""
-        add_line(self._file, line)
-
-    def _end_last_line(self) -> None:
-        """Give the last line its end; remove it if it is no JSON."""
-        size = os.fstat(self._descriptor).st_size
-        start = max(0, size - LONGEST)
-        last = os.pread(self._descriptor, size - start, start).rpartition(b"\n")[2]
-        if not last:
-            return
-        try:
-            json.loads(last)
-        except ValueError:
-            os.ftruncate(self._descriptor, size - len(last))
-        else:
-            os.write(self._descriptor, b"\n")
+def _end_last_line(descriptor: int) -> None:
+    """Give the last line its end; remove it if it is no JSON."""
+    size = os.fstat(descriptor).st_size
+    start = max(0, size - LONGEST)
+    last = os.pread(descriptor, size - start, start).rpartition(b"\n")[2]
+    if not last:
+        return
+    try:
+        json.loads(last)
+    except ValueError:
+        os.ftruncate(descriptor, size - len(last))
+    else:
+        os.write(descriptor, b"\n")

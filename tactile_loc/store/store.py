@@ -18,10 +18,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tactile_loc.core.errors import StoreError
+from tactile_loc.core.user_cache import find_user_cache
 from tactile_loc.store.artifact import MANIFEST, Artifact, DamagedError, read_artifact
 from tactile_loc.store.files import delete, sync_folder
 from tactile_loc.store.keys import StageKey
-from tactile_loc.store.workspace import Workspace, storing
+from tactile_loc.store.workspace import Workspace, guard_store
 
 if TYPE_CHECKING:
     from filelock import FileLock
@@ -53,7 +54,7 @@ class StageStore:
     """
 
     def __init__(self, root: Path | str | None = None) -> None:
-        self.root = default_root() if root is None else Path(root).expanduser().absolute()
+        self.root = find_root() if root is None else Path(root).expanduser().absolute()
         self.built: list[StageKey] = []
         self._verified: dict[str, tuple[tuple[int, int], ...]] = {}
 
@@ -69,7 +70,7 @@ class StageStore:
         try:
             return self._open(key)
         except DamagedError:
-            lock = self._try_lock(self._folder(key))
+            lock = self._try_lock(self._find_folder(key))
         if lock is None:
             return None  # another process is rebuilding it
         with lock:
@@ -94,7 +95,8 @@ class StageStore:
 
     def entries(self) -> list[Entry]:
         """Return what the store holds, finished or not, ordered by stage and digest; checksums are not read."""
-        return [_entry(path) for path in sorted(self.root.glob("*/*")) if _ENTRY.fullmatch(path.name) and path.is_dir()]
+        folders = [path for path in sorted(self.root.glob("*/*")) if _ENTRY.fullmatch(path.name) and path.is_dir()]
+        return [_read_entry(folder) for folder in folders]
 
     def remove(self, digest: str) -> int:
         """Remove what the store holds under this digest (all or the first 16 digits); return how many bytes went.
@@ -123,18 +125,18 @@ class StageStore:
         with lock:
             return False
 
-    def _folder(self, key: StageKey) -> Path:
+    def _find_folder(self, key: StageKey) -> Path:
         return self.root / key.stage / key.short
 
     def _open(self, key: StageKey) -> Artifact | None:
         """Return the artifact, verified, or None if there is none; raise DamagedError if it must not be read."""
-        folder = self._folder(key)
+        folder = self._find_folder(key)
         if not os.path.lexists(folder):
             return None
         artifact = read_artifact(folder)
         if artifact.key != key:
             raise DamagedError("it was made from other inputs")
-        signature = artifact.signature()
+        signature = artifact.read_signature()
         if self._verified.get(key.digest) != signature:
             artifact.verify()
             # A write within the clock's tick could still leave the time unchanged: trust only times that are past.
@@ -147,23 +149,23 @@ class StageStore:
         try:
             return self._open(key)
         except DamagedError as damage:
-            logger.warning("The stored stage %s in %s is removed: %s.", key, self._folder(key), damage)
-        _remove(self._folder(key))
+            logger.warning("The stored stage %s in %s is removed: %s.", key, self._find_folder(key), damage)
+        _remove(self._find_folder(key))
         return None
 
     def _make(self, key: StageKey, make: Callable[[Workspace], object]) -> Artifact:
-        folder = self._folder(key)
+        folder = self._find_folder(key)
         partial = folder.with_suffix(".partial")
         logger.info("Stage %s is being built.", key)
         start_s = time.monotonic()
-        with storing(f"stage {key}", partial):
+        with guard_store(f"stage {key}", partial):
             partial.mkdir(exist_ok=True)
         workspace = Workspace(partial, key)
         if not workspace.is_finished():
             make(workspace)
             workspace.finish()
         workspace.tidy()
-        with storing(f"stage {key}", folder):
+        with guard_store(f"stage {key}", folder):
             os.rename(partial, folder)
             self.built.append(key)
             sync_folder(folder.parent)
@@ -173,34 +175,33 @@ class StageStore:
 
     def _lock(self, key: StageKey) -> AbstractContextManager[object]:
         """Return the lock of a key, held until its block ends, after waiting for another process if need be."""
-        lock = self._try_lock(self._folder(key))
+        lock = self._try_lock(self._find_folder(key))
         if lock is None:
             logger.info("Stage %s is being built by another process; waiting for it.", key)
-            with storing(f"stage {key}", self.root):
-                lock = _file_lock(self._folder(key)).acquire()
+            with guard_store(f"stage {key}", self.root):
+                lock = _make_lock(self._find_folder(key)).acquire()
         return lock
 
     def _try_lock(self, folder: Path) -> AbstractContextManager[object] | None:
         """Return the lock of an artifact's folder, held until its block ends, or None if it is taken."""
         from filelock import Timeout
 
-        with storing(f"stage {folder.parent.name} {folder.name}", folder.parent):
+        with guard_store(f"stage {folder.parent.name} {folder.name}", folder.parent):
             folder.parent.mkdir(parents=True, exist_ok=True)
             try:
-                return _file_lock(folder).acquire(timeout=0)
+                return _make_lock(folder).acquire(timeout=0)
             except Timeout:
                 return None
 
 
-def default_root() -> Path:
+def find_root() -> Path:
     """Return the store's place: `$TACTILE_LOC_STORE`, else `tactile-loc` in `$XDG_CACHE_HOME` or in `~/.cache`."""
     if chosen := os.environ.get("TACTILE_LOC_STORE"):
         return Path(chosen).expanduser().absolute()
-    cache = Path(os.environ.get("XDG_CACHE_HOME", ""))  # to be ignored unless absolute, says its specification
-    return (cache if cache.is_absolute() else Path.home() / ".cache") / "tactile-loc"
+    return find_user_cache() / "tactile-loc"
 
 
-def _file_lock(folder: Path) -> FileLock:
+def _make_lock(folder: Path) -> FileLock:
     """Return the lock of an artifact's folder, not yet taken.
 
     The operating system frees the lock of a process that dies. The lock's file stays: deleting it would let two
@@ -222,15 +223,15 @@ def _remove(path: Path) -> None:
         ) from error
 
 
-def _entry(folder: Path) -> Entry:
+def _read_entry(folder: Path) -> Entry:
     digest, _, suffix = folder.name.partition(".")
     manifest = folder / MANIFEST
     complete = not suffix and manifest.is_file()
-    created_s = (manifest if complete else folder).stat().st_mtime
-    return Entry(folder.parent.name, digest, _size(folder), datetime.fromtimestamp(created_s, UTC), complete, folder)
+    created = datetime.fromtimestamp((manifest if complete else folder).stat().st_mtime, UTC)
+    return Entry(folder.parent.name, digest, _measure_size(folder), created, complete, folder)
 
 
-def _size(folder: Path) -> int:
+def _measure_size(folder: Path) -> int:
     """Return the bytes of all files in a folder, however deep; those that vanish meanwhile do not count."""
     nbytes = 0
     for path in folder.rglob("*"):

@@ -17,10 +17,17 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import StoreError
 from tactile_loc.core.slots.encoder import Checkpoints
-from tactile_loc.store.artifact import MANIFEST, DamagedError, FileRecord, read_artifact, write_manifest
-from tactile_loc.store.files import delete, read_json, replacing, sync_folder
+from tactile_loc.store.artifact import (
+    MANIFEST,
+    DamagedError,
+    FileRecord,
+    read_artifact,
+    read_packed,
+    write_manifest,
+    write_packed,
+)
+from tactile_loc.store.files import delete, read_json, replace_file, sync_folder
 from tactile_loc.store.keys import StageKey, hash_file
-from tactile_loc.store.packed import read_packed, write_packed
 
 logger = logging.getLogger(__name__)
 
@@ -44,7 +51,7 @@ class Workspace:
         self._kept: set[str] = set()
         self._pieces = self._read_pieces()  # file name -> checksums that are accepted, the newest first
 
-    def array(self, name: str, make: Callable[[], NDArray[Any]], keep: bool = True) -> NDArray[Any]:
+    def load_or_make(self, name: str, make: Callable[[], NDArray[Any]], keep: bool = True) -> NDArray[Any]:
         """Return the array that an earlier, interrupted build saved under this name, else make and save it.
 
         `keep=False` is for intermediate results: they serve the resumption only and are not part of the artifact.
@@ -71,12 +78,13 @@ class Workspace:
         """Return where the file saved under this name is, now or by an interrupted build; None if absent or damaged."""
         if file_name not in self._pieces:
             return None
-        if not self._is_intact(file_name):
+        path = self.path / file_name
+        if not path.is_file() or hash_file(path) not in self._pieces[file_name]:
             logger.warning("The saved piece %s of stage %s is missing or damaged and not used.", file_name, self._key)
             return None
         self._mark(file_name, keep)
         logger.info("Stage %s: the piece %s is there already.", self._key, file_name)
-        return self.path / file_name
+        return path
 
     def save_array(self, name: str, array: NDArray[Any], keep: bool = True, packed: bool = False) -> None:
         """Save an array of any shape as `<name>.npy`, or `packed`, deflated, as `<name>.npz`, replacing an earlier one.
@@ -113,18 +121,23 @@ class Workspace:
         """
         if not _FILE_NAME.fullmatch(file_name) or file_name == MANIFEST:
             raise StoreError(f"{file_name!r} cannot name a file of stage {self._key}; use letters, digits, . - and _.")
-        with storing(f"{file_name} of stage {self._key}", self.path), replacing(self.path / file_name) as temporary:
+        with (
+            guard_store(f"{file_name} of stage {self._key}", self.path),
+            replace_file(self.path / file_name) as temporary,
+        ):
             write(temporary)
             # Recorded before the rename, beside the checksum it replaces: a kill between the two loses neither.
             self._pieces[file_name] = [hash_file(temporary), *self._pieces.get(file_name, [])[:1]]
-            self._write_pieces()
+            with replace_file(self.path / _PIECES) as pieces:
+                pieces.write_text(json.dumps(self._pieces))
         self._mark(file_name, keep)
 
     def finish(self) -> None:
         """Write the artifact's manifest. Called by the store when `make` returns."""
-        with storing(f"the manifest of stage {self._key}", self.path):
-            files = {name: self._record(name) for name in self._kept}
-            with replacing(self.path / MANIFEST) as temporary:
+        with guard_store(f"the manifest of stage {self._key}", self.path):
+            paths = {name: self.path / name for name in self._kept}
+            files = {name: FileRecord(path.stat().st_size, hash_file(path)) for name, path in paths.items()}
+            with replace_file(self.path / MANIFEST) as temporary:
                 write_manifest(temporary, self._key, files)
 
     def is_finished(self) -> bool:
@@ -138,18 +151,11 @@ class Workspace:
 
     def tidy(self) -> None:
         """Delete what is not part of the finished artifact: before, the disk could still have refused its manifest."""
-        with storing(f"the manifest of stage {self._key}", self.path):
+        with guard_store(f"the manifest of stage {self._key}", self.path):
             for path in set(self.path.iterdir()) - {self.path / name for name in read_artifact(self.path).files}:
                 if path.name != MANIFEST:
                     delete(path)
             sync_folder(self.path)
-
-    def _record(self, name: str) -> FileRecord:
-        return FileRecord(size=(self.path / name).stat().st_size, sha256=hash_file(self.path / name))
-
-    def _is_intact(self, file_name: str) -> bool:
-        path = self.path / file_name
-        return path.is_file() and hash_file(path) in self._pieces[file_name]
 
     def _mark(self, file_name: str, keep: bool) -> None:
         (self._kept.add if keep else self._kept.discard)(file_name)
@@ -160,10 +166,6 @@ class Workspace:
         except (OSError, ValueError):
             return {}
         return pieces if isinstance(pieces, dict) else {}
-
-    def _write_pieces(self) -> None:
-        with replacing(self.path / _PIECES) as temporary:
-            temporary.write_text(json.dumps(self._pieces))
 
 
 class WorkspaceCheckpoints(Checkpoints):
@@ -182,7 +184,7 @@ class WorkspaceCheckpoints(Checkpoints):
 
 
 @contextmanager
-def storing(what: str, folder: Path) -> Iterator[None]:
+def guard_store(what: str, folder: Path) -> Iterator[None]:
     """Turn an OSError of the block into a StoreError that says what could not be stored, where, why and what to do."""
     try:
         yield

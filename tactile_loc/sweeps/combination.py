@@ -6,13 +6,15 @@ import hashlib
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from tactile_loc import __version__
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.simulation.noise import noise_level
+from tactile_loc.core.slots.compatibility import require_compatible
+from tactile_loc.core.slots.component import Component
 from tactile_loc.core.slots.registry import SLOTS, registry
 from tactile_loc.evaluation.protocol import PROTOCOL_VERSION, make_evaluation_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
@@ -20,7 +22,7 @@ from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, TouchConf
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.model import bank_key, encoder_key, grid_key, shapes_key
-from tactile_loc.store.keys import StageKey, canonical_json
+from tactile_loc.store.keys import StageKey, write_canonical_json
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.plan import Plan
 
@@ -50,10 +52,11 @@ class Combination:
 def combine(plan: Plan) -> tuple[list[Combination], dict[str, ObjectModel]]:
     """Return all combinations, ordered by object, slots, noise and seed, and the objects by name.
 
-    Everything that they need is tried: meshes are read and components made. Raises TactileLocError.
+    Everything that they need is tried: meshes are read and components made. Raises TactileLocError, also for
+    components that exclude each other and for a grid that lists no poses.
     """
     objects = _load(plan.objects)
-    described: dict[str, Any] = {}
+    described: dict[str, tuple[Component, Any]] = {}
     axes = [objects.items(), *plan.slots.values(), plan.noises, plan.seeds]
     combinations = []
     for places in itertools.product(*(list(enumerate(axis)) for axis in axes)):
@@ -79,29 +82,38 @@ def order_for_running(combinations: Iterable[Combination]) -> list[Combination]:
 def make_combination_key(config: RunConfig, obj: ObjectModel, count: int, components: Mapping[str, Any]) -> str:
     """Return a hash of all that decides a row; `components` is what `describe_components` says of its slots."""
     settings = config.model_dump(mode="json", exclude={"object", "top"})
-    text = canonical_json({
-        "version": ROW_VERSION, "tactile-loc": __version__, "protocol": PROTOCOL_VERSION, "count": count,
+    text = write_canonical_json({
+        "version": ROW_VERSION, "tactile-loc": version("tactile-loc"), "protocol": PROTOCOL_VERSION, "count": count,
         "object": {"name": obj.name, **obj.describe()}, "settings": settings, "components": components,
         "noise": noise_level(config.touch.noise).describe(),
     })  # fmt: skip
     return hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
 
 
-def describe_components(config: RunConfig, known: dict[str, Any] | None = None) -> dict[str, Any]:
+def describe_components(config: RunConfig, known: dict[str, tuple[Component, Any]] | None = None) -> dict[str, Any]:
     """Return what identifies the component of each slot, and the sensor's geometry.
 
-    Each choice is made once and kept in `known`. Raises TactileLocError for one that cannot be made.
+    Each choice is made once and kept in `known`. Raises TactileLocError for one that cannot be made, for components
+    that exclude each other, and for a grid that lists no poses.
     """
     known = {} if known is None else known
-    names = {}
+    made = {}
     for slot in SLOTS:
         chosen: SlotConfig = getattr(config, slot)
-        names[slot] = canonical_json({"slot": slot, **chosen.model_dump()})
-        if names[slot] not in known:
+        name = write_canonical_json({"slot": slot, **chosen.model_dump()})
+        if name not in known:
             component = registry().create(slot, chosen.name, chosen.options)
             geometry = {"geometry": component.geometry.describe()} if slot == "sensor" else {}
-            known[names[slot]] = {**component.describe(), **geometry}
-    return {slot: known[name] for slot, name in names.items()}
+            known[name] = component, {**component.describe(), **geometry}
+        made[slot] = known[name]
+    components = {slot: component for slot, (component, _) in made.items()}
+    if components["grid"].capabilities.places:
+        raise ConfigError(
+            f"a sweep compares with all poses of a grid, and the grid {config.grid.name!r} lists none; choose a "
+            "grid that lists its poses, such as face"
+        )
+    require_compatible(components, {slot: getattr(config, slot).name for slot in SLOTS})
+    return {slot: described for slot, (_, described) in made.items()}
 
 
 def find_missing_stages(
@@ -136,7 +148,9 @@ def _list_missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]
     has = localizer.store.get
     missing = {(key.stage, key.digest) for key in (*learned, bank) if has(key) is None}
     whole = all(has(key) is not None for key in learned)  # then asking the localizer for keys builds nothing
-    fitted = one.config.temperature is not None or (whole and has(localizer.temperature_key()) is not None)
+    fitted = one.config.temperature is not None
+    if not fitted and whole:
+        fitted = has(localizer.probabilities.temperature_key()) is not None
     if not fitted:
         missing.add(("temperature", bank.digest))
     touches = SimulatedTouches(one.config.touch.noise, one.config.seed)

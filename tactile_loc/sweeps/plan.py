@@ -19,12 +19,12 @@ from tactile_loc.io.config import (
     ObjectConfig,
     RunConfig,
     SlotConfig,
-    default_component,
-    kind_of_sensor,
+    choose_component,
+    find_sensor_kind,
     parse_overrides,
 )
 from tactile_loc.io.toml import read_toml
-from tactile_loc.store.keys import canonical_json
+from tactile_loc.store.keys import write_canonical_json
 
 SETTINGS = ("shape_px", "temperature", "drawing")  # of all combinations of a sweep
 KEYS = ("object", *SLOTS, "noise", "seed", "count", "option", *SETTINGS)
@@ -99,7 +99,7 @@ def _read_objects(entries: Sequence[Any], source: str) -> tuple[ObjectConfig, ..
 
 
 def _read_choices(slot: str, values: Mapping[str, Any], options: Mapping[str, list[Any]], source: str) -> Any:
-    default = LISTED.name if slot == "grid" else default_component(slot, LISTED.name).name
+    default = LISTED.name if slot == "grid" else choose_component(slot, LISTED.name).name
     named = [_read_component(slot, entry, source) for entry in list_values(values.get(slot, default), slot, source)]
     return expand(slot, named, options)
 
@@ -116,7 +116,7 @@ def _read_component(slot: str, entry: Any, source: str) -> SlotConfig:
 def _resolve_sensor(chosen: SlotConfig) -> SlotConfig:
     """A sensor by its name, or by the path of its description or calibration, which becomes absolute."""
     path = chosen.options.get("path")
-    if kind := kind_of_sensor(chosen.name):
+    if kind := find_sensor_kind(chosen.name):
         path = chosen.name
         chosen = SlotConfig(name=kind, options=chosen.options)
     if isinstance(path, str):
@@ -157,7 +157,7 @@ def expand(slot: str, named: Sequence[SlotConfig], options: Mapping[str, Sequenc
         own = {option: values for option, values in options.items() if option in known[chosen.name]}
         for values in itertools.product(*own.values()):
             choice = _resolve(slot, chosen.name, {**chosen.options, **dict(zip(own, values, strict=True))})
-            found.setdefault(canonical_json(choice.model_dump()), choice)
+            found.setdefault(write_canonical_json(choice.model_dump()), choice)
     return tuple(found.values())
 
 

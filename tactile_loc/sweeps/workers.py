@@ -139,7 +139,7 @@ def _measure(job: Job, obj: ObjectModel, store: StageStore) -> dict[str, Any]:
     localizer = Localizer(config, obj, store)
     start_s = time.perf_counter()
     localizer.describe_scores()  # the grid, its shapes, and a trained encoder
-    _ = localizer.temperature_scaling
+    _ = localizer.probabilities.temperature_scaling
     model_s = time.perf_counter() - start_s if store.built else 0.0
     evaluation = evaluate(localizer, job.count, SimulatedTouches(config.touch.noise, config.seed, images=False))
     return {**summarise(evaluation, localizer.model.size), "model_s": round(model_s, 3)}

@@ -1,7 +1,7 @@
 """Many objects looked through: which of them may touches be of?
 
-At a glance: some places of each object, encoded once and for few press depths, are searched in one index, the touch
-turned to few yaws. That costs a thousandth of locating an object, but noise misleads it. Those that are most alike are
+At a glance: some places of each object, encoded once and for few press depths, are compared with the touch, turned to
+few yaws. That costs a thousandth of locating an object, but noise misleads it. Those that are most alike are
 looked into: a few of the poses that the glance saw are registered roughly to all touches, which costs a thirtieth.
 """
 
@@ -55,6 +55,7 @@ class Glance:
         """Return the poses (C, 4, 4), metres, of the `count` turned places of object k, searched so, most alike."""
         scores = self.scores[k]
         best = np.argpartition(-scores, min(count, scores.size) - 1, axis=None)[:count]
+        best = best[scores.ravel()[best] > -np.inf]  # a matcher may look at fewer
         yaw, number = np.unravel_index(best, scores.shape)
         return self.T_sensor_anchor @ search.places.poses(number * _step(search), YAWS_RAD[yaw])
 
@@ -79,8 +80,12 @@ class Library:
         listed = [model.object.name for model in self.models if not model.sampler.capabilities.places]
         if listed:
             raise ConfigError(f"{listed[0]} is searched by listed poses; to identify objects choose the grid whole")
+        if self.models[0].encoder.capabilities.needs_training:
+            raise ConfigError(
+                "objects are told apart by an encoder that learns nothing of any one of them; choose --encoder pixel"
+            )
         self.progress = self.models[0].progress
-        self._matchers: dict[float, Matcher] = {}
+        self._matchers: dict[float, list[Matcher]] = {}
 
     def __len__(self) -> int:
         return len(self.models)
@@ -108,9 +113,8 @@ class Library:
         depths_m, seen = turned_patches(touch, anchor_m, R_sensor_gel, YAWS_RAD)
         cut_m = np.minimum(depths_m, np.float32(press_m))
         queries, weights = self.models[0].encoder.encode_seen(cut_m, seen, press_m, CAMERA)
-        scores = self._matcher(level_m).weighted_scores(queries, weights)
-        ends = np.cumsum([codes.shape[1] for codes in self._codes])
-        return Glance(touch, make_transform(R_sensor_gel, anchor_m), tuple(np.split(scores, ends[:-1], axis=1)))
+        scores = tuple(matcher.scores(queries, weights) for matcher in self._matchers_of(level_m))
+        return Glance(touch, make_transform(R_sensor_gel, anchor_m), scores)
 
     def look_into(self, k: int, glances: Sequence[Glance]) -> float:
         """Return how well object k explains touches that were glanced at, roughly: imprint IoU, their mean, 0 to 1.
@@ -125,13 +129,17 @@ class Library:
         ]
         return rough_iou(views, search, np.concatenate(poses), REGISTERED)
 
-    def _matcher(self, level_m: float) -> Matcher:
-        """What compares touches with all objects' codes of a level, made when it is first asked for."""
+    def _matchers_of(self, level_m: float) -> list[Matcher]:
+        """What compares touches with each object's codes of a level, an object each: it may look at some rows only.
+
+        They are made when they are first asked for.
+        """
         if level_m not in self._matchers:
             level, chosen = LEVELS_M.index(level_m), self.models[0].config.matcher
-            matcher = registry().create("matcher", chosen.name, chosen.options)
-            matcher.index(np.concatenate([codes[level].astype(np.float32) for codes in self._codes]))
-            self._matchers[level_m] = matcher
+            self._matchers[level_m] = made = []
+            for codes in self._codes:
+                made.append(registry().create("matcher", chosen.name, chosen.options))
+                made[-1].index(codes[level].astype(np.float32))
         return self._matchers[level_m]
 
     @cached_property
@@ -152,7 +160,7 @@ def _codes(model: Localizer, search: PlaceSearch) -> Codes:
         return np.stack(levels).astype(np.float16)
 
     stored = model.store.build(key, lambda work: work.save_array("codes", encoded()))
-    return stored.array("codes")
+    return stored.load_array("codes")
 
 
 def _step(search: PlaceSearch) -> int:

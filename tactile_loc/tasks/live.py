@@ -130,7 +130,7 @@ class LiveLocator:
         start = time.perf_counter()
         touch, estimate, says, state = None, None, "", FrameState.REFUSED
         try:
-            touch = frame.touch(self.localizer.sensor, self.unit, self.press_depth_m)
+            touch = frame.read_touch(self.localizer.sensor, self.unit, self.press_depth_m)
             estimate = self._estimate(frame, touch)
         except NoContactError as error:
             state, says = FrameState.NO_CONTACT, str(error)

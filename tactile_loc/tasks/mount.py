@@ -11,7 +11,6 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +27,8 @@ from tactile_loc.core.geometry.hand_eye import (
 )
 from tactile_loc.core.geometry.rigid import Poses, covariance_at, rotation_angle
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import View
 from tactile_loc.io.mount_files import Mount, MountRecord, MountTouchRecord
 from tactile_loc.io.touch_lists import read_touch_list
@@ -239,17 +238,17 @@ class _Registration:
 
     given: FlangeTouches
     views: list[View]
-    joint: Any
+    registration: JointRegistration
     metric: PoseMetric
 
     @classmethod
     def of(cls, localizer: Localizer, given: FlangeTouches) -> _Registration:
         views = [View(touch, localizer.scene.of_touch(touch)) for touch in given.touches]
-        return cls(given, views, registry().create("refiner", "joint", {}), PoseMetric(localizer.object))
+        return cls(given, views, localizer.registration, PoseMetric(localizer.object))
 
     def converged(self, X: Floats, Y: Floats, some: NDArray[np.bool_], finely: bool = False) -> tuple[Floats, Floats]:
         """X and Y that explain some of the touches (N,) best; `finely` from near there, else from a first guess."""
-        scales_mm = self.joint.scales_mm(ROUNDS)
+        scales_mm = self.registration.scales_mm(ROUNDS)
         F = self.given.T_base_flange[some]
         for scale_mm in scales_mm[ROUNDS // 2 :] if finely else scales_mm:
             measured, before = self.measured(X, Y, float(scale_mm)), self.predicted(X, Y)
@@ -261,9 +260,9 @@ class _Registration:
 
     def measured(self, X: Floats, Y: Floats, scale_mm: float | None = None) -> Measured:
         """What the touches say of where the object is, near where X and Y predict it; by default as fine as can be."""
-        scale_mm = float(self.joint.scales_mm(ROUNDS)[-1]) if scale_mm is None else scale_mm
+        scale_mm = float(self.registration.scales_mm(ROUNDS)[-1]) if scale_mm is None else scale_mm
         pairs = zip(self.views, self.predicted(X, Y), strict=True)
-        stepped = [self.joint.stepped([view], T[None], scale_mm) for view, T in pairs]
+        stepped = [self.registration.step([view], T[None], scale_mm) for view, T in pairs]
         S = np.concatenate([poses for poses, _ in stepped])
         own = np.stack([NOTHING if covariance is None else covariance for _, (covariance,) in stepped])
         return Measured(S, own + _flange_errors(self.given, S))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -88,21 +89,14 @@ def distinct_modes(
     Raises TouchError when no mode has any probability.
     """
     order = np.argsort(-probabilities, kind="stable")
-    metric = PoseMetric(obj)
-    kept: list[int] = []
-    mass: list[float] = []
-    for k in order[probabilities[order] > 0]:
-        some = T_base_object[kept]
-        near = metric.symmetric_distance(some, np.broadcast_to(T_base_object[k], some.shape)) < SAME_POSE_M
-        if near.any():
-            mass[int(near.argmax())] += float(probabilities[k])
-        elif len(kept) < MOST_MODES:
-            kept.append(int(k))
-            mass.append(float(probabilities[k]))
-    if not kept:
+    order = order[probabilities[order] > 0]
+    if not len(order):
         raise TouchError("no mode of the result has any probability; locate the object again")
-    likelier = np.argsort(-np.array(mass), kind="stable")
-    p, poses = np.array(mass)[likelier], T_base_object[np.array(kept)[likelier]]
+    of = merge_modes(T_base_object[order], PoseMetric(obj), SAME_POSE_M, MOST_MODES)
+    kept, listed = np.unique(of[of >= 0]), of >= 0
+    mass = np.bincount(of[listed], probabilities[order[listed]])[kept]
+    likelier = np.argsort(-mass, kind="stable")
+    p, poses = mass[likelier], T_base_object[order[kept[likelier]]]
     return PoseModes(obj, poses, p / p.sum(), geometry, press_m, max(0.0, 1 - float(p.sum())))
 
 

@@ -19,8 +19,7 @@ from tactile_loc.core.geometry.rigid import covariance_along
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.mount_files import Covariance
 from tactile_loc.io.recordings import Message, Recording
-from tactile_loc.io.ros_messages import image_array, stamp_ns
-from tactile_loc.io.ros_types import Topic
+from tactile_loc.io.ros_messages import Topic, image_array, read_stamp_ns
 from tactile_loc.io.toml import Matrix
 from tactile_loc.io.touches import touch_from_image
 from tactile_loc.locate.localizer import Localizer
@@ -77,7 +76,7 @@ class Replay:
     """What is located: the images on a `topic` of a recording, by a localizer's sensor.
 
     Poses are in `frame`, by default the one that each image's header names; with `base_frame` they are moved there by
-    the `frame_tree`. `press_depth_m` is as for `read_touch`.
+    the `read_frame_tree`. `press_depth_m` is as for `read_touch`.
     """
 
     recording: Recording
@@ -93,17 +92,17 @@ class Replay:
 
         Raises RecordingError for images that cannot be read at all, FrameError where the frames are not connected.
         """
-        for number, message in enumerate(self.recording.messages(self.topic.name)):
+        for number, message in enumerate(self.recording.read_messages(self.topic.name)):
             if number >= first:
                 yield self._located(number, message, estimator)
 
     def views(self) -> Iterator[FrameView]:
         """Yield the topic's images, in order. Raises RecordingError for those that cannot be read."""
-        for message in self.recording.messages(self.topic.name):
-            image = message.decoded()
+        for message in self.recording.read_messages(self.topic.name):
+            image = message.decode()
             T = None
             with suppress(FrameError):
-                T = self._base_from(self._frame_of(image), stamp_ns(image.header)) if self.base_frame else None
+                T = self._base_from(self._frame_of(image), read_stamp_ns(image.header)) if self.base_frame else None
             yield FrameView(image_array(image), T)
 
     def touch(self, image: NDArray[Any]) -> Touch:
@@ -111,10 +110,10 @@ class Replay:
         return touch_from_image(image, self.localizer.sensor, self.press_depth_m)
 
     def _located(self, number: int, message: Message, estimator: Estimator) -> FrameRecord:
-        image = message.decoded()
+        image = message.decode()
         frame = self._frame_of(image)
         given: dict[str, Any] = {
-            "number": number, "stamp_ns": stamp_ns(image.header), "log_time_ns": message.log_time_ns,
+            "number": number, "stamp_ns": read_stamp_ns(image.header), "log_time_ns": message.log_time_ns,
             "frame": self.base_frame or frame,
         }  # fmt: skip
         try:

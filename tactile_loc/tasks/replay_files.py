@@ -13,8 +13,7 @@ import numpy as np
 
 from tactile_loc.core.geometry.rigid import axis_angle
 from tactile_loc.io.recordings import RecordingWriter, write_recording
-from tactile_loc.io.ros_messages import POSE, RosPose
-from tactile_loc.io.ros_types import pose_message
+from tactile_loc.io.ros_messages import POSE, RosPose, make_pose
 from tactile_loc.store.files import write_atomically, write_json
 from tactile_loc.tasks.replay import Estimator, FrameRecord, Replay, ReplaySummary, require_located
 from tactile_loc.tasks.replay_journal import Journal, journal
@@ -88,14 +87,14 @@ def write_poses(
     def write(writer: RecordingWriter) -> None:
         poses = {record.number: record for record in records if record.T_frame_object is not None}
         number = 0
-        for message in replay.recording.messages():
+        for message in replay.recording.read_messages():
             if not alone:
                 writer.copy(message)
             if message.topic.name == replay.topic.name:
                 if number in poses:
                     _write_pose(writer, pose_topic, poses[number])
                 number += 1
-        for extra in () if alone else replay.recording.extras():
+        for extra in () if alone else replay.recording.read_extras():
             writer.copy_extra(extra)
 
     return write_recording(path, write)
@@ -103,7 +102,7 @@ def write_poses(
 
 def _write_pose(writer: RecordingWriter, pose_topic: str, record: FrameRecord) -> None:
     covariance = None if record.covariance is None else np.array(record.covariance)
-    message = pose_message(RosPose.of(record.T, covariance), record.stamp_ns, record.frame)
+    message = make_pose(RosPose.of(record.T, covariance), record.stamp_ns, record.frame)
     writer.write(pose_topic, POSE, message, record.log_time_ns)
 
 

@@ -28,33 +28,16 @@ from tactile_loc.core.geometry.rigid import (
     rotation_angle,
     translation,
 )
+from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import View
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.tasks.pose_filter import PoseFilter, SeenPose, motion_errors
 
 Floats = NDArray[np.float64]
 State = Literal["searching", "tracking", "lost", "no contact"]
-
-NEARBY = {"scale_mm": 0.5, "iterations": 6}  # options of the joint refiner, for poses that are predicted
-MODES = 8  # that are followed at most
-IMPROBABLE = 1e-4  # of a mode that is not
-CERTAIN = 0.9  # probability of a mode that is the pose
-COMMON = 0.75  # of a touch's covariance: what the same contact would show again
-APART_M = 3e-3  # the sensor's motion after which 1 / e of that is still the same
-LEVER_M = 0.01  # a turn moves what is so far away
-KEY_M = 2e-3  # the sensor's motion from one key touch to the next
-KEY_TOUCHES = 5  # that are searched for together
-EXPLAINED_PX = 60  # pixels a side of what is drawn of a mode
-FALL = 0.15  # imprint IoU: a touch that is explained so much worse than those before contradicts the track
-LEAST = 0.25  # imprint IoU: less explains nothing
-HABIT = 0.1  # of what a touch is explained: how far what is usual follows it
-STAYS = 8.0  # nats that speak for a tracked mode beside one that is found anew: objects seldom jump
-SLIPS = 4.0  # the same of a mode that slipped: they slip more often
-SLIP = np.array([2e-3] * 3 + [0.15] * 3)  # m and rad along and about each axis, as far as objects slip
-SLIPPED = 64  # poses that an object may have slipped to, which are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +115,10 @@ class Tracker:
             raise ConfigError(f"an object cannot creep by {creep_m} m and {creep_rad} rad; give numbers from 0 on")
         self.localizer = localizer
         self._creep = np.diag(np.square([creep_m] * 3 + [creep_rad] * 3))
-        self._refiner: Any = registry().create("refiner", "joint", NEARBY)
-        self._first_refiner: Any = registry().create("refiner", "joint", {})
+        self.options = options = localizer.config.tracker
+        nearby = RegistrationOptions(scale_mm=options.near_mm, iterations=options.iterations)
+        self._registration, self._first_registration = JointRegistration(nearby), localizer.registration
+        self._slip_std = np.array([1e-3 * options.slip_mm] * 3 + [math.radians(options.slip_deg)] * 3)
         self._metric = PoseMetric(localizer.object)
         self._modes: list[_Mode] = []
         self._keys: list[Touch] = []
@@ -168,34 +153,37 @@ class Tracker:
         self._require_later(time_s)
         if touch is not None:
             self.localizer.require_own(touch)
-        T, added = self._placed(time_s, touch, T_base_sensor, motion)
+        T, added = self._place(time_s, touch, T_base_sensor, motion)
         moved_m = 0.0 if self._T_base_sensor is None else self._motion_m(self._T_base_sensor, T)
         passed_s = time_s - self._time_s if math.isfinite(self._time_s) else 0.0
         self._time_s, self._T_base_sensor = time_s, T
-        self._alike *= math.exp(-moved_m / APART_M)
-        self._modes = [self._predicted(mode, T, passed_s, added) for mode in self._modes]
+        self._alike *= math.exp(-1e3 * moved_m / self.options.apart_mm)
+        self._modes = [self._predict(mode, T, passed_s, added) for mode in self._modes]
         if touch is None:
             self._alike = 0.0  # another contact
             return self._result("no contact", math.nan, searched=False)
-        return self._touched(replace(touch, T_base_sensor=T))
+        return self._update_touched(replace(touch, T_base_sensor=T))
 
-    def _touched(self, touch: Touch) -> TrackedPose:
+    def _update_touched(self, touch: Touch) -> TrackedPose:
         """Follow the modes to a touch; search where they do not explain it, or are not certain of a new key touch."""
-        is_key = not self._keys or self._motion_m(self._keys[-1].T_base_sensor, touch.T_base_sensor) > KEY_M
-        self._modes = self._followed(touch, is_key)
-        slips = bool(self._modes) and self._contradicted(is_key)
+        is_key = (
+            not self._keys
+            or self._motion_m(self._keys[-1].T_base_sensor, touch.T_base_sensor) > 1e-3 * self.options.key_mm
+        )
+        self._modes = self._follow(touch, is_key)
+        slips = bool(self._modes) and self._is_contradicted(is_key)
         slipped = slips and self._slip(touch, is_key)
-        contradicted = not self._modes or self._contradicted(is_key)
-        search = contradicted or (is_key and not self._is_certain and len(self._keys) < KEY_TOUCHES)
-        keys = [touch] if slipped else [*self._keys, touch][-KEY_TOUCHES:] if is_key else self._keys
+        contradicted = not self._modes or self._is_contradicted(is_key)
+        search = contradicted or (is_key and not self._is_certain and len(self._keys) < self.options.key_touches)
+        keys = [touch] if slipped else [*self._keys, touch][-self.options.key_touches :] if is_key else self._keys
         lost = search and self._search(touch, [touch] if contradicted else keys)
         self._keys = [touch] if contradicted and lost else keys
         search = search or slips
         if not self._modes:
             return self._result("lost", 0.0, search)
         iou = self._modes[0].imprint_iou
-        self._usual = iou if search else max(iou, (1 - HABIT) * self._usual + HABIT * iou)
-        state: State = "lost" if iou < LEAST else "tracking" if self._is_certain else "searching"
+        self._usual = iou if search else max(iou, (1 - self.options.habit) * self._usual + self.options.habit * iou)
+        state: State = "lost" if iou < self.options.least_iou else "tracking" if self._is_certain else "searching"
         return self._result(state, iou, search)
 
     @property
@@ -203,14 +191,14 @@ class Tracker:
         return self.localizer.scene.geometry.gel_middle_m
 
     def _motion_m(self, T_base_first: Any, T_base_second: Any) -> float:
-        """How far the gel moved between sensor poses (4, 4), metres; a turn moves what is LEVER_M away."""
+        """How far the gel moved between sensor poses (4, 4), metres; a turn moves what is `lever_mm` away."""
         T = invert(T_base_first) @ T_base_second
         shift_m = np.linalg.norm(T[:3, :3] @ self._gel_m + T[:3, 3] - self._gel_m)
-        return float(shift_m + LEVER_M * rotation_angle(T[:3, :3]))
+        return float(shift_m + 1e-3 * self.options.lever_mm * rotation_angle(T[:3, :3]))
 
     @property
     def _is_certain(self) -> bool:
-        return bool(self._probabilities()[0] >= CERTAIN)
+        return bool(self._probabilities()[0] >= self.options.certain)
 
     def _probabilities(self) -> Floats:
         evidence = np.array([mode.evidence for mode in self._modes])
@@ -224,7 +212,7 @@ class Tracker:
                 "or make a new Tracker for another sequence"
             )
 
-    def _placed(
+    def _place(
         self, time_s: float, touch: Touch | None, T_base_sensor: Floats | None, motion: Motion | None
     ) -> tuple[Floats, Floats | None]:
         """Where the sensor is, (4, 4), and the covariance that its motion added, along the base's axes."""
@@ -244,93 +232,94 @@ class Tracker:
         T = before @ motion.T_previous_sensor
         return T, covariance_along(motion.covariance, before[:3, :3])
 
-    def _predicted(self, mode: _Mode, T: Floats, passed_s: float, added: Floats | None) -> _Mode:
+    def _predict(self, mode: _Mode, T: Floats, passed_s: float, added: Floats | None) -> _Mode:
         """A mode as predicted for a sensor at T (4, 4), `passed_s` seconds later."""
         creep = self._creep * passed_s
         if added is not None:
             creep = creep + motion_errors(added, T, mode.known.T_base_object)
-        return self._at(replace(mode, known=mode.known.later(creep)), T)
+        return self._see_from(replace(mode, known=mode.known.later(creep)), T)
 
-    def _at(self, mode: _Mode, T_base_sensor: Floats) -> _Mode:
+    def _see_from(self, mode: _Mode, T_base_sensor: Floats) -> _Mode:
         """A mode as a sensor at (4, 4) sees it."""
         T, covariance = mode.known.seen_from(T_base_sensor, self._gel_m)
         return replace(mode, T_sensor_object=T, covariance=covariance)
 
-    def _seen(self, touch: Touch, T_sensor_object: Floats, covariance: Floats) -> SeenPose:
+    def _see(self, touch: Touch, T_sensor_object: Floats, covariance: Floats) -> SeenPose:
         """A pose (4, 4) that was registered to a touch, with its covariance (6, 6)."""
         std_m, std_rad = (0.0, 0.0) if self._relative else (touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
         sensor = np.diag(np.square([std_m] * 3 + [std_rad] * 3))
         T = np.asarray(touch.T_base_sensor)
-        return SeenPose(T, T_sensor_object, COMMON * covariance, (1 - COMMON) * covariance, sensor, self._gel_m)
+        common = self.options.common
+        return SeenPose(T, T_sensor_object, common * covariance, (1 - common) * covariance, sensor, self._gel_m)
 
-    def _followed(self, touch: Touch, is_key: bool) -> list[_Mode]:
+    def _follow(self, touch: Touch, is_key: bool) -> list[_Mode]:
         """The modes, registered to a touch and fused with it, merged; a key touch's evidence counts."""
         if not self._modes:
             return []
         view = View(touch, self.localizer.scene.of_touch(touch))
-        refiner = self._refiner if self._alike > 0 else self._first_refiner
-        poses, covariances = refiner.followed([view], np.stack([mode.T_sensor_object for mode in self._modes]))
+        registration = self._registration if self._alike > 0 else self._first_registration
+        poses, covariances = registration.follow([view], np.stack([mode.T_sensor_object for mode in self._modes]))
         modes = []
         for mode, T, covariance in zip(self._modes, poses, covariances, strict=True):
             if covariance is not None:
-                known = mode.known.touched(self._seen(touch, T, covariance), 1 - self._alike)
-                mode = self._at(replace(mode, known=known), np.asarray(touch.T_base_sensor))
+                known = mode.known.touched(self._see(touch, T, covariance), 1 - self._alike)
+                mode = self._see_from(replace(mode, known=known), np.asarray(touch.T_base_sensor))
             modes.append(mode)
         self._alike = 1.0
-        found = view.explained(np.stack([mode.T_sensor_object for mode in modes]), EXPLAINED_PX)
+        found = view.explained(np.stack([mode.T_sensor_object for mode in modes]), self.options.image_px)
         told = [
             replace(mode, imprint_iou=float(iou), evidence=mode.evidence + is_key * float(nats))
             for mode, iou, nats in zip(modes, found.imprint_ious, found.evidence, strict=True)
         ]
-        return self._distinct(told)
+        return self._keep_distinct(told)
 
-    def _contradicted(self, is_key: bool) -> bool:
+    def _is_contradicted(self, is_key: bool) -> bool:
         """Whether the likeliest mode explains a touch far worse than those before, or does not explain a key touch."""
         iou = self._modes[0].imprint_iou
-        return iou < self._usual - min(FALL, self._usual / 2) or (is_key and iou < LEAST)
+        return iou < self._usual - min(self.options.fall_iou, self._usual / 2) or (
+            is_key and iou < self.options.least_iou
+        )
 
-    def _distinct(self, modes: Sequence[_Mode]) -> list[_Mode]:
+    def _keep_distinct(self, modes: Sequence[_Mode]) -> list[_Mode]:
         """The likeliest modes, none of them near a likelier one or improbable beside it."""
-        kept: list[_Mode] = []
-        for mode in sorted(modes, key=lambda mode: -mode.evidence):
-            near = kept and self._metric.symmetric_distance(
-                np.stack([k.T_sensor_object for k in kept]), np.stack([mode.T_sensor_object] * len(kept))
-            ).min() < self.localizer.same_pose_m  # fmt: skip
-            if near or (kept and mode.evidence < kept[0].evidence + math.log(IMPROBABLE)):
-                continue
-            kept.append(mode)
-        return kept[:MODES]
+        ordered = sorted(modes, key=lambda mode: -mode.evidence)
+        least = ordered[0].evidence + math.log(self.options.improbable) if ordered else 0.0
+        ordered = [mode for mode in ordered if mode.evidence >= least]
+        poses = np.array([mode.T_sensor_object for mode in ordered]).reshape(-1, 4, 4)
+        of = merge_modes(poses, self._metric, self.localizer.merge_radius_m, self.options.modes)
+        return [ordered[k] for k in np.unique(of[of >= 0])]
 
     def _slip(self, touch: Touch, is_key: bool) -> bool:
         """Look where the likeliest modes may have slipped to; return whether one of these poses is the pose now."""
         view = View(touch, self.localizer.scene.of_touch(touch))
-        slipped = self._slipped(view)
-        poses, covariances = self._first_refiner.followed([view], np.stack([m.T_sensor_object for m in slipped]))
+        slipped = self._guess_slips(view)
+        poses, covariances = self._first_registration.follow([view], np.stack([m.T_sensor_object for m in slipped]))
         T_base_sensor = np.asarray(touch.T_base_sensor)
         T_base_gel = T_base_sensor @ translation(self._gel_m)
         new = []
         for mode, T, covariance in zip(slipped, poses, covariances, strict=True):
             if covariance is not None:
-                creep = motion_errors(np.diag(SLIP**2), T_base_gel, mode.known.T_base_object)
-                known = mode.known.later(creep).touched(self._seen(touch, T, covariance), 1.0)
-                new.append(self._at(replace(mode, known=known, evidence=SLIPS), T_base_sensor))
-        before, tracked = self._modes, self._staying([touch])
-        self._modes = self._distinct([*tracked, *self._weighed(new, [touch])])
-        if self._modes[0] not in tracked and not self._contradicted(is_key):
+                creep = motion_errors(np.diag(self._slip_std**2), T_base_gel, mode.known.T_base_object)
+                known = mode.known.later(creep).touched(self._see(touch, T, covariance), 1.0)
+                new.append(self._see_from(replace(mode, known=known, evidence=self.options.slip_nats), T_base_sensor))
+        before, tracked = self._modes, self._weigh_staying([touch])
+        self._modes = self._keep_distinct([*tracked, *self._weigh(new, [touch])])
+        if self._modes[0] not in tracked and not self._is_contradicted(is_key):
             return True
         self._modes = before  # the touch is at fault, or the object is far away
         return False
 
-    def _slipped(self, view: View) -> list[_Mode]:
+    def _guess_slips(self, view: View) -> list[_Mode]:
         """The two likeliest modes where they may have slipped to, registered roughly: distinct poses."""
-        rng = np.random.default_rng(SLIPPED)
-        modes = [self._modes[k] for k in np.arange(SLIPPED) % min(len(self._modes), 2)]
-        slips = rng.normal(size=(SLIPPED, 6)) * SLIP
-        R = Rotation.from_rotvec(slips[:, 3:]).as_matrix()
-        turned = make_transform(R, self._gel_m - R @ self._gel_m + slips[:, :3])
-        ends = self._first_refiner.settled([view], turned @ np.stack([mode.T_sensor_object for mode in modes]))
-        found = view.explained(ends, EXPLAINED_PX)
-        return self._distinct([
+        slips = self.options.slips
+        rng = np.random.default_rng(slips)
+        modes = [self._modes[k] for k in np.arange(slips) % min(len(self._modes), 2)]
+        moves = rng.normal(size=(slips, 6)) * self._slip_std
+        R = Rotation.from_rotvec(moves[:, 3:]).as_matrix()
+        turned = make_transform(R, self._gel_m - R @ self._gel_m + moves[:, :3])
+        ends = self._first_registration.settle([view], turned @ np.stack([mode.T_sensor_object for mode in modes]))
+        found = view.explained(ends, self.options.image_px)
+        return self._keep_distinct([
             replace(mode, T_sensor_object=T, evidence=float(nats))
             for mode, T, nats in zip(modes, ends, found.evidence, strict=True)
         ])  # fmt: skip
@@ -348,24 +337,26 @@ class Tracker:
         for hypothesis in found.hypotheses:
             covariance = hypothesis.refined.covariance
             if covariance is not None:
-                known = PoseFilter.of_touch(self._seen(keys[0], hypothesis.T_sensor_object, covariance))
+                known = PoseFilter.of_touch(self._see(keys[0], hypothesis.T_sensor_object, covariance))
                 new.append(_Mode(known, *known.seen_from(np.asarray(touch.T_base_sensor), self._gel_m)))
         self._alike = 1.0
-        tracked = self._staying(keys)
-        self._modes = self._distinct([*tracked, *self._weighed(new, keys)])
+        tracked = self._weigh_staying(keys)
+        self._modes = self._keep_distinct([*tracked, *self._weigh(new, keys)])
         lost = self._modes[0] not in tracked
         if not lost and len(keys) == 1:  # the touch is at fault, not the track
-            self._modes = self._distinct(tracked)
+            self._modes = self._keep_distinct(tracked)
         else:
             self._elsewhere = found.posterior.elsewhere
         return lost
 
-    def _staying(self, keys: Sequence[Touch]) -> list[_Mode]:
+    def _weigh_staying(self, keys: Sequence[Touch]) -> list[_Mode]:
         """The modes that there are, weighed by key touches, with what speaks for their staying."""
         best = max((mode.evidence for mode in self._modes), default=0.0)
-        return self._weighed([replace(mode, evidence=STAYS + mode.evidence - best) for mode in self._modes], keys)
+        return self._weigh(
+            [replace(mode, evidence=self.options.stay_nats + mode.evidence - best) for mode in self._modes], keys
+        )
 
-    def _weighed(self, modes: Sequence[_Mode], keys: Sequence[Touch]) -> list[_Mode]:
+    def _weigh(self, modes: Sequence[_Mode], keys: Sequence[Touch]) -> list[_Mode]:
         """Modes with the evidence of all key touches added, and how well they explain the last one."""
         if not modes:
             return []
@@ -374,7 +365,7 @@ class Tracker:
         ious = np.zeros(len(modes))
         for key in keys:
             scene = self.localizer.scene.of_touch(key)
-            found = scene.explained(invert(np.asarray(key.T_base_sensor)) @ poses, key, EXPLAINED_PX)
+            found = scene.explained(invert(np.asarray(key.T_base_sensor)) @ poses, key, self.options.image_px)
             nats, ious = nats + found.evidence, found.imprint_ious
         return [replace(m, evidence=float(n), imprint_iou=float(i)) for m, n, i in zip(modes, nats, ious, strict=True)]
 

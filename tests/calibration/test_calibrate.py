@@ -13,25 +13,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from message_helpers import naming
 
 torch = pytest.importorskip("torch")
 
-from press_sets import TINY, ball_set, write_table  # noqa: E402
+from press_sets import TINY, ball_set, label_untouched, write_table  # noqa: E402
 
 from tactile_loc.calibration import calibrate as module  # noqa: E402
 from tactile_loc.calibration.calibrate import (  # noqa: E402
     FEWEST,
     Calibrated,
     PressErrors,
+    average_errors,
     calibrate,
     calibrate_stage,
-    mean_errors,
-    press_errors,
+    measure_press,
     split,
 )
 from tactile_loc.calibration.estimator import GelEstimator  # noqa: E402
 from tactile_loc.calibration.health import Health  # noqa: E402
-from tactile_loc.calibration.labels import Chosen, LabelledPresses, PressLabel, untouched_label  # noqa: E402
+from tactile_loc.calibration.labels import Chosen, LabelledPresses, PressLabel  # noqa: E402
 from tactile_loc.calibration.photometric import PhotometricEstimator  # noqa: E402
 from tactile_loc.calibration.presses import read_presses  # noqa: E402
 from tactile_loc.core.errors import CalibrationError, ConfigError  # noqa: E402
@@ -72,11 +73,9 @@ class Oracle(GelEstimator):
     def _number(self, image) -> int:
         return next(i for i, other in enumerate(self.truth.images) if np.array_equal(other, image))
 
-    def indentation(self, image):
-        return self.truth.indentation_m[self._number(image)] + np.float32(self.offset_m)
-
-    def slopes(self, image):
-        return self.truth.press(self._number(image))[1].slope
+    def read(self, image):
+        number = self._number(image)
+        return self.truth.indentation_m[number] + np.float32(self.offset_m), self.truth.read_press(number)[1].slope
 
     def save(self, path):
         raise NotImplementedError
@@ -86,7 +85,7 @@ class Oracle(GelEstimator):
 
 @pytest.fixture
 def oracle(monkeypatch) -> type[Oracle]:
-    monkeypatch.setattr(module, "estimator_class", lambda name: {"oracle": Oracle}[name])
+    monkeypatch.setattr(module, "load_estimator", lambda name: {"oracle": Oracle}[name])
     return Oracle
 
 
@@ -109,37 +108,37 @@ def test_what_is_held_out_is_not_learned_from(oracle):
 def test_a_constant_error_shows_where_it_should(oracle, monkeypatch):
     monkeypatch.setattr(oracle, "offset_m", 2e-5)
     made = oracle(GEOMETRY, BALLS.background)
-    image, label = BALLS.press(0)
-    errors = press_errors(made, image, label)
+    image, label = BALLS.read_press(0)
+    errors = measure_press(made, image, label)
     assert errors.shape_m == pytest.approx(0, abs=1e-9)
     assert errors.untouched_m == pytest.approx(2e-5, rel=1e-4)
-    errors = press_errors(made, image, dataclasses.replace(label, indentation_m=BALLS.indentation_m[0], absolute=True))
+    errors = measure_press(made, image, dataclasses.replace(label, indentation_m=BALLS.indentation_m[0], absolute=True))
     assert errors.depth_m == pytest.approx(2e-5, rel=1e-4)
 
 
 def test_the_slopes_error_is_in_degrees_of_the_surface(oracle, monkeypatch):
-    image, label = BALLS.press(0)
+    image, label = BALLS.read_press(0)
     tilted = np.tan(np.arctan(label.slope) + np.radians([2.0, -4.0]))
-    monkeypatch.setattr(oracle, "slopes", lambda self, image: tilted)
-    assert press_errors(oracle(GEOMETRY, BALLS.background), image, label).slope_deg == pytest.approx(3.0, rel=1e-4)
-    monkeypatch.setattr(oracle, "slopes", None)
-    assert math.isnan(press_errors(oracle(GEOMETRY, BALLS.background), image, label).slope_deg)
+    monkeypatch.setattr(oracle, "read", lambda self, image: (label.indentation_m, tilted))
+    assert measure_press(oracle(GEOMETRY, BALLS.background), image, label).slope_deg == pytest.approx(3.0, rel=1e-4)
+    monkeypatch.setattr(oracle, "read", lambda self, image: (label.indentation_m, None))
+    assert math.isnan(measure_press(oracle(GEOMETRY, BALLS.background), image, label).slope_deg)
 
 
 def test_what_cannot_be_said_is_no_number(oracle):
-    errors = press_errors(oracle(GEOMETRY, BALLS.background), BALLS.images[0], untouched_label(GEOMETRY))
+    errors = measure_press(oracle(GEOMETRY, BALLS.background), BALLS.images[0], label_untouched(GEOMETRY))
     assert math.isnan(errors.shape_m)
     assert math.isnan(errors.slope_deg)
     assert errors.untouched_m > 0
-    image, label = BALLS.press(0)
+    image, label = BALLS.read_press(0)
     everywhere = PressLabel(label.indentation_m, label.slope, ~np.zeros_like(label.contact), label.known)
-    assert math.isnan(press_errors(oracle(GEOMETRY, BALLS.background), image, everywhere).untouched_m)
+    assert math.isnan(measure_press(oracle(GEOMETRY, BALLS.background), image, everywhere).untouched_m)
 
 
 def test_means_are_over_what_can_be_said():
     nan = math.nan
     errors = [PressErrors(1.0, 2e-5, nan, 1e-6), PressErrors(3.0, 4e-5, nan, nan)]
-    assert mean_errors(errors) == pytest.approx({"slope_deg": 2.0, "shape_m": 3e-5, "untouched_m": 1e-6})
+    assert average_errors(errors) == pytest.approx({"slope_deg": 2.0, "shape_m": 3e-5, "untouched_m": 1e-6})
 
 
 def test_the_record_is_json_and_has_the_noise():
@@ -160,25 +159,25 @@ class Few(LabelledPresses):
     def __len__(self) -> int:
         return FEWEST - 1
 
-    def press(self, number: int):
+    def read_press(self, number: int):
         raise AssertionError("they are counted first")
 
 
 def test_too_few_presses_are_refused():
-    with pytest.raises(CalibrationError, match=r"there are 4 presses; a calibration needs 5"):
+    with pytest.raises(CalibrationError, match=naming("4 presses", 5)):
         calibrate(Few(), GEOMETRY, BALLS.background, "photometric")
 
 
 def test_bad_options_are_refused():
-    with pytest.raises(ConfigError, match="steps = 'many'"):
+    with pytest.raises(ConfigError, match=naming("'photometric'", "steps", "'many'")):
         calibrate(BALLS, GEOMETRY, BALLS.background, "photometric", {"steps": "many"})
 
 
 def test_a_simulated_sensor_is_calibrated_and_the_errors_are_those_measured():
     found = calibrate(BALLS, GEOMETRY, BALLS.background, "photometric", TINY)
-    measured = [press_errors(found.estimator, *BALLS.press(number)) for number in found.held_out]
+    measured = [measure_press(found.estimator, *BALLS.read_press(number)) for number in found.held_out]
     np.testing.assert_array_equal([dataclasses.astuple(e) for e in measured], [*map(dataclasses.astuple, found.errors)])
-    assert mean_errors(found.errors)["slope_deg"] < 6
+    assert average_errors(found.errors)["slope_deg"] < 6
 
 
 @pytest.fixture
@@ -203,7 +202,7 @@ def test_the_second_time_it_is_found(folder, store, monkeypatch):
     again, same_record = stage(folder, store)
     assert len(store.built) == 1
     assert again.options == made.options
-    np.testing.assert_array_equal(again.slopes(FIVE.images[0]), made.slopes(FIVE.images[0]))
+    np.testing.assert_array_equal(again.estimate_slopes(FIVE.images[0]), made.estimate_slopes(FIVE.images[0]))
     assert record == same_record
     assert record["held_out"]["presses"] == list(split(5, 0)[1])
     assert set(record["held_out"]["mean"]) == {"slope_deg", "shape_m", "untouched_m"}
@@ -261,7 +260,7 @@ def test_an_interruption_leaves_nothing_that_counts(folder, store, monkeypatch):
     interrupted, _ = stage(folder, store)
     assert [entry.complete for entry in store.entries()] == [True]
     whole, _ = stage(folder, StageStore(folder / "other"))
-    np.testing.assert_array_equal(interrupted.slopes(FIVE.images[0]), whole.slopes(FIVE.images[0]))
+    np.testing.assert_array_equal(interrupted.estimate_slopes(FIVE.images[0]), whole.estimate_slopes(FIVE.images[0]))
 
 
 def test_a_stored_one_that_is_damaged_is_made_again(folder, store):
@@ -270,10 +269,10 @@ def test_a_stored_one_that_is_damaged_is_made_again(folder, store):
     weights.chmod(0o644)
     weights.write_bytes(weights.read_bytes()[:-40])
     again, _ = stage(folder, StageStore(store.root))
-    np.testing.assert_array_equal(again.slopes(FIVE.images[0]), made.slopes(FIVE.images[0]))
+    np.testing.assert_array_equal(again.estimate_slopes(FIVE.images[0]), made.estimate_slopes(FIVE.images[0]))
 
 
 def test_bad_options_are_refused_before_anything_is_stored(folder, store):
-    with pytest.raises(ConfigError, match="'stepz'"):
+    with pytest.raises(ConfigError, match=naming("'stepz'", "'steps'")):
         stage(folder, store, stepz=3)
     assert not store.entries()

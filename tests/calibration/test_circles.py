@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 from press_sets import BALL_M, ball_indentation, gel_under, sensor, visible_radius
 
-from tactile_loc.calibration.circles import Circle, colour_change, concentration, contrast, find_imprint, find_rim
+from tactile_loc.calibration.circles import (
+    Circle,
+    compare_colours,
+    find_imprint,
+    find_rim,
+    measure_concentration,
+    measure_contrast,
+)
 from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import background, render_images
+from tactile_loc.imaging.shading import render_background, render_images
 
 GEOMETRY = sensor(160)
 SCALE = GEOMETRY.scale_at_surface[0]
@@ -22,11 +29,11 @@ def photos(places=PLACES, optics=OPTICS["gelslim"], seed=0, together=False) -> t
     balls = np.stack([ball_indentation(GEOMETRY, x, y, press) for x, y, press in places])
     balls = balls.max(axis=0, keepdims=True) if together else balls
     pictures = render_images(gel_under(balls, GEOMETRY), GEOMETRY, optics, np.random.default_rng(seed))
-    return background(GEOMETRY, optics), pictures
+    return render_background(GEOMETRY, optics), pictures
 
 
 def found(picture: np.ndarray, gel: np.ndarray) -> Circle:
-    change = colour_change(picture, gel)
+    change = compare_colours(picture, gel)
     imprint = find_imprint(change)
     assert imprint is not None
     assert imprint.likeness > 0.7
@@ -48,7 +55,7 @@ def brighter_on_one_side(optics):
 @pytest.mark.parametrize(
     ("optics", "most_px"),
     [
-        (OPTICS["gelslim"].noiseless(), 0.5),
+        (OPTICS["gelslim"].remove_noise(), 0.5),
         (OPTICS["gelslim"], 0.5),
         (OPTICS["gelsight-mini"], 0.5),
         (OPTICS["digit"], 0.7),
@@ -87,8 +94,8 @@ def test_a_scratch_on_the_gel_does_not_move_the_circle():
 def test_a_circle_over_the_border_is_found_to_reach_beyond_it():
     gel, pictures = photos([(-7.4e-3, 0.0, 8e-4)])
     circle = found(pictures[0], gel)
-    assert circle.beyond_px(GEOMETRY.shape) > 0.3 * circle.radius_px
-    assert Circle(80, 80, 20).beyond_px(GEOMETRY.shape) == -60
+    assert circle.measure_overhang_px(GEOMETRY.shape) > 0.3 * circle.radius_px
+    assert Circle(80, 80, 20).measure_overhang_px(GEOMETRY.shape) == -60
 
 
 def test_nothing_but_noise_is_no_ball():
@@ -96,25 +103,25 @@ def test_nothing_but_noise_is_no_ball():
     imprint = find_imprint(rng.normal(0, 2, (*GEOMETRY.shape, 3)).astype(np.float32))
     assert imprint is None or imprint.likeness < 0.4
     assert find_imprint(np.zeros((*GEOMETRY.shape, 3), np.float32)) is None
-    assert concentration(np.zeros((*GEOMETRY.shape, 3), np.float32)) == 0
+    assert measure_concentration(np.zeros((*GEOMETRY.shape, 3), np.float32)) == 0
 
 
 def test_the_second_ball_is_found_where_the_first_is_hidden():
     gel, pictures = photos([(-4e-3, 0.0, 9e-4), (4e-3, 1e-3, 6e-4)], together=True)
-    change = colour_change(pictures[0], gel)
+    change = compare_colours(pictures[0], gel)
     first = find_imprint(change)
     assert first is not None
-    second = find_imprint(change, first.circle.distance_px(GEOMETRY.shape) < 2.2 * first.circle.radius_px)
+    second = find_imprint(change, first.circle.measure_distance_px(GEOMETRY.shape) < 2.2 * first.circle.radius_px)
     assert second is not None
     xs = sorted(imprint.circle.x_px for imprint in (first, second))
     np.testing.assert_allclose(xs, [40, 120], atol=2)
-    alone = colour_change(photos(PLACES[1:2])[1][0], gel)
-    assert concentration(alone) > concentration(change)
+    alone = compare_colours(photos(PLACES[1:2])[1][0], gel)
+    assert measure_concentration(alone) > measure_concentration(change)
 
 
 def test_the_change_is_without_what_changes_everywhere():
     gel, pictures = photos(PLACES[:1])
-    change = colour_change(pictures[0], gel)
-    brighter = colour_change(pictures[0].astype(np.float32) + 5, gel)
+    change = compare_colours(pictures[0], gel)
+    brighter = compare_colours(pictures[0].astype(np.float32) + 5, gel)
     np.testing.assert_allclose(brighter, change, atol=1e-4)
-    assert contrast(change, Circle(80 - 3e-3 * SCALE, 80 + 2e-3 * SCALE, BALL_M * SCALE / 2)) > 10
+    assert measure_contrast(change, Circle(80 - 3e-3 * SCALE, 80 + 2e-3 * SCALE, BALL_M * SCALE / 2)) > 10

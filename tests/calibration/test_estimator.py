@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from tactile_loc.calibration.estimator import COLOUR_STEP, FIXED, PLANES, colour_difference, features, fixed_features
+from tactile_loc.calibration.estimator import (
+    COLOUR_STEP,
+    FIXED,
+    PLANES,
+    scale_difference,
+    stack_features,
+    stack_fixed_features,
+)
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
 WIDE = SensorGeometry("orthographic", 80, 64, 4000.0, 4000.0, 40.0, 32.0, 0.01, 1.5e-3)
@@ -13,7 +20,7 @@ WIDE = SensorGeometry("orthographic", 80, 64, 4000.0, 4000.0, 40.0, 32.0, 0.01, 
 def test_what_no_touch_changes_is_scaled_and_oriented():
     gel = np.zeros((64, 80, 3), np.uint8)
     gel[..., 0] = 255
-    fixed = fixed_features(gel, WIDE)
+    fixed = stack_fixed_features(gel, WIDE)
     assert fixed.shape == (64, 80, FIXED)
     np.testing.assert_allclose(fixed[..., :3], np.broadcast_to([1, -1, -1], (64, 80, 3)), atol=1e-6)
     np.testing.assert_allclose(fixed[[0, 63], :, 4], [[-1] * 80, [1] * 80])
@@ -23,9 +30,9 @@ def test_what_no_touch_changes_is_scaled_and_oriented():
 def test_darker_is_negative_and_a_part_is_seen_as_in_the_whole():
     rng = np.random.default_rng(0)
     image, gel = (rng.integers(0, 256, (64, 80, 3), dtype=np.uint8) for _ in range(2))
-    difference = colour_difference(image, gel)
+    difference = scale_difference(image, gel)
     assert difference[3, 5, 1] == (int(image[3, 5, 1]) - int(gel[3, 5, 1])) / COLOUR_STEP
-    fixed, part = fixed_features(gel, WIDE), np.s_[10:20, 30:50]
-    whole = features(image, gel, fixed)
+    fixed, part = stack_fixed_features(gel, WIDE), np.s_[10:20, 30:50]
+    whole = stack_features(image, gel, fixed)
     assert whole.shape == (64, 80, PLANES)
-    np.testing.assert_array_equal(features(image[part], gel[part], fixed[part]), whole[part])
+    np.testing.assert_array_equal(stack_features(image[part], gel[part], fixed[part]), whole[part])

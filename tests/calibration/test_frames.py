@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import missing, naming
 from PIL import Image
 from press_sets import BALL_M, ball_indentation, gel_under, sensor, write_image
 
@@ -17,12 +18,12 @@ from tactile_loc.calibration.unlabelled import FoundPresses, find_presses, write
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.drawing.calibration import draw_labels
 from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import background, render_images
+from tactile_loc.imaging.shading import render_background, render_images
 
 GEOMETRY = sensor(80)
 MM_PER_PX = 0.2
 PLACES = np.array([(-3, 2), (0, 0), (3, -3), (4, 3), (-4, -3), (1, 4), (-1, -4), (4, -1)]) * 1e-3
-GEL = background(GEOMETRY, OPTICS["gelslim"])
+GEL = render_background(GEOMETRY, OPTICS["gelslim"])
 
 
 def pressed(*balls: tuple[float, float], press_m: float = 7e-4, seed: int = 0) -> np.ndarray:
@@ -106,28 +107,28 @@ def test_a_camera_that_moved_is_seen_by_the_gels_texture():
     still = [Frame(f"{n}.png", photo(image)) for n, image in enumerate([*PRESSES, GEL])]
     moved = [Frame(f"moved by {shift}.png", photo(PRESSES[0], shift)) for shift in (2, 6)]
     found = find_presses([*still, *moved])
-    assert all(press.dropped.startswith("camera moved by") for press in found.presses[-len(moved) :])
+    assert all("camera" in press.dropped for press in found.presses[-len(moved) :])
     assert len(found.used) == len(PRESSES)
     most = [Frame(f"{n}.png", photo(image, 2 + n)) for n, image in enumerate(PRESSES)]
-    with pytest.raises(CalibrationError, match="the camera or the gel moved in"):
+    with pytest.raises(CalibrationError, match=naming("camera", 10)):
         find_presses([Frame("gel.png", photo(GEL)), Frame("gel2.png", photo(GEL)), *most])
 
 
 def test_no_ball_anywhere():
     noise = np.random.default_rng(0).integers(-2, 3, (6, *GEL.shape))
     images = [Frame(f"{n}.png", np.clip(GEL + noise[n], 0, 255).astype(np.uint8)) for n in range(6)]
-    with pytest.raises(CalibrationError, match="no image shows one whole ball"):
+    with pytest.raises(CalibrationError, match=naming("ball", "gel")):
         find_presses(images)
 
 
 def test_a_ball_larger_than_the_image_is_none():
     images = [Frame(f"{n}.png", pressed((0.0, 0.0), press_m=2e-3)[31:49, 31:49]) for n in range(4)]
-    with pytest.raises(CalibrationError, match="no image shows one whole ball"):
+    with pytest.raises(CalibrationError, match=naming("ball", "gel")):
         find_presses([*images, Frame("gel.png", GEL[31:49, 31:49])])
 
 
 def test_two_images_are_too_few():
-    with pytest.raises(CalibrationError, match="images: 2, which are too few"):
+    with pytest.raises(CalibrationError, match=naming(2, 30)):
         find_presses(frames()[:2])
 
 
@@ -139,7 +140,7 @@ def test_the_table_is_read_as_one_written_by_hand_and_is_never_overwritten(with_
     presses = read_presses(tmp_path, GEOMETRY)
     assert len(presses) == len(PRESSES)
     np.testing.assert_array_equal(presses.background, GEL)
-    with pytest.raises(CalibrationError, match="not overwritten"):
+    with pytest.raises(CalibrationError, match=naming(tmp_path / "presses.csv")):
         write_labels(tmp_path, found, 1e3 * BALL_M, MM_PER_PX)
 
 
@@ -157,24 +158,24 @@ def test_circles_larger_than_the_ball_are_cut_to_it_and_a_missing_gel_is_written
 def test_the_sheet_shows_every_press(with_bad_ones):
     figure = draw_labels(with_bad_ones, "all")
     titles = [axes.get_title() for axes in figure.axes]
-    assert titles[0] == "untouched gel\n08.png"
+    assert titles[0].endswith("\n08.png")
     assert sum("radius" in title for title in titles) == len(PRESSES)
-    assert "09.png\ndropped: two balls" in titles
+    assert any(not missing(title, "09.png", "two balls") for title in titles)
 
 
 def test_a_folder_without_images_or_with_other_things(tmp_path):
-    with pytest.raises(CalibrationError, match="there is no image in"):
+    with pytest.raises(CalibrationError, match=naming(tmp_path, "PNG", "JPEG")):
         read_frames(tmp_path)
     write_image(tmp_path / "a.png", GEL)
     write_image(tmp_path / "labels.png", GEL)  # the sheet of an earlier run
     assert [frame.name for frame in read_frames(tmp_path)[1]] == ["a.png"]
     write_image(tmp_path / "b.png", GEL[:40])
-    with pytest.raises(CalibrationError, match=r"different sizes, a.png \(80 x 80 px\) and b.png \(80 x 40 px\)"):
+    with pytest.raises(CalibrationError, match=naming("a.png", "80 x 80 px", "b.png", "80 x 40 px")):
         read_frames(tmp_path)
     write_image(tmp_path / "b.png", GEL[..., 0])
-    with pytest.raises(CalibrationError, match=r"b\.png is no colour image"):
+    with pytest.raises(CalibrationError, match=naming("b.png", "colour")):
         read_frames(tmp_path)
-    with pytest.raises(CalibrationError, match="there is no"):
+    with pytest.raises(CalibrationError, match=naming(tmp_path / "none")):
         read_frames(tmp_path / "none")
 
 
@@ -211,6 +212,6 @@ def test_a_video_becomes_a_folder_of_frames_and_is_left_alone_then(tmp_path):
 
 def test_a_video_that_cannot_be_read(tmp_path):
     (tmp_path / "film.mp4").write_bytes(b"no film")
-    with pytest.raises(CalibrationError, match=r"film\.mp4.*pip install"):
+    with pytest.raises(CalibrationError, match=naming("film.mp4", "pip install 'tactile-loc[video]'")):
         read_frames(tmp_path / "film.mp4")
     assert not Path(tmp_path / "film-frames").exists()

@@ -6,9 +6,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from message_helpers import naming
 from press_sets import BALL_M, ball_indentation, contact_radius, places, sensor
 
-from tactile_loc.calibration.labels import SKIRT, SKIRT_M, ball_label, mesh_label, surface_label, untouched_label
+from tactile_loc.calibration.labels import SKIRT, SKIRT_M, label_ball, label_mesh, label_surface
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 
@@ -19,7 +20,7 @@ RADIUS_M = RADIUS_PX * PITCH_M
 
 
 def test_a_ball_is_deepest_at_the_circles_centre():
-    label = ball_label(GEOMETRY, (30.5, 50.5), RADIUS_PX, BALL_M)  # the centre of pixel [50, 30]
+    label = label_ball(GEOMETRY, (30.5, 50.5), RADIUS_PX, BALL_M)  # the centre of pixel [50, 30]
     deepest = BALL_M - np.sqrt(BALL_M**2 - RADIUS_M**2)
     assert np.unravel_index(label.indentation_m.argmax(), GEOMETRY.shape) == (50, 30)
     assert label.indentation_m[50, 30] == pytest.approx(deepest, rel=1e-5)
@@ -28,7 +29,7 @@ def test_a_ball_is_deepest_at_the_circles_centre():
 
 
 def test_pixel_centres_lie_at_half_integers():
-    label = ball_label(GEOMETRY, (40.0, 40.0), RADIUS_PX, BALL_M)  # where four pixels meet
+    label = label_ball(GEOMETRY, (40.0, 40.0), RADIUS_PX, BALL_M)  # where four pixels meet
     four = label.indentation_m[39:41, 39:41]
     assert np.ptp(four) == pytest.approx(0, abs=1e-10)
     np.testing.assert_array_equal(label.indentation_m, label.indentation_m[::-1, ::-1])
@@ -39,7 +40,7 @@ def test_pixel_centres_lie_at_half_integers():
 def test_indentation_is_the_balls_own_and_nothing_outside():
     press_m = 6e-4
     radius_px = contact_radius(press_m) / PITCH_M
-    label = ball_label(GEOMETRY, (35.0, 42.0), radius_px, BALL_M)
+    label = label_ball(GEOMETRY, (35.0, 42.0), radius_px, BALL_M)
     true = ball_indentation(GEOMETRY, (35 - 40) * PITCH_M, (42 - 40) * PITCH_M, press_m)
     np.testing.assert_allclose(label.indentation_m, true, atol=1e-9)
     np.testing.assert_array_equal(label.contact, true > 0)
@@ -47,7 +48,7 @@ def test_indentation_is_the_balls_own_and_nothing_outside():
 
 
 def test_slope_is_the_derivative_of_the_indentation():
-    label = ball_label(GEOMETRY, (40.5, 40.5), RADIUS_PX, BALL_M)
+    label = label_ball(GEOMETRY, (40.5, 40.5), RADIUS_PX, BALL_M)
     right, below = label.slope[40, 45], label.slope[44, 40]  # 1 mm right of the middle, 0.8 mm below it
     assert right == pytest.approx([-1e-3 / np.sqrt(BALL_M**2 - 1e-6), 0], abs=1e-6)  # it falls off to the right
     assert below == pytest.approx([0, -8e-4 / np.sqrt(BALL_M**2 - 64e-8)], abs=1e-6)
@@ -59,8 +60,8 @@ def test_slope_is_the_derivative_of_the_indentation():
 
 
 def test_twice_the_pixels_show_the_same_ball():
-    coarse = ball_label(sensor(80), (33.0, 47.0), RADIUS_PX, BALL_M)
-    fine = ball_label(sensor(240), (99.0, 141.0), 3 * RADIUS_PX, BALL_M)
+    coarse = label_ball(sensor(80), (33.0, 47.0), RADIUS_PX, BALL_M)
+    fine = label_ball(sensor(240), (99.0, 141.0), 3 * RADIUS_PX, BALL_M)
     np.testing.assert_allclose(fine.indentation_m[1::3, 1::3], coarse.indentation_m, atol=1e-9)
     np.testing.assert_allclose(fine.slope[1::3, 1::3], coarse.slope, atol=1e-6)
     np.testing.assert_array_equal(fine.known[1::3, 1::3], coarse.known)
@@ -68,7 +69,7 @@ def test_twice_the_pixels_show_the_same_ball():
 
 def test_pixels_that_are_not_square_see_a_round_ball():
     flat = dataclasses.replace(GEOMETRY, height_px=40, fy=2500.0, cy=20.0)  # 0.2 x 0.4 mm
-    label = ball_label(flat, (40.0, 20.0), 6.0, BALL_M)
+    label = label_ball(flat, (40.0, 20.0), 6.0, BALL_M)
     x, y = places(flat)
     rho = np.hypot(x, y)
     radius_m = 6.0 * flat.pixel_pitch_m
@@ -78,39 +79,39 @@ def test_pixels_that_are_not_square_see_a_round_ball():
 
 
 def test_between_contact_and_untouched_gel_nothing_is_known():
-    label = ball_label(GEOMETRY, (40.0, 40.0), RADIUS_PX, BALL_M)
+    label = label_ball(GEOMETRY, (40.0, 40.0), RADIUS_PX, BALL_M)
     rho = np.hypot(*places(GEOMETRY))
     np.testing.assert_array_equal(label.contact, rho < RADIUS_M)
     np.testing.assert_array_equal(~label.known, (rho >= RADIUS_M) & (rho <= SKIRT * RADIUS_M))
 
 
 def test_a_circle_may_be_cut_by_the_images_border():
-    label = ball_label(GEOMETRY, (0.0, 40.0), RADIUS_PX, BALL_M)
-    whole = ball_label(GEOMETRY, (40.0, 40.0), RADIUS_PX, BALL_M)
+    label = label_ball(GEOMETRY, (0.0, 40.0), RADIUS_PX, BALL_M)
+    whole = label_ball(GEOMETRY, (40.0, 40.0), RADIUS_PX, BALL_M)
     np.testing.assert_array_equal(label.indentation_m[:, :40], whole.indentation_m[:, 40:])
 
 
 @pytest.mark.parametrize("radius_px", [14.8, 100.0])
 def test_a_circle_larger_than_the_ball_is_refused(radius_px):
-    with pytest.raises(CalibrationError, match=r"radius of .* px is .* mm, but the ball's is 3 mm"):
-        ball_label(GEOMETRY, (40, 40), radius_px, BALL_M)
+    with pytest.raises(CalibrationError, match=naming(f"{radius_px:.3g} px", "3 mm", "radius")):
+        label_ball(GEOMETRY, (40, 40), radius_px, BALL_M)
 
 
 @pytest.mark.parametrize(("radius_px", "ball_m"), [(0.0, BALL_M), (-3.0, BALL_M), (5.0, 0.0), (5.0, -1e-3)])
 def test_sizes_must_be_positive(radius_px, ball_m):
-    with pytest.raises(CalibrationError, match="positive"):
-        ball_label(GEOMETRY, (40, 40), radius_px, ball_m)
+    with pytest.raises(CalibrationError, match=naming(f"{radius_px:.3g} px", f"{1e3 * ball_m:.3g} mm")):
+        label_ball(GEOMETRY, (40, 40), radius_px, ball_m)
 
 
 @pytest.mark.parametrize("centre", [(-1, 40), (40, -0.5), (80.5, 40), (40, 81)])
 def test_a_centre_outside_the_image_is_refused(centre):
-    with pytest.raises(CalibrationError, match=r"outside the image of 80 x 80 px"):
-        ball_label(GEOMETRY, centre, RADIUS_PX, BALL_M)
+    with pytest.raises(CalibrationError, match=naming(centre, "80 x 80 px")):
+        label_ball(GEOMETRY, centre, RADIUS_PX, BALL_M)
 
 
 def label_of_box(make_scene, make_box, yaw_rad: float = 0.0, x_m: float = 0.0, press_m: float = 5e-4):
     scene = make_scene(make_box(6e-3, 3e-3, 4e-3), GEOMETRY)
-    return mesh_label(scene, make_transform(rotation_about([0, 0, 1], yaw_rad), [x_m, 1e-3, 0.0]), press_m)
+    return label_mesh(scene, make_transform(rotation_about([0, 0, 1], yaw_rad), [x_m, 1e-3, 0.0]), press_m)
 
 
 @pytest.mark.parametrize("yaw_deg", [0, 30, -75])
@@ -140,25 +141,17 @@ def test_around_a_mesh_the_skirt_is_not_known(make_scene, make_box):
 
 
 def test_a_mesh_that_does_not_touch_is_refused(make_scene, make_box):
-    with pytest.raises(CalibrationError, match="box does not touch the sensor"):
+    with pytest.raises(CalibrationError, match="box"):
         label_of_box(make_scene, make_box, 0.0, x_m=0.05)
 
 
 @pytest.mark.parametrize("press_m", [0.0, -1e-4])
 def test_a_mesh_is_pressed_in(make_scene, make_box, press_m):
-    with pytest.raises(CalibrationError, match=r"press depth .* positive"):
+    with pytest.raises(CalibrationError, match=naming("press depth", f"{1e3 * press_m:.3g} mm")):
         label_of_box(make_scene, make_box, 0.0, press_m=press_m)
 
 
 def test_the_slope_of_a_known_surface_is_its_derivative():
     x, y = places(GEOMETRY)
-    label = surface_label(0.1 * x - 0.2 * y, np.ones(GEOMETRY.shape, bool), GEOMETRY)
+    label = label_surface(0.1 * x - 0.2 * y, np.ones(GEOMETRY.shape, bool), GEOMETRY)
     np.testing.assert_allclose(label.slope, np.broadcast_to([0.1, -0.2], (80, 80, 2)), atol=1e-6)
-
-
-def test_untouched_gel_is_known_to_be_flat():
-    label = untouched_label(GEOMETRY)
-    assert label.known.all()
-    assert not label.contact.any()
-    assert not label.indentation_m.any()
-    assert not label.slope.any()

@@ -1,54 +1,39 @@
-"""Slope from colour: it learns a simulated sensor from a few presses, and what it learned survives a file.
-
-Heights from slopes are exact for exact slopes, and free of drift where the gel is untouched.
-"""
+"""Slope from colour: it learns a simulated sensor from a few presses, and what it learned survives a file."""
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
-from scipy.ndimage import binary_fill_holes, gaussian_filter
+from message_helpers import naming
 
 torch = pytest.importorskip("torch")
 
 from press_sets import (  # noqa: E402
     BALL_M,
-    MM,
     TINY,
     ball_indentation,
     ball_set,
     contact_radius,
+    label_untouched,
     photographed,
     places,
-    sensor,
 )
 
-from tactile_loc.calibration import photometric  # noqa: E402
-from tactile_loc.calibration.calibrate import press_errors  # noqa: E402
-from tactile_loc.calibration.estimator import CalibrationProblem, estimator_class, estimator_options  # noqa: E402
-from tactile_loc.calibration.labels import Chosen, LabelledPresses, untouched_label  # noqa: E402
-from tactile_loc.calibration.photometric import (  # noqa: E402
-    SMOOTHINGS_PX,
-    PhotometricEstimator,
-    indentation_from_slopes,
-    integrate,
-)
+from tactile_loc.calibration.calibrate import measure_press  # noqa: E402
+from tactile_loc.calibration.estimator import CalibrationProblem, load_estimator, validate_estimator_options  # noqa: E402
+from tactile_loc.calibration.labels import Chosen, LabelledPresses  # noqa: E402
+from tactile_loc.calibration.photometric import SMOOTHINGS_PX, PhotometricEstimator  # noqa: E402
 from tactile_loc.core.errors import CalibrationError, ConfigError, TrainingError, WeightsError  # noqa: E402
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry  # noqa: E402
 
 BALLS = ball_set(12)
 GEOMETRY = BALLS.geometry
-FINE = sensor(96)
-UM = 1e-6
 
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def make(**options) -> PhotometricEstimator:
-    chosen = estimator_options(PhotometricEstimator, {**TINY, **options})
+    chosen = validate_estimator_options(PhotometricEstimator, {**TINY, **options})
     return PhotometricEstimator(GEOMETRY, BALLS.background, chosen)
 
 
@@ -79,7 +64,7 @@ def same(a: PhotometricEstimator, b: PhotometricEstimator) -> bool:
 
 
 def test_it_learns_the_slope_of_presses_that_it_has_not_seen(estimator):
-    errors = [press_errors(estimator, *BALLS.press(number)) for number in (9, 10, 11)]
+    errors = [measure_press(estimator, *BALLS.read_press(number)) for number in (9, 10, 11)]
     assert np.mean([e.slope_deg for e in errors]) < 1.5
     assert np.mean([e.shape_m for e in errors]) < 2e-5
     assert np.mean([e.untouched_m for e in errors]) < 1e-5
@@ -87,7 +72,7 @@ def test_it_learns_the_slope_of_presses_that_it_has_not_seen(estimator):
 
 def test_signs_and_axes_are_the_sensors(estimator):
     image = photographed(ball_indentation(GEOMETRY, 1e-3, -2e-3)[None], GEOMETRY)[0]
-    slope = estimator.slopes(image)
+    slope = estimator.estimate_slopes(image)
     assert slope.shape == (64, 64, 2)
     x, y = places(GEOMETRY)
     x, y = x - 1e-3, y + 2e-3
@@ -99,7 +84,7 @@ def test_signs_and_axes_are_the_sensors(estimator):
 
 def test_the_indentation_is_a_balls_and_zero_elsewhere(estimator):
     true = ball_indentation(GEOMETRY, -1e-3, 1.5e-3, 7e-4)
-    found = estimator.indentation(photographed(true[None], GEOMETRY)[0])
+    found = estimator.read_indentation(photographed(true[None], GEOMETRY)[0])
     assert found.shape == GEOMETRY.shape
     assert found.dtype == np.float32
     rho = np.hypot(places(GEOMETRY)[0] + 1e-3, places(GEOMETRY)[1] - 1.5e-3)
@@ -108,7 +93,7 @@ def test_the_indentation_is_a_balls_and_zero_elsewhere(estimator):
 
 
 def test_the_untouched_gel_is_flat(estimator):
-    assert np.abs(estimator.indentation(BALLS.background)).max() < 2e-5
+    assert np.abs(estimator.read_indentation(BALLS.background)).max() < 2e-5
 
 
 def test_the_same_seed_learns_the_same_and_another_one_does_not():
@@ -132,7 +117,7 @@ def test_what_was_learned_survives_a_file(estimator, tmp_path):
     other = make(steps=500)
     assert not same(other, estimator)
     other.load(path)
-    np.testing.assert_array_equal(other.slopes(BALLS.images[0]), estimator.slopes(BALLS.images[0]))
+    np.testing.assert_array_equal(other.estimate_slopes(BALLS.images[0]), estimator.estimate_slopes(BALLS.images[0]))
 
 
 @pytest.mark.parametrize("damage", ["truncated", "another network", "missing", "another estimator's"])
@@ -148,7 +133,7 @@ def test_weights_that_do_not_fit_are_refused(estimator, tmp_path, damage):
 
         save_file({"layers.0.weight": torch.zeros(3)}, path)
     reader = make(hidden=8) if damage == "another network" else make()
-    with pytest.raises(WeightsError, match=r"e\.safetensors .* photometric .* calibrate"):
+    with pytest.raises(WeightsError, match=naming("e.safetensors", "photometric", "calibrate")):
         reader.load(path)
 
 
@@ -156,12 +141,12 @@ class Untouched(LabelledPresses):
     def __len__(self) -> int:
         return 6
 
-    def press(self, number: int):
-        return BALLS.background, untouched_label(GEOMETRY)
+    def read_press(self, number: int):
+        return BALLS.background, label_untouched(GEOMETRY)
 
 
 def test_presses_without_contact_teach_nothing():
-    with pytest.raises(CalibrationError, match="no press shows any contact"):
+    with pytest.raises(CalibrationError, match="contact"):
         make().fit(problem(Untouched()))
 
 
@@ -169,202 +154,25 @@ def test_a_loss_that_is_no_number_stops_with_advice(monkeypatch):
     monkeypatch.setattr(
         torch.nn.functional, "huber_loss", lambda *a, **k: torch.tensor(float("nan"), requires_grad=True)
     )
-    with pytest.raises(TrainingError, match="lower the estimator's rate"):
+    with pytest.raises(TrainingError, match=naming("NaN", "rate")):
         make().fit(problem())
 
 
 def test_unknown_options_and_estimators_are_named():
-    with pytest.raises(ConfigError, match=r"'photometric' has no option 'stepz'.*'steps'.*hidden \(int\)"):
+    with pytest.raises(ConfigError, match=naming("'photometric'", "'stepz'", "'steps'", "hidden (int)")):
         make(stepz=3)
-    with pytest.raises(ConfigError, match="steps = 0"):
+    with pytest.raises(ConfigError, match=naming("'photometric'", "steps", 0)):
         make(steps=0)
-    with pytest.raises(CalibrationError, match=r"'photometrik'.*Did you mean 'photometric'"):
-        estimator_class("photometrik")
+    with pytest.raises(CalibrationError, match=naming("'photometrik'", "'photometric'", "cnn")):
+        load_estimator("photometrik")
 
 
 def test_a_pixel_is_judged_by_the_colour_around_it_and_no_farther():
     """One bright pixel changes the slopes as far as the widest smoothing reaches, three standard deviations."""
     image = BALLS.background.copy()
     image[30, 40] = 255
-    changed = np.argwhere((trained(steps=20).slopes(image) != trained(steps=20).slopes(BALLS.background)).any(axis=2))
+    changed = np.argwhere(
+        (trained(steps=20).estimate_slopes(image) != trained(steps=20).estimate_slopes(BALLS.background)).any(axis=2)
+    )
     far = np.abs(changed - [30, 40]).max()
     assert 2 * max(SMOOTHINGS_PX) < far <= 3 * max(SMOOTHINGS_PX) + 1
-
-
-def waves(geometry: SensorGeometry) -> tuple[np.ndarray, np.ndarray]:
-    """A smooth surface (H, W), metres, and its exact slopes (H, W, 2)."""
-    x, y = places(geometry)
-    k, m = 500.0, 300.0
-    surface = MM * (np.sin(k * x) * np.cos(m * y) + 30 * x)
-    across = MM * (k * np.cos(k * x) * np.cos(m * y) + 30)
-    down = -MM * m * np.sin(k * x) * np.sin(m * y)
-    return surface, np.stack([across, down], axis=-1)
-
-
-def worst_m(geometry: SensorGeometry) -> float:
-    surface, slope = waves(geometry)
-    return float(np.abs(integrate(slope, geometry) - (surface - surface.mean())).max())
-
-
-def slopes_of(indentation_m: np.ndarray, geometry: SensorGeometry) -> np.ndarray:
-    sx, sy = geometry.scale_at_surface
-    down, across = np.gradient(indentation_m.astype(float))
-    return np.stack([across * sx, down * sy], axis=-1)
-
-
-def punch(geometry: SensorGeometry, half_m: float, press_m: float, x_m: float = 0.0) -> np.ndarray:
-    """A flat square punch in soft gel (H, W), metres."""
-    x, y = places(geometry)
-    flat = np.where((np.abs(x - x_m) < half_m) & (np.abs(y) < half_m), press_m, 0.0)
-    return gaussian_filter(flat, 2e-4 / geometry.pixel_pitch_m)
-
-
-def bent(geometry: SensorGeometry, strength: float = 0.02) -> np.ndarray:
-    """Slopes (H, W, 2) that are wrong everywhere: by a constant, and by more and more across the image."""
-    x, y = (v / 8e-3 for v in places(geometry))
-    return strength * np.stack([0.5 + x - 0.5 * x * y, -0.4 + 0.6 * y + 0.3 * x**2], axis=-1)
-
-
-def test_a_plane_comes_back_exactly():
-    x, y = places(FINE)
-    slope = np.broadcast_to([0.03, -0.05], (96, 96, 2))
-    plane = 0.03 * x - 0.05 * y
-    np.testing.assert_allclose(integrate(slope, FINE), plane - plane.mean(), atol=1e-12)
-
-
-def test_exact_slopes_give_the_surface_to_second_order_in_the_pixel():
-    errors = [worst_m(sensor(px)) for px in (48, 96, 192)]
-    assert errors[0] < 25 * UM
-    assert errors[0] / errors[1] == pytest.approx(4, rel=0.25)
-    assert errors[1] / errors[2] == pytest.approx(4, rel=0.25)
-
-
-def test_pixels_need_not_be_square():
-    flat = dataclasses.replace(FINE, height_px=48, fy=3000.0, cy=20.0)
-    assert worst_m(flat) < 25 * UM
-    pinhole = SensorGeometry("pinhole", 96, 80, 150.0, 140.0, 47.0, 41.0, 0.025, 2e-3)
-    x, y = np.meshgrid(*(s * pinhole.standoff_m for s in pinhole.pixel_slopes))
-    surface = 20 * (x**2 - 2 * y**2)
-    found = integrate(np.stack([40 * x, -80 * y], axis=-1), pinhole)
-    np.testing.assert_allclose(found, surface - surface.mean(), atol=0.1 * UM)
-
-
-def test_surfaces_of_a_batch_do_not_see_one_another():
-    _, slope = waves(FINE)
-    batch = np.stack([[slope, 0 * slope], [2 * slope, -slope]])
-    found = integrate(batch, FINE)
-    assert found.shape == (2, 2, 96, 96)
-    alone = integrate(slope, FINE)
-    np.testing.assert_allclose(found, np.stack([[alone, 0 * alone], [2 * alone, -alone]]), atol=1e-15)
-
-
-def test_slopes_that_fit_no_surface_give_the_nearest():
-    x, y = places(FINE)
-    _, slope = waves(FINE)
-    r2 = (x**2 + y**2) / (4e-3) ** 2
-    whirl = 0.1 * np.where(r2 < 1, (1 - r2) ** 2, 0.0)[..., None] * np.stack([-y, x], axis=-1) / 4e-3
-    assert np.abs(whirl).max() > 0.02
-    np.testing.assert_allclose(integrate(slope + whirl, FINE), integrate(slope, FINE), atol=2 * UM)
-
-
-@pytest.mark.parametrize("drift", [0.0, 0.02, -0.02])
-def test_a_ball_comes_back_without_the_drift(drift):
-    true = ball_indentation(FINE, 1e-3, -1.5e-3, 6e-4)
-    found = indentation_from_slopes(slopes_of(true, FINE) + bent(FINE, drift), FINE)
-    assert found.dtype == np.float32
-    plain = integrate(slopes_of(true, FINE) + bent(FINE, drift), FINE)
-    if drift:
-        assert np.ptp(plain - true) > 150 * UM  # a drift that matters
-    assert float(np.abs(found - true).max()) < 40 * UM  # at the rim, which is no smooth surface
-    assert np.sqrt(np.mean((found - true)[true == 0] ** 2)) < 6 * UM
-
-
-def test_the_drift_that_is_taken_out_does_not_depend_on_the_pixels():
-    found = []
-    for px in (80, 240):
-        geometry = sensor(px)
-        true = ball_indentation(geometry, 1e-3, -1.5e-3, 6e-4)
-        found.append(indentation_from_slopes(slopes_of(true, geometry) + bent(geometry), geometry))
-    np.testing.assert_allclose(found[1].reshape(80, 3, 80, 3).mean((1, 3)), found[0], atol=15 * UM)
-
-
-@pytest.mark.parametrize("half_m", [1e-3, 2e-3, 4e-3])
-def test_the_flat_middle_of_a_punch_keeps_its_depth(half_m):
-    true = punch(FINE, half_m, 5e-4)
-    found = indentation_from_slopes(slopes_of(true, FINE) + bent(FINE), FINE)
-    x, y = places(FINE)
-    middle = np.maximum(np.abs(x), np.abs(y)) < 0.5 * half_m
-    assert found[middle].mean() == pytest.approx(5e-4, abs=40 * UM)
-    assert np.abs(found[true < 1e-9]).mean() < 10 * UM
-
-
-@pytest.mark.parametrize("drift", [0.0, 0.005])
-def test_a_light_press_of_a_flat_face_keeps_its_depth_though_its_walls_are_not_steep(drift):
-    x, y = (v / MM for v in places(FINE))
-    flat = np.where((np.abs(x) < 2.5) & (np.abs(y) < 3.5), 1.5e-4, 0.0)
-    true = gaussian_filter(flat, 8e-4 / FINE.pixel_pitch_m, mode="nearest")
-    slope = slopes_of(true, FINE)
-    assert 0.06 < np.hypot(*np.moveaxis(slope, -1, 0)).max() < 0.08
-    found = indentation_from_slopes(slope + bent(FINE, drift), FINE)
-    assert found[(np.abs(x) < 0.5) & (np.abs(y) < 1)].mean() == pytest.approx(1.5e-4, abs=25 * UM)
-
-
-def test_untouched_gel_stays_flat_in_spite_of_noise():
-    rng = np.random.default_rng(0)
-    noise = 0.05 * rng.normal(size=(96, 96, 2))
-    found = indentation_from_slopes(noise + bent(FINE), FINE)
-    assert np.sqrt(np.mean(found**2)) < 10 * UM
-    assert np.abs(found).max() < 40 * UM
-    assert not indentation_from_slopes(np.zeros((96, 96, 2)), FINE).any()
-
-
-def test_noise_does_not_hide_a_press():
-    rng = np.random.default_rng(1)
-    true = ball_indentation(FINE, 0.0, 0.0, 5e-4)
-    slope = slopes_of(true, FINE) + bent(FINE) + 0.05 * rng.normal(size=(96, 96, 2))
-    found = indentation_from_slopes(slope, FINE)
-    rho = np.hypot(*places(FINE))
-    assert found[rho < 3e-4].mean() == pytest.approx(5e-4, abs=35 * UM)
-    assert np.sqrt(np.mean(found[rho > 2 * contact_radius(5e-4)] ** 2)) < 15 * UM
-
-
-@pytest.mark.parametrize(("x_m", "y_m"), [(8e-3, 0.0), (-8e-3, 1e-3), (0.0, 7.5e-3), (7.5e-3, -7.5e-3)])
-def test_a_ball_at_the_images_border(x_m, y_m):
-    true = ball_indentation(FINE, x_m, y_m, 6e-4)
-    found = indentation_from_slopes(slopes_of(true, FINE) + bent(FINE, 0.01), FINE)
-    assert found.max() == pytest.approx(true.max(), abs=60 * UM)
-    x, y = places(FINE)
-    far = np.hypot(x - x_m, y - y_m) > 2 * contact_radius(6e-4, BALL_M)
-    assert np.sqrt(np.mean(found[far] ** 2)) < 15 * UM
-
-
-@pytest.mark.parametrize("drift", [0.0, 0.01])
-@pytest.mark.parametrize("yaw_deg", [0, 45, 200])
-@pytest.mark.parametrize(
-    "corners_mm", [(3, 99, -3, 3), (-99, 0, -99, 99), (-99, 99, -99, -3), (2, 99, 2, 99), (-99, 4, -99, 99)]
-)
-def test_a_flat_face_that_reaches_over_the_images_border_keeps_its_depth(corners_mm, yaw_deg, drift):
-    x, y = (v / MM for v in places(FINE))
-    c, s = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
-    x, y = c * x - s * y, s * x + c * y
-    x0, x1, y0, y1 = corners_mm
-    flat = np.where((x > x0) & (x < x1) & (y > y0) & (y < y1), 5e-4, 0.0)
-    true = gaussian_filter(flat, 2e-4 / FINE.pixel_pitch_m, mode="nearest")
-    found = indentation_from_slopes(slopes_of(true, FINE) + bent(FINE, drift), FINE)
-    assert found[true > 0.99 * 5e-4].mean() == pytest.approx(5e-4, abs=75 * UM)
-    assert np.abs(found[true < 1e-9]).mean() < 20 * UM
-
-
-def test_what_is_enclosed_is_filled_as_scipy_does():
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        marked = gaussian_filter(rng.normal(size=rng.integers(3, 60, 2)), 1) > 0
-        np.testing.assert_array_equal(photometric._filled(marked), binary_fill_holes(marked))
-
-
-def test_smoothing_by_matrices_is_scipys():
-    image = np.random.default_rng(0).normal(size=(60, 80))
-    down, across = (photometric._smoothing(blocks, 9.3) for blocks in image.shape)
-    np.testing.assert_allclose(
-        down @ image @ across.T, gaussian_filter(image, 9.3, mode="nearest", truncate=6), atol=1e-12
-    )

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from message_helpers import naming
 from PIL import Image
 from press_sets import BALL_M, COLUMNS, MM, ball_set, magnified, places, write_image, write_table
 
-from tactile_loc.calibration.calibrate import calibrate, mean_errors
-from tactile_loc.calibration.presses import FOR_MEDIAN, FORMATS, convert, read_presses, reading_size_px
+from tactile_loc.calibration.calibrate import average_errors, calibrate
+from tactile_loc.calibration.presses import FOR_MEDIAN, FORMATS, choose_size_px, convert, read_presses
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import read_colour_image
@@ -53,9 +54,9 @@ def test_balls_are_read_as_they_were_written(folder):
     presses = read_presses(folder, GEOMETRY)
     assert len(presses) == 3
     np.testing.assert_array_equal(presses.background, BALLS.background)
-    for number, (image, label) in enumerate(presses.presses()):
+    for number, (image, label) in enumerate(presses.read_presses()):
         np.testing.assert_array_equal(image, BALLS.images[number])
-        known = BALLS.press(number)[1]
+        known = BALLS.read_press(number)[1]
         np.testing.assert_allclose(label.indentation_m, known.indentation_m, atol=1e-9)
         deeper = (BALLS.indentation_m[number] - label.indentation_m)[label.contact]
         np.testing.assert_allclose(deeper, deeper[0], atol=1e-9)  # how deep the visible circle lies
@@ -68,14 +69,14 @@ def test_a_cameras_images_are_reduced_and_their_labels_with_them(tmp_path):
     assert presses.geometry.is_same_sensor(GEOMETRY)
     assert presses.camera is larger.geometry
     np.testing.assert_array_equal(presses.background, BALLS.background)
-    for number, (image, label) in enumerate(presses.presses()):
+    for number, (image, label) in enumerate(presses.read_presses()):
         np.testing.assert_array_equal(image, BALLS.images[number])
-        np.testing.assert_allclose(label.indentation_m, BALLS.press(number)[1].indentation_m, atol=1e-9)
+        np.testing.assert_allclose(label.indentation_m, BALLS.read_press(number)[1].indentation_m, atol=1e-9)
 
 
 @pytest.mark.parametrize("size_px", [(64, 32), (128, 128), (0, 0)])
 def test_images_are_not_reduced_to_another_shape_or_a_larger_size(folder, size_px):
-    with pytest.raises(CalibrationError, match=f"cannot be reduced to {size_px[0]} x {size_px[1]}; give a smaller"):
+    with pytest.raises(CalibrationError, match=naming("64 x 64 px", f"{size_px[0]} x {size_px[1]}")):
         read_presses(folder, GEOMETRY, size_px=size_px)
 
 
@@ -98,7 +99,7 @@ def test_the_median_of_many_presses_shows_the_untouched_gel(tmp_path):
 
 
 def test_the_median_needs_many_presses(folder):
-    refused(folder, "3 presses", f"from {FOR_MEDIAN} on", "background", median=True)
+    refused(folder, "3 presses", str(FOR_MEDIAN), "background", median=True)
 
 
 def test_a_mesh_is_pressed_at_its_pose(folder, caplog):
@@ -145,15 +146,15 @@ def test_units_matter(folder):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"mesh": ""}, ("mesh is missing",)),
-        ({"mesh": "bax.stl"}, ("bax.stl", "check the path")),
-        ({"mesh": "background.png"}, ("background.png", "cannot be read as a mesh")),
-        ({"yaw_deg": ""}, ("yaw_deg is missing", "mesh press")),
-        ({"press_mm": ""}, ("press_mm is missing",)),
-        ({"press_mm": "0"}, ("press depth", "positive")),
-        ({"press_mm": "-0.3"}, ("press depth", "positive")),
-        ({"x_mm": "100"}, ("does not touch",)),
-        ({"roll_deg": "steep"}, ("roll_deg", "'steep'", "no number")),
+        ({"mesh": ""}, ("mesh",)),
+        ({"mesh": "bax.stl"}, ("bax.stl",)),
+        ({"mesh": "background.png"}, ("background.png", "mesh")),
+        ({"yaw_deg": ""}, ("yaw_deg", "mesh")),
+        ({"press_mm": ""}, ("press_mm",)),
+        ({"press_mm": "0"}, ("press depth", "0 mm")),
+        ({"press_mm": "-0.3"}, ("press depth", "-0.3 mm")),
+        ({"x_mm": "100"}, ("box",)),
+        ({"roll_deg": "steep"}, ("roll_deg", "'steep'")),
     ],
 )
 def test_what_can_be_wrong_with_a_mesh(folder, changes, words):
@@ -162,20 +163,20 @@ def test_what_can_be_wrong_with_a_mesh(folder, changes, words):
 
 
 @pytest.mark.parametrize("column", ["center_x_px", "center_y_px", "radius_px", "ball_radius_mm"])
-@pytest.mark.parametrize(("text", "said"), [("", "is missing"), ("9;5", "'9;5'"), ("nan", "no number"), ("inf", "inf")])
+@pytest.mark.parametrize(("text", "said"), [("", ""), ("9;5", "'9;5'"), ("nan", "nan"), ("inf", "inf")])
 def test_what_can_be_wrong_with_a_balls_numbers(folder, column, text, said):
     change(folder, 5, **{column: text})
-    refused(folder, "line 5", column, said, "ball press")
+    refused(folder, "line 5", column, said, "ball")
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"center_x_px": 70}, ("(70, ", "outside the image of 64 x 64 px")),
-        ({"center_y_px": -3}, ("outside the image",)),
-        ({"radius_px": 30}, ("30 px is 7.5 mm", "ball's is 3 mm")),
-        ({"radius_px": 0}, ("positive",)),
-        ({"ball_radius_mm": -3}, ("positive",)),
+        ({"center_x_px": 70}, ("(70, ", "64 x 64 px")),
+        ({"center_y_px": -3}, (", -3)", "64 x 64 px")),
+        ({"radius_px": 30}, ("30 px", "7.5 mm", "3 mm")),
+        ({"radius_px": 0}, ("0 px", "3 mm")),
+        ({"ball_radius_mm": -3}, ("-3 mm",)),
     ],
 )
 def test_circles_that_cannot_be(folder, changes, words):
@@ -186,12 +187,12 @@ def test_circles_that_cannot_be(folder, changes, words):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"kind": "bull"}, ("'bull'", "background, ball, mesh")),
-        ({"kind": ""}, ("0001.png has no label", "kind is missing")),
-        ({"image": ""}, ("image is missing",)),
-        ({"image": "none.png"}, ("none.png", "no file")),
-        ({"image": "box.stl"}, ("box.stl", "no colour image")),
-        ({"image": "."}, ("no colour image",)),
+        ({"kind": "bull"}, ("'bull'", "background", "ball", "mesh")),
+        ({"kind": ""}, ("0001.png", "kind")),
+        ({"image": ""}, ("image",)),
+        ({"image": "none.png"}, ("none.png",)),
+        ({"image": "box.stl"}, ("box.stl", "colour")),
+        ({"image": "."}, ("colour",)),
     ],
 )
 def test_what_can_be_wrong_with_a_row(folder, changes, words):
@@ -214,13 +215,13 @@ def image_of(mode: str, size: tuple[int, int] = (64, 64)) -> Image.Image:
 def test_images_must_be_in_colour(folder, mode, suffix):
     image_of(mode).save(folder / f"odd.{suffix}")
     change(folder, 3, image=f"odd.{suffix}")
-    refused(folder, "line 3", f"odd.{suffix} is no colour image", "three channels")
+    refused(folder, "line 3", f"odd.{suffix}", "colour")
 
 
 def test_images_must_all_be_of_the_sensors_size(folder):
     image_of("RGB", (64, 48)).save(folder / "0002.png")
-    refused(folder, "line 5", "0002.png is 64 x 48 px", "64 x 64 px")
-    with pytest.raises(CalibrationError, match=r"line 2: background\.png is 64 x 64 px .* 32 x 32 px"):
+    refused(folder, "line 5", "0002.png", "64 x 48 px", "64 x 64 px")
+    with pytest.raises(CalibrationError, match=naming("line 2", "background.png", "64 x 64 px", "32 x 32 px")):
         read_presses(folder, dataclasses.replace(GEOMETRY, width_px=32, height_px=32))
 
 
@@ -231,24 +232,24 @@ def test_damaged_images_are_named(folder):
 
 
 def test_a_folder_without_a_table(tmp_path):
-    refused(tmp_path, "there is no", "images and a table")
+    refused(tmp_path, "presses.csv")
 
 
 @pytest.mark.parametrize("column", ["image", "kind"])
 def test_a_table_without_its_columns(folder, column):
     write_table(folder, BALLS.rows(), [name for name in COLUMNS if name != column])
-    refused(folder, f"no column {column}", "first line")
+    refused(folder, f"column {column}")
 
 
 def test_tables_that_are_none(folder):
     table = folder / "presses.csv"
     table.write_text("")
-    refused(folder, "no column image and no column kind")
+    refused(folder, "image", "kind")
     table.write_bytes(b"\xff\xfe\x00image,kind")
-    refused(folder, "cannot be read as a table")
+    refused(folder, "presses.csv")
     table.unlink()
     table.mkdir()
-    refused(folder, "cannot be read as a table")
+    refused(folder, "presses.csv")
 
 
 def test_a_table_may_come_from_a_spreadsheet(folder):
@@ -259,16 +260,16 @@ def test_a_table_may_come_from_a_spreadsheet(folder):
 
 def test_a_table_without_presses_or_without_the_untouched_gel(folder):
     write_table(folder, BALLS.rows()[:1])
-    refused(folder, "no press", "ball or mesh")
+    refused(folder, "ball", "mesh")
     write_table(folder, [])
-    refused(folder, "no press")
+    refused(folder, "ball", "mesh")
     write_table(folder, BALLS.rows()[1:])
-    refused(folder, "untouched gel", "kind background", "--background median")
+    refused(folder, "background", "--background median")
 
 
 def test_the_ball_is_the_tables(folder):
     change(folder, 3, ball_radius_mm=2 * BALL_M / MM)
-    flatter, ball = read_presses(folder, GEOMETRY).label(0), BALLS.press(0)[1]
+    flatter, ball = read_presses(folder, GEOMETRY).label(0), BALLS.read_press(0)[1]
     assert flatter.indentation_m.max() < 0.6 * ball.indentation_m.max()
     np.testing.assert_array_equal(flatter.contact, ball.contact)
 
@@ -358,7 +359,7 @@ def test_images_and_circles_arrive(format, source, tmp_path):
 def test_what_is_converted_can_be_calibrated_with(format, source, tmp_path):
     convert(source, tmp_path / "out", format, BALL_M / MM, MM_PER_PX)
     if format == "fots":  # has no untouched gel
-        with pytest.raises(CalibrationError, match="untouched gel"):
+        with pytest.raises(CalibrationError, match="--background median"):
             read_presses(tmp_path / "out", BALLS.geometry)
     else:
         assert len(read_presses(tmp_path / "out", BALLS.geometry)) == 3
@@ -413,11 +414,11 @@ def test_a_set_without_presses_is_refused(tmp_path):
     (tmp_path / "source").mkdir()
     source = write_fots(tmp_path / "source")
     (source / "csv" / "annotate.csv").write_text("img_names,center_x,center_y,radius\n")
-    refused_set(source, "fots", tmp_path / "out", "no press")
+    refused_set(source, "fots", tmp_path / "out", "press")
 
 
 def test_an_unknown_format_is_refused(tmp_path):
-    with pytest.raises(CalibrationError, match=r"'gelsight'.*gs_sdk, taxim, fots, circles"):
+    with pytest.raises(CalibrationError, match=naming("'gelsight'", "gs_sdk", "taxim", "fots", "circles")):
         convert(tmp_path, tmp_path / "out", "gelsight", 3.0, 0.1)
 
 
@@ -454,7 +455,7 @@ def test_public_sets_are_read_as_they_are(public, name):
     *_, count, (x, y, radius) = PUBLIC[name]
     presses = public(name)
     assert len(presses) == count
-    image, label = presses.press(0)
+    image, label = presses.read_press(0)
     row, column = np.argwhere(label.contact).mean(axis=0) + 0.5
     assert (column, row) == pytest.approx((x, y), abs=0.1)
     assert label.contact.sum() == pytest.approx(np.pi * radius**2, rel=0.02)
@@ -465,7 +466,7 @@ def test_public_sets_are_read_as_they_are(public, name):
 def test_a_real_sensor_is_learned_in_a_few_steps(public):
     presses = public("gelslim_balls")
     found = calibrate(presses, presses.geometry, presses.background, "photometric", {"steps": 150, "hidden": 16})
-    mean = mean_errors(found.errors)
+    mean = average_errors(found.errors)
     assert mean["slope_deg"] < 5
     assert mean["shape_m"] < 8e-5
 
@@ -484,4 +485,4 @@ def test_a_real_sensor_is_learned_in_a_few_steps(public):
 def test_images_are_reduced_to_what_locating_takes(camera, reading):
     width, height = camera
     geometry = SensorGeometry("orthographic", width, height, 1e4, 1e4, width / 2, height / 2, 0.01, 1e-3)
-    assert reading_size_px(geometry) == reading
+    assert choose_size_px(geometry) == reading

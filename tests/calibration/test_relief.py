@@ -8,16 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
-from tactile_loc.calibration.labels import ball_label
+from tactile_loc.calibration.labels import label_ball
 from tactile_loc.calibration.presses import PressFolder, read_presses
 from tactile_loc.calibration.relief import learn_relief
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import contact_depth
-from tactile_loc.imaging.gel import gel_surface
+from tactile_loc.imaging.gel import press_gel
 from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import background, render_images
+from tactile_loc.imaging.shading import render_background, render_images
 from tactile_loc.io.images import write_image
 from tactile_loc.plugins.sensors.presets import CurvedDigit
 
@@ -46,12 +47,12 @@ def presses(tmp_path_factory) -> PressFolder:
     folder: Path = tmp_path_factory.mktemp("presses")
     rng = np.random.default_rng(0)
     optics = OPTICS["digit"]
-    write_image(folder / "untouched.png", background(CURVED, optics))
+    write_image(folder / "untouched.png", render_background(CURVED, optics))
     rows = [["untouched.png", "background", "", "", "", ""]]
     for number in range(30):
         press_m = rng.uniform(4e-4, 9e-4)
         depth_m = pressed(CURVED, *rng.uniform([-5.5e-3, -8e-3], [5.5e-3, 8e-3]), press_m)
-        surface_m = gel_surface(depth_m[None], [press_m], CURVED)
+        surface_m = press_gel(depth_m[None], [press_m], CURVED)
         write_image(folder / f"{number}.png", render_images(surface_m, CURVED, optics, rng)[0])
         (x, y), radius = circle_px(depth_m < press_m)
         rows.append([f"{number}.png", "ball", str(x), str(y), str(radius), str(1e3 * BALL_M)])
@@ -73,7 +74,7 @@ def test_balls_teach_the_surface_of_a_curved_gel(presses):
 
 def test_too_few_balls_are_said(presses):
     few = dataclasses.replace(presses, rows=presses.rows[:7], images=presses.images[:7])
-    with pytest.raises(CalibrationError, match="7 presses of a ball; the surface of a curved gel needs 8"):
+    with pytest.raises(CalibrationError, match=naming("7 presses", 8)):
         learn_relief(few)
 
 
@@ -82,7 +83,7 @@ def test_a_balls_label_on_a_curved_gel_is_what_it_presses_in(place):
     press_m = 7e-4
     depth_m = pressed(CURVED, *place, press_m)
     contact = depth_m < press_m
-    label = ball_label(CURVED, *circle_px(contact), BALL_M)
+    label = label_ball(CURVED, *circle_px(contact), BALL_M)
     both = contact & label.contact
     assert both.sum() > 0.95 * contact.sum()
     assert label.indentation_m[both] == pytest.approx((press_m - depth_m)[both], abs=8e-5)
@@ -93,6 +94,6 @@ def test_a_balls_label_on_a_curved_gel_is_what_it_presses_in(place):
 
 def test_a_flat_gels_label_is_the_one_of_no_relief():
     level = dataclasses.replace(FLAT, relief_m=np.zeros(FLAT.shape, np.float32))
-    ours, theirs = (ball_label(geometry, (40.0, 60.0), 9.0, BALL_M) for geometry in (level, FLAT))
+    ours, theirs = (label_ball(geometry, (40.0, 60.0), 9.0, BALL_M) for geometry in (level, FLAT))
     assert ours.slope == pytest.approx(theirs.slope, abs=1e-6)
     assert ours.indentation_m == pytest.approx(theirs.indentation_m, abs=3e-5)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from tactile_loc.calibration import simulated as module
-from tactile_loc.calibration.simulated import SHARD, simulated_presses
+from tactile_loc.calibration.simulated import SHARD, simulate_presses
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import background
-from tactile_loc.imaging.simulate import board_presses
+from tactile_loc.imaging.shading import render_background
+from tactile_loc.imaging.simulate import press_boards
 from tactile_loc.store.store import StageStore
 
 LAMPS = OPTICS["gelslim"]
@@ -32,17 +32,17 @@ def rendered(count: int, seed: int):
     """Images and indentations of the first presses, as the simulator makes them."""
     renderer = registry().create("renderer", "heightmap", {})
     rng = np.random.default_rng([seed, 0])
-    untouched = background(sensor(), LAMPS)
-    done = list(board_presses(sensor(), count, LAMPS, rng, renderer, background=untouched))
+    untouched = render_background(sensor(), LAMPS)
+    done = list(press_boards(sensor(), count, LAMPS, rng, renderer, background=untouched))
     press = np.concatenate([batch.press_depth_m for batch in done])
     return *(np.concatenate([getattr(b, name) for b in done]) for name in ("images", "indentation_m")), press
 
 
 def test_labels_are_press_minus_depth_where_the_board_touches(store):
-    presses = simulated_presses(sensor(), LAMPS, 18, 3, store, variation=0.0)
+    presses = simulate_presses(sensor(), LAMPS, 18, 3, store, variation=0.0)
     images, indentation_m, press_m = rendered(18, 3)
     assert len(presses) == 18
-    for number, (image, label) in enumerate(presses.presses()):
+    for number, (image, label) in enumerate(presses.read_presses()):
         assert np.array_equal(image, images[number])
         assert np.array_equal(label.contact, indentation_m[number] > 0)
         assert np.allclose(label.indentation_m, indentation_m[number], atol=2e-3 / 65535)
@@ -52,45 +52,45 @@ def test_labels_are_press_minus_depth_where_the_board_touches(store):
 
 
 def test_the_untouched_gel_is_the_same_under_lamps_that_differ(store):
-    presses = simulated_presses(sensor(), LAMPS, SHARD + 8, 0, store, variation=1.0)
-    assert np.array_equal(presses.background, background(sensor(), LAMPS))
-    for image, label in presses.presses():
+    presses = simulate_presses(sensor(), LAMPS, SHARD + 8, 0, store, variation=1.0)
+    assert np.array_equal(presses.background, render_background(sensor(), LAMPS))
+    for image, label in presses.read_presses():
         far = label.known & ~label.contact  # 3 mm from any contact
         changed = np.abs(image[far].astype(int) - presses.background[far])
         assert changed.sum() <= 8 * changed.size
 
 
 def test_lamps_differ_from_shard_to_shard(store):
-    even, varied = (simulated_presses(sensor(), LAMPS, 8, 0, store, variation=v) for v in (0.0, 1.0))
+    even, varied = (simulate_presses(sensor(), LAMPS, 8, 0, store, variation=v) for v in (0.0, 1.0))
     assert even.key != varied.key
     assert not np.array_equal(even.images[0], varied.images[0])
 
 
 def test_all_shards_are_there_and_the_last_may_be_short(store):
-    presses = simulated_presses(sensor(), LAMPS, SHARD + 3, 0, store)
+    presses = simulate_presses(sensor(), LAMPS, SHARD + 3, 0, store)
     assert [len(shard) for shard in presses.images] == [SHARD, 3]
-    image, label = presses.press(SHARD + 2)
+    image, label = presses.read_press(SHARD + 2)
     assert np.array_equal(image, presses.images[1][2])
     assert np.array_equal(label.contact, presses.codes[1][2] > 0)
     assert presses.name(7) == "simulated press 7"
 
 
 def test_a_seed_gives_the_same_presses_and_another_others(tmp_path):
-    one, same, other = (simulated_presses(sensor(), LAMPS, 8, s, StageStore(tmp_path / n)) for s, n in zip(
+    one, same, other = (simulate_presses(sensor(), LAMPS, 8, s, StageStore(tmp_path / n)) for s, n in zip(
         (1, 1, 2), "abc", strict=True))  # fmt: skip
     assert np.array_equal(one.images[0], same.images[0])
     assert not np.array_equal(one.codes[0], other.codes[0])
 
 
 def test_what_is_in_the_store_is_not_rendered_again(store, monkeypatch):
-    first = simulated_presses(sensor(), LAMPS, 8, 0, store)
-    monkeypatch.setattr(module, "board_presses", lambda *a, **k: pytest.fail("rendered again"))
-    assert np.array_equal(simulated_presses(sensor(), LAMPS, 8, 0, store).images[0], first.images[0])
+    first = simulate_presses(sensor(), LAMPS, 8, 0, store)
+    monkeypatch.setattr(module, "press_boards", lambda *a, **k: pytest.fail("rendered again"))
+    assert np.array_equal(simulate_presses(sensor(), LAMPS, 8, 0, store).images[0], first.images[0])
 
 
 def test_an_interruption_keeps_the_shards_that_were_done(tmp_path, monkeypatch):
-    whole = simulated_presses(sensor(), LAMPS, SHARD + 8, 0, StageStore(tmp_path / "whole"))
-    asked, real = [], module.board_presses
+    whole = simulate_presses(sensor(), LAMPS, SHARD + 8, 0, StageStore(tmp_path / "whole"))
+    asked, real = [], module.press_boards
 
     def interrupted(geometry, count, *rest, **more):
         asked.append(count)
@@ -98,11 +98,11 @@ def test_an_interruption_keeps_the_shards_that_were_done(tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return real(geometry, count, *rest, **more)
 
-    monkeypatch.setattr(module, "board_presses", interrupted)
+    monkeypatch.setattr(module, "press_boards", interrupted)
     store = StageStore(tmp_path / "resumed")
     with pytest.raises(KeyboardInterrupt):
-        simulated_presses(sensor(), LAMPS, SHARD + 8, 0, store)
-    resumed = simulated_presses(sensor(), LAMPS, SHARD + 8, 0, store)
+        simulate_presses(sensor(), LAMPS, SHARD + 8, 0, store)
+    resumed = simulate_presses(sensor(), LAMPS, SHARD + 8, 0, store)
     assert asked == [SHARD, 8, 8]
     for got, want in zip(resumed.images, whole.images, strict=True):
         assert np.array_equal(got, want)

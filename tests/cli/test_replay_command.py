@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,13 @@ import pytest
 from cli_helpers import TINY, assert_refused
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from message_helpers import missing
 from rerun_helpers import read
 
 from tactile_loc.core.geometry.hand_eye import pose_errors
 from tactile_loc.evaluation.slides import T_BASE_OBJECT, T_FLANGE_GEL
 from tactile_loc.io.recordings import Recording, write_recording
-from tactile_loc.io.ros_messages import IMAGE, TF, pose_of, stamp_ns, transform
-from tactile_loc.io.ros_types import image_message, transform_message
+from tactile_loc.io.ros_messages import IMAGE, TF, make_image, make_transforms, read_pose, read_stamp_ns, read_transform
 
 HEAD = ["--object", "head", "--sensor", "gelslim"]
 LOCATED = [*HEAD, *TINY, "-o", "temperature=0.001"]  # which need not be fitted then
@@ -52,10 +53,10 @@ def test_poses_are_near_the_truth_in_the_base_frame(cli, slide):
     images, poses = decoded("slide-poses.mcap", "/gel/image"), decoded("slide-poses.mcap", "/object/pose")
     assert len(images) == IMAGES
     assert [time for time, _ in poses] == [time for time, _ in images[1:-1]]
-    errors = np.array([pose_errors(pose_of(pose).T, T_BASE_OBJECT) for _, pose in poses])
+    errors = np.array([pose_errors(read_pose(pose).T, T_BASE_OBJECT) for _, pose in poses])
     assert np.median(np.linalg.norm(errors[:, :3], axis=1)) < 1e-3
     for (_, image), (_, pose) in zip(images[1:-1], poses, strict=True):
-        assert stamp_ns(pose.header) == stamp_ns(image.header)
+        assert read_stamp_ns(pose.header) == read_stamp_ns(image.header)
         assert pose.header.frame_id == "base"
         assert np.linalg.eigvalsh(np.reshape(pose.pose.covariance, (6, 6))).min() > 0
     rows = list(csv.DictReader(Path("slide-poses.csv").read_text().splitlines()))
@@ -67,11 +68,11 @@ def test_poses_are_near_the_truth_in_the_base_frame(cli, slide):
 
 def test_the_simulated_recording_says_the_truth(slide):
     """What it says of the object in the sensor's frame, its TF puts at one place of the base."""
-    tree = Recording(slide).frame_tree()
+    tree = Recording(slide).read_frame_tree()
     for _, message in decoded(slide, "/object/truth"):
         p, q = message.pose.position, message.pose.orientation
-        T_gel_object = transform(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
-        T_base_gel = tree.lookup("base", "gel", stamp_ns(message.header))
+        T_gel_object = read_transform(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
+        T_base_gel = tree.lookup("base", "gel", read_stamp_ns(message.header))
         np.testing.assert_allclose(T_base_gel @ T_gel_object, T_BASE_OBJECT, atol=1e-9)
     np.testing.assert_allclose(tree.lookup("flange", "gel", 0), T_FLANGE_GEL, atol=1e-12)
 
@@ -81,7 +82,7 @@ def test_a_rerun_file_has_the_poses_where_the_sensor_was(cli, slide):
     pytest.importorskip("rerun", reason="rerun is not installed")
     done = cli("replay", slide, *LOCATED, "--base-frame", "base", "--rerun", "slide.rrd", "--out", "out.mcap")
     assert done.exit_code == 0, done.stderr
-    assert "out.json, slide.rrd" in done.stdout
+    assert not missing(done.stdout, "out.json", "slide.rrd")
     found = read(Path("slide.rrd"))
     below = found["base/sensor/object"]["Transform3D:translation"]
     places, turns = (found["base/sensor"][f"Transform3D:{name}"] for name in ("translation", "mat3x3"))
@@ -110,10 +111,10 @@ def test_an_interrupted_replay_is_resumed(cli, slide, monkeypatch):
         patch.setattr(Localizer, "localize", interrupted)
         done = cli(*words)
     assert (done.exit_code, Path("out.mcap").exists()) == (130, False)
-    assert "run the same command again to resume" in done.stderr
+    assert "resume" in done.stderr
     done = cli(*words)
     assert done.exit_code == 0, done.stderr
-    assert "; 6 of them were finished before" in done.stdout
+    assert not missing(done.stdout, 6)
     assert len(decoded("out.mcap", "/object/pose")) == IMAGES - 2
     assert decoded("out.mcap", "/gel/image") == []
     assert sorted(path.name for path in Path().iterdir()) == ["out.csv", "out.json", "out.mcap"]
@@ -123,7 +124,7 @@ def test_of_a_recording_that_breaks_off_what_is_there_is_located(cli, slide):
     Path("cut.mcap").write_bytes(slide.read_bytes()[: slide.stat().st_size // 2])
     done = cli("replay", "cut.mcap", *LOCATED, "--frame", "sensor")
     assert done.exit_code == 0, done.stderr
-    assert "warning: cut.mcap is damaged or ends early" in done.stderr
+    assert re.search(r"^warning: .*\bcut\.mcap\b", done.stderr, re.MULTILINE)
     poses = decoded("cut-poses.mcap", "/object/pose")
     assert 0 < len(poses) < IMAGES - 2
     assert {pose.header.frame_id for _, pose in poses} == {"sensor"}
@@ -131,24 +132,24 @@ def test_of_a_recording_that_breaks_off_what_is_there_is_located(cli, slide):
 
 def test_what_cannot_be_replayed_is_one_sentence(cli, slide):
     def images(name: str, encoding: str) -> str:
-        message = image_message(np.zeros((200, 200), np.uint8), "mono8", 0, "gel")
+        message = make_image(np.zeros((200, 200), np.uint8), "mono8", 0, "gel")
         message.encoding = encoding
         return str(write_recording(Path(name), lambda w: w.write("/gel/image", IMAGE, message, 0)))
 
-    moving = write_recording(Path("tf.mcap"), lambda w: w.write("/tf", TF, transform_message({}, 0), 0))
+    moving = write_recording(Path("tf.mcap"), lambda w: w.write("/tf", TF, make_transforms({}, 0), 0))
     for words, mentioned in (
-        (["none.mcap"], "there is no recording none.mcap"),
-        ([slide, "--image-topic", "/gel/imag"], "there are images on /gel/image. Did you mean"),
-        ([slide, "--base-frame", "bass"], "there is no frame 'bass'; there are: base, flange, gel"),
-        ([slide, "--base-frame", "base", "--frame", "gol"], "there is no frame 'gol'"),
-        ([slide, "--pose-topic", "/object/truth"], "has messages on /object/truth already"),
-        ([slide, "--out", slide], "is the recording that is to be read"),
-        ([slide, "--out", "poses.csv"], "written as .mcap"),
-        ([moving], "holds no images"),
-        ([images("yuv.mcap", "yuv422")], "encoding 'yuv422' cannot be read; convert them to one of rgb8"),
-        ([images("grey.mcap", "mono8")], "has no calibration for images"),
+        (["none.mcap"], "none.mcap"),
+        ([slide, "--image-topic", "/gel/imag"], "'/gel/image'"),
+        ([slide, "--base-frame", "bass"], "'bass'"),
+        ([slide, "--base-frame", "base", "--frame", "gol"], "'gol'"),
+        ([slide, "--pose-topic", "/object/truth"], "/object/truth"),
+        ([slide, "--out", slide], slide.name),
+        ([slide, "--out", "poses.csv"], "poses.csv"),
+        ([moving], "sensor_msgs/msg/Image"),
+        ([images("yuv.mcap", "yuv422")], "'yuv422'"),
+        ([images("grey.mcap", "mono8")], "--sensor"),
     ):
         assert_refused(cli("replay", *words, *LOCATED), mentioned)
-    assert_refused(cli("simulate", *HEAD, "--recording", "slide.bag"), "a recording is written as .mcap")
-    assert_refused(cli("simulate", *HEAD, "--recording", "slide.mcap", "--out", "here"), "leave --out away")
+    assert_refused(cli("simulate", *HEAD, "--recording", "slide.bag"), "slide.bag", ".mcap")
+    assert_refused(cli("simulate", *HEAD, "--recording", "slide.mcap", "--out", "here"), "--out")
     assert sorted(path.name for path in Path().iterdir()) == ["grey.mcap", "tf.mcap", "yuv.mcap"]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from cli_helpers import TINY, assert_refused
+from message_helpers import missing
 
 PIN = ["--object", "pin", *TINY]
 
@@ -18,9 +20,9 @@ def test_a_run_leaves_what_a_report_needs(cli):
     assert sorted(path.name for path in Path("out").iterdir()) == ["result.json", "result.npz", "result.png"]
     done = cli("report", "out")
     assert done.exit_code == 0, done.stderr
-    assert "written: out/report.html" in done.stdout
+    assert "out/report.html" in done.stdout
     page = Path("out/report.html").read_text(encoding="utf-8")
-    assert "pin on gelslim" in page
+    assert not missing(page, "pin", "gelslim")
     assert page.endswith("</html>\n")
 
 
@@ -42,15 +44,15 @@ def test_several_touches_are_all_in_the_report(cli):
     done = cli("run", *PIN, "--touch", "touches.toml", "--report", "--out", "out")
     assert done.exit_code == 0, done.stderr
     page = Path("out/report.html").read_text()
-    assert "2 touches at once" in page
-    assert all(f"observed contact shape: {name}" in page for name in poses)
+    assert not missing(page, "2 touches")
+    assert all(re.search(rf"observed[^<]*\b{name}\b", page) for name in poses)
 
 
 def test_an_evaluation_has_a_report(cli):
     done = cli("evaluate", *PIN, "--count", 3, "--out", "evaluation")
     assert done.exit_code == 0, done.stderr
     assert cli("report", "evaluation").exit_code == 0
-    assert "3 simulated touches of each object" in Path("evaluation/report.html").read_text()
+    assert not missing(Path("evaluation/report.html").read_text(), "3 simulated touches")
     done = cli("evaluate", *PIN, "--count", 3, "--contacts", "1,2", "--out", "contacts")
     assert done.exit_code == 0, done.stderr
     assert cli("report", "contacts").exit_code == 0
@@ -60,9 +62,9 @@ def test_an_evaluation_has_a_report(cli):
 @pytest.mark.parametrize(
     ("files", "says"),
     [
-        ([], "holds no result"),
-        (["result.json"], "no JSON"),
-        (["result.json", "results.json"], "several results"),
+        ([], "contacts.json"),
+        (["result.json"], "JSON"),
+        (["result.json", "results.json"], "results.json"),
     ],
 )
 def test_what_is_no_result_is_one_sentence(cli, files, says):
@@ -75,12 +77,12 @@ def test_what_is_no_result_is_one_sentence(cli, files, says):
 
 def test_a_folder_of_touches_and_a_report_do_not_go_together(cli):
     Path("touches").mkdir()
-    assert_refused(cli("run", *PIN, "--touch", "touches", "--report"), "--report", "folder of touches")
+    assert_refused(cli("run", *PIN, "--touch", "touches", "--report"), "--report", "touches")
 
 
 def test_a_place_that_refuses_is_one_sentence(cli):
     assert cli("run", *PIN, "--out", "out").exit_code == 0
     Path("file").touch()
-    assert_refused(cli("report", "out", "--out", "file/page.html"), "file/page.html", "cannot be written")
-    assert_refused(cli("report", "out", "--out", "page.pdf"), "written as .html, not as page.pdf")
+    assert_refused(cli("report", "out", "--out", "file/page.html"), "file/page.html")
+    assert_refused(cli("report", "out", "--out", "page.pdf"), ".html", "page.pdf")
     assert not Path("page.pdf").exists()

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.io.meshes import load_object
-from tactile_loc.locate import result_files
+from tactile_loc.locate import result_arrays
 from tactile_loc.plugins.grids.face import resting_normal
 
 ROOT = Path(__file__).parents[2]
@@ -39,11 +39,11 @@ def is_locked(folder: Path) -> bool:
 @pytest.fixture(scope="module")
 def result(store: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
     """What `run` finds on a tiny grid, and what it says and writes."""
-    folder, write, alone = tmp_path_factory.mktemp("run"), result_files.write_arrays, []
+    folder, write, alone = tmp_path_factory.mktemp("run"), result_arrays.write_arrays, []
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr(
-            result_files, "write_arrays", lambda *given: alone.append(is_locked(given[0].parent)) or write(*given)
+            result_arrays, "write_arrays", lambda *given: alone.append(is_locked(given[0].parent)) or write(*given)
         )
         done = CliRunner().invoke(app, ["run", *TINY, "--out", "out", "--store", str(store)])
     assert done.exit_code == 0, done.stderr
@@ -78,19 +78,19 @@ def test_the_table_shows_the_pose_in_mm_and_degrees(result):
 
 
 def test_it_says_how_certain_how_far_off_how_long_and_where(result):
-    for words in ("normalised entropy: ", "error: ", "time: ", "out/result.json", "out/result.png"):
+    for words in ("entropy", "error: ", "time: ", "out/result.json", "out/result.png"):
         assert words in result["stdout"]
     assert result["stderr"] == ""
 
 
 def test_it_says_which_side_of_the_object_was_searched(cli, result):
     mesh = load_object(result["object"]["name"]).mesh
-    (line,) = [line for line in result["stdout"].splitlines() if line.startswith("side searched")]
+    (line,) = [line for line in result["stdout"].splitlines() if line.startswith("side ")]
     shown = [float(word) for word in re.search(r"\((.*?)\)", line)[1].split(",")]
     assert shown == pytest.approx(resting_normal(mesh.vertices_m, mesh.centroid_m), abs=0.006)
     chosen = cli("run", "--object", "pin", *TINY, "-o", "grid.face=+y", "--out", "chosen")
     assert chosen.exit_code == 0, chosen.stderr
-    assert "side searched" not in chosen.stdout
+    assert not [line for line in chosen.stdout.splitlines() if line.startswith("side ")]
 
 
 def test_files_that_belong_together_are_written_while_others_wait(result):
@@ -178,7 +178,7 @@ def test_a_touch_file_a_mesh_file_and_a_sensor_file(cli, tmp_path):
     assert result["touch"]["path"] == "touches/touch-0000.npz"
     assert result["touch"]["press_depth_m"] == pytest.approx(1e-3)
     assert result["configuration"]["sensor"] == {"name": "file", "options": {"path": "sensor.toml"}}
-    assert "in the frame of sensor" in done.stdout
+    assert re.search(r"\bframe\b.*\bsensor\b", done.stdout)
 
 
 def test_without_the_true_pose_no_error_is_claimed(cli, tmp_path):
@@ -195,8 +195,8 @@ def test_guesses_are_shown_as_one_line_warnings(cli):
     done = cli("run", *TINY, "--object", "box.obj")
     assert done.exit_code == 0, done.stderr
     assert all(line.startswith("warning: ") for line in done.stderr.splitlines())
-    assert any("not watertight" in line for line in done.stderr.splitlines())
-    assert any("guessed mm" in line for line in done.stderr.splitlines())
+    assert any("watertight" in line for line in done.stderr.splitlines())
+    assert any(re.search(r"\bmm\b", line) for line in done.stderr.splitlines())
 
 
 def test_noise_of_a_simulated_touch_is_recorded(cli, result, tmp_path):
@@ -212,7 +212,7 @@ def test_a_touch_that_is_read_has_its_own_noise(cli, tmp_path):
     np.save("touch.npy", touch_depths())
     touch = ["--touch", "touch.npy", "--touch-unit", "m"]
     for level in ("none", "mild"):
-        assert_refused(cli("run", *TINY, *touch, "--noise", level), "--noise", "touch.npy", "leave one of them out")
+        assert_refused(cli("run", *TINY, *touch, "--noise", level), "--noise", "touch.npy")
     Path("run.toml").write_text('[touch]\nnoise = "strong"\n')
     assert_refused(cli("run", *TINY, *touch, "--config", "run.toml"), "--noise", "touch.npy")
     assert cli("run", *TINY, *touch, "--out", "out").exit_code == 0
@@ -232,7 +232,7 @@ def test_all_modes_of_a_set_are_listed(cli, tmp_path):
     found = result["pose_set"]
     assert found["coverage"] == 0.9
     assert found["grid_poses"] == sum(h["grid_poses"] for h in result["hypotheses"])
-    assert f"90.0% set: {found['grid_poses']} of these poses" in done.stdout
+    assert re.search(rf"90\.0 ?%.*\b{found['grid_poses']}\b", done.stdout)
 
 
 def test_a_rerun_file_is_written_beside_the_result(cli):
@@ -243,4 +243,4 @@ def test_a_rerun_file_is_written_beside_the_result(cli):
     (place,) = read(Path("out/result.rrd"))["base/sensor/object"]["Transform3D:translation"][0]
     np.testing.assert_allclose(place, np.array(best)[:3, 3], atol=1e-6)
     Path("many").mkdir()
-    assert_refused(cli("run", "--touch", "many", "--rerun", "a.rrd"), "--rerun is of one result")
+    assert_refused(cli("run", "--touch", "many", "--rerun", "a.rrd"), "--rerun")

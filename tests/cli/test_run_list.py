@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from cli_helpers import TINY, assert_refused
+from message_helpers import missing
 
 OBJECT = ["--object", "pin", *TINY]
 
@@ -105,32 +107,31 @@ def test_bad_lists_and_priors_are_one_sentence(cli, listed):
     assert not Path("out").exists()
 
 
-def test_a_touch_that_contradicts_the_others_is_named_and_can_be_left_out(cli, one_moved, monkeypatch):
-    monkeypatch.setattr("tactile_loc.locate.localizer.REFINED", 8)  # hypotheses are enough for an easy example
-    Path("run.toml").write_text("temperature = 1e-3\n")  # which need not be fitted then
+def test_a_touch_that_contradicts_the_others_is_named_and_can_be_left_out(cli, one_moved):
+    # a temperature need not be fitted then, and eight hypotheses are enough for an easy example
+    Path("run.toml").write_text("temperature = 1e-3\nhypotheses.refined_together = 8\n")
     several = ["run", *OBJECT, "--config", "run.toml", "--touch", "touches.toml", "--report"]
     done = cli(*several, "--out", "all")
     assert done.exit_code == 0, done.stderr
-    assert f"3 of 4 touches agree explains {one_moved} to" in done.stderr
-    assert "--drop-outliers" in done.stderr
+    assert not missing(done.stderr, "3 of 4", one_moved, "--drop-outliers")
     result = json.loads(Path("all/result.json").read_text())
     touches = [result["touch"], *result["other_touches"]]
     assert [touch["outlier"] for touch in touches] == [False, False, True, False]
     assert len(result["hypotheses"][0]["imprint_ious"]) == 4
     assert result["contradictory"]
     page = Path("all/report.html").read_text()
-    assert page.count("contradicts the other touches</strong>") == 1
-    assert f"agree explains {one_moved}" in page
+    assert len(re.findall(r"contradicts[^<]*</strong>", page)) == 1
+    assert not missing(page, "3 of 4", one_moved)
 
     dropped = cli(*several, "--drop-outliers", "--out", "dropped")
     assert dropped.exit_code == 0, dropped.stderr
-    assert f"{one_moved} contradicted the other touches and was left out" in dropped.stderr
+    assert one_moved in dropped.stderr
     result = json.loads(Path("dropped/result.json").read_text())
     assert [touch["name"] for touch in result["left_out"]] == [one_moved]
     assert one_moved not in [touch["name"] for touch in (result["touch"], *result["other_touches"])]
     assert not result["contradictory"]
     assert result["configuration"]["drop_outliers"]
-    assert f"{one_moved} contradicted" in Path("dropped/report.html").read_text()
+    assert one_moved in Path("dropped/report.html").read_text()
 
 
 def test_of_one_touch_or_a_folder_none_can_be_left_out(cli, listed):

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_helpers import assert_refused, write_box
+from message_helpers import missing
 from PIL import Image
 
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import background
+from tactile_loc.imaging.shading import render_background
 from tactile_loc.plugins.sensors.presets import Digit, GelSlim
 
 SENSOR = """\
@@ -41,7 +42,7 @@ def test_every_touch_has_its_image_and_there_is_a_background(cli):
     files = ["background.png", "poses.json", *(f"{n}.{e}" for n in names for e in ("npz", "png")), "touches.png"]
     assert sorted(p.name for p in Path("out").iterdir()) == files
     unpressed = image("out/background.png")
-    assert np.array_equal(unpressed, background(GelSlim().geometry, OPTICS["gelslim"]))
+    assert np.array_equal(unpressed, render_background(GelSlim().geometry, OPTICS["gelslim"]))
     for name in names:
         seen = image(f"out/{name}.png")
         assert seen.shape == unpressed.shape
@@ -66,7 +67,7 @@ def test_without_asking_there_are_no_images_and_the_touches_are_the_same(cli):
 def test_older_touches_in_the_folder_are_told_of(cli):
     assert "older" not in simulate(cli, "--out", "out").stderr
     done = cli("simulate", "--count", 1, "--seed", 4, "--out", "out")
-    assert "out holds 1 older touches, too, from touch-0001.npz on" in done.stderr
+    assert not missing(done.stderr, "out", 1, "touch-0001.npz")
     assert len(list(Path("out").glob("*.npz"))) == 2
 
 
@@ -85,7 +86,7 @@ def test_one_seed_gives_the_same_images(cli):
 )
 def test_the_optics_are_the_sensors_or_those_asked_for(cli, words, geometry: SensorGeometry, style):
     simulate(cli, *words, "--out", "out")
-    assert np.array_equal(image("out/background.png"), background(geometry, OPTICS[style]))
+    assert np.array_equal(image("out/background.png"), render_background(geometry, OPTICS[style]))
 
 
 def test_a_sensor_of_ones_own_has_images_too(cli):

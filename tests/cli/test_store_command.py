@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from cli_helpers import assert_refused
 from filelock import FileLock
+from message_helpers import missing, naming
+from tactile_loc_cli.commands.store import parse_age, write_age
 from tactile_loc_cli.main import app
-from tactile_loc_cli.stored import age_in_words, parse_age
 from typer.testing import CliRunner
 
 from tactile_loc.core.errors import ConfigError
@@ -116,9 +117,9 @@ def test_a_damaged_manifest_is_listed_as_such(ask, place):
 
 
 def test_what_refers_to_itself_ends(ask, place, monkeypatch):
-    from tactile_loc_cli import stored
+    from tactile_loc_cli.commands import store
 
-    monkeypatch.setattr(stored, "_inputs", lambda entry: {"itself": GRID.digest, "other": SHAPES.digest})
+    monkeypatch.setattr(store, "_read_inputs", lambda entry: {"itself": GRID.digest, "other": SHAPES.digest})
     assert ask("list").exit_code == 0
 
 
@@ -158,7 +159,7 @@ def test_pruning_removes_what_meets_all_conditions(ask, place, words, removed):
     assert {f"{e['stage']} {e['digest']}" for e in found["removed"]} == removed
     assert found["left_alone"] == []
     for name in removed:
-        assert f"would remove {name}" in dry.stdout
+        assert name in dry.stdout
     assert f"{len(removed)} entr" in dry.stdout
 
 
@@ -168,11 +169,11 @@ def test_pruning_removes_what_meets_all_conditions(ask, place, words, removed):
         ([], ["--older-than", "--all"]),
         (["--yes"], ["--stage"]),
         (["--dry-run"], ["--incomplete"]),
-        (["--all", "--incomplete"], ["--all removes everything"]),
-        (["--stage", "banks"], ["'banks'", "bank, encoder, grid, shapes"]),
+        (["--all", "--incomplete"], ["--all"]),
+        (["--stage", "banks"], ["'banks'", "bank", "encoder", "grid", "shapes"]),
         (["--older-than", "soon"], ["'soon'", "30d"]),
         (["--older-than", "-3d"], ["-3d"]),
-        (["--older-than", "9" * 30 + "d"], ["is no age"]),
+        (["--older-than", "9" * 30 + "d"], ["--older-than", "9" * 30 + "d"]),
         (["--keep-newest", 0], ["--keep-newest"]),
     ],
 )
@@ -193,7 +194,7 @@ def test_on_a_terminal_the_person_is_asked(place, monkeypatch, answer, left, as_
     line = ["store", "prune", "--all", "--store", str(place), *(["--json"] if as_json else [])]
     done = CliRunner().invoke(app, line, input=answer, prog_name="tactile-loc")
     assert done.exit_code == 0, done.stderr
-    assert "Remove 5 entries" in done.stderr
+    assert not missing(done.stderr, "5 entries")
     assert held(place) == left
     if as_json:
         assert len(json.loads(done.stdout)["removed"]) == 5 - len(left)
@@ -205,7 +206,7 @@ def test_what_is_being_built_is_left_alone_and_said(ask, place):
         assert entries["encoder"]["state"] == "being built"
         done = ask("prune", "--all", "--yes")
         assert done.exit_code == 0, done.stderr
-        assert f"left alone, it is being built now: {LEFT}" in done.stdout
+        assert LEFT in done.stdout
         assert held(place) == {LEFT}
         found = json.loads(ask("prune", "--all", "--yes", "--json").stdout)
         assert (found["removed"], [e["stage"] for e in found["left_alone"]]) == ([], ["encoder"])
@@ -219,7 +220,7 @@ def test_what_another_process_takes_meanwhile_is_left_alone(ask, place, monkeypa
         done = ask("prune", "--stage", "grid", "--yes")
     assert done.exit_code == 0, done.stderr
     assert called(GRID) in held(place)
-    assert "0 entries, 0 B, removed" in done.stdout
+    assert not missing(done.stdout, "0 entries", "0 B")
 
 
 def _free_at_first() -> Callable:
@@ -243,8 +244,8 @@ def test_ages_and_sizes_in_words():
         180,
     ]
     for text in ("", "d", "3", "3y", "-1d", "nan d"):
-        with pytest.raises(ConfigError, match="is no age"):
+        with pytest.raises(ConfigError, match=naming(repr(text), "--older-than", "30d")):
             parse_age(text)
-    assert [age_in_words(s) for s in (-1, 0, 119, 120, 3 * 3600, 47 * 3600, 49 * 3600)] == [
+    assert [write_age(s) for s in (-1, 0, 119, 120, 3 * 3600, 47 * 3600, 49 * 3600)] == [
         "0 s", "0 s", "119 s", "2 min", "3 h", "47 h", "2 d",
     ]  # fmt: skip

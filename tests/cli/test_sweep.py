@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import time
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from cli_helpers import FLAT_SENSOR, assert_refused, command, hear_ctrl_c, write_box
+from message_helpers import missing
 
 psutil = pytest.importorskip("psutil")  # distributed brings it
 pytest.importorskip("pandas")
@@ -49,14 +51,14 @@ def test_a_plan_is_swept_and_written_and_not_done_again(cli, plan, tmp_path):
     again = cli("sweep", "sweep.toml", "--line", "reg-1")
     assert again.exit_code == 0, again.stderr
     lines = again.stdout.splitlines()
-    assert lines[0] == "median error of reg-1, mm, noise strong"
+    assert not missing(lines[0], "reg-1", "mm", "strong")
     assert lines[1].split() == ["components", "pin", "head"]
-    assert "4 combinations: 0 evaluated now, 4 before" in lines
+    assert any(re.match(r"4 combinations\b.*\b0\b.*\b4\b", line) for line in lines)
     for name in FILES - {"rows", "workers.log"}:
         assert name in lines[-1]
     compared = cli("sweep", "--compare", "sweep", "--out", "sweep")
     assert compared.exit_code == 0, compared.stderr
-    assert "4 combinations, none changed (by more than 10 %)" in compared.stdout
+    assert not missing(compared.stdout, "4 combinations", "none", "10 %")
     assert "| pin | icp |" in (tmp_path / "sweep" / "compare.md").read_text()
 
 
@@ -105,8 +107,9 @@ def test_a_dry_run_lists_and_counts_and_runs_nothing(cli, plan, tmp_path):
         "to",
         "do",
     ]
-    assert "4 combinations of 2 touches each, 4 to do" in lines
-    assert "stages to be built: grid 2, shapes 2, encoder 0, bank 2, temperature 0, evaluation 4" in lines
+    assert any(re.match(r"4 combinations\b.*\b2 touches\b.*\b4\b", line) for line in lines)
+    built = "grid 2, shapes 2, encoder 0, bank 2, temperature 0, evaluation 4"
+    assert any(line.endswith(built) for line in lines)
     assert {path.name for path in tmp_path.iterdir()} == {"flat.toml", "sweep.toml"}
 
 
@@ -120,12 +123,12 @@ def test_units_are_of_the_objects_that_are_given(cli, plan, tmp_path):
 @pytest.mark.parametrize(
     ("words", "mentioned"),
     [
-        ([], ("nothing to sweep",)),
+        ([], ("sweep",)),
         (["none.toml"], ("none.toml",)),
-        (["bad.toml"], ("bad.toml", "'refinr'", "Did you mean 'refiner'")),
+        (["bad.toml"], ("bad.toml", "'refinr'", "'refiner'")),
         (["--refiner", "none,ipc"], ("'ipc'",)),
         (["--object", "pin,hok"], ("hok",)),
-        (["--object", "pin", "--seed", "0,x"], ("seed = 'x'",)),
+        (["--object", "pin", "--seed", "0,x"], ("seed", "'x'")),
         (["--object", "pin", "--noise", "loud"], ("'loud'",)),
         (["--object", "pin", "-o", "grid.spacing=3,4"], ("spacing_mm",)),
         (["--object", "pin", "--count", "0"], ("--count",)),
@@ -150,9 +153,10 @@ def test_failures_are_counted_and_the_exit_code_is_1(cli, plan, tmp_path):
     words = ["sweep", "sweep.toml", "--object", "pin", "--workers", 1]
     done = cli(*words)
     assert done.exit_code == 1
-    assert done.stderr.splitlines()[-1] == "failed: 2 of 4 combinations; the errors are in sweep/sweep.md"
+    assert not missing(done.stderr.splitlines()[-1], "failed", "2 of 4", "sweep/sweep.md")
     assert "failed" in done.stdout
-    assert (tmp_path / "sweep" / "sweep.md").read_text().count("lower grid.min_contact_percent") == 2
+    told = (tmp_path / "sweep" / "sweep.md").read_text()
+    assert len(re.findall(r"^- .*\bgrid\.min_contact_percent\b", told, re.MULTILINE)) == 2
     as_json = cli(*words, "--json")
     assert (as_json.exit_code, json.loads(as_json.stdout)["failed"]) == (1, 2)
 
@@ -201,7 +205,7 @@ def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(cli, plan, tmp_pat
     os.killpg(process.pid, signal.SIGINT)  # everybody, as a terminal does
     _, stderr = process.communicate(timeout=HANGING_S)
     assert process.returncode == 130, stderr
-    assert stderr == "interrupted: what was finished is kept, run the same command again to resume\n"
+    assert re.fullmatch(r"interrupted\b.*\n", stderr)
     assert len(workers) == 2
     assert not [pid for pid in workers if _runs(pid)]
     before = finished(out)
@@ -209,7 +213,7 @@ def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(cli, plan, tmp_pat
     assert not (out / "sweep.csv").exists()
     resumed = cli(*EIGHT, "--workers", 1, "--store", tmp_path / "store")
     assert resumed.exit_code == 0, resumed.stderr
-    assert f"8 combinations: {8 - len(before)} evaluated now, {len(before)} before" in resumed.stdout
+    assert re.search(rf"\b8 combinations\b.*\b{8 - len(before)}\b.*\b{len(before)}\b", resumed.stdout)
     assert {name: time_ns for name, time_ns in finished(out).items() if name in before} == before
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 from cli_helpers import TINY
-from tactile_loc_cli.console import Bars, log_shown, progress
+from message_helpers import missing
+from tactile_loc_cli.console import Bars, make_progress, show_log
 
 from tactile_loc.plugins.refiners.none import NoRefiner
 
@@ -34,9 +35,10 @@ def test_info_says_what_is_being_done_with_the_time(build, before, after):
     lines = build(before, after)
     assert all(map(INFO.fullmatch, lines)), lines
     for stage in ("grid", "shapes", "bank", "temperature"):
-        assert any(re.search(rf"Stage {stage} \w+ is being built", line) for line in lines)
-        assert any(re.search(rf"Stage {stage} \w+ is built: .* MB in .* s", line) for line in lines)
-    assert re.fullmatch(r"info: \[.*\] build took \d+\.\d s\.", lines[-1])
+        told = [line for line in lines if re.search(rf"\b{stage} [0-9a-f]{{16}}\b", line)]
+        assert len(told) >= 2, "before and after"
+        assert re.search(r"\d MB\b.*\d s\b", told[-1])
+    assert re.fullmatch(r"info: \[.*\] .*\bbuild\b.* \d+\.\d s\b.*", lines[-1])
 
 
 def test_details_are_shown_only_to_those_who_ask_twice(build):
@@ -44,7 +46,7 @@ def test_details_are_shown_only_to_those_who_ask_twice(build):
     for before, after in ((["-vv"], []), (["-v"], ["-v"]), ([], ["-vv"])):
         lines = build(before, after)
         assert [line for line in lines if line.startswith("debug: ")]
-        assert any("is there already" in line for line in lines)
+        assert any("already" in line for line in lines)
     assert not [line for line in build(["-v"], []) if line.startswith("debug: ")]
 
 
@@ -81,7 +83,7 @@ def test_a_sensor_without_such_a_folder_is_no_reason_to_warn(cli):
 
 
 def test_a_warning_is_given_once(capsys):
-    with log_shown():
+    with show_log():
         for text in ("a", "b", "a"):
             logging.getLogger("tactile_loc.core").warning(text)
     assert capsys.readouterr().err == "warning: a\nwarning: b\n"
@@ -90,9 +92,9 @@ def test_a_warning_is_given_once(capsys):
 def test_the_levels_of_the_loggers_are_put_back(capsys):
     logger = logging.getLogger("tactile_loc")
     before = (logger.level, list(logger.handlers))
-    with log_shown(5):
+    with show_log(5):
         assert logger.level == logging.DEBUG
-        with log_shown(-5):
+        with show_log(-5):
             assert logger.level == logging.ERROR
         assert logger.level == logging.DEBUG
     assert (logger.level, logger.handlers) == before
@@ -100,10 +102,10 @@ def test_the_levels_of_the_loggers_are_put_back(capsys):
 
 def test_quiet_shows_no_bars(monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with log_shown():
-        assert isinstance(progress(), Bars)
-    with log_shown(-1):
-        assert not isinstance(progress(), Bars)
+    with show_log():
+        assert isinstance(make_progress(), Bars)
+    with show_log(-1):
+        assert not isinstance(make_progress(), Bars)
 
 
 @pytest.fixture
@@ -123,15 +125,18 @@ def broken(monkeypatch):
 def test_the_unexpected_is_one_line_that_names_the_component(cli, broken):
     done = cli(*broken(ZeroDivisionError("by\n  nothing")))
     assert done.exit_code == 1
-    expected = "error: unexpected ZeroDivisionError in the refiner 'none': by nothing; run with -vv for the traceback\n"
-    assert done.stderr == expected
+    assert re.fullmatch(r"error: .*\n", done.stderr)
+    assert not missing(done.stderr, "ZeroDivisionError", "refiner 'none'", "by nothing", "-vv")
 
 
 def test_all_details_hold_the_traceback_of_errors_expected_or_not(cli, broken):
     done = cli("-vv", *broken(KeyError()))
     assert done.exit_code == 1
     assert "Traceback" in done.stderr
-    assert done.stderr.endswith("error: unexpected KeyError in the refiner 'none'\n")
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("error: ")
+    assert not missing(last, "KeyError", "refiner 'none'")
+    assert missing(last, "-vv"), "it was given"
     expected = cli("run", "--touch", "none.npz", "-vv")
     assert "Traceback" in expected.stderr
     assert expected.stderr.splitlines()[-1].startswith("error: ")
@@ -144,16 +149,16 @@ def test_outside_of_components_the_command_is_named(cli, monkeypatch):
 
     monkeypatch.setattr("tactile_loc.locate.stored_object.stored_object", fail)
     done = cli("build")
-    assert (done.exit_code, done.stderr) == (
-        1, "error: unexpected RuntimeError in build; run with -vv for the traceback\n",
-    )  # fmt: skip
+    assert done.exit_code == 1
+    assert re.fullmatch(r"error: .*\n", done.stderr)
+    assert not missing(done.stderr, "RuntimeError", "build", "-vv")
 
 
 def test_a_full_disk_is_no_surprise(cli, broken):
     done = cli(*broken(OSError(28, "No space left on device", "cache.nbi")))
     assert done.exit_code == 2
     assert "cache.nbi" in done.stderr
-    assert "no space is left" in done.stderr
+    assert "space" in done.stderr
     assert "unexpected" not in done.stderr
 
 

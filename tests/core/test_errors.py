@@ -28,7 +28,7 @@ def test_long_values_are_abridged():
 
 
 def test_errors_are_said_of_what_they_are_about():
-    with pytest.raises(ConfigError, match=r"^plan\.toml: there is no noise 'x'$"), named("plan.toml"):
-        raise ConfigError("there is no noise 'x'")
-    with pytest.raises(ConfigError, match=r"^the plan plan\.toml is empty$"), named("plan.toml"):
-        raise ConfigError("the plan plan.toml is empty")
+    with pytest.raises(ConfigError, match=r"^plan\.toml: wrong$"), named("plan.toml"):
+        raise ConfigError("wrong")
+    with pytest.raises(ConfigError, match=r"^wrong in plan\.toml$"), named("plan.toml"):
+        raise ConfigError("wrong in plan.toml")

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from message_helpers import missing, naming
 from rerun_helpers import read
 
 from tactile_loc.core.errors import MissingLibraryError, OutputError
@@ -52,8 +53,8 @@ def test_what_was_logged_is_read_back(rerun, localizer, tmp_path):
     )
     assert [c[0] & 255 for c in found["base/sensor/object/surface"]["Mesh3D:albedo_factor"]] == [0, 255, 0]
     texts = [t[0] for t in found["pose"]["TextDocument:text"]]
-    assert texts[0].startswith("tracking, 75 %\n1.0, -2.0, 30.0 mm, turned 45.8° about (0.27, 0.53, 0.80)")
-    assert "std 0.10, 0.30, 0.20 mm; 0.6, 1.1, 1.7° about x, y, z" in texts[0]
+    assert not missing(texts[0], "tracking", "75 %", "1.0, -2.0, 30.0 mm", "45.8°", "(0.27, 0.53, 0.80)")
+    assert not missing(texts[0], "0.10, 0.30, 0.20 mm", "0.6, 1.1, 1.7°")
     assert texts[1] == "no contact"
 
 
@@ -89,13 +90,13 @@ def test_words_without_a_pose_or_its_spread():
 
 
 def test_what_cannot_be_written_is_told_before_anything_is_done(rerun, tmp_path, monkeypatch):
-    with pytest.raises(OutputError, match=r"\.rrd, not as a\.txt"):
+    with pytest.raises(OutputError, match=naming(".rrd", "a.txt", "--rerun")):
         require_rerun(tmp_path / "a.txt")
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="is not a folder"):
+    with pytest.raises(OutputError, match=naming(tmp_path / "file", "--out")):
         require_rerun(tmp_path / "file" / "a.rrd")
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(MissingLibraryError, match=r"pip install 'tactile-loc\[view\]'"):
+    with pytest.raises(MissingLibraryError, match=naming("pip install 'tactile-loc[view]'")):
         require_rerun(tmp_path / "a.rrd")
 
 
@@ -105,5 +106,5 @@ def test_a_full_disk_is_one_sentence(rerun, localizer, tmp_path, monkeypatch):
 
     with RerunLog(tmp_path / "a.rrd", localizer.scene) as log, monkeypatch.context() as patch:
         patch.setattr(log._stream, "flush", full)
-        with pytest.raises(OutputError, match=r"a\.rrd cannot be written any more .* another --rerun"):
+        with pytest.raises(OutputError, match=naming("a.rrd", "--rerun")):
             log.add(Logged(0, 0.0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError, GridError
 from tactile_loc.core.geometry.rigid import invert
@@ -198,5 +199,5 @@ def test_the_key_holds_whatever_changes_the_errors(pipe):
 
 @pytest.mark.parametrize("contacts", [(), (0, 1), (1, MOST_FUSED + 1), (-2,)])
 def test_numbers_of_contacts_that_cannot_be_are_refused(pipe, contacts):
-    with pytest.raises(ConfigError, match="contacts"):
+    with pytest.raises(ConfigError, match=naming("contacts", list(contacts), MOST_FUSED)):
         evaluate_fusion(pipe, contacts, 1, SOURCE)

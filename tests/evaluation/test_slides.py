@@ -52,15 +52,15 @@ def test_noise_is_that_of_a_seed_and_an_image(make_scene, box, flat_camera, over
 def test_photos_are_colour_images_of_the_sensors_size(over_a_box, flat_camera, tmp_path):
     path = write_slide(tmp_path / "slide.mcap", over_a_box, Photos(flat_camera, OPTICS["digit"], 0))
     recording = Recording(path)
-    photos = [image_array(message.decoded()) for message in recording.messages("/gel/image")]
+    photos = [image_array(message.decode()) for message in recording.read_messages("/gel/image")]
     assert {photo.shape for photo in photos} == {(*flat_camera.shape, 3)}
     moved = np.abs(photos[12].astype(int) - photos[0]).max()
     assert moved > 20  # counts: a press, no noise
-    assert recording.frame_tree().lookup(FLANGE, GEL, 0).shape == (4, 4)
+    assert recording.read_frame_tree().lookup(FLANGE, GEL, 0).shape == (4, 4)
 
 
 def test_an_object_that_slides_off_is_refused(make_scene, box, flat_camera):
     beside = START.copy()
     beside[0, 3] = 0.03
-    with pytest.raises(TouchError, match="box slides off the sensor"):
+    with pytest.raises(TouchError, match="box"):
         draw_slide(make_scene(box, flat_camera), beside, IMAGES)

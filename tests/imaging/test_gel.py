@@ -5,18 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from imaging_helpers import BALL_M, PRESS_M, ball_depth, places, presses, sensor, tip_depth
+from message_helpers import naming
 from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.simulation.noise import Gel
-from tactile_loc.imaging.gel import contact_indentation, gel_surface, relaxed
+from tactile_loc.imaging.gel import find_indentation, press_gel, relax
 
 SOFTNESS_M = 8e-4
 
 
 def test_a_flat_press_pushes_the_gel_in_by_its_depth():
     geometry = sensor()
-    surface = gel_surface(tip_depth(geometry), presses(), geometry, SOFTNESS_M)
+    surface = press_gel(tip_depth(geometry), presses(), geometry, SOFTNESS_M)
     x, y = places(geometry)
     inside = (np.abs(x) < 3.5e-3) & (np.abs(y) < 3.5e-3)
     assert surface[0][inside] == pytest.approx(PRESS_M, rel=1e-5)
@@ -25,7 +26,7 @@ def test_a_flat_press_pushes_the_gel_in_by_its_depth():
 
 def test_the_gel_takes_a_balls_surface():
     geometry = sensor(160)
-    surface = gel_surface(ball_depth(geometry), presses(), geometry, SOFTNESS_M)
+    surface = press_gel(ball_depth(geometry), presses(), geometry, SOFTNESS_M)
     x, y = places(geometry)
     near = np.hypot(x, y) < 0.4 * BALL_M
     true = np.sqrt(BALL_M**2 - x**2 - y**2, where=near, out=np.zeros_like(x)) - BALL_M + PRESS_M
@@ -37,12 +38,12 @@ def test_relaxing_never_lifts_the_contact(softness_m):
     geometry = sensor()
     bumps = gaussian_filter(rng_bumps(), (0, 2, 2))
     contact = np.maximum(bumps, 0).astype(np.float32)
-    surface = relaxed(contact, Gel.of(geometry), softness_m)
+    surface = relax(contact, Gel.of(geometry), softness_m)
     assert (surface >= contact).all()
     assert surface.max() <= contact.max() * (1 + 1e-5)
-    tip = contact_indentation(tip_depth(geometry), presses())
+    tip = find_indentation(tip_depth(geometry), presses())
     touching = tip > 0
-    assert relaxed(tip, Gel.of(geometry), softness_m)[touching] == pytest.approx(tip[touching], rel=1e-5)
+    assert relax(tip, Gel.of(geometry), softness_m)[touching] == pytest.approx(tip[touching], rel=1e-5)
 
 
 def rng_bumps() -> np.ndarray:
@@ -51,7 +52,7 @@ def rng_bumps() -> np.ndarray:
 
 def test_around_a_tip_the_gel_falls_off_without_a_step():
     geometry = sensor(320)
-    surface = gel_surface(tip_depth(geometry), presses(), geometry, SOFTNESS_M)[0, 160, 240:]  # from the edge outwards
+    surface = press_gel(tip_depth(geometry), presses(), geometry, SOFTNESS_M)[0, 160, 240:]  # from the edge outwards
     fall = -np.diff(surface)
     assert (fall > 0).all()
     assert fall.max() < 0.12 * PRESS_M  # over a pixel of 0.05 mm
@@ -64,58 +65,58 @@ def test_a_groove_narrower_than_the_gel_is_soft_is_bridged_and_a_wide_one_is_not
     middles = []
     for half_m in (2e-4, 4e-3):
         depth = np.where(np.abs(x) < half_m, PRESS_M, 0.0).astype(np.float32)[None]
-        middles.append(gel_surface(depth, presses(), geometry, SOFTNESS_M)[0, 80, 80])
+        middles.append(press_gel(depth, presses(), geometry, SOFTNESS_M)[0, 80, 80])
     assert middles[0] > 0.7 * PRESS_M
     assert middles[1] < 0.1 * PRESS_M
 
 
 def test_the_surface_is_the_same_in_smaller_pixels():
-    coarse, fine = (gel_surface(ball_depth(g), presses(), g, SOFTNESS_M)[0] for g in (sensor(80), sensor(240)))
+    coarse, fine = (press_gel(ball_depth(g), presses(), g, SOFTNESS_M)[0] for g in (sensor(80), sensor(240)))
     assert coarse == pytest.approx(fine.reshape(80, 3, 80, 3).mean((1, 3)), abs=0.01 * PRESS_M)
 
 
 def test_the_surface_scales_with_the_press_and_with_the_size():
     small, large = sensor(80, 0.016), sensor(80, 0.032)
-    surface = gel_surface(tip_depth(small), presses(), small, SOFTNESS_M)
-    assert gel_surface(2 * tip_depth(small), 2 * presses(), small, SOFTNESS_M) == pytest.approx(2 * surface, abs=1e-9)
-    twice = gel_surface(tip_depth(large, 8e-3), presses(), large, 2 * SOFTNESS_M)
+    surface = press_gel(tip_depth(small), presses(), small, SOFTNESS_M)
+    assert press_gel(2 * tip_depth(small), 2 * presses(), small, SOFTNESS_M) == pytest.approx(2 * surface, abs=1e-9)
+    twice = press_gel(tip_depth(large, 8e-3), presses(), large, 2 * SOFTNESS_M)
     assert twice == pytest.approx(surface, abs=1e-9)
 
 
 def test_a_gel_that_is_not_soft_is_the_object():
     geometry = sensor()
-    surface = gel_surface(ball_depth(geometry), presses(), geometry, 0.0)
-    assert np.array_equal(surface, contact_indentation(ball_depth(geometry), presses()))
+    surface = press_gel(ball_depth(geometry), presses(), geometry, 0.0)
+    assert np.array_equal(surface, find_indentation(ball_depth(geometry), presses()))
 
 
 def test_images_do_not_see_one_another_and_no_contact_leaves_nothing():
     geometry = sensor()
     depth = np.concatenate([tip_depth(geometry), np.full((1, 80, 80), 5e-4, np.float32), ball_depth(geometry)])
     press = np.array([PRESS_M, 5e-4, PRESS_M])
-    surface = gel_surface(depth, press, geometry, SOFTNESS_M)
+    surface = press_gel(depth, press, geometry, SOFTNESS_M)
     assert not surface[1].any()
-    alone = gel_surface(depth[2:], press[2:], geometry, SOFTNESS_M)
+    alone = press_gel(depth[2:], press[2:], geometry, SOFTNESS_M)
     assert surface[2] == pytest.approx(alone[0], abs=1e-9)
-    assert gel_surface(depth[:0], press[:0], geometry).shape == (0, 80, 80)
+    assert press_gel(depth[:0], press[:0], geometry).shape == (0, 80, 80)
 
 
 def test_off_the_rectangle_there_is_no_gel():
     geometry = sensor(rectangle_m=(-0.006, 0.004, -0.005, 0.008))
-    surface = gel_surface(np.zeros((1, 80, 80), np.float32), presses(), geometry)
+    surface = press_gel(np.zeros((1, 80, 80), np.float32), presses(), geometry)
     assert np.array_equal(surface[0] > 0, geometry.observed_mask)
     assert surface[0][geometry.observed_mask] == pytest.approx(PRESS_M, rel=1e-5)
 
 
 @pytest.mark.parametrize(
-    ("depth", "press", "softness_m", "words"),
+    ("depth", "press", "softness_m", "values"),
     [
-        (np.zeros((80, 80)), [1e-3], 1e-3, "one for each"),
-        (np.zeros((2, 80, 80)), [1e-3], 1e-3, "one for each"),
-        (np.zeros((1, 40, 80)), [1e-3], 1e-3, "do not fit"),
-        (np.zeros((1, 80, 80)), [1e-3], -1e-3, "softness_m is -0.001"),
-        (np.zeros((1, 80, 80)), [1e-3], np.nan, "softness_m is nan"),
+        (np.zeros((80, 80)), [1e-3], 1e-3, ("(80, 80)", "(1,)")),
+        (np.zeros((2, 80, 80)), [1e-3], 1e-3, ("(2, 80, 80)", "(1,)")),
+        (np.zeros((1, 40, 80)), [1e-3], 1e-3, ("(40, 80)", "(80, 80)")),
+        (np.zeros((1, 80, 80)), [1e-3], -1e-3, ("softness_m", "-0.001")),
+        (np.zeros((1, 80, 80)), [1e-3], np.nan, ("softness_m", "nan")),
     ],
 )
-def test_what_does_not_fit_is_refused(depth, press, softness_m, words):
-    with pytest.raises(ConfigError, match=words):
-        gel_surface(depth, press, sensor(), softness_m)
+def test_what_does_not_fit_is_refused(depth, press, softness_m, values):
+    with pytest.raises(ConfigError, match=naming(*values)):
+        press_gel(depth, press, sensor(), softness_m)

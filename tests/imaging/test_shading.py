@@ -8,13 +8,14 @@ import math
 import numpy as np
 import pytest
 from imaging_helpers import BALL_M, PRESS_M, ball_depth, lamp, lit, places, presses, rng, sensor, tip_depth
+from message_helpers import naming
 from scipy.special import ndtr
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.imaging.gel import gel_surface
+from tactile_loc.imaging.gel import press_gel
 from tactile_loc.imaging.optics import OPTICS, Optics
-from tactile_loc.imaging.shading import background, render_images, surface_slopes
+from tactile_loc.imaging.shading import measure_slopes, render_background, render_images
 
 ELEVATION = math.radians(30)
 
@@ -31,7 +32,7 @@ def plane(geometry: SensorGeometry, slope_x: float, slope_y: float) -> np.ndarra
 
 
 def pressed_tip(geometry: SensorGeometry) -> np.ndarray:
-    return gel_surface(tip_depth(geometry), presses(), geometry)
+    return press_gel(tip_depth(geometry), presses(), geometry)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +42,7 @@ def pressed_tip(geometry: SensorGeometry) -> np.ndarray:
 )
 def test_a_tilted_plane_has_its_slope_and_lamberts_shade_in_any_pixels(geometry):
     tilted = plane(geometry, 0.3, -0.2)
-    slope_x, slope_y = surface_slopes(tilted, geometry)
+    slope_x, slope_y = measure_slopes(tilted, geometry)
     assert slope_x == pytest.approx(0.3, abs=1e-4)
     assert slope_y == pytest.approx(-0.2, abs=1e-4)
     shade = {
@@ -73,8 +74,8 @@ def test_a_near_lamp_lights_its_own_side_by_the_inverse_square():
     height = 3.0 * math.sin(ELEVATION)
     away = np.sqrt((3.0 * math.cos(ELEVATION) - x) ** 2 + y**2 + height**2)
     expected = 255 * 0.5 * height / away * (3.0 / away) ** 2
-    assert background(geometry, near)[..., 1] == pytest.approx(expected, abs=0.51)
-    middle = background(geometry, dataclasses.replace(near, lights=(lamp("right", 30.0, 0.5),)))
+    assert render_background(geometry, near)[..., 1] == pytest.approx(expected, abs=0.51)
+    middle = render_background(geometry, dataclasses.replace(near, lights=(lamp("right", 30.0, 0.5),)))
     assert middle == pytest.approx(255 * 0.5 * math.sin(ELEVATION), abs=0.51)  # a far one lights evenly
 
 
@@ -84,7 +85,7 @@ def test_a_domed_gel_is_shaded_as_the_dome_it_is():
     x, y = places(geometry)
     dome = ((x**2 + y**2) * 0.4 / (2 * radius_m)).astype(np.float32)[None]
     optics = lit("right", "above")
-    domed = background(geometry, dataclasses.replace(optics, dome=0.4))
+    domed = render_background(geometry, dataclasses.replace(optics, dome=0.4))
     pushed = rendered(dome, geometry, optics)[0]
     assert domed[1:-1, 1:-1] == pytest.approx(pushed[1:-1, 1:-1], abs=1)  # at the border a difference is one-sided
     assert domed[60, 0, 0] > domed[60, 119, 0] + 40  # it faces the lamp on the other side
@@ -93,8 +94,8 @@ def test_a_domed_gel_is_shaded_as_the_dome_it_is():
 def test_inside_a_flat_tip_the_colour_is_that_of_the_unpressed_gel():
     for name, optics in OPTICS.items():
         geometry = sensor(160)
-        picture = rendered(pressed_tip(geometry), geometry, optics.noiseless())[0].astype(int)
-        unpressed = background(geometry, optics)
+        picture = rendered(pressed_tip(geometry), geometry, optics.remove_noise())[0].astype(int)
+        unpressed = render_background(geometry, optics)
         x, y = (np.abs(a) for a in places(geometry))
         inside, wall = np.maximum(x, y) < 3.4e-3, (np.maximum(x, y) > 4e-3) & (np.maximum(x, y) < 4.3e-3)
         change = np.abs(picture - unpressed).max(axis=-1)
@@ -113,10 +114,9 @@ def test_walls_are_bands_of_their_lights_colours():
 
 
 def test_the_picture_is_the_same_in_smaller_pixels():
-    optics = OPTICS["gelslim"].noiseless()
+    optics = OPTICS["gelslim"].remove_noise()
     coarse, fine = (
-        rendered(gel_surface(ball_depth(g), presses(), g), g, optics)[0].astype(float)
-        for g in (sensor(100), sensor(200))
+        rendered(press_gel(ball_depth(g), presses(), g), g, optics)[0].astype(float) for g in (sensor(100), sensor(200))
     )
     difference = np.abs(coarse - fine.reshape(100, 2, 100, 2, 3).mean((1, 3)))
     assert np.percentile(difference, 95) < 1.5
@@ -125,7 +125,7 @@ def test_the_picture_is_the_same_in_smaller_pixels():
 
 def test_a_mirrored_touch_under_mirrored_lights_is_a_mirrored_picture():
     geometry = sensor()
-    surface = gel_surface(ball_depth(geometry, 2e-3, 1e-3), presses(), geometry)
+    surface = press_gel(ball_depth(geometry, 2e-3, 1e-3), presses(), geometry)
     optics = Optics((lamp("right", 30, 0.5, (1, 0, 0.2), distance=2.0), lamp("above", 50, 0.4, (0, 1, 0))), dome=0.2)
     mirrored = dataclasses.replace(
         optics,
@@ -142,15 +142,15 @@ def test_no_press_and_no_noise_give_back_the_photo():
     geometry = sensor()
     photo = rng().integers(0, 256, (80, 80, 3), dtype=np.uint8)
     for optics in OPTICS.values():
-        unpressed = rendered(np.zeros((2, 80, 80), np.float32), geometry, optics.noiseless(), photo=photo)
+        unpressed = rendered(np.zeros((2, 80, 80), np.float32), geometry, optics.remove_noise(), photo=photo)
         assert np.array_equal(unpressed, np.stack([photo, photo]))
 
 
 def test_a_press_changes_a_photo_as_it_changes_the_rendered_gel():
     geometry = sensor()
     optics = lit("right", "above")
-    surface = gel_surface(ball_depth(geometry), presses(), geometry)
-    own = background(geometry, optics)
+    surface = press_gel(ball_depth(geometry), presses(), geometry)
+    own = render_background(geometry, optics)
     photo = (own - np.uint8(20)).astype(np.uint8)
     change = rendered(surface, geometry, optics)[0].astype(int) - own
     on_photo = rendered(surface, geometry, optics, photo=photo)[0].astype(int) - photo
@@ -161,9 +161,9 @@ def test_a_press_changes_a_photo_as_it_changes_the_rendered_gel():
 def test_the_background_is_the_unpressed_picture():
     geometry = sensor()
     optics = OPTICS["digit"]
-    unpressed = rendered(np.zeros((1, 80, 80), np.float32), geometry, optics.noiseless())[0]
-    assert np.array_equal(background(geometry, optics), unpressed)
-    assert background(geometry, optics).shape == (80, 80, 3)
+    unpressed = rendered(np.zeros((1, 80, 80), np.float32), geometry, optics.remove_noise())[0]
+    assert np.array_equal(render_background(geometry, optics), unpressed)
+    assert render_background(geometry, optics).shape == (80, 80, 3)
 
 
 def test_the_lens_blurs_by_its_width_in_metres():
@@ -180,8 +180,8 @@ def test_the_lens_blurs_by_its_width_in_metres():
 
 def test_vignetting_darkens_the_corner_by_its_share():
     geometry = sensor()
-    bright = background(geometry, lit("right")).astype(float)
-    dark = background(geometry, lit("right", vignetting=0.4)).astype(float)
+    bright = render_background(geometry, lit("right")).astype(float)
+    dark = render_background(geometry, lit("right", vignetting=0.4)).astype(float)
     assert (dark / bright)[0, 0] == pytest.approx(1 - 0.4 * (79 / 80) ** 2, abs=0.01)
     assert (dark / bright)[40, 40] == pytest.approx(1.0, abs=0.01)
 
@@ -203,7 +203,7 @@ def test_gloss_is_brightest_half_way_to_the_lamp():
 def test_brightness_is_cut_at_black_and_white():
     geometry = sensor(40)
     bright = lit("right", ambient=(2.0, 0.0, 0.0))
-    assert (background(geometry, bright)[..., 0] == 255).all()
+    assert (render_background(geometry, bright)[..., 0] == 255).all()
     shadow = rendered(plane(geometry, 2.0, 0.0), geometry, lit("right"))
     assert (shadow == 0).all()
 
@@ -230,26 +230,26 @@ def test_one_seed_gives_one_picture():
 def test_off_the_rectangle_nothing_changes():
     geometry = sensor(rectangle_m=(-0.006, 0.004, -0.005, 0.008))
     optics = lit("right", "below")
-    surface = gel_surface(np.zeros((1, 80, 80), np.float32), presses(), geometry)
+    surface = press_gel(np.zeros((1, 80, 80), np.float32), presses(), geometry)
     blurred = dataclasses.replace(optics, blur_m=2e-4, vignetting=0.5)
-    assert np.array_equal(rendered(surface, geometry, optics)[0], background(geometry, optics))
-    assert rendered(surface, geometry, blurred)[0] == pytest.approx(background(geometry, blurred), abs=1)
-    ball = gel_surface(ball_depth(geometry, 4e-3), presses(), geometry)
-    changed = (rendered(ball, geometry, optics)[0] != background(geometry, optics)).any(axis=-1)
+    assert np.array_equal(rendered(surface, geometry, optics)[0], render_background(geometry, optics))
+    assert rendered(surface, geometry, blurred)[0] == pytest.approx(render_background(geometry, blurred), abs=1)
+    ball = press_gel(ball_depth(geometry, 4e-3), presses(), geometry)
+    changed = (rendered(ball, geometry, optics)[0] != render_background(geometry, optics)).any(axis=-1)
     assert changed.any()
     assert not (changed & ~geometry.observed_mask).any()
 
 
 @pytest.mark.parametrize(
-    ("indentation", "photo", "words"),
+    ("indentation", "photo", "values"),
     [
-        (np.zeros((80, 80)), None, "do not fit the sensor"),
-        (np.zeros((1, 40, 80)), None, "do not fit the sensor"),
-        (np.zeros((1, 80, 80)), np.zeros((80, 80), np.uint8), "the background is"),
-        (np.zeros((1, 80, 80)), np.zeros((40, 80, 3), np.uint8), "the background is"),
-        (np.zeros((1, 80, 80)), np.zeros((80, 80, 3)), "float64"),
+        (np.zeros((80, 80)), None, ("(80, 80)", "(N, H, W)")),
+        (np.zeros((1, 40, 80)), None, ("(1, 40, 80)", "(N, H, W)")),
+        (np.zeros((1, 80, 80)), np.zeros((80, 80), np.uint8), ("background", "(80, 80)")),
+        (np.zeros((1, 80, 80)), np.zeros((40, 80, 3), np.uint8), ("background", "(40, 80, 3)")),
+        (np.zeros((1, 80, 80)), np.zeros((80, 80, 3)), ("(80, 80, 3)", "float64")),
     ],
 )
-def test_images_that_do_not_fit_are_refused(indentation, photo, words):
-    with pytest.raises(ConfigError, match=words):
+def test_images_that_do_not_fit_are_refused(indentation, photo, values):
+    with pytest.raises(ConfigError, match=naming(*values)):
         rendered(indentation, sensor(), lit("right"), photo=photo)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from imaging_helpers import ball_depth, presses, rng, sensor, tip_depth
+from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError, TouchError
-from tactile_loc.imaging.boards import board
-from tactile_loc.imaging.gel import gel_surface
+from tactile_loc.imaging.boards import make_board
+from tactile_loc.imaging.gel import press_gel
 from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.imaging.shading import background, render_images
-from tactile_loc.imaging.simulate import BATCH, LIGHTEST, board_presses, touch_images
+from tactile_loc.imaging.shading import render_background, render_images
+from tactile_loc.imaging.simulate import BATCH, LIGHTEST, press_boards, render_touches
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 
 GELSLIM = OPTICS["gelslim"]
@@ -20,28 +21,28 @@ GELSLIM = OPTICS["gelslim"]
 def test_a_touchs_picture_is_the_shaded_gel():
     geometry = sensor()
     depth = np.concatenate([ball_depth(geometry), tip_depth(geometry)])
-    photo = background(geometry, OPTICS["digit"])
+    photo = render_background(geometry, OPTICS["digit"])
     for own in (None, photo):
-        picture = touch_images(depth, presses(2), geometry, GELSLIM, rng(5), 5e-4, own)
-        surface = gel_surface(depth, presses(2), geometry, 5e-4)
+        picture = render_touches(depth, presses(2), geometry, GELSLIM, rng(5), 5e-4, own)
+        surface = press_gel(depth, presses(2), geometry, 5e-4)
         assert np.array_equal(picture, render_images(surface, geometry, GELSLIM, rng(5), own))
 
 
 def test_a_softer_gel_changes_more_of_the_picture():
-    geometry, optics = sensor(), GELSLIM.noiseless()
-    unpressed = background(geometry, optics).astype(int)
+    geometry, optics = sensor(), GELSLIM.remove_noise()
+    unpressed = render_background(geometry, optics).astype(int)
     areas = [
-        (np.abs(touch_images(tip_depth(geometry), presses(), geometry, optics, rng(), s)[0] - unpressed) > 5).sum()
+        (np.abs(render_touches(tip_depth(geometry), presses(), geometry, optics, rng(), s)[0] - unpressed) > 5).sum()
         for s in (1e-4, 4e-4, 8e-4)
     ]
     assert areas[0] < areas[1] < areas[2]
 
 
 def test_board_presses_come_in_batches_with_their_truth():
-    geometry, optics = sensor(64), GELSLIM.noiseless()
-    batches = list(board_presses(geometry, BATCH + 3, optics, rng(), HeightmapRenderer()))
+    geometry, optics = sensor(64), GELSLIM.remove_noise()
+    batches = list(press_boards(geometry, BATCH + 3, optics, rng(), HeightmapRenderer()))
     assert [len(b.images) for b in batches] == [BATCH, 3]
-    unpressed = background(geometry, optics).astype(int)
+    unpressed = render_background(geometry, optics).astype(int)
     for images, indentation_m, press_depth_m in batches:
         assert images.dtype == np.uint8
         assert images.shape == (*indentation_m.shape, 3)
@@ -59,24 +60,24 @@ def test_board_presses_come_in_batches_with_their_truth():
 
 
 def test_the_picture_of_a_board_press_is_that_of_its_indentation():
-    geometry, optics = sensor(64), GELSLIM.noiseless()
-    images, indentation_m, press_m = next(board_presses(geometry, 4, optics, rng(2), HeightmapRenderer()))
+    geometry, optics = sensor(64), GELSLIM.remove_noise()
+    images, indentation_m, press_m = next(press_boards(geometry, 4, optics, rng(2), HeightmapRenderer()))
     depth = press_m.astype(np.float32)[:, None, None] - indentation_m
-    assert touch_images(depth, press_m, geometry, optics, rng()) == pytest.approx(images, abs=1)
+    assert render_touches(depth, press_m, geometry, optics, rng()) == pytest.approx(images, abs=1)
 
 
 def test_one_seed_gives_the_same_presses_whatever_the_lights():
     geometry = sensor(24)
     a, b, c = (
-        next(board_presses(geometry, 4, optics, rng(seed), HeightmapRenderer()))
+        next(press_boards(geometry, 4, optics, rng(seed), HeightmapRenderer()))
         for optics, seed in ((GELSLIM, 3), (GELSLIM, 3), (GELSLIM, 4))
     )
     assert np.array_equal(a.images, b.images)
     assert np.array_equal(a.indentation_m, b.indentation_m)
     assert not np.array_equal(a.indentation_m, c.indentation_m)
     quiet, noisy = (
-        list(board_presses(geometry, 2 * BATCH, optics, rng(3), HeightmapRenderer()))
-        for optics in (GELSLIM.noiseless(), OPTICS["digit"])
+        list(press_boards(geometry, 2 * BATCH, optics, rng(3), HeightmapRenderer()))
+        for optics in (GELSLIM.remove_noise(), OPTICS["digit"])
     )
     for q, n in zip(quiet, noisy, strict=True):
         assert np.array_equal(q.indentation_m, n.indentation_m)
@@ -91,15 +92,15 @@ def test_the_boards_take_turns():
             seen.append(mesh.digest)
             return super().render_apart(mesh, T_sensor_object, geometry)
 
-    assert len(list(board_presses(sensor(16), 3 * BATCH, GELSLIM, rng(), Watching()))) == 3
+    assert len(list(press_boards(sensor(16), 3 * BATCH, GELSLIM, rng(), Watching()))) == 3
     turns = [digest for i, digest in enumerate(seen) if i == 0 or digest != seen[i - 1]]
-    assert turns == [board(number).mesh.digest for number in (1, 2, 1)]
-    assert list(board_presses(sensor(16), 0, GELSLIM, rng(), HeightmapRenderer())) == []
+    assert turns == [make_board(number).mesh.digest for number in (1, 2, 1)]
+    assert list(press_boards(sensor(16), 0, GELSLIM, rng(), HeightmapRenderer())) == []
 
 
 def test_a_negative_number_of_presses_is_refused():
-    with pytest.raises(ConfigError, match="-1 presses"):
-        next(board_presses(sensor(), -1, GELSLIM, rng(), HeightmapRenderer()))
+    with pytest.raises(ConfigError, match=naming("-1")):
+        next(press_boards(sensor(), -1, GELSLIM, rng(), HeightmapRenderer()))
 
 
 class Nothing(HeightmapRenderer):
@@ -111,4 +112,4 @@ class Nothing(HeightmapRenderer):
 
 def test_boards_that_never_leave_an_imprint_are_an_error_and_no_endless_search():
     with pytest.raises(TouchError, match="calibration-board-1"):
-        next(board_presses(sensor(16), 2, GELSLIM, rng(), Nothing()))
+        next(press_boards(sensor(16), 2, GELSLIM, rng(), Nothing()))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
@@ -42,25 +43,28 @@ def test_motions_alone_do_without_the_base(listed):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "values"),
     [
-        ("", "lists no approach"),
-        ("approach = 3\n", "no list of tables"),
-        ("[[aproach]]\n", "Did you mean 'approach'"),
-        ("[[approach]]\n", "approach 1: its start is missing"),
-        ("[[approach]]\nxyz_mm = [1, 2, 3]\n", "a pose is T_base_sensor, or xyz_mm with"),
-        ("[[approach]]\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\ncost = 0\n", "cost = 0 is wrong"),
-        ("[[approach]]\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\nspeed = 0\n", "has no key 'speed'"),
-        (f"[[approach]]\nT_base_sensor = {START.tolist()}\nT_sensor_next = {MOTION.tolist()}\n", "leave its pose in"),
+        ("", ("poses.toml", "[[approach]]")),
+        ("approach = 3\n", ("poses.toml", "[[approach]]")),
+        ("[[aproach]]\n", ("poses.toml", "'aproach'", "'approach'")),
+        ("[[approach]]\n", ("approach 1", "T_base_sensor", "xyz_mm", "T_sensor_next")),
+        ("[[approach]]\nxyz_mm = [1, 2, 3]\n", ("approach 1", "T_base_sensor", "xyz_mm", "quaternion_wxyz")),
+        ("[[approach]]\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\ncost = 0\n", ("approach 1", "cost", 0)),
+        ("[[approach]]\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\nspeed = 0\n", ("approach 1", "'speed'", "travel_mm")),
+        (
+            f"[[approach]]\nT_base_sensor = {START.tolist()}\nT_sensor_next = {MOTION.tolist()}\n",
+            ("approach 1", "T_sensor_next", "base"),
+        ),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_one_sentence(listed, text, said):
-    with pytest.raises(ConfigError, match=said):
+def test_what_is_wrong_is_one_sentence(listed, text, values):
+    with pytest.raises(ConfigError, match=naming(*values)):
         read_approaches(listed(text), START)
 
 
 def test_a_pose_of_the_base_needs_to_know_where_the_sensor_was(listed):
-    with pytest.raises(ConfigError, match="give T_sensor_next"):
+    with pytest.raises(ConfigError, match=naming("poses.toml", "approach 1", "T_sensor_next")):
         read_approaches(listed("[[approach]]\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\n"))
-    with pytest.raises(ConfigError, match="there is no file"):
+    with pytest.raises(ConfigError, match=r"nowhere\.toml"):
         read_approaches("nowhere.toml")

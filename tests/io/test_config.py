@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import pytest
+from message_helpers import naming
+from pydantic import ValidationError
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.slots.registry import SLOTS
@@ -34,8 +36,8 @@ def test_what_is_set_leaves_the_rest_alone():
     assert config.refiner == RunConfig().refiner
 
 
-@pytest.mark.parametrize(("values", "words"), [
-    ({"refinr": "icp"}, r"run.toml has an unknown entry 'refinr'. Did you mean 'refiner'"),
+@pytest.mark.parametrize(("values", "named"), [
+    ({"refinr": "icp"}, "'refinr'.*'refiner'"),
     ({"top": 0}, "top = 0"),
     ({"top": "ten"}, "top = 'ten'"),
     ({"seed": -1}, "seed = -1"),
@@ -50,8 +52,8 @@ def test_what_is_set_leaves_the_rest_alone():
     ({"refiner": {"max_iterations": 7}}, "refiner.name"),
     ({"refiner": {"name": "icp", "options": {}, "reach": 1}}, "refiner.reach"),
 ])  # fmt: skip
-def test_bad_values_are_refused_in_a_sentence_that_names_source_and_entry(values, words):
-    with pytest.raises(ConfigError, match=words) as refused:
+def test_bad_values_are_refused_in_a_sentence_that_names_source_and_entry(values, named):
+    with pytest.raises(ConfigError, match=named) as refused:
         RunConfig.from_dict(values, "run.toml")
     assert "run.toml" in str(refused.value)
     assert "\n" not in str(refused.value)
@@ -65,23 +67,23 @@ def test_a_file_is_read(tmp_path):
 
 
 def test_files_that_cannot_be_read_are_refused(tmp_path):
-    with pytest.raises(ConfigError, match=r"there is no file .*none\.toml"):
+    with pytest.raises(ConfigError, match=naming(tmp_path / "none.toml")):
         RunConfig.from_toml(tmp_path / "none.toml")
-    with pytest.raises(ConfigError, match="cannot be read"):
+    with pytest.raises(ConfigError, match=naming(tmp_path)):
         read_toml(tmp_path)
     (tmp_path / "bad.toml").write_text("top = = 3")
-    with pytest.raises(ConfigError, match=r"bad\.toml is not valid TOML"):
+    with pytest.raises(ConfigError, match=naming("bad.toml", "TOML", "line 1")):
         read_toml(tmp_path / "bad.toml")
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00top")
-    with pytest.raises(ConfigError, match="cannot be read"):
+    with pytest.raises(ConfigError, match=naming("binary.toml", "0xff")):
         read_toml(tmp_path / "binary.toml")
     (tmp_path / "typo.toml").write_text("tpo = 3")
-    with pytest.raises(ConfigError, match=r"typo\.toml has an unknown entry 'tpo'"):
+    with pytest.raises(ConfigError, match=naming("typo.toml", "'tpo'", "'top'")):
         RunConfig.from_toml(tmp_path / "typo.toml")
 
 
 def test_a_configuration_cannot_be_changed():
-    with pytest.raises(ValueError, match="frozen"):
+    with pytest.raises(ValidationError, match="frozen"):
         RunConfig().top = 3
 
 
@@ -115,7 +117,7 @@ def test_overrides_of_another_form_are_refused(word):
 
 
 def test_an_override_of_an_unknown_slot_is_answered_with_the_near_one():
-    with pytest.raises(ConfigError, match=r"no slot 'refinr' in 'refinr.walls=true'. Did you mean 'refiner'"):
+    with pytest.raises(ConfigError, match=naming("'refinr'", "'refinr.walls=true'", "'refiner'")):
         parse_overrides(["refinr.walls=true"])
 
 
@@ -125,5 +127,5 @@ def test_plain_settings_are_told_from_components_options():
         {"drawing": "paper", "shape_px": 96},
         ["grid.spacing_mm=3", "grid=face", "drawing"],
     )
-    with pytest.raises(ConfigError, match="drawing"):
+    with pytest.raises(ConfigError, match=naming("drawing", "'papr'", "'paper'")):
         RunConfig.from_dict({"drawing": "papr"})

@@ -1,17 +1,19 @@
 from __future__ import annotations
 
 import logging
+import re
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from message_helpers import missing, naming
 
 from tactile_loc.core.errors import ObjectError, SymmetryError
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.io.meshes import load_object, simplified
+from tactile_loc.io.meshes import load_object, simplify_mesh
 
 SIDES_M = np.array([0.030, 0.020, 0.012])
 TWO_FACES = (
@@ -90,13 +92,14 @@ def test_guessed_units_are_right_and_said(write_box, caplog, per_metre, guess):
         obj = load_object(write_box(scale=per_metre), symmetry="none")
     np.testing.assert_allclose(obj.mesh.extents_m, SIDES_M, rtol=1e-6)
     (note,) = obj.notes
-    assert f"guessed {guess}, so 30 mm" in note
+    assert re.search(rf"\b{guess}\b", note)
+    assert not missing(note, "30 mm")
     assert "--units" in note
     assert note in caplog.text
 
 
 def test_unknown_units_are_refused(write_box):
-    with pytest.raises(ObjectError, match=r"unknown unit 'furlong' for part\.stl; give one of m, mm, cm, inch, auto"):
+    with pytest.raises(ObjectError, match=naming("'furlong'", "part.stl", "mm", "cm", "inch", "auto")):
         load_object(write_box(), units="furlong")
 
 
@@ -118,7 +121,7 @@ def test_a_demo_objects_symmetry_can_be_declared_otherwise():
 def test_a_file_comes_before_a_demo_object_of_its_name(tmp_path, monkeypatch):
     trimesh.creation.box(SIDES_M).export(tmp_path / "pin", file_type="stl")
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ObjectError, match="pin cannot be read as a mesh"):
+    with pytest.raises(ObjectError, match=naming("pin", "STL", "OBJ", "PLY")):
         load_object("pin")
 
 
@@ -132,23 +135,23 @@ def test_symmetry_is_found_about_the_surfaces_centroid_and_noted(tmp_path):
     obj = load_object(tmp_path / "part.ply", units="m")
     assert str(obj.symmetry) == "x2*y2"
     np.testing.assert_allclose(obj.symmetry.centre_m, [0.1, 0, 0], atol=1e-8)
-    assert any("symmetry found: x2*y2" in note for note in obj.notes)
+    assert any("x2*y2" in note for note in obj.notes)
 
 
 def test_declared_symmetry_is_about_the_centroid_and_checked(tmp_path):
     trimesh.creation.box(SIDES_M).apply_translation([0, 0.2, 0]).export(tmp_path / "part.ply")
     obj = load_object(tmp_path / "part.ply", units="m", symmetry="z2")
     np.testing.assert_allclose(obj.symmetry.centre_m, [0, 0.2, 0], atol=1e-8)
-    with pytest.raises(SymmetryError, match="does not have the symmetry 'z4'"):
+    with pytest.raises(SymmetryError, match="'z4'"):
         load_object(tmp_path / "part.ply", units="m", symmetry="z4")
 
 
 def test_a_missing_file_is_said_with_near_names(tmp_path):
-    with pytest.raises(ObjectError, match=r"there is no mesh file at .*none\.stl; check the path"):
+    with pytest.raises(ObjectError, match=naming("none.stl", "damping_pin")):
         load_object(tmp_path / "none.stl")
-    with pytest.raises(ObjectError, match=r"no mesh file at elbow.* Did you mean 'elbow_pipe'\?.*damping_pin"):
+    with pytest.raises(ObjectError, match=naming("'elbow_pipe'", "damping_pin") + r".*elbow_pip\b"):
         load_object("elbow_pip")
-    with pytest.raises(ObjectError, match="is a folder; give one mesh file"):
+    with pytest.raises(ObjectError, match=naming(tmp_path, "folder")):
         load_object(tmp_path)
 
 
@@ -182,23 +185,23 @@ def test_bad_files_are_refused_in_a_sentence_that_names_them(tmp_path, name):
     message = str(refused.value)
     assert name in message
     assert "\n" not in message
-    assert ";" in message, "it says what to do"
+    assert re.search(r"[.,:;] \w", message), "it says what to do"
 
 
-@pytest.mark.parametrize(("name", "words"), [
-    ("nan.obj", "NaN"), ("point.obj", "zero extent"), ("line.obj", "zero extent"), ("huge.obj", "5000 mm long"),
-    ("tiny.obj", "0.5 mm long"), ("points.ply", "no faces"),
+@pytest.mark.parametrize(("name", "value"), [
+    ("nan.obj", "NaN"), ("point.obj", "extent"), ("line.obj", "extent"), ("huge.obj", "5000 mm"),
+    ("tiny.obj", "0.5 mm"), ("points.ply", "faces"),
 ])  # fmt: skip
-def test_bad_files_are_refused_for_the_right_reason(tmp_path, name, words):
+def test_bad_files_are_refused_for_the_right_reason(tmp_path, name, value):
     (tmp_path / name).write_text(BAD_FILES[name])
-    with pytest.raises(ObjectError, match=words):
+    with pytest.raises(ObjectError, match=naming(name, value)):
         load_object(tmp_path / name, symmetry="none")
 
 
 def test_a_wrong_unit_is_refused_rather_than_believed(write_box):
-    with pytest.raises(ObjectError, match=r"30000 mm long.*3e\+04|3e\+04 mm long"):
+    with pytest.raises(ObjectError, match=r"(30000|3e\+04) mm"):
         load_object(write_box(scale=1e3), units="m")
-    with pytest.raises(ObjectError, match=r"0\.03 mm long"):
+    with pytest.raises(ObjectError, match=naming("0.03 mm", "--units")):
         load_object(write_box(), units="mm")
 
 
@@ -206,7 +209,7 @@ def test_an_open_surface_is_noted_and_used(tmp_path):
     (tmp_path / "open.stl").write_text(TWO_FACES)
     obj = load_object(tmp_path / "open.stl", units="mm", symmetry="none")
     assert len(obj.mesh.faces) == 2
-    assert any("open.stl is not watertight" in note for note in obj.notes)
+    assert any(not missing(note, "open.stl", "watertight") for note in obj.notes)
 
 
 def test_degenerate_faces_and_stray_vertices_do_not_count(tmp_path):
@@ -242,7 +245,7 @@ def test_catalogue_parts_in_millimetres_are_read_as_such(shared_data):
 def test_a_simplified_surface_has_fewer_faces_and_the_same_shape():
     ball = trimesh.creation.icosphere(4, 0.02)
     mesh = TriangleMesh(np.array(ball.vertices), np.array(ball.faces, np.int64))
-    fewer = simplified(mesh, 1000)
+    fewer = simplify_mesh(mesh, 1000)
     assert 500 < len(fewer.faces) <= 1000
     assert np.linalg.norm(fewer.vertices_m, axis=1) == pytest.approx(0.02, rel=0.02)
     assert fewer.face_areas.sum() == pytest.approx(mesh.face_areas.sum(), rel=0.02)
@@ -255,7 +258,7 @@ def test_faces_of_vertices_that_are_not_there(write_box, suffix, place):
     place = len(content) + place if place else content.index(b"BIN\x00") + 4  # glb: the indices come first
     content[place : place + 4] = (10**6).to_bytes(4, "little")
     path.write_bytes(content)
-    with pytest.raises(ObjectError, match="faces of vertices that it does not have: it holds 8"):
+    with pytest.raises(ObjectError, match=naming(f"part.{suffix}", 8)):
         load_object(path, "mm")
 
 
@@ -268,5 +271,5 @@ def test_vertices_of_two_numbers(tmp_path):
 def test_archives_are_not_unpacked(write_box, tmp_path):
     with zipfile.ZipFile(tmp_path / "part.zip", "w") as archive:
         archive.write(write_box(), "part.stl")
-    with pytest.raises(ObjectError, match="is an archive"):
+    with pytest.raises(ObjectError, match=naming("part.zip", "archive")):
         load_object(tmp_path / "part.zip", "mm")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import invert, make_transform, random_rotations, rotation_about, translation
@@ -76,7 +77,7 @@ def test_a_prior_in_the_base_frame_needs_the_sensors_pose(tmp_path, box):
     T_base_object[:3, 3] = [0.001, 0.002, 0.025]
     seen = framed.seen_from(T_base_sensor)((invert(T_base_sensor) @ T_base_object)[None])
     np.testing.assert_allclose(seen, 0, atol=1e-9)
-    with pytest.raises(ConfigError, match=r"prior\.toml is in the base frame, but the touch does not say"):
+    with pytest.raises(ConfigError, match=naming("prior.toml", "T_base_sensor")):
         framed.seen_from(None)
 
 
@@ -87,32 +88,31 @@ def test_a_prior_in_the_sensors_frame_needs_none(tmp_path, box):
 
 
 @pytest.mark.parametrize(
-    ("text", "sentence"),
+    ("text", "values"),
     [
-        ("", "kind = None is no kind of prior. Kinds: gaussian, region, half-space"),
-        ('kind = "gausian"\n', "Did you mean 'gaussian'"),
-        ("kind = [1]\n", "is no kind of prior"),
-        (GAUSSIAN, "the pose is missing; give T, or xyz_mm"),
-        (GAUSSIAN + "xyz_mm = [0, 0, 0]\n", "not xyz_mm$"),
-        (GAUSSIAN + POSE + "rotation_std = 3\n", "has no key 'rotation_std'. Did you mean 'rotation_std_deg'"),
-        (GAUSSIAN + POSE + "rotation_std_deg = 0\n", "rotation_std_deg = 0 is wrong; it must be a positive number"),
-        (GAUSSIAN.replace("4", "inf") + POSE, "translation_std_mm = inf is wrong"),
-        (GAUSSIAN.replace('"sensor"', '"camera"') + POSE, "frame = 'camera' is wrong; it must be 'sensor' or 'base'"),
-        ('kind = "gaussian"\ntranslation_std_mm = 4\n', "frame is missing"),
-        (REGION + "low_mm = [0, 0]\n", "low_mm = .* is wrong"),
-        (REGION + "low_mm = [0, 0, 0]\nhigh_mm = [1, 0, 1]\n", "is empty"),
-        (HALF_SPACE.replace("[0, 0, 1]", "[0, 0, 0]"), "has no direction"),
-        ("kind = ", "is not valid TOML"),
+        ("", ("kind", "None", "gaussian", "region", "half-space")),
+        ('kind = "gausian"\n', ("'gausian'", "'gaussian'")),
+        ("kind = [1]\n", ("kind", "[1]", "gaussian")),
+        (GAUSSIAN, ("T", "xyz_mm", "rpy_deg", "quaternion_wxyz")),
+        (GAUSSIAN + "xyz_mm = [0, 0, 0]\n", ("T", "xyz_mm", "rpy_deg", "quaternion_wxyz")),
+        (GAUSSIAN + POSE + "rotation_std = 3\n", ("'gaussian'", "'rotation_std'", "'rotation_std_deg'")),
+        (GAUSSIAN + POSE + "rotation_std_deg = 0\n", ("rotation_std_deg", 0)),
+        (GAUSSIAN.replace("4", "inf") + POSE, ("translation_std_mm", "inf")),
+        (GAUSSIAN.replace('"sensor"', '"camera"') + POSE, ("frame", "'camera'", "'sensor'", "'base'")),
+        ('kind = "gaussian"\ntranslation_std_mm = 4\n', ("frame", "'sensor'", "'base'")),
+        (REGION + "low_mm = [0, 0]\n", ("low_mm", "[0, 0]")),
+        (REGION + "low_mm = [0, 0, 0]\nhigh_mm = [1, 0, 1]\n", ("[0. 0. 0.]", "[0.001 0. 0.001]")),
+        (HALF_SPACE.replace("[0, 0, 1]", "[0, 0, 0]"), ("[0. 0. 0.]",)),
+        ("kind = ", ("TOML",)),
     ],
 )
-def test_a_wrong_file_is_refused_in_one_sentence(tmp_path, box, text, sentence):
+def test_a_wrong_file_is_refused_in_one_sentence(tmp_path, box, text, values):
     path = written(tmp_path, text)
-    with pytest.raises(ConfigError, match=sentence) as caught:
+    with pytest.raises(ConfigError, match=naming(path, *values)) as caught:
         read_prior(path, box)
-    assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value).split("TOML")[0]
 
 
 def test_a_missing_file_is_named(tmp_path, box):
-    with pytest.raises(ConfigError, match=r"there is no file .*prior\.toml"):
+    with pytest.raises(ConfigError, match=naming(tmp_path / "prior.toml")):
         read_prior(tmp_path / "prior.toml", box)

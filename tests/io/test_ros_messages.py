@@ -7,6 +7,7 @@ from types import SimpleNamespace as Fields
 
 import numpy as np
 import pytest
+from message_helpers import naming
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -14,7 +15,7 @@ from tactile_loc.core.errors import FrameError, RecordingError, TouchError
 from tactile_loc.core.geometry.frame_tree import FrameTree
 from tactile_loc.core.geometry.hand_eye import moved
 from tactile_loc.core.geometry.rigid import covariance_along, make_transform, random_rotations
-from tactile_loc.io.ros_messages import RosPose, add_transforms, image_array, transform
+from tactile_loc.io.ros_messages import RosPose, add_transforms, image_array, read_transform
 
 RGB = np.random.default_rng(0).integers(0, 256, (5, 4, 3), np.uint8)
 
@@ -59,14 +60,14 @@ def test_compressed_images():
 
 
 def test_images_that_cannot_be_read_are_one_sentence():
-    with pytest.raises(RecordingError, match=r"'bayer_rggb8' cannot be read; convert them to one of rgb8"):
+    with pytest.raises(RecordingError, match=naming("'bayer_rggb8'", "bgr8")):
         image_array(raw(b"", "bayer_rggb8", 4))
     for data, step in ((RGB.tobytes()[:-1], 12), (RGB.tobytes(), 11), (b"", 12)):
-        with pytest.raises(TouchError, match="4 x 5 pixels of rgb8 take 60"):
+        with pytest.raises(TouchError, match=naming("4 x 5", "rgb8", 60, step)):
             image_array(raw(data, "rgb8", step))
-    with pytest.raises(TouchError, match=r"\(png\) is damaged"):
+    with pytest.raises(TouchError, match="png"):
         image_array(Fields(format="png", data=compressed(RGB, "png").data[:40]))
-    with pytest.raises(RecordingError, match="must be colour or grey"):
+    with pytest.raises(RecordingError, match=naming("I;16", "png")):
         image_array(compressed(RGB[..., 0].astype(np.uint16), "png"))
 
 
@@ -100,10 +101,12 @@ def test_the_covariance_in_the_base_is_that_of_samples_about_the_fixed_axes():
 
 
 def test_transforms_that_are_none_are_refused():
-    np.testing.assert_allclose(transform(np.zeros(3), np.array([0, 0, 3.0, 0])), np.diag([-1, -1, 1, 1]), atol=1e-12)
+    np.testing.assert_allclose(
+        read_transform(np.zeros(3), np.array([0, 0, 3.0, 0])), np.diag([-1, -1, 1, 1]), atol=1e-12
+    )
     for t, q in (([0, 0, 0], [0, 0, 0, 0]), ([np.nan, 0, 0], [0, 0, 0, 1]), ([0, 0, 0], [np.nan, 0, 0, 1])):
-        with pytest.raises(FrameError, match="'gel' has the rotation"):
-            transform(np.array(t, float), np.array(q, float), "gel")
+        with pytest.raises(FrameError, match="'gel'"):
+            read_transform(np.array(t, float), np.array(q, float), "gel")
 
 
 def test_the_slash_of_old_frame_names_is_dropped():

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import SensorError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -69,30 +70,30 @@ def test_without_a_mask_there_is_one_file(tmp_path: Path) -> None:
 def test_a_mask_goes_with_its_file(tmp_path: Path) -> None:
     write_sensor_file(tmp_path / "sensor.toml", GEOMETRIES["mask"])
     tmp_path.joinpath("sensor_mask.png").unlink()
-    with pytest.raises(SensorError, match=r"sensor\.toml: the mask .*sensor_mask\.png cannot be read"):
+    with pytest.raises(SensorError, match=naming("sensor.toml", "sensor_mask.png")):
         read_sensor_file(tmp_path / "sensor.toml")
 
 
 @pytest.mark.parametrize(
-    ("surface", "said"),
+    ("surface", "value"),
     [
-        (None, "cannot be read as .npy"),
-        (np.zeros((48, 64, 3)), "one number a pixel"),
-        (np.zeros((48, 64), int), "one number a pixel"),
-        (np.zeros((64, 48)), r"for each pixel of the image, \(48, 64\)"),
-        (np.full((48, 64), np.nan), "a number, metres"),
-        (np.full((48, 64), -1.0), "check its unit"),
+        (None, "No such file"),
+        (np.zeros((48, 64, 3)), "(48, 64, 3)"),
+        (np.zeros((48, 64), int), "int64"),
+        (np.zeros((64, 48)), "(64, 48)"),
+        (np.full((48, 64), np.nan), "(48, 64)"),
+        (np.full((48, 64), -1.0), "1e+03 mm"),
     ],
 )
-def test_a_surface_that_is_none(tmp_path: Path, surface: np.ndarray | None, said: str) -> None:
+def test_a_surface_that_is_none(tmp_path: Path, surface: np.ndarray | None, value: str) -> None:
     path = write_sensor_file(tmp_path / "sensor.toml", GEOMETRIES["both"])
     path.write_text(path.read_text() + 'surface = "gel.npy"\n')
     if surface is not None:
         np.save(tmp_path / "gel.npy", surface)
-    with pytest.raises(SensorError, match=rf"sensor\.toml: .*{said}"):
+    with pytest.raises(SensorError, match=naming("sensor.toml", value)):
         read_sensor_file(path)
 
 
 def test_a_place_that_cannot_be_written_to(tmp_path: Path) -> None:
-    with pytest.raises(OSError, match="none"):
+    with pytest.raises(FileNotFoundError, match="none"):
         write_sensor_file(tmp_path / "none" / "sensor.toml", GEOMETRIES["gelslim"])

@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from message_helpers import naming
 from numpy.typing import NDArray
 from PIL import Image
 
-from tactile_loc.core.errors import OutputError, TouchError
+from tactile_loc.core.errors import NoContactError, OutputError, TouchError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
@@ -105,7 +106,7 @@ def test_a_failed_write_keeps_the_old_touch(tmp_path: Path, touch: Touch, monkey
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(np, "savez_compressed", fail)
-    with pytest.raises(OutputError, match="No space left"):
+    with pytest.raises(OutputError, match=naming("a.npz", "No space left")):
         write_touch(path, touch)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
@@ -171,7 +172,7 @@ def test_a_lighter_press_can_be_asked_for(tmp_path: Path, touch: Touch) -> None:
 @pytest.mark.parametrize("press_depth_m", [1.6 * MM, 0.0, -1.0, float("nan")])
 def test_a_deeper_or_impossible_press_is_refused(tmp_path: Path, touch: Touch, press_depth_m: float) -> None:
     path = write_touch(tmp_path / "a.npz", touch)
-    with pytest.raises(TouchError, match="press depth"):
+    with pytest.raises(TouchError, match=naming("a.npz", "1.5 mm", f"{1e3 * press_depth_m:.3g} mm")):
         read_touch(path, SENSOR, press_depth_m=press_depth_m)
 
 
@@ -200,7 +201,7 @@ def refused(path: Path, *words: str, unit: str | None = "mm") -> None:
 
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     for name in ("a.npz", "a.npy", "a.png", "a.jpg", "x" * 300 + ".npz"):
-        with pytest.raises(TouchError, match=r"no file|cannot be read"):
+        with pytest.raises(TouchError, match=name[:40]):
             read_touch(tmp_path / name, SENSOR, "mm")
 
 
@@ -214,7 +215,7 @@ def test_a_folder_is_refused(tmp_path: Path) -> None:
 def test_files_of_another_kind_are_refused(tmp_path: Path, suffix: str, content: bytes) -> None:
     path = tmp_path / f"a{suffix}"
     path.write_bytes(content)
-    refused(path, "cannot be read", suffix[1:])
+    refused(path, suffix[1:])
 
 
 def test_truncated_files_are_refused(tmp_path: Path, depth_m: NDArray[np.float64], touch: Touch) -> None:
@@ -227,7 +228,7 @@ def test_truncated_files_are_refused(tmp_path: Path, depth_m: NDArray[np.float64
         whole = path.read_bytes()
         for share in (0.3, 0.6, 0.9):
             path.write_bytes(whole[: int(share * len(whole))])
-            refused(path, "cannot be read")
+            refused(path)
 
 
 def test_objects_are_never_unpickled(tmp_path: Path) -> None:
@@ -236,8 +237,8 @@ def test_objects_are_never_unpickled(tmp_path: Path) -> None:
             return (Path.touch, (tmp_path / "unpickled",))
 
     values = np.array([[Trap(), Trap()]], dtype=object)
-    refused(save_npy(tmp_path / "a.npy", values, allow_pickle=True), "Python objects")
-    refused(save_npz(tmp_path / "a.npz", depth=values), "Python objects")
+    refused(save_npy(tmp_path / "a.npy", values, allow_pickle=True), "objects")
+    refused(save_npz(tmp_path / "a.npz", depth=values), "objects")
     assert not (tmp_path / "unpickled").exists()
 
 
@@ -262,7 +263,7 @@ def test_a_unit_is_never_guessed(tmp_path: Path, dtype: Any) -> None:
 
 
 def test_unknown_and_contradicting_units_are_refused(tmp_path: Path, touch: Touch) -> None:
-    refused(write_touch(tmp_path / "a.npz", touch), "m, not mm")
+    refused(write_touch(tmp_path / "a.npz", touch), " m", " mm")
     refused(save_npy(tmp_path / "a.npy", np.zeros((9, 12))), "inch", unit="inch")
     refused(save_npz(tmp_path / "b.npz", depth=np.zeros((9, 12)), unit="furlong"), "furlong", unit=None)
     assert read_touch(tmp_path / "a.npz", SENSOR, "m").press_depth_m == PRESS_DEPTH_M
@@ -272,9 +273,9 @@ def test_unknown_and_contradicting_units_are_refused(tmp_path: Path, touch: Touc
 def test_images_need_a_calibrated_sensor(tmp_path: Path, name: str) -> None:
     image = np.zeros((9, 12) if name == "grey.png" else (9, 12, 3), np.uint8)
     path = save_png(tmp_path / name, image)
-    with pytest.raises(TouchError, match="calibrat"):
+    with pytest.raises(TouchError, match=naming(name, "calibrat")):
         read_touch(path, SENSOR, "mm")
-    with pytest.raises(TouchError, match="calibrated for images"):
+    with pytest.raises(TouchError, match=naming(name, ".npz", ".npy")):
         read_contact_shape(path, MAX_DEPTH_M, "mm")
 
 
@@ -291,21 +292,21 @@ def test_negative_depths_and_wrong_units_are_refused(tmp_path: Path, depth_m: ND
 
 
 @pytest.mark.parametrize(
-    ("values", "words"),
+    ("values", "error", "value"),
     [
-        (np.full((9, 12), np.nan), "no contact"),
-        (np.full((9, 12), 3.0), "no contact"),
-        (np.zeros((9, 12)), "nothing but contact"),
-        (np.full((9, 12), 1.3), "nothing but contact"),
-        (np.linspace(0, 1, 12 * 9).reshape(12, 9), "12 x 9 pixels"),
+        (np.full((9, 12), np.nan), NoContactError, "0.5 mm"),
+        (np.full((9, 12), 3.0), NoContactError, "0.5 mm"),
+        (np.zeros((9, 12)), TouchError, "flat"),
+        (np.full((9, 12), 1.3), TouchError, "flat"),
+        (np.linspace(0, 1, 12 * 9).reshape(12, 9), TouchError, "12 x 9"),
     ],
 )
 def test_touches_that_say_nothing_or_do_not_fit_are_refused(
-    tmp_path: Path, values: NDArray[np.float64], words: str
+    tmp_path: Path, values: NDArray[np.float64], error: type[TouchError], value: str
 ) -> None:
-    with pytest.raises(TouchError, match=words) as caught:
-        read_touch(save_npy(tmp_path / "a.npy", values), SENSOR, "mm")
-    assert "a.npy" in str(caught.value)
+    path = save_npy(tmp_path / "a.npy", values)
+    with pytest.raises(error, match=naming("a.npy", value)):
+        read_touch(path, SENSOR, "mm")
 
 
 @pytest.mark.parametrize("T", [np.eye(3), 2 * np.eye(4), np.diag([1.0, 1, -1, 1]), np.full((4, 4), np.nan)])

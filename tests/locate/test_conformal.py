@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import make_transform
@@ -57,7 +58,7 @@ def test_the_most_uncertain_quarter_vouches_for_its_like():
 
 @pytest.mark.parametrize("coverage", [0.81, 0.99, 1.0, 0.0, -1.0, math.nan])
 def test_what_so_few_examples_cannot_promise_is_refused(coverage):
-    with pytest.raises(ConfigError, match=r"from 4 simulated examples; ask for one above 0 and at most 0\.8"):
+    with pytest.raises(ConfigError, match=naming(f"{coverage:g}", 4, 0.8)):
         ConformalSets([0.4, 0.1, 0.3, 0.2], [1.0] * 4).level(coverage, 1.0)
 
 
@@ -81,7 +82,7 @@ def test_what_a_search_may_not_have_found_is_in_a_set_that_needs_it(grid):
 def test_a_localisation_lists_all_modes_of_the_set(store):
     localizer = Localizer.create("pin", store=store, **COARSE)
     touch = localizer.simulate(1, seed=3, noise="strong")[0]
-    sets = localizer.conformal_sets(1)
+    sets = localizer.probabilities.conformal_sets(1)
     assert len(sets.scores) == module.EXAMPLES
     assert all(0 <= score <= 1 for score in sets.scores)
     assert all(0 <= entropy <= np.log(localizer.model.size) for entropy in sets.entropies)
@@ -98,9 +99,9 @@ def test_examples_are_held_out_once_and_for_each_number_of_touches(tmp_path, mon
     store = StageStore(tmp_path)
     monkeypatch.setattr(module, "EXAMPLES", 4)
     localizer = Localizer.create("pin", store=store, temperature=0.01, **COARSE)
-    one, two = localizer.conformal_sets(1), localizer.conformal_sets(2)
+    one, two = localizer.probabilities.conformal_sets(1), localizer.probabilities.conformal_sets(2)
     assert one != two
-    assert localizer.conformal_sets(9) == localizer.conformal_sets(module.MOST_TOUCHES)
+    assert localizer.probabilities.conformal_sets(9) == localizer.probabilities.conformal_sets(module.MOST_TOUCHES)
     again = Localizer.create("pin", store=store, temperature=0.01, **COARSE)
     monkeypatch.setattr(Localizer, "simulate", None)
-    assert again.conformal_sets(1) == one
+    assert again.probabilities.conformal_sets(1) == one

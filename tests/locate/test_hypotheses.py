@@ -13,7 +13,7 @@ from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.core.slots.scene import View
-from tactile_loc.locate.hypotheses import SHARPNESS, best_apart, explained_where_seen, merge_hypotheses, weighed
+from tactile_loc.locate.hypotheses import SHARPNESS, best_apart, explained_where_seen, merge_hypotheses, weigh
 from tactile_loc.locate.result import Hypothesis
 from tactile_loc.testing.problems import box
 
@@ -52,20 +52,20 @@ def test_what_did_not_converge_is_merged_only_where_it_hardly_differs(metric):
 
 def test_what_explains_the_touch_best_is_the_most_probable_and_comes_first():
     three = [hypothesis(p, np.eye(4), imprint_iou=e) for p, e in ((0.6, 0.7), (0.3, 0.9), (0.1, 0.8))]
-    found = weighed(three, np.array([-2.0, 1.0, 0.5]))
+    found = weigh(three, np.array([-2.0, 1.0, 0.5]))
     assert [h.imprint_iou for h in found] == [0.9, 0.8, 0.7]
     p = np.array([h.probability for h in found])
     assert p.sum() == pytest.approx(1)
     np.testing.assert_allclose(np.log(p[:-1] / p[1:]), [0.5, 2.5])
-    alike = weighed([hypothesis(p, np.eye(4)) for p in (0.6, 0.3)], np.zeros(2))
+    alike = weigh([hypothesis(p, np.eye(4)) for p in (0.6, 0.3)], np.zeros(2))
     assert [h.probability for h in alike] == pytest.approx([0.45, 0.45])
 
 
 def test_a_prior_outweighs_a_better_explanation_when_it_is_sure():
     two, evidence = [hypothesis(0.5, np.eye(4), imprint_iou=e) for e in (0.8, 0.9)], np.array([0.0, 3.0])
-    assert weighed(two, evidence, np.array([0.0, -2.7]))[0].imprint_iou == 0.9
-    assert weighed(two, evidence, np.array([0.0, -3.3]))[0].imprint_iou == 0.8
-    assert weighed(two, evidence, np.array([0.0, -np.inf]))[0].imprint_iou == 0.8
+    assert weigh(two, evidence, np.array([0.0, -2.7]))[0].imprint_iou == 0.9
+    assert weigh(two, evidence, np.array([0.0, -3.3]))[0].imprint_iou == 0.8
+    assert weigh(two, evidence, np.array([0.0, -np.inf]))[0].imprint_iou == 0.8
 
 
 def test_a_touch_is_compared_where_its_sensor_may_have_been_at_what_that_costs(make_box, make_scene, flat_camera):

@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
+from message_helpers import naming
 
-from tactile_loc.core.errors import ConfigError, GridError, TouchError
+from tactile_loc.core.errors import ConfigError, GridError, NoContactError, TouchError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about, transform_points
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.touch import ContactShape, Touch
@@ -129,7 +130,7 @@ def test_a_prior_on_a_region_keeps_the_answer_there(pin, touches):
 
 
 def test_a_prior_that_excludes_everything_is_refused(pin, touches):
-    with pytest.raises(GridError, match="the prior excludes each of the"):
+    with pytest.raises(GridError, match="prior"):
         pin.localize(touches[0], prior=lambda T: np.full(len(T), -np.inf))
 
 
@@ -210,9 +211,9 @@ def test_a_touch_from_a_file_is_the_same_touch(pin, touches, tmp_path):
 
 
 def test_banks_are_kept_by_press_depth(coarse):
-    assert coarse.matcher(0.001) is coarse.matcher(0.00109), "in steps of 0.1 mm"
-    assert coarse.matcher(0.001) is coarse.matcher(0.001 - 1e-12), "rounding does not count"
-    assert coarse.matcher(0.001) is not coarse.matcher(0.00112)
+    assert coarse.listed.matcher(0.001) is coarse.listed.matcher(0.00109), "in steps of 0.1 mm"
+    assert coarse.listed.matcher(0.001) is coarse.listed.matcher(0.001 - 1e-12), "rounding does not count"
+    assert coarse.listed.matcher(0.001) is not coarse.listed.matcher(0.00112)
 
 
 def test_touch_and_bank_are_cut_at_the_same_press(coarse):
@@ -246,7 +247,7 @@ def test_an_encoder_that_does_not_follow_the_press_is_told_what_it_gets(coarse, 
     localizer.encoder = Fixed(localizer.encoder.options)
     (touch,) = localizer.simulate(1, seed=7, press_depth_m=0.001)
     localizer.posterior(touch)
-    assert localizer.matcher(0.001) is localizer.matcher(0.002), "one bank for all presses"
+    assert localizer.listed.matcher(0.001) is localizer.listed.matcher(0.002), "one bank for all presses"
     assert told[-1] == pytest.approx(0.001)
     assert set(told[:-1]) <= {0.002}
 
@@ -261,8 +262,9 @@ def test_a_touch_of_another_sensors_size_still_has_its_own_geometry(pin, touches
 
 def test_a_touch_of_another_sensor_is_refused(pin, touches):
     geometry = dataclasses.replace(touches[0].geometry, fx=0.9 * touches[0].geometry.fx)
-    with pytest.raises(TouchError, match="touch-0000 was taken by another sensor than gelslim"):
-        pin.most_probable_pose(Touch(touches[0].contact_shape, geometry, "touch-0000"))
+    touch = Touch(touches[0].contact_shape, geometry, "touch-0000")
+    with pytest.raises(TouchError, match=naming("touch-0000", "gelslim")):
+        pin.most_probable_pose(touch)
 
 
 @pytest.mark.parametrize("cells", [10, 100])
@@ -292,20 +294,21 @@ def test_changing_refiner_or_matcher_builds_nothing(coarse, store):
 
 def test_a_touch_without_contact_cannot_be_made(pin):
     g = pin.scene.geometry
-    with pytest.raises(TouchError, match="no contact"):
-        Touch(ContactShape(np.full(g.shape, 0.002, np.float32), 0.002), g)
+    shape = ContactShape(np.full(g.shape, 0.002, np.float32), 0.002)
+    with pytest.raises(NoContactError, match=naming("2 mm")):
+        Touch(shape, g)
 
 
 def test_what_is_no_touch_prior_or_number_is_refused(coarse, tmp_path):
-    with pytest.raises(TouchError, match=r"'touch.npz' is no touch; `Localizer.read_touch` reads a file"):
+    with pytest.raises(TouchError, match=naming("'touch.npz'", "Localizer.read_touch")):
         coarse.localize("touch.npz")
     (touch,) = coarse.simulate(1, seed=10)
-    with pytest.raises(ConfigError, match=r"'prior.toml' is no prior"):
+    with pytest.raises(ConfigError, match=r"'prior\.toml'"):
         coarse.localize(touch, "prior.toml")
-    with pytest.raises(ConfigError, match="0 hypotheses cannot be listed"):
+    with pytest.raises(ConfigError, match=naming(0, "top")):
         coarse.localize(touch, top=0)
     for count, seed in ((-1, 0), (1, -1)):
-        with pytest.raises(ConfigError, match="cannot be simulated"):
+        with pytest.raises(ConfigError, match=naming(count, seed)):
             coarse.simulate(count, seed)
 
 
@@ -315,17 +318,20 @@ def test_the_store_may_be_a_folder(tmp_path):
 
 
 def test_bad_settings_are_refused():
-    with pytest.raises(ConfigError, match="sensor = 3: input should be a component's name"):
+    with pytest.raises(ConfigError, match=naming("Localizer.create", "sensor", 3)):
         Localizer.create("pin", sensor=3)
-    with pytest.raises(ConfigError, match=r"top = -1: input should be greater than or equal to 1$"):
+    with pytest.raises(ConfigError, match=naming("Localizer.create", "top", "-1")):
         Localizer.create("pin", top=-1)
-    with pytest.raises(ConfigError, match=r"Localizer\.create.*'refinr'"):
+    with pytest.raises(ConfigError, match=naming("Localizer.create", "'refinr'", "'refiner'")):
         Localizer.create("pin", refinr="icp")
-    with pytest.raises(ConfigError, match="grid 'face' has no option 'spacing'"):
+    with pytest.raises(ConfigError, match=naming("grid 'face'", "'spacing'", "'spacing_mm'")):
         Localizer.create("pin", grid={"name": "face", "spacing": 3})
-    for component in ({"grid": {"name": "face", "spacing_mm": np.inf}}, {"refiner": {"name": "icp", "wide_mm": np.inf}},
-                      {"temperature": np.inf}):  # fmt: skip
-        with pytest.raises(ConfigError, match="finite"):
+    for option, component in (
+        ("spacing_mm", {"grid": {"name": "face", "spacing_mm": np.inf}}),
+        ("wide_mm", {"refiner": {"name": "icp", "wide_mm": np.inf}}),
+        ("temperature", {"temperature": np.inf}),
+    ):
+        with pytest.raises(ConfigError, match=naming(option, "inf")):
             Localizer.create("pin", **component)
 
 
@@ -340,11 +346,11 @@ def test_a_hotter_temperature_is_less_certain(store, coarse):
 
 
 def test_only_the_matchers_used_last_are_kept_in_memory(coarse):
-    kept = coarse.matcher(0.002)
+    kept = coarse.listed.matcher(0.002)
     for step in range(1, MOST_MATCHERS + 3):
-        coarse.matcher(step * 1e-4)
-        assert coarse.matcher(0.002) is kept
-    assert len(coarse.grid_scores._matchers) == MOST_MATCHERS
+        coarse.listed.matcher(step * 1e-4)
+        assert coarse.listed.matcher(0.002) is kept
+    assert len(coarse.listed.banks._matchers) == MOST_MATCHERS
 
 
 def test_what_was_refined_has_a_covariance(pin, touches):

@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.progress import Progress
@@ -122,7 +123,7 @@ def test_poses_and_shapes_stay_together(make_pin_scene, own_store):
     scene = make_pin_scene()
     module.SHARD = 8
     model = build(scene, FaceGrid(FaceGrid.Options(spacing_mm=8.0, min_contact_percent=9.0)), own_store)
-    assert 0 in model.shapes.artifact.json("sizes")
+    assert 0 in model.shapes.artifact.load_json("sizes")
     assert all(len(depths) for depths in model.shapes.shards()), "an encoder is not asked about nothing"
     rendered = scene.grid_depths(model.grid.T_sensor_object)
     np.testing.assert_allclose(np.concatenate(list(model.shapes.shards())), rendered, atol=1e-7)
@@ -133,7 +134,7 @@ def test_poses_and_shapes_stay_together(make_pin_scene, own_store):
 
 
 def test_nothing_left_is_refused(make_pin_scene, own_store):
-    with pytest.raises(GridError, match=r"no pose of pin makes contact with 95 % of the sensor"):
+    with pytest.raises(GridError, match=naming("pin", "95 %", "grid.min_contact_percent")):
         build(make_pin_scene(), FaceGrid(FaceGrid.Options(spacing_mm=8.0, min_contact_percent=95.0)), own_store)
 
 

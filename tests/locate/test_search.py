@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about, translation
@@ -19,8 +20,9 @@ from tactile_loc.core.simulation.noise import noise_level
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import View
 from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.io.config import RunConfig, SlotConfig
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.search import JOINTLY, PlaceSearch, found_together
+from tactile_loc.locate.search import PlaceSearch, search_together
 from tactile_loc.store.store import StageStore
 
 WHOLE = {"grid": {"name": "whole"}, "sensor": "gelsight-mini"}
@@ -50,8 +52,6 @@ def off_mm(localizer: Localizer, poses: np.ndarray, touch: Touch) -> np.ndarray:
 
 
 def test_the_whole_object_is_searched_unless_told_otherwise():
-    from tactile_loc.io.config import RunConfig
-
     config = RunConfig()
     assert config.grid.name == "whole"
     assert config.encoder.options == {"signal": "depth", "cells": 16}
@@ -65,7 +65,7 @@ def test_the_whole_object_is_searched_unless_told_otherwise():
 
 def test_the_true_pose_is_among_what_is_found(localizer, search, examples):
     touches = [touch for example in examples for touch in example]
-    nearest = [off_mm(localizer, search.found(t, StageTimes())[0].T_sensor_object, t).min() for t in touches]
+    nearest = [off_mm(localizer, search.score(t, StageTimes())[0].T_sensor_object, t).min() for t in touches]
     assert np.mean(np.array(nearest) < 1.0) > 0.8
 
 
@@ -82,7 +82,7 @@ def test_three_touches_from_anywhere_say_where_the_object_is(localizer, examples
 
 def test_what_is_found_explains_the_touch_and_is_listed_once(localizer, search, examples):
     touch = examples[0][0]
-    grid, ious = search.found(touch, StageTimes())
+    grid, ious = search.score(touch, StageTimes())
     exact = View(touch, localizer.scene.of_touch(touch)).imprint_ious(grid.T_sensor_object)
     assert np.abs(exact - ious).max() < 0.2  # drawn coarsely
     assert ious.max() > 0.9
@@ -91,7 +91,7 @@ def test_what_is_found_explains_the_touch_and_is_listed_once(localizer, search, 
 
 
 def test_the_same_touch_is_found_again_alike(localizer, search, examples):
-    first, second = (search.found(examples[1][0], StageTimes())[0].T_sensor_object for _ in range(2))
+    first, second = (search.score(examples[1][0], StageTimes())[0].T_sensor_object for _ in range(2))
     assert np.array_equal(first, second)
 
 
@@ -123,17 +123,17 @@ def test_a_touch_that_nothing_explains_is_said_to_be_elsewhere(localizer, exampl
 def together(localizer: Localizer, some: list[Touch]) -> list[PosePosterior]:
     seen_from = [np.linalg.inv(np.asarray(t.T_base_sensor)) @ np.asarray(some[0].T_base_sensor) for t in some]
     views = [View(t, localizer.scene.of_touch(t), T) for t, T in zip(some, seen_from, strict=True)]
-    found = found_together(views, [localizer.search] * len(some), StageTimes())
-    return found.posteriors(
-        views, [localizer.temperature_scaling] * len(some), localizer.fused_scaling.elsewhere(found.best)
-    )
+    found = search_together(views, [localizer.search] * len(some), StageTimes())
+    fitted = localizer.probabilities
+    elsewhere = fitted.fused_scaling.elsewhere(found.best)
+    return found.posteriors(views, [fitted.temperature_scaling] * len(some), elsewhere)
 
 
 def test_several_touches_are_compared_at_the_same_poses(localizer, examples):
     some = examples[0][:2]
     first, second = together(localizer, some)
     T = np.linalg.inv(np.asarray(some[1].T_base_sensor)) @ np.asarray(some[0].T_base_sensor)
-    assert 1 < len(first.grid) <= JOINTLY
+    assert 1 < len(first.grid) <= localizer.config.search.registered_together
     assert T @ first.grid.T_sensor_object == pytest.approx(second.grid.T_sensor_object)
     found = localize_together([(localizer, touch) for touch in some]).posterior
     assert found.touches == 2
@@ -165,21 +165,69 @@ def test_the_deepest_point_is_the_anchor(examples):
 
 def test_searched_and_listed_touches_are_not_mixed(localizer, examples, store):
     listed = Localizer.create("pin", store=store, sensor="gelsight-mini", grid={"name": "face", "spacing_mm": 8})
-    with pytest.raises(ConfigError, match="give all their localizers the grid whole"):
+    with pytest.raises(ConfigError, match="whole"):
         localize_together([(localizer, examples[0][0]), (listed, examples[0][1])])
 
 
-def test_an_encoder_that_learns_from_listed_poses_is_refused(store):
+def test_an_encoder_that_learns_does_so_once_and_keeps_its_banks(tmp_path, monkeypatch):
     pytest.importorskip("torch")
-    localizer = Localizer.create("pin", store=store, **WHOLE, encoder="moco")
-    with pytest.raises(ConfigError, match="face or hopf"):
-        localizer.localize(dataclasses.replace(localizer.simulate(1)[0], name="t"))
+    from tactile_loc.plugins.encoders.moco import training
+
+    monkeypatch.setattr(training, "VALIDATION_TOUCHES", 32)
+    learned = {"name": "moco", "epochs": 1, "queries": 64, "batch": 32, "channels": 4}
+    settings = {"grid": {"name": "whole", "directions": 100}, "sensor": "gelsight-mini", "temperature": 0.02}
+    store = StageStore(tmp_path)
+    first = Localizer.create("pin", store=store, encoder=learned, **settings)
+    touch = first.simulate(1)[0]
+    found = first.posterior(touch)
+    assert [key.stage for key in store.built].count("encoder") == 1
+    built = list(store.built)
+    again = Localizer.create("pin", store=store, encoder=learned, **settings)
+    np.testing.assert_array_equal(again.posterior(touch).log_p, found.log_p)
+    assert store.built == built
+    other = Localizer.create("pin", store=store, encoder={**learned, "seed": 1}, **settings)
+    assert other.source.trained != again.source.trained
 
 
-def test_a_matcher_that_cannot_weigh_says_so(store):
-    localizer = Localizer.create("pin", store=store, **WHOLE, matcher="faiss", temperature=0.02)
-    with pytest.raises(ConfigError, match="dense"):
-        localizer.localize(localizer.simulate(1)[0])
+@pytest.mark.parametrize("options", [{}, {"kind": "ivf"}, {"kind": "hnsw"}], ids=str)
+def test_faiss_finds_the_turned_places_that_dense_finds(localizer, search, examples, options):
+    pytest.importorskip("faiss")
+    other = Localizer(with_faiss(localizer.config, **options), localizer.object, localizer.store).search
+    assert other is not None
+    for touch in examples[0]:
+        exact, found = (one.alike(touch, 1000) for one in (search, other))
+        missed = len(exact[1]) - len(common(exact[0], found[0]))
+        assert missed <= (2 if not options else 30)  # of 1000; equally alike ones may be exchanged
+        assert found[1].max() == pytest.approx(exact[1].max(), abs=1e-5)
+
+
+def test_faiss_locates_what_dense_locates(localizer, examples):
+    pytest.importorskip("faiss")
+    other = Localizer(with_faiss(localizer.config), localizer.object, localizer.store)
+    for touch in examples[1][:2]:
+        exact, found = (one.localize(touch).best.T_sensor_object for one in (localizer, other))
+        assert found == pytest.approx(exact, abs=1e-6)
+
+
+def test_a_matcher_that_looks_at_few_poses_proposes_only_those(localizer, examples):
+    pytest.importorskip("faiss")
+    few = Localizer(with_faiss(localizer.config, top_k=3), localizer.object, localizer.store).search
+    assert few is not None
+    poses, scores = few.alike(examples[0][0], 1000)
+    assert len(poses) == len(scores) == 3 * len(few.yaws_rad)
+    assert np.isfinite(scores).all()
+    grid, ious = few.score(examples[0][0], StageTimes())
+    assert len(grid) == len(ious) > 0
+
+
+def with_faiss(config: RunConfig, **options: object) -> RunConfig:
+    return config.model_copy(update={"matcher": SlotConfig(name="faiss", options=options)})
+
+
+def common(first: np.ndarray, second: np.ndarray) -> set:
+    """Poses that are in both."""
+    one, other = ({tuple(T.ravel().round(9)) for T in poses} for poses in (first, second))
+    return one & other
 
 
 @pytest.fixture(scope="module")
@@ -201,7 +249,7 @@ def test_a_prior_guides_the_search(localizer, search, noisy):
     rng, found = np.random.default_rng(4), {"alone": [], "guided": []}
     for touch in noisy:
         for name, prior in (("alone", None), ("guided", near(touch, rng))):
-            poses = search.found(touch, StageTimes(), prior)[0].T_sensor_object
+            poses = search.score(touch, StageTimes(), prior)[0].T_sensor_object
             found[name].append(off_mm(localizer, poses, touch).min())
     assert np.mean(found["guided"]) < 0.75 * np.mean(found["alone"])
 
@@ -215,18 +263,18 @@ def test_a_prior_of_several_touches_is_over_poses_in_the_first_ones_frame(locali
     ]
     prior = near(touches[0], np.random.default_rng(5))
     for view in views:
-        _, (poses, _) = search.proposed(view.touch, 200, SeenFrom(prior, invert(view.T_sensor_first)))
+        _, (poses, _) = search.propose(view.touch, 200, SeenFrom(prior, invert(view.T_sensor_first)))
         likely = prior(invert(view.T_sensor_first) @ poses)
         assert (np.diff(likely) <= 1e-9).all()  # the likeliest first
-        others = prior(invert(view.T_sensor_first) @ search.proposed(view.touch, 200)[0][0])
+        others = prior(invert(view.T_sensor_first) @ search.propose(view.touch, 200)[0][0])
         assert np.median(likely) > np.median(others)
-    found = found_together(views, [search] * 3, StageTimes(), prior)
+    found = search_together(views, [search] * 3, StageTimes(), prior)
     assert off_mm(localizer, found.T_first_object, touches[0]).min() < 1.0
 
 
 def test_a_prior_that_excludes_everything_adds_nothing_and_a_wrong_one_is_refused(search, examples):
     touch = examples[0][0]
-    (alone,) = search.proposed(touch, 100, lambda poses: np.full(len(poses), -np.inf))
+    (alone,) = search.propose(touch, 100, lambda poses: np.full(len(poses), -np.inf))
     assert len(alone[0]) == 100
-    with pytest.raises(ConfigError, match="one log-weight a pose"):
-        search.found(touch, StageTimes(), lambda poses: 0.0)
+    with pytest.raises(ConfigError, match=naming("()", 30000, "(N,)")):
+        search.score(touch, StageTimes(), lambda poses: 0.0)

@@ -6,8 +6,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
-from tactile_loc.core.errors import GridError, TactileLocError, TouchError
+from tactile_loc.core.errors import ConfigError, GridError, TouchError
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about, translation
 from tactile_loc.locate.agreement import require_within_reach
 from tactile_loc.locate.localizer import Localizer, localize_together
@@ -82,21 +83,23 @@ def test_sensors_of_different_kinds_go_together(localizer, touches, store):
     other = Localizer.create("pin", store=store, sensor="gelsight-mini", grid={"name": "face", "spacing_mm": 6})
     small = placed(other.simulate(1, seed=6)[0])
     found = localize_together([(localizer, touches[0]), (other, small)])
-    np.testing.assert_array_equal(found.posterior.grid.T_sensor_object, localizer.grid_of(touches[0]).T_sensor_object)
+    np.testing.assert_array_equal(
+        found.posterior.grid.T_sensor_object, localizer.listed.grid_of(touches[0]).T_sensor_object
+    )
     assert np.isfinite(found.posterior.log_p).any()
 
 
 def test_what_cannot_be_fused_is_refused(localizer, touches, store):
-    with pytest.raises(TouchError, match="no touch"):
+    with pytest.raises(TouchError):
         localize_together([])
     nowhere = dataclasses.replace(touches[1], T_base_sensor=None)
-    with pytest.raises(TactileLocError, match="T_base_sensor"):
+    with pytest.raises(ConfigError, match=naming("touch 2", "T_base_sensor")):
         together(localizer, [touches[0], nowhere])
     hook = Localizer.create("head", store=store, grid={"name": "face", "spacing_mm": 8})
-    with pytest.raises(TouchError, match=r"several objects \(pin, head\)"):
+    with pytest.raises(TouchError, match=naming("pin", "head")):
         localize_together([(localizer, touches[0]), (hook, touches[1])])
     far = dataclasses.replace(touches[1], T_base_sensor=make_transform(np.eye(3), [5.0, 0, 0]))
-    with pytest.raises(GridError, match=r"sensors are at least [45],\d{3} mm apart, and pin is \d+ mm"):
+    with pytest.raises(GridError, match=naming("pin", "37 mm", "T_base_sensor") + r".*[45],\d{3} mm"):
         together(localizer, [touches[0], far])
 
 
@@ -112,5 +115,5 @@ def test_touches_are_near_enough_if_two_of_them_are(localizer, touches):
     require_within_reach(placed_at(0, 5, 0.01), localizer.object)
     require_within_reach(placed_at(0), localizer.object)
     for x_m in ((0, 1.01 * reach_m), (0, 5, 10)):
-        with pytest.raises(GridError, match="no pose touches two of them"):
+        with pytest.raises(GridError, match=naming("pin", "37 mm", "T_base_sensor")):
             require_within_reach(placed_at(*x_m), localizer.object)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import missing
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "plugin"
@@ -58,10 +59,8 @@ def tactile_loc(site, tmp_path):
 
 def test_installed_plugin_is_listed_with_its_distribution_and_options(tactile_loc):
     listed = tactile_loc("plugins", "refiner").stdout
-    assert re.search(r"refiner +centroid +tactile-loc-centroid +slides the contact's centre onto the touch's", listed)
-    assert re.search(
-        r"refiner\.steps +int +4 +how often the candidate is slid", tactile_loc("plugins", "refiner", "centroid").stdout
-    )
+    assert re.search(r"refiner +centroid +tactile-loc-centroid +\w", listed)
+    assert re.search(r"refiner\.steps +int +4 +\w", tactile_loc("plugins", "refiner", "centroid").stdout)
 
 
 @pytest.mark.slow
@@ -81,7 +80,8 @@ def test_plugin_refines_what_was_found(tactile_loc, tmp_path):
 def test_environment_variable_leaves_the_plugin_out_or_in(tactile_loc):
     refused = tactile_loc(*RUN, TACTILE_LOC_PLUGINS="")
     assert refused.returncode == 2
-    assert refused.stderr.startswith("error: there is no refiner 'centroid'")
+    assert refused.stderr.startswith("error: ")
+    assert "'centroid'" in refused.stderr
     for name in ("centroid", "tactile-loc-centroid"):
         assert "centroid" in tactile_loc("plugins", "refiner", TACTILE_LOC_PLUGINS=name).stdout
     assert "centroid" not in tactile_loc("plugins", "refiner", TACTILE_LOC_PLUGINS="another").stdout
@@ -90,7 +90,7 @@ def test_environment_variable_leaves_the_plugin_out_or_in(tactile_loc):
 def test_misspelt_option_of_the_plugin_is_one_sentence(tactile_loc):
     refused = tactile_loc(*RUN, "-o", "refiner.step=2")
     assert refused.returncode == 2
-    assert "the refiner 'centroid' has no option 'step'. Did you mean 'steps'?" in refused.stderr
+    assert not missing(refused.stderr, "refiner 'centroid'", "'step'", "'steps'")
     assert "Traceback" not in refused.stderr
 
 
@@ -100,7 +100,7 @@ def test_plugin_that_cannot_be_loaded_is_a_row_and_hurts_nobody(tactile_loc, sit
     package.write_text("import a_library_that_is_not_there\n")
     try:
         listed = tactile_loc("plugins")
-        assert "not loaded: centroid of tactile-loc-centroid: ModuleNotFoundError" in listed.stdout + listed.stderr
+        assert not missing(listed.stdout + listed.stderr, "tactile-loc-centroid", "ModuleNotFoundError")
         assert re.search(r"refiner +icp", listed.stdout)
         assert "a_library_that_is_not_there" in tactile_loc(*RUN).stderr
     finally:

@@ -9,6 +9,7 @@ from http.client import HTTPConnection, HTTPResponse
 
 import numpy as np
 import pytest
+from message_helpers import missing, naming
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.io.frame_sources import SourceFrame
@@ -81,9 +82,9 @@ def test_a_port_that_is_taken_is_told():
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        with pytest.raises(ConfigError, match=f"port {port} .*another --port"):
+        with pytest.raises(ConfigError, match=naming(port, "--port")):
             LiveServer("", port)
-    with pytest.raises(ConfigError, match="port 70000"):
+    with pytest.raises(ConfigError, match=naming(70000, "--port")):
         LiveServer("", 70000)
 
 
@@ -104,11 +105,13 @@ def test_numbers_are_in_millimetres_and_degrees(localizer):
     assert texts["place"] == "1.2, -34.5, 25.6"
     assert texts["place-more"] == "std 0.10, 0.20, 0.03 mm"
     assert texts["turn"] == "90.0°"
-    assert texts["turn-more"] == "about (0.00, 0.00, 1.00); std 0.5, 1.0, 10.0° about x, y, z"
+    assert not missing(texts["turn-more"], "(0.00, 0.00, 1.00)", "0.5, 1.0, 10.0°")
     assert (texts["probability"], texts["imprint"], texts["rate"]) == ("98 %", "50 %", "12.3 Hz")
-    assert texts["rate-more"].startswith("10 frames, 3 dropped")
+    assert not missing(texts["rate-more"], 10, 3)
     bare = record.model_copy(update={"covariance": None})
-    assert state_of(localizer, bare)["texts"]["turn-more"] == "about (0.00, 0.00, 1.00)"
+    less = state_of(localizer, bare)["texts"]["turn-more"]
+    assert not missing(less, "(0.00, 0.00, 1.00)")
+    assert missing(less, "°")
     none = LiveRecord(number=0, name="0.png", time_s=0, state="no contact", says="none", seconds=0.1, dropped=0)
     texts = state_of(localizer, none)["texts"]
     assert (texts["place"], texts["turn"], texts["says"]) == ("-", "-", "none")

@@ -220,7 +220,7 @@ def test_a_sweep_is_drawn_sorted_and_filtered(show, sweep_folder):
         assert values == sorted(values, reverse=sign < 0)
     find(browser, "#filter").send_keys("pin icp")
     assert {tuple(row[:2]) for row in visible_rows(browser)} == {("pin", "icp")}
-    assert find(browser, "#count").text == "2 of 12 combinations"
+    assert find(browser, "#count").text.startswith("2 of 12 ")
     dots = "return document.getElementById('scatter').data.reduce((n, t) => n + t.x.length, 0)"
     assert browser.execute_script(dots) == 2
     texts = browser.execute_script("return document.getElementById('scatter').data.flatMap(t => t.text)")
@@ -256,7 +256,7 @@ def test_a_live_run_is_drawn_as_it_goes(browser, localizer: Localizer):
         browser.get_log(kind)
     with LiveServer(render(make_live_page(localizer, "camera 0")), 0) as server:
         browser.get(server.url)
-        assert find(browser, "#says").text == "waiting for the first frame"
+        assert "waiting" in find(browser, "#says").text
         for number, touch in enumerate((first, second, None)):
             result = live_result(number, touch)
             made = render_shape(result, localizer)

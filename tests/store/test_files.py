@@ -6,15 +6,16 @@ from pathlib import Path
 
 import pytest
 from kill_steps import killed_at_every_step
+from message_helpers import naming
 
 from tactile_loc.core.errors import OutputError
 from tactile_loc.store import files
 from tactile_loc.store.files import (
-    alone_in,
+    lock_folder,
     read_json,
     recover_folder,
     remove_abandoned,
-    replacing_folder,
+    replace_folder,
     require_writable,
     write_atomically,
     write_json,
@@ -29,7 +30,7 @@ def test_a_folder_that_can_be_made_is_fine_and_not_made(tmp_path):
 def test_a_file_in_the_way_is_not(tmp_path):
     (tmp_path / "a").write_text("mine")
     for folder in (tmp_path / "a", tmp_path / "a" / "b"):
-        with pytest.raises(OutputError, match="not a folder"):
+        with pytest.raises(OutputError, match=naming(tmp_path / "a", "--out")):
             require_writable(folder)
 
 
@@ -38,7 +39,7 @@ def test_a_folder_that_refuses_is_not(tmp_path, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("tempfile.TemporaryFile", refuse)
-    with pytest.raises(OutputError, match="Permission denied"):
+    with pytest.raises(OutputError, match=naming(tmp_path, "Permission denied", "--out")):
         require_writable(tmp_path)
 
 
@@ -56,14 +57,14 @@ def test_a_write_that_fails_halfway_leaves_the_old_file(tmp_path):
         temporary.write_text("new, ha")
         raise OSError(28, "No space left on device")
 
-    with pytest.raises(OutputError, match="No space left on device"):
+    with pytest.raises(OutputError, match=naming("a.txt", "No space left", "--out")):
         write_atomically(path, halfway)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_folder_that_takes_no_files_is_told():
-    with pytest.raises(OutputError, match=r"/proc/a\.txt cannot be written"):
+    with pytest.raises(OutputError, match=naming("/proc/a.txt", "--out")):
         write_atomically(Path("/proc/a.txt"), lambda temporary: temporary.write_text("x"))
 
 
@@ -105,7 +106,7 @@ def test_a_process_killed_at_any_step_leaves_the_old_file_or_the_new_and_the_nex
 
 def test_what_another_process_writes_to_the_same_file_is_left_alone(tmp_path):
     path = tmp_path / "a.txt"
-    with files.replacing(path) as slow:
+    with files.replace_file(path) as slow:
         slow.write_text("slow")
         for _ in killed_at_every_step(lambda: write_atomically(path, lambda p: p.write_text("fast"))):
             assert slow.read_text() == "slow"
@@ -134,7 +135,7 @@ def test_who_writes_files_that_belong_together_is_alone_in_their_folder(tmp_path
     folder, seen = tmp_path / "new" / "folder", []
 
     def write(number):
-        with alone_in(folder):
+        with lock_folder(folder):
             for name in "ab":
                 (folder / name).write_text(str(number))
                 time.sleep(0.005)
@@ -148,7 +149,7 @@ def test_who_writes_files_that_belong_together_is_alone_in_their_folder(tmp_path
 
 def test_there_is_no_folder_where_a_file_stands(tmp_path):
     (tmp_path / "a").touch()
-    with pytest.raises(OutputError, match="choose another --out"), alone_in(tmp_path / "a"):
+    with pytest.raises(OutputError, match=naming(tmp_path / "a", "--out")), lock_folder(tmp_path / "a"):
         pass
 
 
@@ -156,7 +157,7 @@ NAMES = ("a.txt", "deep/b.txt")
 
 
 def replace(folder: Path, text: str, **options: bool) -> None:
-    with replacing_folder(folder, **options) as new:
+    with replace_folder(folder, **options) as new:
         (new / "deep").mkdir()
         for name in NAMES:
             (new / name).write_text(text)
@@ -215,8 +216,8 @@ def test_a_process_killed_at_any_step_leaves_the_old_folder_or_the_new(tmp_path)
 
 def test_what_was_set_aside_is_back_before_it_is_replaced(tmp_path):
     replace(tmp_path / "folder", "old")
-    (tmp_path / "folder").rename(files._aside(tmp_path / "folder"))
-    with pytest.raises(ZeroDivisionError), replacing_folder(tmp_path / "folder"):
+    (tmp_path / "folder").rename(files._name_aside(tmp_path / "folder"))
+    with pytest.raises(ZeroDivisionError), replace_folder(tmp_path / "folder"):
         raise ZeroDivisionError
     assert text(tmp_path / "folder") == "old"
     assert names(tmp_path) == ["folder"]
@@ -243,7 +244,7 @@ def test_the_second_of_two_renames_fails(tmp_path, monkeypatch):
     replace(folder, "old")
 
     def refuse(self: Path, target: Path) -> Path:
-        if target == folder and self != files._aside(folder):
+        if target == folder and self != files._name_aside(folder):
             raise OSError(5, "Input/output error")
         return rename(self, target)
 
@@ -256,7 +257,7 @@ def test_the_second_of_two_renames_fails(tmp_path, monkeypatch):
 
 
 def test_what_another_process_is_writing_is_left_alone(tmp_path):
-    with replacing_folder(tmp_path / "folder") as slow:
+    with replace_folder(tmp_path / "folder") as slow:
         (slow / "a.txt").write_text("slow")
         replace(tmp_path / "folder", "fast")
         assert (slow / "a.txt").read_text() == "slow"

@@ -8,9 +8,10 @@ import os
 from pathlib import Path
 
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import OutputError
-from tactile_loc.store.line_files import JsonLines
+from tactile_loc.store.line_files import open_json_lines
 
 
 def values(path: Path) -> list[int]:
@@ -18,15 +19,15 @@ def values(path: Path) -> list[int]:
 
 
 def add(path: Path, *numbers: int) -> None:
-    with JsonLines(path) as lines:
+    with open_json_lines(path) as add_line:
         for number in numbers:
-            lines.append(json.dumps({"n": number}))
+            add_line(json.dumps({"n": number}))
 
 
 def test_lines_are_there_at_once_and_more_are_added_later(tmp_path):
     path = tmp_path / "new" / "a.jsonl"
-    with JsonLines(path) as lines:
-        lines.append('{"n": 1}')
+    with open_json_lines(path) as add_line:
+        add_line('{"n": 1}')
         assert values(path) == [1]
     add(path, 2, 3)
     assert values(path) == [1, 2, 3]
@@ -49,16 +50,19 @@ def test_a_full_disk_leaves_whole_lines(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     add(path, 1)
-    with JsonLines(path) as lines, monkeypatch.context() as patch:
+    with open_json_lines(path) as add_line, monkeypatch.context() as patch:
         patch.setattr(os, "write", full)
-        with pytest.raises(OutputError, match="No space left on device"):
-            lines.append('{"n": 2}')
+        with pytest.raises(OutputError, match=naming("a.jsonl", "No space left", "--out")):
+            add_line('{"n": 2}')
     assert values(path) == [1]
 
 
 def test_two_writers_and_impossible_places_are_refused(tmp_path):
-    with JsonLines(tmp_path / "a.jsonl"), pytest.raises(OutputError, match="another process is at work"):
-        JsonLines(tmp_path / "a.jsonl")
+    path = tmp_path / "a.jsonl"
+    refused = pytest.raises(OutputError, match=naming("a.jsonl", "process", "--out"))
+    with open_json_lines(path), refused, open_json_lines(path):
+        pass
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="cannot be written"):
-        JsonLines(tmp_path / "file" / "a.jsonl")
+    refused = pytest.raises(OutputError, match=naming("file/a.jsonl", "--out"))
+    with refused, open_json_lines(tmp_path / "file" / "a.jsonl"):
+        pass

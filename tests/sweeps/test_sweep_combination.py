@@ -7,7 +7,8 @@ from collections import Counter
 import pytest
 import trimesh
 
-from tactile_loc.core.errors import ObjectError, PluginError, SensorError
+from tactile_loc.core.errors import ConfigError, ObjectError, SensorError, UnknownPluginError
+from tactile_loc.core.slots import compatibility
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps import combination as module
@@ -81,7 +82,7 @@ def test_a_component_of_another_version_makes_another_row(monkeypatch):
     [
         ({"object": ["hok"]}, ObjectError, "hok"),
         ({"object": ["pin"], "sensor": ["none.toml"]}, SensorError, r"none\.toml"),
-        ({"object": ["pin"], "sensor": ["gelslm"]}, PluginError, "gelslm"),
+        ({"object": ["pin"], "sensor": ["gelslm"]}, UnknownPluginError, "gelslm"),
     ],
 )
 def test_what_cannot_be_made_is_refused(values, kind, said):
@@ -90,9 +91,9 @@ def test_what_cannot_be_made_is_refused(values, kind, said):
 
 
 def test_two_objects_of_one_name_are_refused():
-    values = {"object": ["pin", {"path": "pin", "symmetry": "none"}]}
-    with pytest.raises(module.ConfigError, match="both called pin"):
-        combine(Plan.from_values(values))
+    plan = Plan.from_values({"object": ["pin", {"path": "pin", "symmetry": "none"}]})
+    with pytest.raises(module.ConfigError, match="pin"):
+        combine(plan)
 
 
 VALUES = {"object": "pin", "noise": "none", "count": 1}
@@ -132,3 +133,21 @@ def test_stages_that_combinations_share_count_once(tmp_path, tiny):
     assert find_missing_stages(combinations, objects, tmp_path) == {
         "grid": 2, "shapes": 4, "encoder": 0, "bank": 4, "temperature": 0, "evaluation": 8,
     }  # fmt: skip
+
+
+def test_components_that_exclude_each_other_are_refused_when_the_sweep_is_planned(monkeypatch):
+    """Before anything is built; the rule is made up, of what two built-in components declare."""
+    rule = compatibility.Incompatibility(
+        compatibility.Declared("matcher", "top_k_only", True), compatibility.Declared("fuser", "contact_only", True),
+        "they cannot stand each other", "choose others",
+    )  # fmt: skip
+    monkeypatch.setattr(compatibility, "INCOMPATIBILITIES", (rule,))
+    base = {"object": ["pin"], "matcher": ["dense", "faiss"]}
+    assert len(combine(Plan.from_values(base))[0]) == 2
+    with pytest.raises(ConfigError, match=r"'faiss' and the fuser 'kinematic'.*cannot stand each other; choose others"):
+        combine(Plan.from_values({**base, "fuser": ["product", "kinematic"]}))
+
+
+def test_a_grid_that_lists_no_poses_is_refused_when_the_sweep_is_planned():
+    with pytest.raises(ConfigError, match="'whole' lists none"):
+        combine(Plan.from_values({"object": ["pin"], "grid": ["face", "whole"]}))

@@ -7,6 +7,7 @@ import csv
 import json
 
 import pytest
+from message_helpers import missing, naming
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.sweeps.comparison import compare, format_texts, summarise, write_comparison
@@ -39,7 +40,7 @@ def test_ratios_and_marks(recorded):
         ["pin", "icp", "3.0", pytest.approx(1.2), "worse"],
         ["pin", "filterreg", "3.0", pytest.approx(0.5), "better"],
     ]
-    assert summarise(found) == "6 combinations, 2 worse, 2 better (by more than 10 %)"
+    assert not missing(summarise(found), 6, "2 worse", "2 better", "10 %")
     assert found.versions == {}
 
 
@@ -88,8 +89,8 @@ def test_files(recorded, tmp_path):
 
 
 def test_a_folder_without_a_sweep_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match=r"there is no .*sweep\.json"):
+    with pytest.raises(ConfigError, match=naming(tmp_path / "sweep.json", "--out")):
         read_sweep(tmp_path)
     (tmp_path / "sweep.json").write_text("[]")
-    with pytest.raises(ConfigError, match="cannot be read"):
+    with pytest.raises(ConfigError, match=naming(tmp_path / "sweep.json", "TypeError")):
         read_sweep(tmp_path)

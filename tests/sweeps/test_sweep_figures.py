@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.sweeps.figures import (
@@ -170,5 +171,5 @@ def test_the_front_holds_what_nothing_beats():
 
 def test_lines_are_the_protocols():
     assert require_line("reg-1") == "reg-1"
-    with pytest.raises(ConfigError, match="Did you mean 'best-1'"):
+    with pytest.raises(ConfigError, match=naming("'best1'", "'best-1'")):
         require_line("best1")

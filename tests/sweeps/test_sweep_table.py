@@ -8,6 +8,7 @@ import sys
 
 import pandas as pd
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import MissingLibraryError
 from tactile_loc.core.slots.registry import SLOTS
@@ -104,5 +105,5 @@ def test_types_do_not_depend_on_whether_anything_succeeded(rows):
 @pytest.mark.parametrize("library", ["pandas", "pyarrow"])
 def test_without_its_libraries_it_says_what_to_install(monkeypatch, library):
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(MissingLibraryError, match=rf"{library} is not.* pip install 'tactile-loc\[sweep\]'"):
+    with pytest.raises(MissingLibraryError, match=naming(library, "pip install 'tactile-loc[sweep]'")):
         require_tables()

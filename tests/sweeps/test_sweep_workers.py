@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 from faulty import install
+from message_helpers import naming
 
-from tactile_loc.core.errors import PluginError
+from tactile_loc.core.errors import UnknownPluginError
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
@@ -99,8 +100,8 @@ def test_what_kills_its_worker_every_time_is_a_row_that_says_so(tiny, folder, tm
     assert len((tmp_path / "tally").read_text()) == 2 * 2  # twice among the others, and twice alone
     assert errors(swept)["pin", "raising"] == "ValueError: nothing works at all"
     for (_, refiner), error in errors(swept).items():
-        assert ("worker died each time" in error and "workers.log" in error) == (refiner == "lethal")
-    assert "killed by signal 9" in (tmp_path / "out" / "workers.log").read_text()
+        assert ("workers.log" in error) == (refiner == "lethal")
+    assert "signal 9" in (tmp_path / "out" / "workers.log").read_text()
 
 
 def test_what_a_killed_worker_has_built_is_still_counted(tiny, tmp_path):
@@ -123,12 +124,12 @@ def test_what_a_killed_worker_has_built_is_still_counted(tiny, tmp_path):
 def test_a_worker_with_other_versions_refuses(tiny, tmp_path):
     (one,), objects = combine(Plan.from_values({**tiny, "object": "pin", "refiner": "none"}))
     outcome = evaluate_job(Job("0" * 16, one.config, one.count, tmp_path), objects["pin"])
-    assert "install the same versions" in outcome.error
+    assert "versions" in outcome.error
     assert not outcome.trace
 
 
 def test_a_refiner_that_is_not_there_is_refused_before_anything_runs(tiny, tmp_path):
-    with pytest.raises(PluginError, match="raisin"):
+    with pytest.raises(UnknownPluginError, match=naming("'raisin'", "'raising'")):
         sweep(tiny, ["none", "raisin"], tmp_path / "out", tmp_path / "store")
     assert not (tmp_path / "out").exists()
 
@@ -158,7 +159,7 @@ def test_what_kills_dask_workers_every_time_takes_nobody_with_it(tiny, folder, t
     lethal = {"name": "lethal", "tally": str(tmp_path / "tally"), "deaths": 99}
     swept = sweep(tiny, [lethal, "none"], tmp_path / "out", folder / "store", DaskWorkers(cluster.scheduler_address))
     for (_, refiner), error in errors(swept).items():
-        assert error.startswith("its Dask workers died") == (refiner == "lethal")
+        assert ("Dask" in error) == (refiner == "lethal")
     assert errors(swept)["pin", "none"] == errors(swept)["head", "none"] == ""
 
 

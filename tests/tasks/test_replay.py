@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import missing, naming
 
 from tactile_loc.core.errors import FrameError, GridError, OutputError, RecordingError, StoreError
 from tactile_loc.core.geometry.rigid import covariance_along, make_transform, rotation_about
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.refiner import RefinedPose
-from tactile_loc.io.recordings import Recording, RecordingWriter, image_topic, write_recording
-from tactile_loc.io.ros_messages import IMAGE, TF, pose_of, stamp_ns
-from tactile_loc.io.ros_types import image_message, transform_message
+from tactile_loc.io.recordings import Recording, RecordingWriter, choose_image_topic, write_recording
+from tactile_loc.io.ros_messages import IMAGE, TF, make_image, make_transforms, read_pose, read_stamp_ns
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Hypothesis
 from tactile_loc.tasks.replay import Outcome, Replay, ReplaySummary
@@ -46,19 +46,19 @@ def recorded(tmp_path, touches) -> Path:
     ]
 
     def write(writer: RecordingWriter) -> None:
-        writer.write("/tf_static", TF, transform_message({("flange", "gel"): MOUNT}, 0), 0)
+        writer.write("/tf_static", TF, make_transforms({("flange", "gel"): MOUNT}, 0), 0)
         for stamp, T in ((0, FIRST), (4 * S, LAST)):
-            writer.write("/tf", TF, transform_message({("base", "flange"): T}, stamp), stamp)
+            writer.write("/tf", TF, make_transforms({("base", "flange"): T}, stamp), stamp)
         for k, image in enumerate(images):
-            writer.write("/gel/image", IMAGE, image_message(image, "32FC1", k * S, "gel"), k * S + 5)
+            writer.write("/gel/image", IMAGE, make_image(image, "32FC1", k * S, "gel"), k * S + 5)
 
     return write_recording(tmp_path / "drive.mcap", write)
 
 
 def replay_of(path: Path, localizer: Localizer, base: str | None = None, frame: str | None = None) -> Replay:
     recording = Recording(path)
-    topic = image_topic(recording.contents(), path, None)
-    return Replay(recording, topic, localizer, frame, base, recording.frame_tree() if base else None)
+    topic = choose_image_topic(recording.read_contents(), path, None)
+    return Replay(recording, topic, localizer, frame, base, recording.read_frame_tree() if base else None)
 
 
 def at_truth(touch: Touch) -> Hypothesis:
@@ -79,7 +79,7 @@ def test_the_localizer_finds_what_was_touched(recorded, localizer, touches, tmp_
         assert record.frame == "gel"
     outcomes = [record.outcome for record in found.records]
     assert outcomes == [Outcome.LOCATED] * 3 + [Outcome.NO_CONTACT, Outcome.REFUSED, Outcome.LOCATED]
-    assert "negative depths" in found.records[4].says
+    assert not missing(found.records[4].says, "-1 m")
     assert found.summary.reasons == ((found.records[4].says, 1),)
 
 
@@ -88,25 +88,25 @@ def test_poses_and_covariances_are_moved_to_the_base(recorded, localizer, tmp_pa
     found = replay_to(out, replay_of(recorded, localizer, "base"), 6, "/pose", estimator=at_truth)
     T_base_flange = make_transform(rotation_about([0, 0, 1], 0.3), [0.15, 0, 0.1])  # at 2 s, half way
     T_base_gel = T_base_flange @ MOUNT
-    (third,) = [m for m in Recording(out).messages("/pose") if m.log_time_ns == 2 * S + 5]
-    message = third.decoded()
-    assert (stamp_ns(message.header), message.header.frame_id) == (2 * S, "base")
-    np.testing.assert_allclose(pose_of(message).T, T_base_gel @ T_GEL_OBJECT, atol=1e-9)
-    covariance = np.reshape(pose_of(message).covariance, (6, 6))
+    (third,) = [m for m in Recording(out).read_messages("/pose") if m.log_time_ns == 2 * S + 5]
+    message = third.decode()
+    assert (read_stamp_ns(message.header), message.header.frame_id) == (2 * S, "base")
+    np.testing.assert_allclose(read_pose(message).T, T_base_gel @ T_GEL_OBJECT, atol=1e-9)
+    covariance = np.reshape(read_pose(message).covariance, (6, 6))
     np.testing.assert_allclose(covariance, covariance_along(C, T_base_gel[:3, :3]), atol=1e-12)
     assert found.records[5].outcome is Outcome.REFUSED  # 5 s is after the last transform
-    assert "known from 0.000 s to 4.000 s, not at 5.000 s" in found.records[5].says
+    assert not missing(found.records[5].says, "0.000 s", "4.000 s", "5.000 s")
 
 
 def test_the_poses_stand_beside_what_was_recorded_or_alone(recorded, localizer, tmp_path):
     replay = replay_of(recorded, localizer)
     replay_to(tmp_path / "all.mcap", replay, 6, "/pose", estimator=at_truth)
     replay_to(tmp_path / "alone.mcap", replay, 6, "/pose", poses_only=True, estimator=at_truth)
-    before = [(m.topic, m.log_time_ns, m.data) for m in Recording(recorded).messages()]
-    written = [(m.topic, m.log_time_ns, m.data) for m in Recording(tmp_path / "all.mcap").messages()]
+    before = [(m.topic, m.log_time_ns, m.data) for m in Recording(recorded).read_messages()]
+    written = [(m.topic, m.log_time_ns, m.data) for m in Recording(tmp_path / "all.mcap").read_messages()]
     poses = [one for one in written if one[0].name == "/pose"]
     assert [one for one in written if one not in poses] == before
-    assert [m.data for m in Recording(tmp_path / "alone.mcap").messages()] == [data for _, _, data in poses]
+    assert [m.data for m in Recording(tmp_path / "alone.mcap").read_messages()] == [data for _, _, data in poses]
     assert [time for _, time, _ in poses] == [5, S + 5, 2 * S + 5, 5 * S + 5]
     after = [written[written.index(pose) - 1][:2] for pose in poses]
     assert [(topic.name, time) for topic, time in after] == [("/gel/image", time) for _, time, _ in poses]
@@ -114,15 +114,15 @@ def test_the_poses_stand_beside_what_was_recorded_or_alone(recorded, localizer, 
 
 def test_an_estimator_that_finds_nothing_is_told(recorded, localizer, tmp_path):
     def lost(touch: Touch) -> Hypothesis:
-        raise GridError("no pose is left")
+        raise GridError("hopeless")
 
-    with pytest.raises(RecordingError, match=r"none of the 6 images on /gel/image .* most often: no pose is left"):
+    with pytest.raises(RecordingError, match=naming(6, "/gel/image", "drive.mcap", "hopeless")):
         replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer), 6, "/pose", estimator=lost)
     assert [path.name for path in tmp_path.iterdir()] == ["drive.mcap"]
 
 
 def test_frames_that_lack_are_told_at_once(recorded, localizer):
-    with pytest.raises(FrameError, match=r"no frame 'gol'; there are: base, flange, gel"):
+    with pytest.raises(FrameError, match=naming("'gol'", "base", "flange", "'gel'")):
         next(replay_of(recorded, localizer, "base", "gol").frames(at_truth))
 
 
@@ -158,10 +158,10 @@ def test_a_full_store_refuses_no_frame_for_good(recorded, localizer, tmp_path):
     def starved(touch: Touch) -> Hypothesis:
         for estimate in estimates:
             return estimate(touch)
-        raise StoreError("no space left")
+        raise StoreError("full")
 
     out, replay = tmp_path / "out.mcap", replay_of(recorded, localizer)
-    with pytest.raises(StoreError, match="no space left"):
+    with pytest.raises(StoreError, match="full"):
         replay_to(out, replay, 6, "/pose", estimator=starved)
     found = replay_to(out, replay, 6, "/pose", estimator=at_truth)
     assert (found.resumed, found.summary.located) == (1, 4)
@@ -187,14 +187,14 @@ def test_a_full_disk_leaves_a_journal_of_whole_lines(recorded, localizer, tmp_pa
     def full(descriptor: int, text: bytes) -> int:
         if len(text) > 9:
             return write(descriptor, text[:-9])
-        raise OSError(errno.ENOSPC, "No space left on device")
+        raise OSError(errno.ENOSPC, "ENOSPC")
 
     with journal(path, replay) as kept, monkeypatch.context() as patch:
         first, second, *_ = replay.frames(at_truth)
         kept.append(first)
         before = path.read_bytes()
         patch.setattr(os, "write", full)
-        with pytest.raises(OutputError, match="No space left on device"):
+        with pytest.raises(OutputError, match=naming("out.mcap.journal", "ENOSPC", "--out")):
             kept.append(second)
         assert path.read_bytes() == before
         assert kept.records == [first]
@@ -206,12 +206,16 @@ def test_the_journal_of_another_replay_is_not_used(recorded, localizer, tmp_path
         kept.append(next(replay_of(recorded, localizer).frames(at_truth)))
     found = replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer, "base"), 6, "/pose", estimator=at_truth)
     assert found.resumed == 0
-    assert "was of another replay" in caplog.text
+    assert str(path) in caplog.text
 
 
 def test_two_processes_do_not_write_one_journal(recorded, localizer, tmp_path):
     replay, path = replay_of(recorded, localizer), tmp_path / "out.mcap.journal"
-    with journal(path, replay), pytest.raises(OutputError, match="another process"), journal(path, replay):
+    with (
+        journal(path, replay),
+        pytest.raises(OutputError, match=naming("process", "out.mcap.journal", "--out")),
+        journal(path, replay),
+    ):
         pass
 
 
@@ -219,7 +223,7 @@ def test_a_clock_that_goes_back_is_counted(tmp_path, localizer, touches):
     def write(writer: RecordingWriter) -> None:
         for k, stamp in enumerate((10, 11, 2, 3)):
             depth = touches[0].contact_shape.depth_m
-            writer.write("/gel/image", IMAGE, image_message(depth, "32FC1", stamp * S, "gel"), k)
+            writer.write("/gel/image", IMAGE, make_image(depth, "32FC1", stamp * S, "gel"), k)
 
     path = write_recording(tmp_path / "drive.mcap", write)
     records = list(replay_of(path, localizer).frames(at_truth))

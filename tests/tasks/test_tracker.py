@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.geometry.hand_eye import moved, pose_errors
@@ -162,31 +163,30 @@ def test_bad_input_is_one_sentence(pin, slide):
     touch, T = slide[0].touch, slide[0].T_base_sensor
     nowhere = replace(touch, T_base_sensor=None)
     tracker.update(1.0, touch)
-    with pytest.raises(TouchError, match="cannot follow one at 1 s"):
+    with pytest.raises(TouchError, match=naming("0.5 s", "1 s")):
         tracker.update(0.5, touch)
-    with pytest.raises(TouchError, match="cannot follow"):
+    with pytest.raises(TouchError, match=naming("nan s", "1 s")):
         tracker.update(np.nan, touch)
-    with pytest.raises(TouchError, match="does not say where its sensor was"):
+    with pytest.raises(TouchError, match=naming("1.1 s", "T_base_sensor")):
         tracker.update(1.1, nowhere)
-    with pytest.raises(TouchError, match="no rigid transform"):
+    with pytest.raises(TouchError, match=naming("1.1 s", "(4, 4)")):
         tracker.update(1.1, touch, 2.0 * T)
-    with pytest.raises(TouchError, match="another sensor"):
-        tracker.update(1.1, replace(touch, geometry=replace(touch.geometry, fx=2 * touch.geometry.fx)))
+    other = replace(touch, geometry=replace(touch.geometry, fx=2 * touch.geometry.fx))
+    with pytest.raises(TouchError, match=naming("frame-0000", "gelslim")):
+        tracker.update(1.1, other)
     assert tracker.update(1.2, touch, T).state == "tracking", "a refused frame changes nothing"
 
 
 def test_what_is_no_pose_or_covariance_or_creep_is_refused(pin):
-    for T, covariance, words in (
-        (np.eye(3), np.eye(6), "T_base_object is no rigid"), (np.eye(4), -np.eye(6), "T_base_object is no covariance")
-    ):  # fmt: skip
-        with pytest.raises(TouchError, match=words):
+    for T, covariance, shape in ((np.eye(3), np.eye(6), "(4, 4)"), (np.eye(4), -np.eye(6), "(6, 6)")):
+        with pytest.raises(TouchError, match=naming("T_base_object", shape)):
             Tracker(pin).start(T, covariance)
-    with pytest.raises(TouchError, match="motion is no rigid transform"):
+    with pytest.raises(TouchError, match=naming("motion", "(4, 4)")):
         Motion(2 * np.eye(4), np.eye(6))
-    with pytest.raises(TouchError, match="motion is no covariance"):
+    with pytest.raises(TouchError, match=naming("motion", "(6, 6)")):
         Motion(np.eye(4), np.eye(3))
     for creep in (-1e-3, np.nan, np.inf):
-        with pytest.raises(ConfigError, match="cannot creep"):
+        with pytest.raises(ConfigError, match=naming(f"{creep:g} m")):
             Tracker(pin, creep_m=creep)
 
 
@@ -195,7 +195,7 @@ def test_a_sensor_that_told_motions_must_go_on_telling_them(pin, sure):
     touch = replace(sure[0], T_base_sensor=None)
     tracker.start(touch.T_sensor_object, np.diag(STD**2))
     tracker.update(0.0, touch)
-    with pytest.raises(TouchError, match="or their motions"):
+    with pytest.raises(TouchError, match=naming("0.1 s", "T_base_sensor")):
         tracker.update(0.1, touch)
-    with pytest.raises(TouchError, match="or their motions"):
+    with pytest.raises(TouchError, match=naming("0.1 s", "T_base_sensor")):
         tracker.update(0.1, touch, translation([0.0, 0.0, 0.1]))

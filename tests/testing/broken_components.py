@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict
 
+from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about, translation
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.poses.posterior import PosePosterior
@@ -21,6 +22,7 @@ from tactile_loc.plugins.fusers.product import ProductFuser
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.plugins.grids.whole import WholeGrid
 from tactile_loc.plugins.matchers.dense import DenseMatcher
+from tactile_loc.plugins.matchers.faiss import FaissMatcher
 from tactile_loc.plugins.refiners.icp import IcpRefiner
 from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
@@ -199,6 +201,12 @@ def unmasked_pixels(self, depth, seen, press, geometry):
     return embeddings, np.ones_like(embeddings)
 
 
+def knows_nothing(pair, depth, seen, *_):
+    """Weights of zero as soon as anything is not seen."""
+    return pair[0], pair[1] * seen.all(axis=(1, 2))[:, None]
+
+
+LEARNS = Capabilities(follows_press_depth=True, needs_training=True)
 ENCODER = [
     (encoders.check_output, then(PixelEncoder, "encode", lambda e, *_: e.astype(float))),
     (encoders.check_output, made(PixelEncoder, encode=lambda self, d, p, g: d)),
@@ -210,6 +218,13 @@ ENCODER = [
     (encoders.check_image_size, made(PixelEncoder, encode=raw_pixels)),
     (encoders.check_ignores_masked_pixels, made(PixelEncoder, encode=unmasked)),
     (encoders.check_unseen_pixels, made(PixelEncoder, encode_seen=unmasked_pixels)),
+    (encoders.check_seen_output, then(PixelEncoder, "encode_seen", lambda pair, *_: pair[0])),
+    (encoders.check_seen_output, then(PixelEncoder, "encode_seen", lambda pair, *_: (pair[0], 2 * pair[1]))),
+    (encoders.check_seen_output, then(PixelEncoder, "encode_seen", lambda pair, *_: (pair[0], pair[1].astype(float)))),
+    (encoders.check_seen_output, then(PixelEncoder, "encode_seen", lambda pair, *_: (pair[0] / pair[1], pair[1]))),
+    (encoders.check_seen_output, then(PixelEncoder, "encode_seen", lambda pair, d, *_: scribbled(pair, d))),
+    (encoders.check_seen_part_finds_its_pose, then(PixelEncoder, "encode_seen", knows_nothing)),
+    (encoders.check_learns_places, made(PixelEncoder, encode_seen=unmasked_pixels, capabilities=LEARNS)),
     (encoders.check_deterministic, drifting(PixelEncoder, "encode", lambda e, n: e + np.float32(1e-3 * n))),
 ]  # fmt: skip
 
@@ -218,16 +233,39 @@ def appended(self, bank):
     DenseMatcher.index(self, np.concatenate([getattr(self, "_bank", bank[:0]), bank]))
 
 
+def masked_queries(self, queries, weights=None):
+    return DenseMatcher.scores(self, queries if weights is None else weights * queries)
+
+
+def refuses_weights(self, queries, weights=None):
+    if weights is not None and (weights < 1).any():
+        raise ConfigError("this matcher cannot weigh")
+    return DenseMatcher.scores(self, queries)
+
+
+def first_rows_of_weighted(self, queries, weights=None):
+    """Looks for weighted queries at the first rows only."""
+    scores = FaissMatcher.scores(self, queries, weights)
+    if weights is not None and (weights < 1).any():
+        scores[:, 900:] = -INFINITE
+    return scores
+
+
 MATCHER = [
-    (matchers.check_output, then(DenseMatcher, "scores", lambda s, _: s.astype(float))),
-    (matchers.check_output, then(DenseMatcher, "scores", lambda s, _: np.where(s < -1, -INFINITE, s))),
-    (matchers.check_definition, then(DenseMatcher, "scores", lambda s, _: 2 * s)),
-    (matchers.check_best_row_is_found, then(DenseMatcher, "scores", lambda s, _: -s)),
-    (matchers.check_row_order, then(DenseMatcher, "scores", lambda s, _: np.sort(s, axis=1))),
-    (matchers.check_query_order, then(DenseMatcher, "scores", lambda s, _: s[::-1])),
+    (matchers.check_output, then(DenseMatcher, "scores", lambda s, *_: s.astype(float))),
+    (matchers.check_output, then(DenseMatcher, "scores", lambda s, *_: np.where(s < -1, -INFINITE, s))),
+    (matchers.check_definition, then(DenseMatcher, "scores", lambda s, *_: 2 * s)),
+    (matchers.check_best_row_is_found, then(DenseMatcher, "scores", lambda s, *_: -s)),
+    (matchers.check_row_order, then(DenseMatcher, "scores", lambda s, *_: np.sort(s, axis=1))),
+    (matchers.check_query_order, then(DenseMatcher, "scores", lambda s, *_: s[::-1])),
     (matchers.check_index_replaces, made(DenseMatcher, index=appended)),
-    (matchers.check_weights, made(DenseMatcher, weighted_scores=lambda self, q, w: self.scores(w * q))),
-    (matchers.check_single_row, then(DenseMatcher, "scores", lambda s, _: np.squeeze(s))),
+    (matchers.check_weights, made(DenseMatcher, scores=masked_queries)),
+    (matchers.check_weights, made(DenseMatcher, scores=lambda self, q, w=None: DenseMatcher.scores(self, q))),
+    (matchers.check_weights, made(DenseMatcher, scores=lambda self, q: DenseMatcher.scores(self, q))),
+    (matchers.check_weights, made(DenseMatcher, scores=refuses_weights)),
+    (matchers.check_weights, made(FaissMatcher, scores=first_rows_of_weighted)),
+    (matchers.check_weights, then(DenseMatcher, "scores", lambda s, q, *w: scribbled(s, w[0]) if w else s)),
+    (matchers.check_single_row, then(DenseMatcher, "scores", lambda s, *_: np.squeeze(s))),
     (matchers.check_bank_and_queries_untouched, then(DenseMatcher, "scores", scribbled)),
     (matchers.check_bank_and_queries_untouched, then(DenseMatcher, "index", scribbled)),
     (matchers.check_deterministic, drifting(DenseMatcher, "scores", lambda s, n: s - np.float32(1e-3 * n))),

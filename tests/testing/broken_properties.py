@@ -126,6 +126,7 @@ MATCHER = [
     (matchers.property_query_order, then(DenseMatcher, "scores", lambda s, _: np.sort(s, axis=0))),
     (matchers.property_equal_rows, then(DenseMatcher, "scores", lambda s, _: s - 1e-4 * np.arange(s.shape[1]))),
     (matchers.property_turned_space, made(DenseMatcher, scores=along_the_axes)),
+    (matchers.property_unknown_numbers, then(DenseMatcher, "scores", lambda s, q, *_: s - q.sum(axis=1)[:, None])),
     (matchers.property_scale, then(DenseMatcher, "scores", lambda s, _: np.maximum(s, -1))),
 ]
 

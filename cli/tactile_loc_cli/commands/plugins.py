@@ -74,6 +74,8 @@ def _show_components(found: Registry, slot: str | None) -> dict[str, Any]:
     failures = [asdict(failure) for failure in found.failures]
     for c in conflicts:
         say(f"conflict: the {c['slot']} {c['name']!r} is offered by {' and '.join(c['distributions'])}")
+    for component in components:
+        _say_interface(component)
     for f in failures:
         say(f"not loaded: {f['plugin']} of {f['distribution']}: {f['error']}")
     return {"components": components, "conflicts": conflicts, "not_loaded": failures}
@@ -83,7 +85,25 @@ def _component(registered: Registered) -> dict[str, Any]:
     spec = registered.spec
     return {
         "slot": spec.slot, "name": spec.name, "distribution": registered.distribution, "summary": spec.summary,
+        "interface": spec.interface,
     }  # fmt: skip
+
+
+def _say_interface(component: dict[str, Any], outdated: str = "") -> None:
+    """Name a component that was written for another plugin interface, and the change that it needs, if that is known.
+
+    Of one that is only listed it is not: its class is not imported.
+    """
+    from tactile_loc.core.slots.interface import INTERFACE_VERSION
+
+    written, named = component["interface"], "the {slot} {name!r} of {distribution}".format(**component)
+    if written > INTERFACE_VERSION:
+        say(f"interface: {named} needs plugin interface {written}, this tactile-loc has {INTERFACE_VERSION}; "
+            "pip install --upgrade tactile-loc")  # fmt: skip
+    elif written < INTERFACE_VERSION:
+        advice = f"; {outdated}" if outdated else ""
+        say(f"interface: {named} was written for plugin interface {written}, this tactile-loc has "
+            f"{INTERFACE_VERSION}{advice}")  # fmt: skip
 
 
 def _conflicts(components: Sequence[Registered]) -> list[dict[str, Any]]:
@@ -101,14 +121,15 @@ def _conflicts(components: Sequence[Registered]) -> list[dict[str, Any]]:
 
 def _show_options(found: Registry, slot: str, name: str) -> dict[str, Any]:
     component = _component(found.find(slot, name))
-    fields = found.load(slot, name).Options.model_fields
-    options = [_option(f"{slot}.{key}", field) for key, field in fields.items()]
+    kind = found.load(slot, name)
+    options = [_option(f"{slot}.{key}", field) for key, field in kind.Options.model_fields.items()]
     say(_heading(component))
+    _say_interface(component, kind.outdated)
     if options:
         _say_columns(("option", "type", "default", "meaning"), options)
     else:
         say("no options")
-    return {**component, "options": options}
+    return {**component, "outdated": kind.outdated, "options": options}
 
 
 def _heading(component: dict[str, Any]) -> str:
@@ -148,6 +169,7 @@ def _check(found: Registry, slot: str, name: str, words: list[str], properties: 
     about = _component(found.find(slot, name))
     component = _make(found, slot, name, words)
     say(_heading(about))
+    _say_interface(about, component.outdated)
     checks = []
     for result in iter_checks(component, properties):
         say(_line(result))
@@ -155,7 +177,14 @@ def _check(found: Registry, slot: str, name: str, words: list[str], properties: 
     failed = sum(not c["passed"] for c in checks)
     say(f"{len(checks) - failed} of {len(checks)} checks passed" + (f", {failed} failed" if failed else ""))
     options = component.options.model_dump(mode="json")
-    outcome = {**about, "options": options, "passed": len(checks) - failed, "failed": failed, "checks": checks}
+    outcome = {
+        **about,
+        "outdated": component.outdated,
+        "options": options,
+        "passed": len(checks) - failed,
+        "failed": failed,
+        "checks": checks,
+    }
     if failed:
         raise Finding(BROKEN_CONTRACT, outcome)
     return outcome

@@ -8,7 +8,7 @@ from pathlib import Path
 from string import Template
 
 from tactile_loc.core.errors import OutputError
-from tactile_loc.store.files import replacing_folder
+from tactile_loc.store.files import replace_folder
 from tactile_loc_cli.scaffold.naming import Naming
 
 # What the template of each slot does until somebody replaces it.
@@ -53,7 +53,7 @@ def write(naming: Naming, folder: Path) -> list[str]:
         raise OutputError(f"{folder} exists already and is left as it is; choose another folder with --out")
     made = render(naming)
     try:
-        with replacing_folder(folder, fresh=True) as beside:
+        with replace_folder(folder, fresh=True) as beside:
             for path, text in made.items():
                 (beside / path).parent.mkdir(parents=True, exist_ok=True)
                 (beside / path).write_text(text, encoding="utf-8")

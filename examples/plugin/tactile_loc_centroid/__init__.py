@@ -14,5 +14,6 @@ def tactile_loc_components() -> list[ComponentSpec]:
             name="centroid",
             target="tactile_loc_centroid.refiner:CentroidRefiner",
             summary="slides the contact's centre onto the touch's",
+            interface=2,
         )
     ]

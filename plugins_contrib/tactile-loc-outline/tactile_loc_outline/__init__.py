@@ -14,5 +14,6 @@ def tactile_loc_components() -> list[ComponentSpec]:
             name="outline",
             target="tactile_loc_outline.encoder:OutlineEncoder",
             summary="distance to the contact's outline, in low frequencies; no training",
+            interface=2,
         )
     ]

@@ -15,5 +15,6 @@ def tactile_loc_components() -> list[ComponentSpec]:
             target="tactile_loc_small_gicp.refiner:SmallGicpRefiner",
             summary="generalised ICP of contact clouds, by small_gicp",
             requires="small-gicp",
+            interface=2,
         )
     ]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import small_gicp
 from pydantic import Field
-from tactile_loc.plugin import Capabilities, Cloud, CloudRefiner, Registration, is_rigid
+from tactile_loc.plugin import Cloud, CloudRefiner, Registration, is_rigid
 
 FEWEST_POINTS = 10  # after thinning: fewer have no covariances to speak of
 LEAST_REACH = 4.0  # spacings, however small the option is: nearer than its neighbours there is nothing to find
@@ -28,7 +28,6 @@ class SmallGicpRefiner(CloudRefiner):
     """Registers the contact cloud of each candidate to the touch's, once, from where the candidate is."""
 
     version = 2
-    capabilities = Capabilities()
 
     class Options(CloudRefiner.Options):
         """Lengths in mm of the sensing surface."""

@@ -14,5 +14,6 @@ def tactile_loc_components() -> list[ComponentSpec]:
             name="super-fibonacci",
             target="tactile_loc_super_fibonacci.grid:SuperFibonacciGrid",
             summary="all of SO(3) times the plane, any number of rotations, by spirals",
+            interface=2,
         )
     ]

@@ -50,3 +50,20 @@ def blocks_of(corners: NDArray[np.float64], most: int) -> Blocks:
 def triangle_blocks(mesh: TriangleMesh) -> Blocks:
     """Return the triangles of a mesh in blocks of TRIANGLES, parted when they are first asked for; metres."""
     return blocks_of(mesh.triangles_m, TRIANGLES)
+
+
+class NearestTriangles(NamedTuple):
+    """What compiled code takes, in one unit of length: `corners` (F, 3), `sides` (F, 2, 3) that lead from them to the
+    other corners, unit `normals` (F, 3); cells of side `cell` from the corner `low` (3,), each with the number of
+    its nearest triangle, `nearest` (X, Y, Z), -1 beyond reach. The triangles that share an edge with triangle f are
+    `beside` (R,) from ends[f] to ends[f + 1].
+    """
+
+    corners: NDArray[np.float64]
+    sides: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    low: NDArray[np.float64]
+    cell: float
+    nearest: NDArray[np.int32]
+    beside: NDArray[np.int32]
+    ends: NDArray[np.int64]

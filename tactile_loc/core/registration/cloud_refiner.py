@@ -14,7 +14,7 @@ from pydantic import Field
 from tactile_loc.core.sensing.clouds import contact_cloud
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.slots.component import Capabilities, ComponentOptions
+from tactile_loc.core.slots.component import ComponentOptions
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose, Refiner
 from tactile_loc.core.slots.scene import Scene
 
@@ -49,8 +49,6 @@ class CloudRefiner(Refiner):
 
     Options of a subclass derive from this class's.
     """
-
-    capabilities = Capabilities(uses_normals=True)
 
     class Options(ComponentOptions):
         """How densely the clouds are sampled, and what they hold."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -31,35 +31,45 @@ class ComponentOptions(BaseModel):
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a component can and cannot do, so that nobody has to probe it.
+    """What a component can and cannot do, so that nobody has to probe it. Each is read by code.
 
     `exact_undercuts`: a renderer sees surfaces below overhangs. `deterministic`: same input, same output.
     `follows_press_depth`: an encoder's bank must be encoded at the touch's own press depth.
-    `top_k_only`: a matcher scores only some poses, the others are -inf. `needs_training`: `fit` does work.
-    `refines`: a refiner moves poses, unlike the null one. `contact_only`: a fuser asks only which poses touch a sensor,
-    not how probable they are. `places`: a grid lists the object's places instead of poses. `uses_normals`,
-    `differentiable`, `device`: as they say.
+    `top_k_only`: a matcher scores only some poses, the others are -inf. `weights`: a matcher takes weights of queries.
+    `needs_training`: `fit` does work. `refines`: a refiner moves poses, unlike the null one. `covariances`: a refiner
+    says how sure its poses are. `contact_only`: a fuser asks only which poses touch a sensor, not how probable they
+    are. `places`: a grid lists the object's places instead of poses. Interface 1 had `uses_normals`, `differentiable`
+    and `device`, which are accepted and ignored.
     """
 
     deterministic: bool = True
     exact_undercuts: bool = True
     follows_press_depth: bool = False
     top_k_only: bool = False
+    weights: bool = True
     needs_training: bool = False
     refines: bool = True
     contact_only: bool = False
     places: bool = False
-    uses_normals: bool = False
-    differentiable: bool = False
-    device: str = "cpu"
+    covariances: bool = False
+    uses_normals: InitVar[bool] = False
+    differentiable: InitVar[bool] = False
+    device: InitVar[str] = "cpu"
+
+    def __post_init__(self, uses_normals: bool, differentiable: bool, device: str) -> None:
+        """Ignore what interface 1 could declare and no code read."""
 
 
 class Component(ABC):
-    """Base of all components. `version` is part of the store's keys: raise it when the same input gives new output."""
+    """Base of all components. `version` is part of the store's keys: raise it when the same input gives new output.
+
+    `outdated` is what a component of an earlier interface needs changed; who loads it sets it.
+    """
 
     slot: ClassVar[str]
     version: ClassVar[int] = 1
     capabilities: ClassVar[Capabilities] = Capabilities()
+    outdated: ClassVar[str] = ""
 
     class Options(ComponentOptions):
         """No options."""

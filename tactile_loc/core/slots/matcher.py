@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from functools import cached_property
 
-from tactile_loc.core.errors import ConfigError
+import numpy as np
+
 from tactile_loc.core.slots.component import Component, Float32
 
 
@@ -15,20 +17,42 @@ class Matcher(Component):
 
     @abstractmethod
     def index(self, bank: Float32) -> None:
-        """Take the bank (N, D), one row a grid pose."""
+        """Take the bank (N, D), one row a pose; it replaces an earlier one."""
 
     @abstractmethod
-    def scores(self, queries: Float32) -> Float32:
-        """Return scores (M, N) of queries (M, D), unitless, higher is more alike; -inf where it did not look."""
+    def scores(self, queries: Float32, weights: Float32 | None = None) -> Float32:
+        """Return scores (M, N) of queries (M, D), unitless, higher is more alike; -inf where it did not look.
 
-    def weighted_scores(self, queries: Float32, weights: Float32) -> Float32:
-        """Return scores (M, N), -1/2 sum w (q - b)^2, of queries (M, D) of which weights (M, D), 0 to 1, are known.
-
-        Raises ConfigError for a matcher that cannot weigh.
+        The weights (M, D), 0 to 1, say how far each number of a query q is known: the score of a row b is
+        -1/2 sum_d w (q - b)^2. None stands for ones. A matcher that cannot weigh declares `Capabilities(weights=False)`
+        and is never given weights.
         """
-        if (weights == 1).all():
-            return self.scores(queries)
-        raise ConfigError(
-            f"the matcher {type(self).__name__} cannot leave out what a sensor does not see; choose dense, or a grid "
-            "that lists its poses, such as face or hopf"
-        )
+
+
+class ExactMatcher(Matcher):
+    """Scores all poses exactly: -1/2 ||q - b||^2 = q . b - 1/2 ||b||^2 - 1/2 ||q||^2."""
+
+    def index(self, bank: Float32) -> None:
+        """Take the bank (N, D), unitless, and its half squared norms."""
+        self._bank = np.ascontiguousarray(bank, np.float32)
+        self.__dict__.pop("_half_squares", None)
+        self._half_norms = 0.5 * np.einsum("nd,nd->n", self._bank, self._bank)
+
+    def scores(self, queries: Float32, weights: Float32 | None = None) -> Float32:
+        """Return scores (M, N), -1/2 sum w (q - b)^2, of queries (M, D) and weights (M, D); None: ones. Unitless."""
+        q = np.asarray(queries, np.float32)
+        if weights is not None:
+            return self._score_weighted(q, np.asarray(weights, np.float32))
+        half_norms = 0.5 * np.einsum("md,md->m", q, q)
+        scores: Float32 = q @ self._bank.T - self._half_norms - half_norms[:, None]
+        return scores
+
+    def _score_weighted(self, q: Float32, w: Float32) -> Float32:
+        weighed = np.multiply(w, q, dtype=np.float32)
+        of_queries = 0.5 * np.einsum("md,md->m", weighed, q)
+        scores: Float32 = weighed @ self._bank.T - w @ self._half_squares.T - of_queries[:, None]
+        return scores
+
+    @cached_property
+    def _half_squares(self) -> Float32:
+        return np.square(self._bank) * np.float32(0.5)

@@ -25,6 +25,7 @@ from tactile_loc.core.errors import (
     did_you_mean,
     quoted,
 )
+from tactile_loc.core.slots.interface import INTERFACE_VERSION, adapt, require_interface
 
 PROJECT = "tactile_loc"
 SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
@@ -38,7 +39,8 @@ class ComponentSpec:
     """One component offered for one slot.
 
     `target` is "package.module:Class", imported at first use; `requires` names the pip distribution of the library it
-    needs beyond tactile-loc's own, if any.
+    needs beyond tactile-loc's own, if any. `interface` is the version of the plugin interface that it was written for:
+    a number, not INTERFACE_VERSION, which is that of the tactile-loc it runs with. Plugins for version 1 say nothing.
     """
 
     slot: str
@@ -46,6 +48,7 @@ class ComponentSpec:
     target: str
     summary: str
     requires: str = ""
+    interface: int = 1
 
 
 @hookspec
@@ -81,6 +84,7 @@ class Registry:
     def __init__(self, plugins: Iterable[EntryPoint]) -> None:
         self.components: list[Registered] = []
         self.failures: list[LoadFailure] = []
+        self._kinds: dict[ComponentSpec, Any] = {}
         for plugin in plugins:
             self._load(plugin)
 
@@ -97,6 +101,8 @@ class Registry:
             for spec in offers:
                 if not isinstance(spec, ComponentSpec) or spec.slot not in SLOTS:
                     raise TypeError(f"offers {spec!r}; the slots are {', '.join(SLOTS)}")
+                if not isinstance(spec.interface, int) or spec.interface < 1:
+                    raise TypeError(f"offers {spec!r}; its interface must be a whole number from 1 on")
         except Exception as error:  # noqa: BLE001 - a stranger's plugin may raise anything
             reason = f"{type(error).__name__}: {error}"
             self.failures.append(LoadFailure(plugin.name, distribution, reason))
@@ -111,7 +117,7 @@ class Registry:
         """Return the component of this slot and name. Raises UnknownPluginError or PluginConflictError."""
         found = [c for c in self.components if (c.spec.slot, c.spec.name) == (slot, name)]
         if not found:
-            raise UnknownPluginError(self._unknown(slot, name))
+            raise UnknownPluginError(self._describe_unknown(slot, name))
         if len(found) > 1:
             raise PluginConflictError(
                 f"two components are the {slot} {name!r}: one of {found[0].distribution}, one of "
@@ -119,7 +125,7 @@ class Registry:
             )
         return found[0]
 
-    def _unknown(self, slot: str, name: str) -> str:
+    def _describe_unknown(self, slot: str, name: str) -> str:
         if slot not in SLOTS:
             return f"there is no slot {slot!r}; the slots are {', '.join(SLOTS)}"
         broken = "".join(f" The plugin {f.plugin} could not be loaded ({f.error})." for f in self.failures)
@@ -128,12 +134,29 @@ class Registry:
         return f"there is no {slot} {name!r}{also}; there are {', '.join(known)}.{did_you_mean(name, known)}{broken}"
 
     def load(self, slot: str, name: str) -> type[Any]:
-        """Import and return the component's class. Raises PluginLoadError, MissingLibraryError or as `find` does."""
+        """Import and return the component's class. Raises PluginLoadError, MissingLibraryError or as `find` does.
+
+        A component that was written for an earlier interface is adapted as far as it can be; see `interface.adapt`.
+        """
         found = self.find(slot, name)
+        if found.spec.interface > INTERFACE_VERSION:
+            raise PluginLoadError(
+                f"the {slot} {name!r} of {found.distribution} needs a tactile-loc with plugin interface "
+                f"{found.spec.interface} or newer, and this one has {INTERFACE_VERSION}: pip install --upgrade "
+                "tactile-loc"
+            )
+        if found.spec not in self._kinds:
+            self._kinds[found.spec] = self._import_component(found)
+        return self._kinds[found.spec]
+
+    def _import_component(self, found: Registered) -> Any:
+        slot, name, interface = found.spec.slot, found.spec.name, found.spec.interface
         module, _, attribute = found.spec.target.partition(":")
         try:
             kind = getattr(importlib.import_module(module), attribute)
             _require_component(kind, slot)
+            require_interface(kind, slot, interface)
+            kind = adapt(kind, slot, interface)
             logger.debug("The %s %r is %s of %s.", slot, name, found.spec.target, found.distribution)
             return kind
         except Exception as error:
@@ -178,7 +201,7 @@ def validate_options(model: Any, values: Mapping[str, Any], owner: str) -> Any:
         key = ".".join(map(str, problem["loc"])) or "options"
         if problem["type"] == "extra_forbidden":
             fields = model.model_fields
-            allowed = ", ".join(f"{k} ({_type_name(f.annotation)})" for k, f in fields.items()) or "none at all"
+            allowed = ", ".join(f"{k} ({_name_type(f.annotation)})" for k, f in fields.items()) or "none at all"
             near = did_you_mean(key, fields)
             raise ConfigError(f"the {owner} has no option {key!r}.{near} Its options: {allowed}") from error
         raise ConfigError(
@@ -186,7 +209,7 @@ def validate_options(model: Any, values: Mapping[str, Any], owner: str) -> Any:
         ) from error
 
 
-def _type_name(annotation: Any) -> str:
+def _name_type(annotation: Any) -> str:
     return annotation.__name__ if isinstance(annotation, type) else str(annotation).replace("typing.", "")
 
 

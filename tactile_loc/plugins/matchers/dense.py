@@ -1,38 +1,9 @@
-"""Exact matching with every row of the bank: one matrix product."""
+"""Exact matching with every row of the bank: one matrix product, or two where queries have weights."""
 
 from __future__ import annotations
 
-from functools import cached_property
-
-import numpy as np
-
-from tactile_loc.plugin import Float32, Matcher
+from tactile_loc.plugin import ExactMatcher
 
 
-class DenseMatcher(Matcher):
-    """Scores all poses exactly: -1/2 ||q - b||^2 = q . b - 1/2 ||b||^2 - 1/2 ||q||^2."""
-
-    def index(self, bank: Float32) -> None:
-        """Take the bank (N, D), unitless, and its half squared norms."""
-        self._bank = np.ascontiguousarray(bank, np.float32)
-        self.__dict__.pop("_half_squares", None)
-        self._half_norms = 0.5 * np.einsum("nd,nd->n", self._bank, self._bank)
-
-    def scores(self, queries: Float32) -> Float32:
-        """Return scores (M, N) of queries (M, D), unitless; higher is more alike."""
-        q = np.asarray(queries, np.float32)
-        half_norms = 0.5 * np.einsum("md,md->m", q, q)
-        scores: Float32 = q @ self._bank.T - self._half_norms - half_norms[:, None]
-        return scores
-
-    def weighted_scores(self, queries: Float32, weights: Float32) -> Float32:
-        """Return scores (M, N), -1/2 sum w (q - b)^2, of queries (M, D) and weights (M, D): two matrix products."""
-        q, w = np.asarray(queries, np.float32), np.asarray(weights, np.float32)
-        weighed = np.multiply(w, q, dtype=np.float32)
-        of_queries = 0.5 * np.einsum("md,md->m", weighed, q)
-        scores: Float32 = weighed @ self._bank.T - w @ self._half_squares.T - of_queries[:, None]
-        return scores
-
-    @cached_property
-    def _half_squares(self) -> Float32:
-        return np.square(self._bank) * np.float32(0.5)
+class DenseMatcher(ExactMatcher):
+    """Scores all poses exactly."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, Literal
 
 import faiss
@@ -10,46 +11,81 @@ from pydantic import Field
 
 from tactile_loc.plugin import Capabilities, ComponentOptions, Float32, Matcher
 
+ROWS_A_LIST = 39  # faiss wants as many to place a list's centre
+
 
 class FaissMatcher(Matcher):
-    """Scores the `top_k` most alike poses; all others get -inf."""
+    """Scores the `top_k` most alike poses of each query; all others get -inf.
 
+    Queries with weights w have an index of their own. With rows b and queries q counted from the bank's mean,
+    -1/2 sum w (q - b)^2 is the inner product of [w q, -w/2] with [b, b^2], minus 1/2 sum w q^2.
+    """
+
+    version = 2
     capabilities = Capabilities(top_k_only=True)
 
     class Options(ComponentOptions):
         """Which faiss index, and how many poses it returns."""
 
         kind: Literal["flat", "hnsw", "ivf"] = Field(default="flat", description="exact, graph, or inverted lists")
-        top_k: int = Field(default=1000, ge=1, description="poses scored a touch; the others count as impossible")
+        top_k: int = Field(default=1000, ge=1, description="poses scored a query; the others count as impossible")
         links: int = Field(default=32, ge=4, le=128, description="hnsw: neighbours a node")
         effort: int = Field(default=128, ge=1, description="hnsw: nodes visited; ivf: lists visited")
 
     def index(self, bank: Float32) -> None:
-        """Take the bank (N, D), unitless."""
-        bank = np.ascontiguousarray(bank, np.float32)
-        self._count = len(bank)
-        self._index = self._make(bank)
-        self._index.add(bank)
+        """Take the bank (N, D), unitless. What faiss makes of it is made when it is first searched."""
+        self._bank = np.ascontiguousarray(bank, np.float32)
+        for made in ("_plain", "_weighing", "_mean"):
+            self.__dict__.pop(made, None)
 
-    def scores(self, queries: Float32) -> Float32:
-        """Return scores (M, N) of queries (M, D), unitless; -inf beyond the `top_k` that faiss found."""
-        k = min(self.options.top_k, self._count)
-        squared, found = self._index.search(np.ascontiguousarray(queries, np.float32), k)
-        scores = np.full((len(queries), self._count), -np.inf, np.float32)
-        rows, columns = np.nonzero(found >= 0)
-        scores[rows, found[rows, columns]] = -0.5 * squared[rows, columns]
-        return scores
+    def scores(self, queries: Float32, weights: Float32 | None = None) -> Float32:
+        """Return scores (M, N), -1/2 sum w (q - b)^2, unitless; -inf beyond the `top_k` that faiss found.
 
-    def _make(self, bank: Float32) -> Any:
-        dimension, options = bank.shape[1], self.options
+        The queries and their weights are (M, D); None stands for weights of one.
+        """
+        q = np.ascontiguousarray(queries, np.float32)
+        k = min(self.options.top_k, len(self._bank))
+        if weights is None:
+            squared, found = self._plain.search(q, k)
+            return self._spread(-0.5 * squared, found)
+        q, w = q - self._mean, np.asarray(weights, np.float32)
+        products, found = self._weighing.search(np.hstack([w * q, -0.5 * w]), k)
+        return self._spread(products - 0.5 * np.einsum("md,md,md->m", w, q, q)[:, None], found)
+
+    def _spread(self, scores: Float32, found: Any) -> Float32:
+        """Scores (M, N) of scores (M, K) of the rows that were found (M, K), -1 where there is none."""
+        spread = np.full((len(scores), len(self._bank)), -np.inf, np.float32)
+        queries, places = np.nonzero(found >= 0)
+        spread[queries, found[queries, places]] = scores[queries, places]
+        return spread
+
+    @cached_property
+    def _mean(self) -> Float32:
+        mean: Float32 = self._bank.mean(axis=0, dtype=np.float64).astype(np.float32)
+        return mean
+
+    @cached_property
+    def _plain(self) -> Any:
+        return self._make_index(self._bank, faiss.METRIC_L2)
+
+    @cached_property
+    def _weighing(self) -> Any:
+        centred = self._bank - self._mean
+        return self._make_index(np.hstack([centred, centred**2]), faiss.METRIC_INNER_PRODUCT)
+
+    def _make_index(self, rows: Float32, metric: int) -> Any:
+        """The index of rows (N, D) by a metric of faiss."""
+        (count, dimension), options = rows.shape, self.options
+        index: Any
         if options.kind == "flat":
-            return faiss.IndexFlatL2(dimension)
-        if options.kind == "hnsw":
-            graph = faiss.IndexHNSWFlat(dimension, options.links)
-            graph.hnsw.efSearch = max(options.effort, options.top_k)
-            return graph
-        lists = max(1, round(np.sqrt(self._count)))
-        index = faiss.IndexIVFFlat(faiss.IndexFlatL2(dimension), dimension, lists)
-        index.train(bank)
-        index.nprobe = min(lists, options.effort)
+            index = faiss.IndexFlat(dimension, metric)
+        elif options.kind == "hnsw":
+            index = faiss.IndexHNSWFlat(dimension, options.links, metric)
+            index.hnsw.efSearch = max(options.effort, options.top_k)
+        else:
+            lists = max(1, min(round(np.sqrt(count)), count // ROWS_A_LIST))
+            index = faiss.IndexIVFFlat(faiss.IndexFlat(dimension, metric), dimension, lists, metric)
+            index.train(rows)
+            index.nprobe = min(lists, options.effort)
+        index.add(rows)
         return index

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactile_loc.calibration.folder import Calibration, read_calibration
-from tactile_loc.calibration.reading import contact_shape
+from tactile_loc.calibration.reading import find_contact_shape
 from tactile_loc.plugin import ComponentOptions, ContactShape, DepthSensor, SensorGeometry
 
 
@@ -35,23 +35,23 @@ class CalibratedSensor(DepthSensor):
         image = np.asarray(image)
         if image.ndim == 2 and image.dtype != np.uint8:
             return super().contact_shape(image)
-        seen, known = self.indentation(image), self.calibration
-        return contact_shape(seen, self.geometry, known.noise_m, known.estimator.sees_skirt, known.false_press_m)
+        seen, known = self.read_indentation(image), self.calibration
+        return find_contact_shape(seen, self.geometry, known.noise_m, known.estimator.sees_skirt, known.false_press_m)
 
-    def indentation(self, image: NDArray[Any]) -> NDArray[np.float32]:
+    def read_indentation(self, image: NDArray[Any]) -> NDArray[np.float32]:
         """Return how far the gel is pressed in (H, W), metres. Raises TouchError for an image that is not of this."""
-        return self.calibration.indentation(image)
+        return self.calibration.read_indentation(image)
 
     def simulated_image(self, shape: ContactShape, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Return the image (H, W, 3) of a contact shape, by the lamps of the simulated images it was calibrated on.
 
         Raises CalibrationError for a sensor that was calibrated on others.
         """
-        from tactile_loc.imaging.simulate import touch_images
+        from tactile_loc.imaging.simulate import render_touches
 
         press_m, background = np.array([shape.press_depth_m]), self.calibration.background
         optics = self.calibration.optics
-        return touch_images(shape.depth_m[None], press_m, self.geometry, optics, rng, background=background)[0]
+        return render_touches(shape.depth_m[None], press_m, self.geometry, optics, rng, background=background)[0]
 
     def _make_geometry(self) -> SensorGeometry:
         zero = None if self.options.zero is None else Path(self.options.zero).expanduser()

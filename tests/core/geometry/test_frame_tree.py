@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import FrameError
 from tactile_loc.core.geometry.frame_tree import FrameTree, between
@@ -52,25 +53,25 @@ def test_only_the_frames_between_have_to_be_known(tree):
 
 def test_what_lacks_is_named(tree):
     for lookup, mentioned in (
-        (("base", "tol", S), "there is no frame 'tol'; there are: arm, base, camera, tool. Did you mean 'tool'"),
-        (("base", "tool", 4 * S), "'tool' in 'arm' is known from 0.000 s to 3.000 s, not at 4.000 s"),
-        (("base", "tool", -1), "not at -0.000 s"),
+        (("base", "tol", S), ("'tol'", "arm", "base", "camera", "'tool'")),
+        (("base", "tool", 4 * S), ("tool", "arm", "0.000 s", "3.000 s", "4.000 s")),
+        (("base", "tool", -1), ("tool", "-0.000 s")),
     ):
-        with pytest.raises(FrameError, match=mentioned):
+        with pytest.raises(FrameError, match=naming(*mentioned)):
             tree.lookup(*lookup)
     tree.add("moon", "rover", 0, A)
-    with pytest.raises(FrameError, match="not connected"):
+    with pytest.raises(FrameError, match=naming("base", "rover")):
         tree.lookup("base", "rover", 0)
-    with pytest.raises(FrameError, match="two parents"):
+    with pytest.raises(FrameError, match=naming("tool", "arm", "camera")):
         tree.add("camera", "tool", 0, A)
 
 
 def test_frames_in_a_circle_and_clocks_that_are_set_back_are_refused(tree):
     tree.add("tool", "base", 0, A)
     tree.add("moon", "rover", 0, A)
-    with pytest.raises(FrameError, match="no tree"):
+    with pytest.raises(FrameError, match=naming("base", "tool", "arm")):
         tree.lookup("base", "rover", 0)
     tree.add("moon", "flag", 100 * S, A)
     tree.add("moon", "flag", 3 * S, B)
-    with pytest.raises(FrameError, match=r"jumps back to 3\.000 s"):
+    with pytest.raises(FrameError, match=naming("flag", "3.000 s")):
         tree.lookup("moon", "flag", 50 * S)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from message_helpers import naming
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -82,30 +83,29 @@ def test_terms_along_a_continuous_axis_fold_into_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    ("text", "value"),
     [
-        ("", "cannot be read"),
-        ("z", "cannot be read"),
-        ("w3", "cannot be read"),
-        ("z6*", "cannot be read"),
-        ("axis(1,1)2", "cannot be read"),
-        ("axis(0,0,0)2", "cannot be read"),
-        ("axis(nan,0,1)2", "cannot be read"),
-        ("z-2", "cannot be read"),
-        ("z1", "2 or more"),
-        ("z0", "2 or more"),
-        ("z7*x3", "does not close"),
-        ("z121", "does not close"),
-        ("axis(1,2,3)2*z4", "does not close"),
+        ("", "axis(1,1,0)2"),
+        ("z", "axis(1,1,0)2"),
+        ("w3", "axis(1,1,0)2"),
+        ("z6*", "axis(1,1,0)2"),
+        ("axis(1,1)2", "axis(1,1,0)2"),
+        ("axis(0,0,0)2", "axis(1,1,0)2"),
+        ("axis(nan,0,1)2", "axis(1,1,0)2"),
+        ("z-2", "axis(1,1,0)2"),
+        ("z1", "order"),
+        ("z0", "order"),
+        ("z7*x3", 120),
+        ("z121", 120),
+        ("axis(1,2,3)2*z4", 120),
         ("zinf*xinf", "sphere"),
         ("zinf*x4", "sphere"),
         ("zinf*axis(1,0,1)2", "sphere"),
     ],
 )
-def test_what_is_no_group_is_refused_by_name(text: str, complaint: str) -> None:
-    with pytest.raises(SymmetryError, match=complaint) as caught:
+def test_what_is_no_group_is_refused_by_name(text: str, value: object) -> None:
+    with pytest.raises(SymmetryError, match=naming(f"'{text}'", value)):
         SymmetryGroup.parse(text, CENTRE_M)
-    assert f"'{text}'" in str(caught.value)
 
 
 @pytest.mark.parametrize("centre_m", [(0.0, 0.0), (0.0, 0.0, math.nan)])
@@ -116,7 +116,7 @@ def test_a_centre_is_three_finite_numbers(centre_m: tuple[float, ...]) -> None:
 
 def test_sampling_steps_must_be_positive() -> None:
     group = SymmetryGroup.parse("zinf", CENTRE_M)
-    with pytest.raises(SymmetryError, match="positive"):
+    with pytest.raises(SymmetryError, match=naming("0.0 rad")):
         group.elements(0.0)
     with pytest.raises(SymmetryError, match="step_rad"):
         group.is_representative(random_rotations(3))

@@ -3,10 +3,12 @@ from __future__ import annotations
 import functools
 import logging
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import missing, naming
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
@@ -168,7 +170,7 @@ def test_a_small_pocket_bump_or_hole_breaks_the_symmetry_of_a_plate(
     symmetry = SymmetryGroup.parse("x2*y2", (0, 0, 3e-3))
     assert verify_symmetry(symmetry, *mesh) == pytest.approx(min(1e-3 * abs(depth_mm), 3e-3), rel=0.05, abs=1e-4)
     if abs(depth_mm) > 0.2:
-        with pytest.raises(SymmetryError, match="surface differs by"):
+        with pytest.raises(SymmetryError, match=naming("x2*y2", "180 deg")):
             require_symmetry(symmetry, *mesh)
 
 
@@ -276,16 +278,16 @@ def test_refusal_names_the_turn_the_gap_and_the_place() -> None:
         require_symmetry(SymmetryGroup.parse("z6", (0, 0, 0.02)), *BODIES["square prism"][0])
     message = str(caught.value)
     assert "'z6'" in message
-    assert "deg about z" in message
-    assert " mm after a turn of " in message
-    assert any(f"of {angle} deg" in message for angle in (60, 120, 240, 300))
+    assert "about z" in message
+    assert re.search(r"\d mm", message)
+    assert any(not missing(message, f"{angle} deg") for angle in (60, 120, 240, 300))
     assert message.count(".") == message.count(".", 0, -1) + 1, "one sentence"
 
 
 @pytest.mark.parametrize(("text", "name"), [("zinf", "notched cylinder"), ("zinf*x2", "frustum"), ("z3", "cube")])
 def test_what_the_surface_contradicts_is_refused(text: str, name: str) -> None:
     mesh = BODIES[name][0]
-    with pytest.raises(SymmetryError, match="does not have the symmetry"):
+    with pytest.raises(SymmetryError, match=f"'{re.escape(text)}'"):
         require_symmetry(SymmetryGroup.parse(text, SurfaceProbe(*mesh).centre_m), *mesh)
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import make_transform, random_rotations, translation
@@ -36,7 +37,7 @@ def test_normalised_whatever_the_scale(grid):
     np.zeros((6, 1)),
 ])  # fmt: skip
 def test_what_is_no_distribution_is_refused(grid, log_p):
-    with pytest.raises(GridError, match="no pose of the grid explains the touch"):
+    with pytest.raises(GridError):
         PosePosterior(grid, log_p)
 
 
@@ -189,7 +190,7 @@ def test_turned_parts_are_one_mode_however_they_are_turned(cylinder):
 def test_a_training_distribution_is_finite_and_one_a_pose(box, log_train):
     grid = PoseGrid(translation([[0.001 * k, 0, 0] for k in range(3)]), PoseMetric(box))
     assert PosePosterior(grid, np.zeros(3)).log_train is None
-    with pytest.raises(GridError, match="the training distribution has the shape"):
+    with pytest.raises(GridError, match=naming(np.shape(log_train), 3)):
         PosePosterior(grid, np.zeros(3), log_train)
 
 
@@ -205,5 +206,5 @@ def test_probabilities_and_what_is_elsewhere_sum_to_one(box):
 
 @pytest.mark.parametrize("elsewhere", [-0.1, 1.0, float("nan")])
 def test_an_impossible_share_elsewhere_is_refused(box, elsewhere):
-    with pytest.raises(GridError, match="other poses"):
+    with pytest.raises(GridError, match=f"{elsewhere}"):
         PosePosterior(line(box, np.arange(2) * 0.01), np.zeros(2), elsewhere=elsewhere)

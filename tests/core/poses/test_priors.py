@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import (
@@ -77,10 +78,15 @@ class TestGaussian:
         np.testing.assert_allclose(prior(poses), expected, atol=1e-3)
 
     @pytest.mark.parametrize(
-        "change", [{"translation_std_m": 0.0}, {"rotation_std_rad": -1.0}, {"T": np.zeros((4, 4))}]
+        ("change", "value"),
+        [
+            ({"translation_std_m": 0.0}, "translation_std_m"),
+            ({"rotation_std_rad": -1.0}, "rotation_std_rad"),
+            ({"T": np.zeros((4, 4))}, "(4, 4)"),
+        ],
     )
-    def test_nonsense_is_refused(self, change):
-        with pytest.raises(ConfigError, match="Gaussian prior"):
+    def test_nonsense_is_refused(self, change, value):
+        with pytest.raises(ConfigError, match=naming(value)):
             GaussianPrior(**{"T": np.eye(4), "translation_std_m": 0.01, "rotation_std_rad": 0.1, **change})
 
 
@@ -100,11 +106,11 @@ class TestRegion:
         assert prior(poses).tolist() == [-np.inf, 0, -np.inf, -np.inf]
 
     def test_nonsense_is_refused(self):
-        with pytest.raises(ConfigError, match="empty"):
+        with pytest.raises(ConfigError, match=naming("[1. 1. 1.]", "[0. 0. 0.]")):
             RegionPrior(np.ones(3), np.zeros(3), np.zeros(3))
-        with pytest.raises(ConfigError, match="no direction"):
+        with pytest.raises(ConfigError, match=naming("[0. 0. 0.]")):
             RegionPrior.half_space(np.zeros(3), np.zeros(3), np.zeros(3))
-        with pytest.raises(ConfigError, match="three numbers"):
+        with pytest.raises(ConfigError, match="low_m"):
             RegionPrior(np.zeros(2), np.ones(3), np.zeros(3))
 
 
@@ -188,7 +194,7 @@ class TestPosterior:
         "change", [{"std_m": -1.0}, {"std_m": np.inf}, {"floor": 1.0}, {"T_new_old": np.ones((4, 4))}]
     )
     def test_nonsense_is_refused(self, box, change):
-        with pytest.raises(ConfigError, match="posterior prior"):
+        with pytest.raises(ConfigError, match=rf"\b{next(iter(change))}\b"):
             PosteriorPrior(**{"posterior": posterior_of(box), "T_new_old": np.eye(4), **change})
 
 

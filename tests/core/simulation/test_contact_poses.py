@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from message_helpers import naming
 
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import is_rigid, make_transform, rotation_about, translation
@@ -79,9 +80,9 @@ def test_poses_without_contact_are_dropped(make_scene, flat_camera, box):
 def test_no_contact_at_all_is_refused(make_scene, flat_camera, box):
     scene = make_scene(box, flat_camera)
     nowhere = Fixed(translation([[0.05, 0.0, 0.0], [0.06, 0.0, 0.0]]))
-    with pytest.raises(GridError, match="no pose of box is left"):
+    with pytest.raises(GridError, match="box"):
         contact_grid(nowhere, scene)
-    with pytest.raises(GridError, match=r"hardly any random pose of box touches.* lower grid\.min_contact_percent"):
+    with pytest.raises(GridError, match=naming("box", "0.25 %", "grid.min_contact_percent")):
         random_contact_poses(nowhere, scene, 1, np.random.default_rng(0))
 
 
@@ -182,7 +183,7 @@ def test_random_poses_follow_their_generator(make_scene, pinhole, box):
 @pytest.mark.parametrize("spacing_mm", [0.0, -1.0, float("nan")])
 def test_an_impossible_spacing_is_refused(make_scene, pinhole, box, spacing_mm):
     sampler = FaceGrid(FaceGrid.Options.model_construct(spacing_mm=spacing_mm, face="+z", tilt_deg=0.0, tilt_steps=3))
-    with pytest.raises(GridError, match="spacing"):
+    with pytest.raises(GridError, match=naming(f"{spacing_mm:g} mm", "spacing_mm")):
         contact_grid(sampler, make_scene(box, pinhole))
 
 

@@ -9,6 +9,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from message_helpers import naming
 from scipy.ndimage import label
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
@@ -59,7 +60,7 @@ def shapes(make_scene, pinhole, box) -> np.ndarray:
 def test_the_levels_are_those_that_can_be_asked_for():
     assert [noise_level(name) for name in NOISE] == list(NOISE.values())
     assert list(get_args(TouchConfig.model_fields["noise"].annotation)) == list(Noise) == list(NOISE)
-    with pytest.raises(ConfigError, match=r"'mlid'; give one of none, mild, strong. Did you mean 'mild'"):
+    with pytest.raises(ConfigError, match=naming("'mlid'", *NOISE, "'mild'")):
         noise_level("mlid")
 
 

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
+from message_helpers import naming
 
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import is_rigid
@@ -51,7 +52,7 @@ def test_the_same_seed_makes_the_same_touches(make_scene, pinhole, box, sampler)
 
 @pytest.mark.parametrize("press_m", [0.0, -0.001, 0.0021, float("nan")])
 def test_a_press_beyond_the_sensors_range_is_refused(make_scene, pinhole, box, sampler, press_m):
-    with pytest.raises(TouchError, match="outside the sensor's range of 0 to 2 mm"):
+    with pytest.raises(TouchError, match=naming(f"{1e3 * press_m:.3g} mm", "2 mm")):
         simulate_touches(sampler, make_scene(box, pinhole), 1, np.random.default_rng(0), press_m)
 
 
@@ -79,7 +80,7 @@ def test_a_press_that_leaves_no_imprint_is_refused(make_scene, flat_camera, make
     """A press of a millionth of a millimetre touches no pixel's centre; this must end."""
     monkeypatch.setattr(simulation, "MOST_ROUNDS", 5)
     scene = make_scene(make_object(trimesh.creation.icosphere(4, 0.008)), flat_camera)
-    with pytest.raises(TouchError, match="hardly any press of part"):
+    with pytest.raises(TouchError, match=naming("part", "1e-06 mm")):
         simulate_touches(sampler, scene, 1, np.random.default_rng(5), 1e-9)
 
 
@@ -150,7 +151,7 @@ def test_a_misplaced_sensor_sees_another_pose_than_the_true_one(make_scene, pinh
 
 def test_noise_that_takes_all_contact_away_is_refused(make_scene, pinhole, box, sampler, monkeypatch):
     monkeypatch.setattr(simulation, "MOST_ROUNDS", 3)
-    with pytest.raises(TouchError, match="hardly any press"):
+    with pytest.raises(TouchError, match="box"):
         simulate_touches(
             sampler, make_scene(box, pinhole), 2, np.random.default_rng(11), None, TouchNoise(least_m=0.01)
         )

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
+from message_helpers import naming
 from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.errors import (
@@ -87,12 +88,12 @@ def test_create_gives_the_options():
 
 
 def test_an_unknown_name_is_answered_with_near_ones():
-    with pytest.raises(UnknownPluginError, match=r"no refiner 'icpp'; there are .*none.* Did you mean 'icp'"):
+    with pytest.raises(UnknownPluginError, match=naming("refiner", "'icpp'", "none", "'icp'")):
         registry().load("refiner", "icpp")
 
 
 def test_an_unknown_slot_is_answered_with_the_slots():
-    with pytest.raises(UnknownPluginError, match="no slot 'painter'; the slots are sensor, renderer, grid"):
+    with pytest.raises(UnknownPluginError, match=naming("'painter'", "sensor", "renderer", "grid")):
         registry().find("painter", "icp")
 
 
@@ -116,7 +117,7 @@ def test_a_strangers_component_is_found_and_imported_only_when_it_is_used(instal
 def test_two_of_one_name_conflict_only_when_that_name_is_asked_for(install):
     install("acme-tools", acme_plugin=hook(spec("refiner", "twin", "a:A"), spec("refiner", "alone", "a:A")))
     install("brand-tools", brand_plugin=hook(spec("refiner", "twin", "b:B"), spec("matcher", "alone", "b:B")))
-    with pytest.raises(PluginConflictError, match="the refiner 'twin': one of acme-tools, one of brand-tools"):
+    with pytest.raises(PluginConflictError, match=naming("refiner", "'twin'", "acme-tools", "brand-tools")):
         registry().find("refiner", "twin")
     assert registry().find("refiner", "alone").distribution == "acme-tools"
     assert registry().find("matcher", "alone").distribution == "brand-tools"
@@ -124,7 +125,7 @@ def test_two_of_one_name_conflict_only_when_that_name_is_asked_for(install):
 
 def test_a_strangers_component_cannot_replace_a_built_in_unnoticed(install):
     install("acme-tools", acme_plugin=hook(spec("refiner", "icp", "a:A")))
-    with pytest.raises(PluginConflictError, match="one of tactile-loc, one of acme-tools"):
+    with pytest.raises(PluginConflictError, match=naming("'icp'", "tactile-loc", "acme-tools")):
         registry().create("refiner", "icp")
 
 
@@ -149,33 +150,34 @@ def test_a_plugin_that_fails_hurts_nobody_else(install, how):
     assert (failure.plugin, failure.distribution) == ("broken_plugin", "broken-tools")
     assert ":" in failure.error, "its type and message"
     assert found.create("refiner", "none") is not None
-    with pytest.raises(UnknownPluginError, match="The plugin broken_plugin could not be loaded"):
+    error = failure.error.partition(":")[0]
+    with pytest.raises(UnknownPluginError, match=naming("of-the-broken-one", "broken_plugin", error)):
         found.load("refiner", "of-the-broken-one")
 
 
 @pytest.mark.parametrize(
-    ("source", "error", "words"),
+    ("source", "error", "values"),
     [
-        ("import a_library_nobody_has", MissingLibraryError, "'acme' needs a_library_nobody_has.*pip install acme-lib"),
-        ("raise OSError('libusb.so')", PluginLoadError, r"'acme' of acme-tools failed on import \(OSError: libusb"),
-        ("def", PluginLoadError, "SyntaxError"),
-        ("Other = 1", PluginLoadError, "AttributeError"),
-        ("import acme_impl.lost", PluginLoadError, "'acme' of acme-tools failed on import .*acme_impl.lost"),
-        ("class Acme: pass", PluginLoadError, "does not derive from the refiner interface"),
+        ("import a_library_nobody_has", MissingLibraryError, ("a_library_nobody_has", "pip install acme-lib")),
+        ("raise OSError('libusb.so')", PluginLoadError, ("acme-tools", "OSError: libusb.so")),
+        ("def", PluginLoadError, ("acme-tools", "SyntaxError")),
+        ("Other = 1", PluginLoadError, ("acme-tools", "AttributeError")),
+        ("import acme_impl.lost", PluginLoadError, ("acme-tools", "acme_impl.lost")),
+        ("class Acme: pass", PluginLoadError, ("acme-tools", "acme_impl.Acme")),
         (
             "from tactile_loc.plugin import Matcher as Acme",
             PluginLoadError,
-            "does not derive from the refiner",
+            ("acme-tools", "matcher.Matcher"),
         ),
-        ("from tactile_loc.plugin import Refiner as Acme", PluginLoadError, "does not implement refine"),
+        ("from tactile_loc.plugin import Refiner as Acme", PluginLoadError, ("acme-tools", "Refiner")),
     ],
 )
-def test_a_component_that_cannot_be_imported_says_why_when_it_is_selected(install, source, error, words):
+def test_a_component_that_cannot_be_imported_says_why_when_it_is_selected(install, source, error, values):
     install("acme-tools", acme_plugin=hook(spec("refiner", "acme", "acme_impl:Acme", "acme-lib")), acme_impl=source)
     found = registry()
     assert found.failures == []
     assert "acme" in found.names("refiner")
-    with pytest.raises(error, match=words):
+    with pytest.raises(error, match=naming("refiner", "'acme'", *values)):
         found.load("refiner", "acme")
 
 
@@ -231,24 +233,23 @@ def test_good_options_are_taken():
 
 def test_an_unknown_option_is_answered_with_the_near_and_the_known():
     with pytest.raises(
-        ConfigError,
-        match=r"the brush 'b' has no option 'color'. Did you mean 'colour'\?.*colour \(str\), coats \(int\), finish",
+        ConfigError, match=naming("brush 'b'", "'color'", "'colour'", "colour (str)", "coats (int)", "finish")
     ):
         validate_options(Paint, {"color": "blue"}, "brush 'b'")
 
 
-@pytest.mark.parametrize(("values", "words"), [
-    ({"coats": "many"}, "cannot take coats = 'many': .*integer"), ({"coats": 0}, "cannot take coats = 0: .*greater"),
-    ({"finish": "satin"}, "cannot take finish = 'satin'.*'matt'"), ({"colour": 5}, "cannot take colour = 5"),
+@pytest.mark.parametrize(("values", "problem"), [
+    ({"coats": "many"}, ("coats", "'many'", "integer")), ({"coats": 0}, ("coats", 0, "1")),
+    ({"finish": "satin"}, ("finish", "'satin'", "'matt'")), ({"colour": 5}, ("colour", 5)),
 ])  # fmt: skip
-def test_an_ill_typed_option_is_answered_with_what_is_wrong(values, words):
-    with pytest.raises(ConfigError, match=words) as refused:
+def test_an_ill_typed_option_is_answered_with_what_is_wrong(values, problem):
+    with pytest.raises(ConfigError, match=naming("brush 'b'", *problem)) as refused:
         validate_options(Paint, values, "brush 'b'")
     assert "\n" not in str(refused.value)
 
 
 def test_a_component_without_options_says_so():
-    with pytest.raises(ConfigError, match=r"refiner 'none' has no option 'reach'.*none at all"):
+    with pytest.raises(ConfigError, match=naming("refiner 'none'", "'reach'")):
         registry().create("refiner", "none", {"reach": 1})
 
 

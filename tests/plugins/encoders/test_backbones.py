@@ -4,6 +4,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError, TactileLocError, WeightsError
 
@@ -209,16 +210,16 @@ def test_a_small_network_learns_to_tell_two_images_apart():
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "values"),
     [
-        ({"name": "resnet81"}, "'resnet81' is unknown.*Did you mean 'resnet18'"),
-        ({"in_channels": 0}, "in_channels must be at least 1, not 0"),
-        ({"channels": -2}, "channels must be at least 1, not -2"),
-        ({"norm": "layer"}, "'layer' is unknown: choose 'batch' or 'group'"),
+        ({"name": "resnet81"}, ("'resnet81'", "'resnet18'")),
+        ({"in_channels": 0}, ("in_channels", 1, 0)),
+        ({"channels": -2}, ("channels", 1, -2)),
+        ({"norm": "layer"}, ("'layer'", "'batch'", "'group'")),
     ],
 )
-def test_options_that_make_no_network_are_refused(options, said):
-    with pytest.raises(ConfigError, match=said):
+def test_options_that_make_no_network_are_refused(options, values):
+    with pytest.raises(ConfigError, match=naming(*values)):
         made(**options)
 
 
@@ -291,7 +292,7 @@ def test_another_architecture_is_refused_by_its_first_difference(tmp_path):
     refused(made("resnet18"), deep, "resnet18", "'layer1.0.conv1.weight'", "(64, 64, 1, 1)", "(64, 64, 3, 3)")
     shallow = saved(torchvision_weights("resnet18"), tmp_path / "shallow.safetensors")
     refused(made("resnet50"), shallow, "resnet50", "'layer1.0.conv1.weight'", "(64, 64, 3, 3)", "(64, 64, 1, 1)")
-    refused(made("small"), shallow, "small", "missing", "'stages.0.0.weight'")
+    refused(made("small"), shallow, "small", "'stages.0.0.weight'")
 
 
 def changed(change: str) -> dict[str, torch.Tensor]:
@@ -315,23 +316,23 @@ def changed(change: str) -> dict[str, torch.Tensor]:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ("missing", "'stages.3.1.bias' is missing"),
-        ("half a projection", "'project.bias' is missing"),
-        ("foreign", "no place for its 'head.weight'"),
-        ("shape", "'stages.0.0.weight' has shape (24, 1, 2, 3) there and (24, 1, 3, 3) here"),
-        ("type", "'stages.0.0.weight' is of type torch.int64"),
-        ("nan", "'stages.2.0.weight' holds numbers that are not finite"),
+        ("missing", ["'stages.3.1.bias'"]),
+        ("half a projection", ["'project.bias'"]),
+        ("foreign", ["'head.weight'"]),
+        ("shape", ["'stages.0.0.weight'", "(24, 1, 2, 3)", "(24, 1, 3, 3)"]),
+        ("type", ["'stages.0.0.weight'", "torch.int64"]),
+        ("nan", ["'stages.2.0.weight'", "finite"]),
     ],
 )
 def test_weights_that_differ_are_refused_and_leave_the_model_alone(tmp_path, change, said):
-    refused(made("small", seed=1), saved(changed(change), tmp_path / "weights.safetensors"), "small", said)
+    refused(made("small", seed=1), saved(changed(change), tmp_path / "weights.safetensors"), "small", *said)
 
 
 def test_weights_of_another_size_of_map_or_norm_are_refused(tmp_path):
     path = saved(made("small", channels=8).state_dict(), tmp_path / "weights.safetensors")
     refused(made("small"), path, "'project.weight'", "(8, 128, 1, 1)", "(16, 128, 1, 1)")
-    refused(made("small", channels=None), path, "no place for its 'project.")
-    refused(made("small", channels=8, norm="batch"), path, "'stages.0.1.running_mean' is missing")
+    refused(made("small", channels=None), path, "'project.")
+    refused(made("small", channels=8, norm="batch"), path, "'stages.0.1.running_mean'")
 
 
 def test_a_damaged_file_is_refused(tmp_path):
@@ -353,16 +354,16 @@ def test_no_file_but_safetensors_is_read_and_none_runs_code(tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     path = tmp_path / f"weights{suffix}"
     torch.save({"stages": Command()}, path)
-    refused(made("small"), path, "only .safetensors", "docs/training.md")
+    refused(made("small"), path, ".safetensors", "docs/training.md")
     as_others = path.replace(tmp_path / "weights.safetensors")
     refused(made("small"), as_others, "damaged")
     assert not (tmp_path / "harm-done").exists()
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):
-    refused(made("small"), tmp_path / "weights.safetensors", "no weights file")
+    refused(made("small"), tmp_path / "weights.safetensors")
     (tmp_path / "folder.safetensors").mkdir()
-    refused(made("small"), tmp_path / "folder.safetensors", "no weights file")
+    refused(made("small"), tmp_path / "folder.safetensors")
 
 
 def test_weights_errors_are_for_people():

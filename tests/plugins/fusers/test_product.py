@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from message_helpers import naming
 from pydantic import ValidationError
 
 from tactile_loc.core.errors import ConfigError, GridError
@@ -42,13 +43,13 @@ def test_a_prior_may_exclude(posterior):
 
 
 def test_a_prior_that_excludes_everything_is_told(posterior):
-    with pytest.raises(GridError, match="the prior excludes each of the 4 poses"):
+    with pytest.raises(GridError, match=naming("prior", 4)):
         ProductFuser().fuse([posterior], [None], lambda T: np.full(len(T), -np.inf))
 
 
 @pytest.mark.parametrize("weights", [0.0, np.zeros(3), np.zeros((4, 1)), np.full(4, np.nan), [0.0, 0.0, np.inf, 0.0]])
 def test_a_prior_that_is_no_log_weight_a_pose_is_refused(posterior, weights):
-    with pytest.raises(ConfigError, match=r"the prior returned .* for 4 poses"):
+    with pytest.raises(ConfigError, match=naming("prior", np.shape(weights), 4, "(N,)")):
         ProductFuser().fuse([posterior], [None], lambda T: weights)
 
 
@@ -199,14 +200,14 @@ def test_one_grid_seen_from_elsewhere_is_looked_up(box):
 
 def test_no_common_pose_names_the_contact(box):
     touches = [toy(box, [0, 1, 2], [1.0] * 3), toy(box, [1, 2], [1.0] * 2, 1), toy(box, [0, 9, 11], [1.0] * 3, 2)]
-    with pytest.raises(GridError, match=r"no pose touches all 3 sensors: contact 3 drops the last 2 .* 3 poses; check"):
+    with pytest.raises(GridError, match=naming("contact 3", 2, "T_base_sensor")):
         ProductFuser(ProductFuser.Options(reach=0.1)).fuse(touches, T_BASE)
 
 
 def test_touches_that_contradict_one_another_say_so_or_are_doubted(box):
     one, other = toy(box, [0, 1], [1.0, 1.0]), toy(box, [0, 1], [1.0, 1.0], 1)
     yes, no = PosePosterior(one.grid, [0.0, -np.inf]), PosePosterior(other.grid, [-np.inf, 0.0])
-    with pytest.raises(GridError, match=r"contradict one another: .* 1 poses .* fuser\.doubt"):
+    with pytest.raises(GridError, match=naming(2, 1, "fuser.doubt")):
         ProductFuser().fuse([yes, no], T_BASE[:2])
     certain = PosePosterior(toy(box, [0, 1], [1.0, 1.0], 2).grid, np.log([0.9, 0.1]))
     fused = ProductFuser(ProductFuser.Options(doubt=0.2)).fuse([yes, no, certain], T_BASE)
@@ -220,18 +221,18 @@ def test_a_pose_that_touches_nothing_is_dropped_for_all_doubt(box):
 
 
 @pytest.mark.parametrize(
-    ("T", "sentence"),
+    ("T", "values"),
     [
-        ([None, np.eye(4)], "touch 1 of 2 does not say where its sensor was"),
-        ([np.eye(4), None], "touch 2 of 2 does not say where its sensor was"),
-        ([np.eye(4), 2 * np.eye(4)], "T_base_sensor of touch 2 is no rigid transform"),
-        ([np.eye(4), np.eye(3)], "T_base_sensor of touch 2 is no rigid transform"),
-        ([np.eye(4)], "2 posteriors and 1 poses"),
-        ([np.eye(4)] * 3, "2 posteriors and 3 poses"),
+        ([None, np.eye(4)], ("touch 1", "T_base_sensor")),
+        ([np.eye(4), None], ("touch 2", "T_base_sensor")),
+        ([np.eye(4), 2 * np.eye(4)], ("touch 2", "T_base_sensor", "(4, 4)")),
+        ([np.eye(4), np.eye(3)], ("touch 2", "T_base_sensor", "(4, 4)")),
+        ([np.eye(4)], (2, 1)),
+        ([np.eye(4)] * 3, (2, 3)),
     ],
 )
-def test_several_touches_need_the_pose_of_each_sensor(posterior, T, sentence):
-    with pytest.raises(ConfigError, match=sentence):
+def test_several_touches_need_the_pose_of_each_sensor(posterior, T, values):
+    with pytest.raises(ConfigError, match=naming(*values)):
         ProductFuser().fuse([posterior] * 2, T)
 
 
@@ -249,7 +250,8 @@ def test_an_object_loaded_again_is_the_same_object(make_box):
 
 
 def test_there_must_be_a_touch_and_one_object(posterior, cylinder):
-    with pytest.raises(ConfigError, match="at least one posterior"):
+    with pytest.raises(ConfigError, match=naming(0)):
         ProductFuser().fuse([], [])
-    with pytest.raises(ConfigError, match="touch 2 is of cylinder, touch 1 of box"):
-        ProductFuser().fuse([posterior, toy(cylinder, [0, 1], [1.0, 1.0])], T_BASE[:2])
+    other = toy(cylinder, [0, 1], [1.0, 1.0])
+    with pytest.raises(ConfigError, match=naming("touch 2", "cylinder", "touch 1", "box")):
+        ProductFuser().fuse([posterior, other], T_BASE[:2])

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.progress import Progress
+from tactile_loc.core.sensing.places import CAMERA
+from tactile_loc.core.sensing.turned_patches import anchor, turned_patches
 from tactile_loc.core.simulation.touch_simulation import simulate_touches
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.meshes import load_object
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.model import build_bank, build_model
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.grids.face import FaceGrid
@@ -24,6 +27,24 @@ def brute_force(queries: np.ndarray, bank: np.ndarray) -> np.ndarray:
 def random_bank() -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(0)
     return rng.normal(size=(9, 24)).astype(np.float32), rng.normal(size=(500, 24)).astype(np.float32)
+
+
+def weighted_brute_force(queries: np.ndarray, bank: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    q, b, w = queries.astype(float), bank.astype(float), weights.astype(float)
+    return np.stack([-0.5 * ((one - b) ** 2 @ known) for one, known in zip(q, w, strict=True)])
+
+
+@pytest.fixture(scope="module")
+def place_bank(store) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A touch of the whole pin turned by every third degree, what is known of it, and the bank of the pin's places."""
+    localizer = Localizer.create("pin", store=store, grid="whole", sensor="gelsight-mini")
+    assert localizer.search is not None
+    (touch,) = localizer.simulate(1, seed=3, noise="strong")
+    places, yaws_rad, press_m = localizer.search.places, localizer.search.yaws_rad, touch.press_depth_m
+    depths_m, seen = turned_patches(touch, *anchor(touch), yaws_rad)
+    queries, weights = localizer.encoder.encode_seen(depths_m, seen, press_m, CAMERA)
+    assert 0.2 < weights.mean() < 0.8
+    return queries, weights, localizer.encoder.encode(places.depths(press_m, slice(None)), press_m, CAMERA)
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +75,12 @@ def test_dense_is_brute_force(random_bank, real_bank):
         scores = dense_of(bank).scores(queries)
         assert scores.shape == (len(queries), len(bank))
         np.testing.assert_allclose(scores, brute_force(queries, bank), atol=1e-4, rtol=1e-4)
+
+
+def test_weighted_dense_is_brute_force(place_bank):
+    queries, weights, bank = place_bank
+    scores = dense_of(bank).scores(queries, weights)
+    np.testing.assert_allclose(scores, weighted_brute_force(queries, bank, weights), atol=1e-6)
 
 
 def test_a_score_of_unit_vectors_is_the_cosine_minus_one(random_bank):
@@ -90,6 +117,52 @@ def test_faiss_flat_is_dense_on_its_top(real_bank):
         kept = np.isfinite(scores)
         np.testing.assert_allclose(scores[kept], row[kept], atol=1e-5)
         assert row[kept].min() >= row[~kept].max() - 1e-5, "nothing better was left out"
+
+
+def test_weighted_faiss_flat_is_dense_on_its_top(place_bank):
+    """To 1e-5 of what the best rows of all yaws score: float32 sums cannot tell nearer, in neither."""
+    queries, weights, bank = place_bank
+    exact, found = dense_of(bank).scores(queries, weights), matcher_of(bank, top_k=50).scores(queries, weights)
+    assert (np.isfinite(found).sum(axis=1) == 50).all()
+    for row, scores in zip(exact, found, strict=True):
+        kept = np.isfinite(scores)
+        np.testing.assert_allclose(scores[kept], row[kept], atol=1e-5 * np.abs(row[kept]).max())
+        assert row[kept].min() >= row[~kept].max() - 1e-7, "nothing better was left out"
+
+
+def test_a_bank_far_from_the_origin_costs_weighted_faiss_no_accuracy(random_bank):
+    queries, bank = (rows + np.float32(100) for rows in random_bank)
+    weights = np.random.default_rng(2).uniform(size=queries.shape).astype(np.float32)
+    found = matcher_of(bank).scores(queries, weights)
+    np.testing.assert_allclose(found, weighted_brute_force(queries, bank, weights), rtol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["hnsw", "ivf"])
+def test_approximate_search_finds_most_of_weighted_queries(place_bank, kind):
+    queries, weights, bank = place_bank
+    exact = dense_of(bank).scores(queries, weights)
+    found = matcher_of(bank, kind=kind, effort=32, top_k=200).scores(queries, weights)
+    kept = np.isfinite(found)
+    np.testing.assert_allclose(found[kept], exact[kept], atol=1e-6)
+    best = np.argsort(-exact, axis=1)[:, :20]
+    assert np.take_along_axis(kept, best, axis=1).mean() >= 0.95
+    assert kept.sum() < kept.size
+
+
+def test_weighted_and_plain_queries_may_alternate(random_bank):
+    queries, bank = random_bank
+    matcher, half = matcher_of(bank), np.full_like(queries, 0.5)
+    for rows in (bank, bank[:100]):
+        matcher.index(rows)
+        for _ in range(2):
+            np.testing.assert_allclose(matcher.scores(queries), brute_force(queries, rows), atol=1e-4)
+            np.testing.assert_allclose(matcher.scores(queries, half), 0.5 * brute_force(queries, rows), atol=1e-4)
+
+
+def test_a_small_bank_is_indexed_without_a_word(random_bank, capfd):
+    queries, bank = random_bank
+    matcher_of(bank[:200], kind="ivf").scores(queries)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_faiss_takes_a_bank_smaller_than_its_top(random_bank):

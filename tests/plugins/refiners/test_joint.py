@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.geometry.rigid import (
     invert,
     make_transform,
-    random_rotations,
     rotation_about,
-    transform_points,
     translation,
 )
 from tactile_loc.core.poses.metric import PoseMetric
@@ -20,8 +17,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.refiner import Candidate
 from tactile_loc.core.slots.scene import Scene, View
-from tactile_loc.plugins.refiners.joint.refiner import JointRefiner
-from tactile_loc.plugins.refiners.joint.twists import adjoint, exponential, logarithm
+from tactile_loc.plugins.refiners.joint import JointRefiner
 from tactile_loc.testing.problems import ReferenceRenderer, stepped_block
 
 CAMERAS = {
@@ -195,24 +191,6 @@ def test_a_sensor_that_is_off_is_solved_for(make_box):
     assert doubted[0] < 0.5 * believed[0]
     for touch, T in zip(touches, found.T_sensors_object, strict=True):
         np.testing.assert_allclose(T[2, 3], touch.T_sensor_object[2, 3], atol=1e-4)
-
-
-def test_motions_and_their_logarithms_undo_each_other():
-    rng = np.random.default_rng(1)
-    x = np.concatenate([0.2 * rng.normal(size=(10, 6)), 1e-9 * rng.normal(size=(10, 6)), np.zeros((1, 6))])
-    centre = rng.normal(size=(len(x), 3))
-    motion = exponential(x, centre)
-    np.testing.assert_allclose(logarithm(motion, centre), x, atol=1e-12)
-    np.testing.assert_allclose(motion[:, :3, :3], Rotation.from_rotvec(x[:, :3]).as_matrix(), atol=1e-14)
-    np.testing.assert_allclose(transform_points(motion, centre[:, None])[:, 0], centre + x[:, 3:], atol=1e-12)
-
-
-def test_a_twist_about_another_centre_in_another_frame_is_the_same_motion():
-    rng = np.random.default_rng(2)
-    T = make_transform(random_rotations(1, rng)[0], rng.normal(size=3))
-    here, there, x = rng.normal(size=3), rng.normal(size=3), 1e-6 * rng.normal(size=6)
-    Ad = adjoint(T[:3, :3], there - transform_points(T, here)[0])
-    np.testing.assert_allclose(T @ exponential(x, here) @ invert(T), exponential(Ad @ x, there), atol=1e-11)
 
 
 def test_the_first_sensors_error_is_its_own(block):

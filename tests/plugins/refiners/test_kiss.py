@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.errors import MissingLibraryError
 from tactile_loc.core.geometry.rigid import is_rigid, make_transform, rotation_about, transform_points, translation
@@ -131,5 +132,5 @@ def test_without_the_library_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "kiss_icp", None)
     monkeypatch.setitem(sys.modules, "kiss_icp.mapping", None)
     monkeypatch.delitem(sys.modules, "tactile_loc.plugins.refiners.kiss")
-    with pytest.raises(MissingLibraryError, match=r"pip install tactile-loc\[kiss\]"):
+    with pytest.raises(MissingLibraryError, match=naming("'kiss-icp'", "pip install tactile-loc[kiss]")):
         registry().create("refiner", "kiss-icp")

@@ -12,7 +12,7 @@ from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.renderer import Renderer
-from tactile_loc.data import demo_object_path
+from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.meshes import load_object
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
@@ -20,8 +20,8 @@ from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 MESHES = Path(__file__).parents[4] / "shared" / "data" / "meshes"
 
 PARTS = {
-    "pin": demo_object_path("pin"),
-    "hook": demo_object_path("hook"),
+    "pin": DEMO_OBJECTS["pin"].path,
+    "hook": DEMO_OBJECTS["hook"].path,
     "bolt": MESHES / "factory" / "factory_bolt_m16_loose.obj",
     "plug": MESHES / "automate" / "00062_plug.obj",
     "pillow block": MESHES / "o2ac" / "05_MBRFA30-2-P6.stl",

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 torch = pytest.importorskip("torch")
 
@@ -27,7 +28,7 @@ from tactile_loc.core.errors import CalibrationError, ConfigError, NoContactErro
 from tactile_loc.core.sensing.touch import ContactShape, Touch  # noqa: E402
 from tactile_loc.core.slots.registry import registry  # noqa: E402
 from tactile_loc.imaging.optics import OPTICS  # noqa: E402
-from tactile_loc.imaging.shading import background  # noqa: E402
+from tactile_loc.imaging.shading import render_background  # noqa: E402
 from tactile_loc.io.touches import read_touch  # noqa: E402
 from tactile_loc.plugins.sensors.calibrated import CalibratedSensor  # noqa: E402
 from tactile_loc.testing import checks_for  # noqa: E402
@@ -73,7 +74,7 @@ def test_its_own_untouched_gel_is_no_contact_however_wrong_it_is_read(folder):
     estimator, wrong = sensor.calibration.estimator, ball_indentation(BALLS.geometry, press_m=8e-5)
     read = estimator.read
     estimator.read = lambda image: (read(image)[0] + wrong, read(image)[1])
-    with pytest.raises(NoContactError, match="the least that stands out here"):
+    with pytest.raises(NoContactError, match=naming("0.1 mm")):
         sensor.contact_shape(BALLS.background)
 
 
@@ -117,7 +118,7 @@ def test_the_deeper_press_is_the_larger_contact(sensor):
 
 def test_an_image_without_contact_says_so(sensor):
     for image in (BALLS.background, BALLS.background + np.uint8(1)):
-        with pytest.raises(TouchError, match="no contact"):
+        with pytest.raises(NoContactError, match=naming("0.05 mm")):
             sensor.contact_shape(image)
 
 
@@ -126,26 +127,26 @@ def test_contact_shapes_stay_what_they_are(sensor, truth):
     shape = sensor.contact_shape(depth)
     np.testing.assert_array_equal(shape.contact, truth > 0)
     np.testing.assert_allclose(shape.depth_m[truth > 0], depth[truth > 0], atol=1e-9)
-    with pytest.raises(TouchError, match="pixels"):
+    with pytest.raises(TouchError, match=naming("(20, 64)", "(64, 64)")):
         sensor.contact_shape(depth[:20])
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "value"),
     [
         (lambda image: image[:50], "64 x 50 px"),
-        (lambda image: image[..., 1], r"uint8 of shape \(64, 64\).* colour"),
-        (lambda image: np.dstack([image, image[..., 0]]), "colour"),
+        (lambda image: image[..., 1], "(64, 64)"),
+        (lambda image: np.dstack([image, image[..., 0]]), "(64, 64, 4)"),
         (lambda image: image / 255.0, "float64"),
-        (lambda image: background(BALLS.geometry, OPTICS["digit"]), "another sensor"),
+        (lambda image: render_background(BALLS.geometry, OPTICS["digit"]), "calibrate"),
         (lambda image: 0 * image, "black"),
-        (lambda image: image[0, 0], "pixels|colour"),
-        (lambda image: image[:0], "px"),
+        (lambda image: image[0, 0], "(3,)"),
+        (lambda image: image[:0], "64 x 0"),
     ],
     ids=["cropped", "grey", "alpha", "float", "another sensor's", "black", "one pixel", "empty"],
 )
-def test_images_that_are_not_this_sensors_are_refused(sensor, photo, change, words):
-    with pytest.raises(TouchError, match=words):
+def test_images_that_are_not_this_sensors_are_refused(sensor, photo, change, value):
+    with pytest.raises(TouchError, match=naming(value)):
         sensor.contact_shape(change(photo))
 
 
@@ -158,7 +159,7 @@ def with_zero(folder: Path, image: np.ndarray, path: Path) -> CalibratedSensor:
 
 
 def test_a_changed_light_is_refused_until_the_untouched_gel_is_shown(sensor, folder, photo, truth, tmp_path):
-    with pytest.raises(TouchError, match=r"the light has changed.*--zero"):
+    with pytest.raises(TouchError, match=naming("light", "--zero")):
         sensor.contact_shape(brighter(photo))
     zeroed = with_zero(folder, brighter(BALLS.background), tmp_path / "zero.png")
     found = zeroed.contact_shape(brighter(photo))
@@ -173,17 +174,18 @@ def test_lamps_of_other_colours_are_refused_though_the_untouched_gel_is_shown(fo
         difference = image.astype(int) - BALLS.background
         return np.clip(BALLS.background + difference[..., [1, 2, 0]], 0, 255).astype(np.uint8)
 
-    with pytest.raises(TouchError, match="no surface looks so"):
-        with_zero(folder, BALLS.background, tmp_path / "zero.png").contact_shape(other(photo))
+    zeroed = with_zero(folder, BALLS.background, tmp_path / "zero.png")
+    with pytest.raises(TouchError, match=naming("surface", "--zero")):
+        zeroed.contact_shape(other(photo))
 
 
 def test_what_is_no_image_of_the_untouched_gel_is_refused(folder, photo, tmp_path):
-    with pytest.raises(TouchError, match="64 x 50 px"):
-        with_zero(folder, BALLS.background[:50], tmp_path / "zero.png").contact_shape(photo)
+    with pytest.raises(TouchError, match=naming("64 x 50", "64 x 64")):
+        with_zero(folder, BALLS.background[:50], tmp_path / "zero.png")
     text = tmp_path / "zero.txt"
     text.write_text("no image")
-    with pytest.raises(TouchError, match=r"zero\.txt is no colour image"):
-        CalibratedSensor(CalibratedSensor.Options(path=str(folder), zero=str(text))).contact_shape(photo)
+    with pytest.raises(TouchError, match=naming("zero.txt", "--zero")):
+        CalibratedSensor(CalibratedSensor.Options(path=str(folder), zero=str(text)))
 
 
 def test_a_calibration_that_says_nothing_of_health_still_reads(folder, photo, tmp_path):
@@ -194,7 +196,7 @@ def test_a_calibration_that_says_nothing_of_health_still_reads(folder, photo, tm
     (copy / "calibration.json").write_text(json.dumps(record))
     assert CalibratedSensor(CalibratedSensor.Options(path=str(copy))).contact_shape(photo).contact.any()
     (copy / "calibration.json").write_text(json.dumps({**record, "health": {"light": "much"}}))
-    with pytest.raises(CalibrationError, match="health"):
+    with pytest.raises(CalibrationError, match=naming("calibration.json", "health")):
         CalibratedSensor(CalibratedSensor.Options(path=str(copy)))
 
 
@@ -205,8 +207,9 @@ def test_a_photos_file_is_read(sensor, photo, tmp_path):
     lighter = read_touch(path, sensor, press_depth_m=1e-4)
     assert lighter.press_depth_m == pytest.approx(1e-4)
     assert lighter.contact_shape.contact.sum() < touch.contact_shape.contact.sum()
-    with pytest.raises(TouchError, match=r"gel\.png: no contact"):
-        read_touch(write_image(tmp_path / "gel.png", BALLS.background), sensor)
+    untouched = write_image(tmp_path / "gel.png", BALLS.background)
+    with pytest.raises(TouchError, match=naming("gel.png", "0.05 mm")):
+        read_touch(untouched, sensor)
 
 
 def test_what_identifies_it_is_what_the_folder_holds(sensor, folder, tmp_path):
@@ -227,11 +230,11 @@ def test_a_home_folder_is_found(folder, monkeypatch):
 
 
 def test_a_folder_that_is_none_is_refused(tmp_path):
-    with pytest.raises(CalibrationError, match="there is no folder"):
+    with pytest.raises(CalibrationError, match=naming(tmp_path / "none", "tactile-loc calibrate")):
         CalibratedSensor(CalibratedSensor.Options(path=str(tmp_path / "none")))
-    with pytest.raises(CalibrationError, match=r"sensor\.toml is missing"):
+    with pytest.raises(CalibrationError, match=naming(tmp_path, "sensor.toml")):
         CalibratedSensor(CalibratedSensor.Options(path=str(tmp_path)))
-    with pytest.raises(ConfigError, match="path"):
+    with pytest.raises(ConfigError, match=naming("'calibrated'", "path")):
         registry().create("sensor", "calibrated", {})
 
 

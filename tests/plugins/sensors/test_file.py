@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import naming
 from PIL import Image
 
 from tactile_loc.core.errors import SensorError, TouchError
@@ -111,18 +112,18 @@ def test_a_sensor_of_a_file_takes_depths_and_no_images(tmp_path: Path) -> None:
     depth = np.full((240, 320), np.inf)
     depth[:10] = 0.1 * MM
     assert sensor.contact_shape(depth).contact.sum() == 3200
-    with pytest.raises(TouchError, match="no calibration"):
+    with pytest.raises(TouchError, match="--sensor"):
         sensor.contact_shape(np.zeros((240, 320, 3), np.uint8))
 
 
 @pytest.mark.parametrize("key", PINHOLE)
 def test_missing_keys_are_named(tmp_path: Path, key: str) -> None:
-    with pytest.raises(SensorError, match=rf"sensor\.toml: {key} is missing; it must be"):
+    with pytest.raises(SensorError, match=naming("sensor.toml", key)):
         read_sensor_file(write(tmp_path, PINHOLE, **{key: None}))
 
 
 def test_an_orthographic_sensor_needs_its_scale(tmp_path: Path) -> None:
-    with pytest.raises(SensorError, match="mm_per_px is missing"):
+    with pytest.raises(SensorError, match=naming("sensor.toml", "mm_per_px")):
         read_sensor_file(write(tmp_path, ORTHOGRAPHIC, mm_per_px=None))
 
 
@@ -130,20 +131,18 @@ def test_an_orthographic_sensor_needs_its_scale(tmp_path: Path) -> None:
     ("values", "key", "hint"),
     [
         (PINHOLE, "standof_mm", "'standoff_mm'"),
-        (PINHOLE, "mm_per_px", "a pinhole sensor"),
-        (ORTHOGRAPHIC, "fx", "an orthographic sensor"),
+        (PINHOLE, "mm_per_px", "pinhole"),
+        (ORTHOGRAPHIC, "fx", "orthographic"),
         (ORTHOGRAPHIC, "name", "max_depth_mm"),
     ],
 )
 def test_unknown_keys_are_named_with_the_known(tmp_path: Path, values: dict, key: str, hint: str) -> None:
-    with pytest.raises(SensorError, match="Its keys: camera, image_size_px") as caught:
+    with pytest.raises(SensorError, match=naming("sensor.toml", repr(key), hint, "camera", "image_size_px")):
         read_sensor_file(write(tmp_path, values, **{key: "1.0"}))
-    assert f"no key {key!r}" in str(caught.value)
-    assert hint in str(caught.value)
 
 
 def test_a_mistyped_key_is_reported_rather_than_the_missing_one(tmp_path: Path) -> None:
-    with pytest.raises(SensorError, match=r"no key 'max_dept_mm'. Did you mean 'max_depth_mm'"):
+    with pytest.raises(SensorError, match=naming("'max_dept_mm'", "'max_depth_mm'")):
         read_sensor_file(write(tmp_path, PINHOLE, max_depth_mm=None, max_dept_mm="2"))
 
 
@@ -169,37 +168,38 @@ def test_a_mistyped_key_is_reported_rather_than_the_missing_one(tmp_path: Path) 
     ],
 )
 def test_ill_typed_values_are_named_with_what_is_allowed(tmp_path: Path, values: dict, key: str, value: str) -> None:
-    with pytest.raises(SensorError, match=rf"sensor\.toml: {key} = .* is wrong; it must be "):
+    read = {"true": "True"}.get(value, value.strip('"'))
+    with pytest.raises(SensorError, match=naming("sensor.toml", key, read)):
         read_sensor_file(write(tmp_path, values, **{key: value}))
 
 
 def test_contradictory_numbers_name_the_file(tmp_path: Path) -> None:
-    with pytest.raises(SensorError, match=r"sensor\.toml: the sensing rectangle"):
+    with pytest.raises(SensorError, match=naming("sensor.toml", "rectangle", "-0.005")):
         read_sensor_file(write(tmp_path, PINHOLE, sensing_rectangle_mm="[5, -5, -5, 5]"))
 
 
 def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(SensorError, match="no file"):
+    with pytest.raises(SensorError, match=naming(tmp_path / "none.toml")):
         read_sensor_file(tmp_path / "none.toml")
-    with pytest.raises(SensorError, match="cannot be read"):
+    with pytest.raises(SensorError, match=naming(tmp_path)):
         read_sensor_file(tmp_path)
     (tmp_path / "bad.toml").write_text("camera = pinhole")
-    with pytest.raises(SensorError, match=r"bad\.toml is not valid TOML"):
+    with pytest.raises(SensorError, match=naming("bad.toml", "TOML", "line 1")):
         read_sensor_file(tmp_path / "bad.toml")
 
 
 def test_bad_masks_are_refused(tmp_path: Path) -> None:
     path = write(tmp_path, ORTHOGRAPHIC, mask='"mask.png"')
-    with pytest.raises(SensorError, match=r"sensor\.toml: the mask .*mask\.png cannot be read"):
+    with pytest.raises(SensorError, match=naming("sensor.toml", "mask.png", "No such file")):
         read_sensor_file(path)
     (tmp_path / "mask.png").write_text("no image")
-    with pytest.raises(SensorError, match=r"sensor\.toml: the mask"):
+    with pytest.raises(SensorError, match=naming("sensor.toml", "mask.png")):
         read_sensor_file(path)
     Image.fromarray(np.full((320, 240), 255, np.uint8)).save(tmp_path / "mask.png")
-    with pytest.raises(SensorError, match=r"sensor\.toml: the mask of observed pixels is \(320, 240\)"):
+    with pytest.raises(SensorError, match=naming("sensor.toml", "(320, 240)", "(240, 320)")):
         read_sensor_file(path)
     Image.fromarray(np.zeros((240, 320), np.uint8)).save(tmp_path / "mask.png")
-    with pytest.raises(SensorError, match="no pixel"):
+    with pytest.raises(SensorError, match=naming("sensor.toml", "rectangle")):
         read_sensor_file(path)
 
 

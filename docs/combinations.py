@@ -1,0 +1,62 @@
+#!/usr/bin/env python3
+"""The combinations of components that are refused, as a table of docs/plugins.md, from the rules and what is declared.
+
+Run it to renew the table.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, get_args
+
+from tactile_loc.core.slots.compatibility import INCOMPATIBILITIES, Declared
+from tactile_loc.core.slots.registry import BUILT_IN, registry
+
+PAGE = Path(__file__).parent / "plugins.md"
+TABLE = re.compile(r"(?<=<!-- combinations -->\n).*?(?=<!-- /combinations -->)", re.DOTALL)
+HEAD = "| declared | and declared | why it is refused | what to do |\n|---|---|---|---|\n"
+
+
+def table() -> str:
+    """Return the table: a row for each rule, with the built-in components that each side of it holds for."""
+    rows = [f"| {_side(r.first)} | {_side(r.second)} | {r.reason} | {r.advice} |\n" for r in INCOMPATIBILITIES]
+    return HEAD + "".join(rows)
+
+
+def _side(declared: Declared) -> str:
+    names = ", ".join(f"`{name}`" for name in _declaring(declared)) or "no built-in one"
+    return f"{declared.slot}: `{declared}` ({names})"
+
+
+def _declaring(declared: Declared) -> Iterator[str]:
+    """The built-in components of the slot, with an option where it depends on that, that declare this."""
+    for found in registry().components:
+        if found.distribution == BUILT_IN and found.spec.slot == declared.slot:
+            kind = registry().load(found.spec.slot, found.spec.name)
+            holding = [options for options in _choices(kind) if declared.holds(kind(kind.Options(**options)))]
+            if {} in holding:
+                yield found.spec.name
+            else:
+                yield from (f"{found.spec.name} {key}={value}" for one in holding for key, value in one.items())
+
+
+def _choices(kind: Any) -> Iterator[dict[str, Any]]:
+    """The default options, and each choice between names instead."""
+    yield {}
+    for name, field in kind.Options.model_fields.items():
+        yield from ({name: value} for value in get_args(field.annotation) if isinstance(value, str))
+
+
+def main() -> None:
+    """Write the table into the page."""
+    text = PAGE.read_text(encoding="utf-8")
+    if not TABLE.search(text):
+        sys.exit(f"{PAGE} has no place for the table")
+    PAGE.write_text(TABLE.sub(lambda _: table(), text), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,103 @@
+"""What is mutated, which tests judge it, and which mutants count.
+
+Not counted are mutants of annotations, of texts, of what is raised or logged, of what only a type checker reads, and of
+bits. The tests mirror the files and are quick; they are not the whole suite.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from dataclasses import dataclass
+from random import Random
+from typing import Any
+
+NOUNS, CURVED = "tests/test_nouns.py", "tests/core/sensing/test_curved_contact.py"
+STORE = ("artifact", "files", "keys", "line_files", "store", "workspace")
+SLOW = "imprint or first_use or dense or sizes"  # without a compiler, or of renderers and sensors
+PROCESSES = "any_step or two_processes or killed_build"  # several, started one after the other
+LOGGERS = {"log", "logger", "logging", "warnings"}
+BITS = ("BitOr", "BitAnd", "BitXor", "LShift", "RShift")  # of floats: a TypeError, which any test would notice
+
+Mutation = Any  # cosmic-ray's MutationSpec: operator_name, occurrence, start_pos and end_pos
+Place = tuple[int, int]  # line, from 1, and character of the line, from 0
+Span = tuple[Place, Place]  # a part of a file, from its start to before its end
+
+
+@dataclass(frozen=True)
+class Target:
+    """Files of tactile_loc that are mutated together, and the tests that judge them: files and options of pytest."""
+
+    name: str
+    files: tuple[str, ...]
+    tests: tuple[str, ...]
+
+
+def _mirrored(name: str, *files: str, more: tuple[str, ...] = ()) -> Target:
+    """Files without their suffix, the tests that mirror them, and more tests or options."""
+    tests = (f"tests/{folder}/test_{stem}.py" for folder, _, stem in (file.rpartition("/") for file in files))
+    return Target(name, tuple(f"{file}.py" for file in files), (*tests, NOUNS, *more))
+
+
+TARGETS = (
+    _mirrored("geometry", "core/geometry/rigid"),
+    _mirrored("contact", "core/sensing/contact", more=(CURVED, "-k", f"not ({SLOW})")),
+    _mirrored("poses", "core/poses/metric"),
+    _mirrored("posterior", "core/poses/posterior"),
+    Target("fusing", ("core/slots/common_poses.py", "plugins/fusers/product.py", "plugins/fusers/kinematic.py"),
+           ("tests/core/slots/test_common_poses.py", "tests/plugins/fusers", NOUNS)),
+    _mirrored("covariance", "core/objects/mesh", "core/geometry/hand_eye", "tasks/pose_filter"),
+    _mirrored("store", *(f"store/{name}" for name in STORE), more=("-k", f"not ({PROCESSES})")),
+)  # fmt: skip
+
+
+def counts(mutation: Mutation, spans: list[Span]) -> bool:
+    """Tell whether a mutant counts, given the parts of its file that `uncounted` found."""
+    kind, _, change = mutation.operator_name.rpartition("/")[2].partition("_")
+    before, _, after = change.partition("_")
+    mixes_bits = kind == "ReplaceBinaryOperator" and (before in BITS) != (after in BITS)
+    return not mixes_bits and not any(start <= mutation.start_pos and mutation.end_pos <= end for start, end in spans)
+
+
+def sample(mutations: list[tuple[str, Mutation]], count: int, seed: int) -> list[int]:
+    """Draw the places of `count` mutants, each with its file's name: the same ones again from the same sources."""
+    names = [(file, mutation.operator_name, mutation.occurrence) for file, mutation in mutations]
+    return Random(seed).sample(sorted(range(len(names)), key=names.__getitem__), min(count, len(names)))
+
+
+def uncounted(source: str) -> list[Span]:
+    """Return the parts of a file whose mutants do not count."""
+    lines = source.splitlines()
+    return [_span(part, lines) for node in ast.walk(ast.parse(source)) for part in _uncounted_parts(node)]
+
+
+def _uncounted_parts(node: ast.AST) -> Iterator[ast.AST]:
+    if isinstance(node, ast.FunctionDef):
+        yield from (d for d in node.decorator_list if "njit" in ast.unparse(d))
+        if node.returns is not None:
+            yield node.returns
+    elif isinstance(node, (ast.arg, ast.AnnAssign)) and node.annotation is not None:
+        yield node.annotation
+    elif isinstance(node, ast.ExceptHandler) and node.type is not None:
+        yield from (part for part in ast.walk(node.type) if isinstance(part, ast.Attribute))  # cosmic-ray wants names
+    elif isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+        yield node.exc
+    elif _is_text(node) or _is_log(node) or (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)):
+        yield node
+
+
+def _is_text(node: ast.AST) -> bool:
+    return isinstance(node, ast.JoinedStr) or (isinstance(node, ast.Constant) and isinstance(node.value, str))
+
+
+def _is_log(node: ast.AST) -> bool:
+    return isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[0] in LOGGERS
+
+
+def _span(node: ast.AST, lines: list[str]) -> Span:
+    """Where a node is: Python counts a line's bytes, cosmic-ray its characters; a decorator is the whole line."""
+    if lines[node.lineno - 1].startswith("@"):
+        return (node.lineno, 0), (node.end_lineno + 1, 0)
+    start, end = (node.lineno, node.col_offset), (node.end_lineno, node.end_col_offset)
+    first, last = ((line, len(lines[line - 1].encode()[:column].decode())) for line, column in (start, end))
+    return first, last

@@ -1,1 +1,0 @@
-"""Mutants of the numerical core: which there are, and which the tests notice."""

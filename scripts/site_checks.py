@@ -1,0 +1,35 @@
+"""Hooks of mkdocs: warn if the API reference documents a name twice.
+
+mkdocs itself warns only if a page links to such a name. Names of the API are the anchors with a dot, as in
+`tactile_loc.Touch`; anchors of headings have none.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+from typing import Any
+
+LOG = logging.getLogger("mkdocs.hooks.site_checks")  # below mkdocs, whose --strict counts its warnings
+ANCHOR = re.compile(r'\sid="([^"]+\.[^"]+)"')
+
+_page_of: dict[str, str] = {}  # the first page that documents a name
+
+
+def on_pre_build(**_: Any) -> None:
+    """Forget the names of the previous build, for `mkdocs serve` builds many times."""
+    _page_of.clear()
+
+
+def on_post_page(output: str, page: Any, **_: Any) -> str:
+    """Warn of each name that this page, or a page before it, documents already; members of such a name are left out."""
+    here, twice = page.file.src_uri, {}
+    for name in ANCHOR.findall(output):
+        if name in _page_of:
+            twice[name] = _page_of[name]
+        else:
+            _page_of[name] = here
+    for name, first in twice.items():
+        if name.rpartition(".")[0] not in twice:
+            LOG.warning("Doc file '%s' documents '%s', which '%s' documents already.", here, name, first)
+    return output

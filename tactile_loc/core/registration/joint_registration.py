@@ -1,0 +1,186 @@
+"""The joint registration engine: poses of the object's surface against all touches at once, point to plane.
+
+The surface that a touch shows lies on the object, and no other surface reaches deeper into the gel. Both are residuals
+of one robust Gauss-Newton problem. Its unknowns are the pose and, within their standard deviations, the press depth of
+every touch and the pose of every sensor but the first. The Hessian gives the covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from tactile_loc.core.geometry.rigid import Poses, covariance_at
+from tactile_loc.core.objects.blocks import Blocks, NearestTriangles, blocks_of
+from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.registration.gauss_newton import SETTLED_MM, Registered, Registration
+from tactile_loc.core.registration.observations import MILLI, Seen, observe
+from tactile_loc.core.slots.component import ComponentOptions
+from tactile_loc.core.slots.refiner import RefinedPose
+from tactile_loc.core.slots.scene import View
+
+if TYPE_CHECKING:
+    from tactile_loc.core.objects.surface_field import SurfaceField
+
+VERSION = 1  # of what comes out, for the store's keys
+ROUGHLY = 0.02  # IoUs are counted in pixels: a loss this small is none
+FINELY = 4  # the last steps, which look at all points
+SAMPLES = 4000  # points of the object's surface that must not reach into the gel
+BLOCK = 16  # neighbouring samples that are skipped together
+Floats = NDArray[np.float64]
+Covariances = list[Floats | None]
+
+
+class RegistrationOptions(ComponentOptions):
+    """How many points of a touch are used, how far to trust them, and how the robust weights become narrower."""
+
+    image_px: int = Field(default=120, ge=16, description="the longer image side is thinned to about this, pixels")
+    points: int = Field(default=300, ge=20, description="points of each touch's surface, thinned evenly")
+    scale_mm: float = Field(default=3.0, gt=0, description="residuals beyond this are mistrusted at first, mm")
+    scale_end_mm: float = Field(default=0.1, gt=0, description="the same at last, mm")
+    iterations: int = Field(default=15, ge=2, description="most steps")
+    noise_mm: float = Field(default=0.03, gt=0, description="least standard deviation of a point of a touch, mm")
+    patch_mm: float = Field(default=1.0, gt=0, description="points nearer to one another err alike, mm")
+    press_error: float = Field(default=0.05, ge=0, description="standard deviation of a press, share of it")
+
+
+class JointRegistration:
+    """Registers poses to touches. It holds options only, so one engine serves any object and any touches."""
+
+    def __init__(self, options: RegistrationOptions | None = None) -> None:
+        self.options = options or RegistrationOptions()
+
+    def describe(self) -> dict[str, Any]:
+        """Return what decides the engine's output, as JSON values."""
+        return {"version": VERSION, "options": self.options.model_dump(mode="json")}
+
+    def refine(self, views: Sequence[View], T_first_object: Poses) -> list[RefinedPose]:
+        """Refine poses (K, 4, 4), metres, in the first touch's sensor frame, against all touches.
+
+        A pose that explains the touches worse after registration is returned as it was, not converged.
+        """
+        if not len(T_first_object):
+            return []
+        found = self._register(views, T_first_object, self.scales_mm(self.options.iterations), FINELY)
+        after = _explain(views, found.T)
+        before = np.ones_like(after)
+        doubted = after[1] < 1 - ROUGHLY  # a pose that explains nearly everything explains no less than before
+        before[:, doubted] = _explain(views, T_first_object[doubted])
+        good = ~doubted | (after[1] >= before[1] - ROUGHLY)
+        results = []
+        for k, given in enumerate(T_first_object):
+            T, iou = (found.T[k], after[0, k]) if good[k] else (given.copy(), before[0, k])
+            settled = bool(good[k] and found.moved[k] < SETTLED_MM and iou > 0)
+            covariance = _covariance(found.information[k], _lever_m(views[0], T)) if good[k] else None
+            seen = found.T_each[k] if good[k] else None
+            results.append(RefinedPose(T, float(iou), settled, self.options.iterations, covariance, seen))
+        return results
+
+    def settle(self, views: Sequence[View], T_first_object: Poses) -> Poses:
+        """Register many poses (K, 4, 4), metres, roughly, and return where they end (K, 4, 4), better or not.
+
+        A fraction of the points is used, and nothing is drawn.
+        """
+        return self._register(views, T_first_object, self.scales_mm(self.options.iterations), 0).T
+
+    def follow(self, views: Sequence[View], T_first_object: Poses) -> tuple[Poses, Covariances]:
+        """Register poses (K, 4, 4), metres, that are near already; return where they end and their covariances.
+
+        For control loops: nothing is drawn, so that a pose may explain less than before. Covariances (6, 6) are as
+        RefinedPose's, None where the touches do not determine the pose.
+        """
+        found = self._register(views, T_first_object, self.scales_mm(self.options.iterations), FINELY)
+        return found.T, _covariances(found, views[0])
+
+    def step(self, views: Sequence[View], T_first_object: Poses, scale_mm: float) -> tuple[Poses, Covariances]:
+        """Take one step of registration from poses (K, 4, 4), metres; return where it ends, and the covariances there.
+
+        For larger problems of which registration is a part: these are the touches' equations at a pose, solved.
+        Residuals beyond `scale_mm` are mistrusted; covariances are as for `follow`, at T_first_object.
+        """
+        found = self._register(views, T_first_object, np.array([scale_mm]), 1)
+        return found.T, _covariances(found._replace(T=T_first_object), views[0])
+
+    def covariances(self, views: Sequence[View], T_first_object: Poses) -> Covariances:
+        """Return the covariance (6, 6), as RefinedPose's, of each pose (K, 4, 4), metres, that fits the touches."""
+        return self.step(views, T_first_object, self.options.scale_end_mm)[1]
+
+    def scales_mm(self, count: int) -> Floats:
+        """Return the scale of the robust weights (count,), step by step: narrower up to the middle."""
+        start, end = self.options.scale_mm, self.options.scale_end_mm
+        return np.asarray(start * (end / start) ** np.clip(np.arange(count) / (0.5 * count), 0, 1))
+
+    def _register(self, views: Sequence[View], T: Poses, scales_mm: Floats, finely: int) -> Registered:
+        """Register poses (K, 4, 4), metres, to touches; poses in metres, but information in mm and rad."""
+        from tactile_loc.core.objects.surface_field import surface_field  # numba takes a while to import
+
+        options, mesh = self.options, views[0].scene.object.mesh
+        area_m2 = float(mesh.face_areas.sum()) / SAMPLES
+        seen = [Seen(shape, geometry) for geometry, shape in (v.touch.thinned(options.image_px) for v in views)]
+        observed = observe(seen, options.points, options.noise_mm / MILLI, options.patch_mm / MILLI, area_m2)
+        press_mm = [max(options.press_error * view.touch.indentation_m, 1e-6) * MILLI for view in views]
+        sensor = [[view.sensor_std_rad] * 3 + [view.sensor_std_m * MILLI] * 3 for view in views]
+        registration = Registration(
+            observed, _scale(np.stack([view.T_sensor_first for view in views]), MILLI), np.square(sensor),
+            np.outer(np.square(press_mm), [0, 0, 0, 0, 0, 1]), options.noise_mm, _triangles_mm(surface_field(mesh)),
+            _samples_mm(mesh),
+            mesh.centroid_m * MILLI,
+        )  # fmt: skip
+        found = registration.register(_scale(T, MILLI), scales_mm, finely)
+        return found._replace(T=_scale(found.T, 1 / MILLI), T_each=_scale(found.T_each, 1 / MILLI))
+
+
+def _scale(T: Floats, unit: float) -> Floats:
+    """Return transforms (..., 4, 4) whose lengths are in another unit."""
+    scaled = T.copy()
+    scaled[..., :3, 3] *= unit
+    return scaled
+
+
+def _explain(views: Sequence[View], T_first_object: Poses) -> Floats:
+    """Return contact and imprint IoUs (2, K) of poses (K, 4, 4) in the first sensor's frame: means over the touches."""
+    if not len(T_first_object):
+        return np.empty((2, 0))
+    each = [view.explained(T_first_object)[:2] for view in views]
+    return np.asarray(np.mean(each, axis=0))
+
+
+def _covariances(found: Registered, view: View) -> Covariances:
+    return [_covariance(A, _lever_m(view, T)) for A, T in zip(found.information, found.T, strict=True)]
+
+
+def _lever_m(view: View, T: Floats) -> Floats:
+    """From the object frame's origin to the centroid (3,), metres, along the sensor's axes."""
+    return np.asarray(T[:3, :3] @ view.scene.object.mesh.centroid_m)
+
+
+def _covariance(information: Floats, lever_m: Floats) -> Floats | None:
+    """The covariance (6, 6), x, y, z in m before rotations in rad, of information in mm whose rotations come first.
+
+    The information is about the object's centroid, at `lever_m` (3,) from the frame's origin. The covariance is that of
+    the origin.
+    """
+    swapped = information[[3, 4, 5, 0, 1, 2]][:, [3, 4, 5, 0, 1, 2]]
+    values, vectors = np.linalg.eigh(swapped)
+    if not values[-1] > 0:
+        return None
+    # a direction that no touch constrains has a standard deviation of some 30 mm, or 3 rad
+    covariance = (vectors / np.maximum(values, 1e-3)) @ vectors.T
+    unit = np.array([1 / MILLI] * 3 + [1.0] * 3)
+    return covariance_at(covariance * unit * unit[:, None], -lever_m)
+
+
+@lru_cache(maxsize=64)
+def _samples_mm(mesh: TriangleMesh) -> Blocks:
+    points = mesh.sample(SAMPLES, np.random.default_rng(0)) * MILLI
+    return blocks_of(points[:, None], BLOCK)
+
+
+@lru_cache(maxsize=64)
+def _triangles_mm(field: SurfaceField) -> NearestTriangles:
+    return field.in_unit(MILLI)

@@ -1,0 +1,141 @@
+"""What touches ask of the poses that sensors see the object at, compiled (numba).
+
+Lengths in mm. A twist (6,) is a rotation (rad) before a translation (mm); it turns about the touch's own centre, in its
+sensor's frame.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tactile_loc.core.compiled import njit
+from tactile_loc.core.objects.surface_field import closest_on_triangle, downhill, triangle_near
+
+# mypy: ignore-errors
+
+GROSS_MM = 0.5  # a point that is off by more is no more of a sign of noise
+NEAR_PLANE_MM = 0.1  # a point beside its triangle by less is measured to the triangle's plane
+
+
+@njit(fast=True)
+def equations(first, last, T_each, every, observed, triangles, samples, scale, A, b, misfit):
+    """Fill the equations A u = b of twists u by which poses T_each (K, N, 4, 4) explain their touches better.
+
+    Of the poses from first to last, one of `every` (K,) points; `triangles` are the object's in mm, `samples` points of
+    its surface in blocks, `scale` in mm that of the robust weights. A (K, N, 6, 6), b (K, N, 6) and `misfit` (K, 2),
+    the points' weighted squared distances, mm^2, and their weights, are zero before.
+    """
+    for k in range(first, last):
+        for i in range(T_each.shape[1]):
+            seen(i, T_each[k, i], observed, triangles, scale, every[k], A[k, i], b[k, i], misfit[k])
+            kept_out(i, T_each[k, i], observed, samples, scale, every[k], A[k, i], b[k, i])
+            for m in range(6):
+                for n in range(m):
+                    A[k, i, m, n] = A[k, i, n, m]
+
+
+@njit(fast=True)
+def seen(i, T, observed, triangles, scale, every, A, b, misfit):
+    """Add the equations of touch i's points: each lies on the object's surface, which faces as the point does.
+
+    To the misfit (2,) are added their weighted squared distances, mm^2, and their weights.
+    """
+    x, y = np.empty(3), np.empty(3)
+    J = np.empty(6)
+    for j in range(observed.starts[i], observed.starts[i + 1], every):
+        p, n = observed.points[j], observed.normals[j]
+        for a in range(3):  # into the object's frame
+            x[a] = T[0, a] * (p[0] - T[0, 3]) + T[1, a] * (p[1] - T[1, 3]) + T[2, a] * (p[2] - T[2, 3])
+            y[a] = T[0, a] * n[0] + T[1, a] * n[1] + T[2, a] * n[2]
+        f = triangle_near(x, triangles)
+        if f < 0:
+            continue
+        f, squared = downhill(x, f, triangles)
+        m = triangles.normals[f]
+        facing = m[0] * y[0] + m[1] * y[1] + m[2] * y[2]
+        if facing <= 0.0:
+            continue
+        corner = triangles.corners[f]
+        off = m[0] * (x[0] - corner[0]) + m[1] * (x[1] - corner[1]) + m[2] * (x[2] - corner[2])
+        d0, d1, d2, r = m[0], m[1], m[2], off
+        if squared - off * off > (NEAR_PLANE_MM + 0.5 * abs(off)) ** 2:  # beside the triangle
+            c = closest_on_triangle(x, corner, triangles.sides[f])
+            r = math.sqrt(squared)
+            d0, d1, d2 = (x[0] - c[0]) / r, (x[1] - c[1]) / r, (x[2] - c[2]) / r
+        r = math.copysign(max(0.0, abs(r) - observed.slack[j]), r)
+        weight = every * observed.weights[j] * facing / (1.0 + r * r / (scale * scale)) ** 2
+        # back into the sensor's frame; the object moves by u, so that the residual falls by d . u(p)
+        for a in range(3):
+            y[a] = T[a, 0] * d0 + T[a, 1] * d1 + T[a, 2] * d2
+        row(p, observed.centres[i], y, J)
+        add(J, r, weight, A, b)
+        weight = every * observed.weights[j] * facing
+        misfit[0] += weight * min(r * r, GROSS_MM**2)
+        misfit[1] += weight
+
+
+@njit(fast=True)
+def kept_out(i, T, observed, samples, scale, every, A, b):
+    """Add the equations of surface samples that reach deeper into the gel of touch i than it shows."""
+    camera = observed.cameras[i]
+    pinhole, fx, fy, cx, cy, gel = camera[0] > 0.0, camera[1], camera[2], camera[3], camera[4], camera[5]
+    height, width, offset = observed.sizes[i, 0], observed.sizes[i, 1], observed.offsets[i]
+    d, p, J = np.empty(3), np.empty(3), np.empty(6)
+    z0, z1, z2, above = T[2, 0], T[2, 1], T[2, 2], T[2, 3] - gel
+    for block in range(len(samples.radii)):
+        s = samples.centres[block]
+        if z0 * s[0] + z1 * s[1] + z2 * s[2] + above >= samples.radii[block]:
+            continue
+        for j in range(samples.starts[block], samples.starts[block + 1], every):
+            s = samples.corners[j, 0]
+            z = z0 * s[0] + z1 * s[1] + z2 * s[2] + above
+            if z >= 0.0:
+                continue
+            z += gel
+            x = T[0, 0] * s[0] + T[0, 1] * s[1] + T[0, 2] * s[2] + T[0, 3]
+            y = T[1, 0] * s[0] + T[1, 1] * s[1] + T[1, 2] * s[2] + T[1, 3]
+            if x < camera[6] or x > camera[7] or y < camera[8] or y > camera[9]:
+                continue
+            k = 1.0 / z if pinhole else 1.0
+            u, v = math.floor(fx * x * k + cx - 0.5), math.floor(fy * y * k + cy - 0.5)
+            if u < 0 or v < 0 or u >= width or v >= height:
+                continue
+            pixel = observed.images[offset + v * width + u]
+            nothing = pixel[0] < 0.0
+            surface = -pixel[0] if nothing else pixel[0]
+            if not surface > z:  # not observed, or nothing is wrong
+                continue
+            r = min(surface, gel) - z
+            d[0] = d[1] = 0.0
+            d[2] = 1.0
+            aside, across = pixel[1] - x, pixel[2] - y
+            far = math.sqrt(aside * aside + across * across)
+            if nothing and far < r:  # nearer to the contact beside it than to the gel's surface
+                r = far
+                if r < 1e-6:
+                    continue
+                d[0], d[1], d[2] = aside / far, across / far, 0.0
+            p[0], p[1], p[2] = x, y, z
+            row(p, observed.centres[i], d, J)
+            # here the point itself moves with the object, towards d, by r
+            add(J, r, every * camera[10] / (1.0 + r * r / (scale * scale)) ** 2, A, b)
+
+
+@njit(fast=True)
+def row(p, centre, d, J):
+    """The derivative (6,) of d . (motion of p) by a twist about the centre."""
+    l0, l1, l2 = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
+    J[0], J[1], J[2] = l1 * d[2] - l2 * d[1], l2 * d[0] - l0 * d[2], l0 * d[1] - l1 * d[0]
+    J[3], J[4], J[5] = d[0], d[1], d[2]
+
+
+@njit(fast=True)
+def add(J, r, weight, A, b):
+    """Add weight J^T J, its upper half, and weight J^T r."""
+    for m in range(6):
+        w = weight * J[m]
+        b[m] += w * r
+        for n in range(m, 6):
+            A[m, n] += w * J[n]

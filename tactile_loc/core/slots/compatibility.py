@@ -1,0 +1,62 @@
+"""Which components cannot be combined, told by what they declare: refused when a configuration is read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.slots.component import Component
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A capability of a slot's component that has this value."""
+
+    slot: str
+    capability: str
+    value: bool
+
+    def holds(self, component: Component) -> bool:
+        """Whether a component of the slot declares this."""
+        return bool(getattr(component.capabilities, self.capability)) is self.value
+
+    def __str__(self) -> str:
+        return f"{self.capability}={self.value}"
+
+
+@dataclass(frozen=True)
+class Incompatibility:
+    """Two declarations that exclude each other, why, and what to choose instead."""
+
+    first: Declared
+    second: Declared
+    reason: str
+    advice: str
+
+    def applies(self, components: Mapping[str, Component]) -> bool:
+        """Whether components, by slot, declare both."""
+        return all(one.slot in components and one.holds(components[one.slot]) for one in (self.first, self.second))
+
+
+INCOMPATIBILITIES = (
+    Incompatibility(
+        Declared("grid", "places", True), Declared("matcher", "weights", False),
+        "a sensor sees only part of the surroundings of a place, and this matcher cannot leave out the rest",
+        "choose another matcher, such as dense, or a grid that lists its poses, such as face",
+    ),
+)  # fmt: skip
+
+
+def require_compatible(components: Mapping[str, Component], names: Mapping[str, str]) -> None:
+    """Raise ConfigError, one sentence, where components by slot exclude each other; `names` are what users call them.
+
+    Slots that are missing are not looked at.
+    """
+    for rule in INCOMPATIBILITIES:
+        if rule.applies(components):
+            slots = (rule.first.slot, rule.second.slot)
+            pair = " and ".join(f"the {slot} {names[slot]!r}" for slot in slots)
+            changes = [components[slot].outdated for slot in slots if components[slot].outdated]
+            change = f", or bring the plugin to the current interface: {'; '.join(changes)}" if changes else ""
+            raise ConfigError(f"{pair} cannot be combined: {rule.reason}; {rule.advice}{change}")

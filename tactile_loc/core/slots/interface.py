@@ -1,0 +1,57 @@
+"""The version of the plugin interface, and what becomes of components that were written for another one.
+
+| version | what changed |
+|---|---|
+| 2 | `Matcher.scores` takes `weights` (before: `Matcher.weighted_scores`); `Capabilities.weights` |
+| 1 | the first |
+"""
+
+from __future__ import annotations
+
+import inspect
+import logging
+from dataclasses import replace
+from typing import Any
+
+logger = logging.getLogger(__name__)
+
+INTERFACE_VERSION = 2
+WEIGHTS_CHANGE = "give scores a second argument, weights"
+
+
+def takes_weights(matcher: Any) -> bool:
+    """Whether `scores` of a matcher, a class or an instance, takes a second argument."""
+    taken = [p for p in inspect.signature(matcher.scores).parameters.values() if p.kind is not p.KEYWORD_ONLY]
+    several = any(p.kind is p.VAR_POSITIONAL for p in taken)
+    return several or len(taken) > 1 + isinstance(matcher, type)
+
+
+def require_interface(kind: Any, slot: str, version: int) -> None:
+    """Raise TypeError unless a component's class has what its version of the interface demands of the slot."""
+    if version >= 2 and slot == "matcher" and kind.capabilities.weights and not takes_weights(kind):
+        raise TypeError(f"{kind.__name__}.scores takes no weights; {WEIGHTS_CHANGE}, or declare weights=False")
+
+
+def adapt(kind: Any, slot: str, version: int) -> Any:
+    """Return the class of a component that was written for `version`, as this version of the interface asks for it.
+
+    A matcher of version 1 is given `scores(queries, weights)`: by its own `weighted_scores`, or for listed poses alone.
+    """
+    if version >= 2 or slot != "matcher" or takes_weights(kind):
+        return kind
+    weighs = hasattr(kind, "weighted_scores")  # no class of ours has it
+    consequence = "its weighted_scores is used" if weighs else "it compares with listed poses only"
+    logger.warning(
+        "The matcher %s was written for plugin interface 1: %s. To bring it to interface %d, %s.",
+        kind.__name__, consequence, INTERFACE_VERSION, WEIGHTS_CHANGE,
+    )  # fmt: skip
+
+    def scores(self: Any, queries: Any, weights: Any = None) -> Any:
+        """Return scores (M, N) as `Matcher.scores` does."""
+        return kind.scores(self, queries) if weights is None else kind.weighted_scores(self, queries, weights)
+
+    members = {
+        "scores": scores, "outdated": WEIGHTS_CHANGE, "capabilities": replace(kind.capabilities, weights=weighs),
+        **{name: getattr(kind, name) for name in ("__module__", "__qualname__", "__doc__")},
+    }  # fmt: skip
+    return type(kind)(kind.__name__, (kind,), members)

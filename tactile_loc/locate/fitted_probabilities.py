@@ -1,0 +1,186 @@
+"""How sure touches make: fitted to simulated touches of the same object, sensor and components, and stored."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tactile_loc.core.errors import GridError
+from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.progress import Progress, StageTimes
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.slots.fuser import Fuser
+from tactile_loc.core.slots.scene import Scene, View
+from tactile_loc.locate import conformal, probabilities
+from tactile_loc.locate.conformal import ConformalSets
+from tactile_loc.locate.probabilities import (
+    FusedExample,
+    FusedScaling,
+    TemperatureScaling,
+    fit_fused_scaling,
+    fit_temperature_scaling,
+)
+from tactile_loc.locate.scoring import Scores
+from tactile_loc.locate.search import search_together
+from tactile_loc.locate.sources import PlaceSource, PoseSource
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import StageStore
+from tactile_loc.store.workspace import Workspace
+
+EXAMPLE_TOUCHES = 50  # of simulated examples, in memory at once
+EACH_LEVEL = 10_000  # between the seeds of examples with one level of noise and with the next
+UNKNOWN = 1e3  # nats: the entropy of what no pose explains
+
+Simulate = Callable[[int, int, str], list[Touch]]  # count, seed, noise level
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """What several simulated touches say together, fused but not tempered; None where no pose touches all sensors.
+
+    `truth` is the index of the true pose, -1 if it was not found, `best` the mean imprint IoU of a search's best pose.
+    """
+
+    fused: PosePosterior | None
+    truth: int
+    best: float
+
+
+class FittedProbabilities:
+    """The temperature, the tempering of fused touches and the calibrated sets of one localizer, fitted at first use.
+
+    `source` scores all poses that it looks at exactly; `described` is what decides its scores, `drawn` what decides the
+    simulated touches, as JSON values. A `temperature` that the user gives replaces all fits but that of the sets.
+    """
+
+    def __init__(
+        self, source: PoseSource, scene: Scene, fuser: Fuser, simulate: Simulate,
+        described: Callable[[], dict[str, Any]], drawn: dict[str, Any], temperature: float | None, store: StageStore,
+        progress: Progress,
+    ) -> None:  # fmt: skip
+        self.source, self.scene, self.fuser, self.simulate, self.described = source, scene, fuser, simulate, described
+        self.drawn, self.temperature, self.store, self.progress = drawn, temperature, store, progress
+        self.plan = probabilities.plan_fit(source.searched)
+
+    @cached_property
+    def temperature_scaling(self) -> TemperatureScaling:
+        """How scores become probabilities: by the temperature asked for, or as simulated touches have taught."""
+        if self.temperature is not None:
+            return TemperatureScaling(self.temperature)
+        artifact = self.store.build(self.temperature_key(), self._fit_temperature)
+        return TemperatureScaling(**artifact.load_json(probabilities.STAGE))
+
+    def temperature_key(self) -> StageKey:
+        """Return the key under which the temperature scaling is stored: everything that decides it."""
+        touches = probabilities.describe_touches(self.plan.touches, self.plan.noise)
+        return StageKey(
+            probabilities.STAGE, probabilities.STAGE_VERSION, {**self.described(), **self.drawn, **touches}
+        )  # fmt: skip
+
+    def _fit_temperature(self, work: Workspace) -> None:
+        """Score simulated touches of known pose, and save the scaling that makes the true poses most probable."""
+        scores: list[Scores] = []
+        truth: list[int] = []
+        number, levels = self.plan.touches, self.plan.noise
+        with self.progress.task("fitting probabilities", number) as advance:
+            for seed, count, level in probabilities.batches(number, levels):
+                for touch in self.simulate(count, seed, level):
+                    ((grid, found),) = self.source.score([touch], StageTimes())
+                    scores.append(found)
+                    truth.append(self.source.find_truth(grid, touch))
+                    advance(1)
+        fitted = fit_temperature_scaling(scores, np.array(truth), self.source.searched)
+        work.save_json(probabilities.STAGE, asdict(fitted))
+
+    @cached_property
+    def fused_scaling(self) -> FusedScaling:
+        """How sure several touches together make: fitted to simulated examples, unless a temperature was asked for."""
+        if self.temperature is not None:
+            return FusedScaling()
+        described = self._describe_examples(self.plan.fused_touches, self.plan.fused_examples, probabilities.FUSED_SEED)
+        key = StageKey(probabilities.FUSED_STAGE, probabilities.FUSED_VERSION, described)
+        return FusedScaling(**self.store.build(key, self._fit_fused_scaling).load_json(probabilities.FUSED_STAGE))
+
+    def _fit_fused_scaling(self, work: Workspace) -> None:
+        """Fuse simulated touches of known pose, and save how sure they are to make."""
+        levels = self.plan.noise
+        count, seed = self.plan.fused_examples // len(levels), probabilities.FUSED_SEED
+        fused = [
+            FusedExample(number, example.fused.log_p, example.truth, example.best)
+            for number in self.plan.fused_touches
+            for place, level in enumerate(levels)
+            for example in self._examples(number, count, seed + EACH_LEVEL * place, level)
+            if example.fused is not None
+        ]
+        work.save_json(probabilities.FUSED_STAGE, asdict(fit_fused_scaling(fused, self.source.searched)))
+
+    def conformal_sets(self, touches: int) -> ConformalSets:
+        """Return how large sets of poses are to be, given so many touches, to hold the truth as often as asked for."""
+        number = min(touches, conformal.MOST_TOUCHES)
+        described = self._describe_examples([number], conformal.EXAMPLES, conformal.SEED)
+        key = StageKey(conformal.STAGE, conformal.STAGE_VERSION, described)
+        artifact = self.store.build(key, lambda work: self._score_sets(work, number))
+        return ConformalSets(**artifact.load_json(conformal.STAGE))
+
+    def _score_sets(self, work: Workspace, touches: int) -> None:
+        """Save how much probability is likelier than the truth in held-out examples of so many touches."""
+        power = 1.0 if touches == 1 else self.fused_scaling.power(touches)
+        scores, entropies = [], []
+        for example in self._examples(touches, conformal.EXAMPLES, conformal.SEED):
+            posterior = None if example.fused is None else example.fused.tempered(power)
+            if posterior is not None and self.source.searched and touches > 1:
+                posterior = dataclasses.replace(posterior, elsewhere=self.fused_scaling.elsewhere(example.best))
+            found = posterior is not None and example.truth >= 0
+            scores.append(posterior.credible_level(example.truth) if posterior and found else conformal.NOT_FOUND)
+            entropies.append(UNKNOWN if posterior is None else posterior.entropy)
+        work.save_json(conformal.STAGE, {"scores": scores, "entropies": entropies})
+
+    def _describe_examples(self, touches: Sequence[int], count: int, seed: int) -> dict[str, Any]:
+        """Return what decides what is fused of so many simulated touches, as JSON values."""
+        return {
+            "touches": list(touches), "examples": count, "seed": seed, "fuser": self.fuser.describe(),
+            "scores": self.temperature_key().digest, "temperature": self.temperature,
+        }  # fmt: skip
+
+    def _examples(
+        self, touches: int, count: int, seed: int, noise: str = probabilities.TOUCH_NOISE
+    ) -> Iterator[Example]:
+        """Yield `count` examples of so many simulated touches of the object at rest; no touch is in two of them."""
+        at_once = max(1, EXAMPLE_TOUCHES // touches)
+        with self.progress.task(f"fusing examples of {touches} touches", count) as advance:
+            for start in range(0, count, at_once):
+                number, drawn_seed = touches * min(at_once, count - start), seed + 100_000 * touches + start
+                drawn = self.simulate(number, drawn_seed, noise)
+                for first in range(0, len(drawn), touches):
+                    yield self._fuse(drawn[first : first + touches])
+                    advance(1)
+
+    def _fuse(self, touches: Sequence[Touch]) -> Example:
+        """Fuse touches of known pose, each its own sensor's, as if one object at rest had been touched."""
+        poses = np.stack([np.asarray(touch.T_sensor_object) for touch in touches])
+        best, scaling = 1.0, self.temperature_scaling
+        if isinstance(self.source, PlaceSource) and len(touches) > 1:
+            alone, best = self._search_together(self.source, touches, poses)
+        else:
+            alone = [scaling.posterior(*scored) for scored in self.source.score(touches, StageTimes())]
+        truth = self.source.find_truth(alone[0].grid, touches[0])
+        try:
+            fused = self.fuser.fuse(alone, list(invert(poses)))
+        except GridError:
+            return Example(None, truth, best)
+        return Example(dataclasses.replace(fused, elsewhere=alone[0].elsewhere), truth, best)
+
+    def _search_together(
+        self, source: PlaceSource, touches: Sequence[Touch], poses: Poses
+    ) -> tuple[list[PosePosterior], float]:
+        """What each touch says of the poses that all of them found, and the best pose's mean imprint IoU."""
+        seen_from = zip(touches, poses @ invert(poses[0]), strict=True)
+        views = [View(touch, self.scene.of_touch(touch), T) for touch, T in seen_from]
+        found = search_together(views, [source.search] * len(touches), StageTimes())
+        return found.posteriors(views, [self.temperature_scaling] * len(touches), 0.0), found.best

@@ -1,0 +1,192 @@
+"""Where candidate poses come from: a listed grid of poses, or a search of all places of the object.
+
+Both sources score poses for touches, choose which of them are refined, and find the one that is true. The localizer
+asks its source and does not need to know which one it is.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.poses.metric import PoseGrid
+from tactile_loc.core.poses.posterior import Mode, PosePosterior
+from tactile_loc.core.poses.priors import Prior
+from tactile_loc.core.progress import Progress, StageTimes
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.listed_training import ListedProblem
+from tactile_loc.core.slots.encoder import Encoder
+from tactile_loc.core.slots.grid import GridSampler
+from tactile_loc.core.slots.matcher import Matcher
+from tactile_loc.core.slots.scene import Scene, View
+from tactile_loc.io.options import HypothesisOptions
+from tactile_loc.locate.hypotheses import best_apart, propose_together
+from tactile_loc.locate.model import ObjectPoseModel, build_bank, build_model, encoder_key, train_encoder
+from tactile_loc.locate.place_banks import PlaceBanks
+from tactile_loc.locate.scoring import GridScores, NewMatcher, Scores
+from tactile_loc.locate.search import PlaceSearch
+from tactile_loc.store.store import StageStore
+
+
+class PoseSource(ABC):
+    """Scores poses for touches of one object by one sensor.
+
+    `searched`: only the likeliest poses are scored, so that the true one may be missing.
+    """
+
+    searched: bool
+
+    @property
+    @abstractmethod
+    def trained(self) -> str:
+        """The digest of what the encoder learned: trained now, or read from the store; empty if it learns nothing."""
+
+    @abstractmethod
+    def score(
+        self, touches: Sequence[Touch], times: StageTimes, prior: Prior | None = None
+    ) -> list[tuple[PoseGrid, Scores]]:
+        """Return for each touch the poses compared with it, metres, and their scores (N,), unitless; adds to `times`.
+
+        A `prior` only says which poses of a whole object are scored besides the most similar ones.
+        """
+
+    @abstractmethod
+    def propose(
+        self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int,
+        pose_set: NDArray[np.int64] | None,
+    ) -> list[Mode]:  # fmt: skip
+        """Return the modes of the `fused` posterior of touches to refine, at least `top` if there are as many.
+
+        `alone` is what each touch says; with a `pose_set`, indices (K,) of the fused grid, all its modes are among
+        them.
+        """
+
+    @abstractmethod
+    def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
+        """Return the index of the pose nearest to a touch's true one; -1 if the search found none near it."""
+
+    @abstractmethod
+    def describe(self) -> dict[str, Any]:
+        """Return what decides the scores but for encoder, sensor and touch, as JSON values."""
+
+
+class PlaceSource(PoseSource):
+    """Poses from a search of all places of the object."""
+
+    searched = True
+
+    def __init__(
+        self, search: PlaceSearch, banks: PlaceBanks, options: HypothesisOptions, mode_radius_m: float
+    ) -> None:
+        self.search, self.banks, self.options, self.mode_radius_m = search, banks, options, mode_radius_m
+
+    @property
+    def trained(self) -> str:
+        """The digest of what the encoder learned: trained now, or read from the store; empty if it learns nothing."""
+        return self.banks.trained
+
+    def score(
+        self, touches: Sequence[Touch], times: StageTimes, prior: Prior | None = None
+    ) -> list[tuple[PoseGrid, Scores]]:
+        """Search the whole object for each touch: the likeliest poses and their imprint IoUs."""
+        return [self.search.score(touch, times, prior) for touch in touches]
+
+    def propose(
+        self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int,
+        pose_set: NDArray[np.int64] | None,
+    ) -> list[Mode]:  # fmt: skip
+        """Return the most probable poses that are apart: a tenth of all, or `top`."""
+        count = max(top, self.options.refined, len(fused.grid) // 10)
+        modes = best_apart(fused, self.options.start_radius * self.mode_radius_m, count)
+        return modes if pose_set is None else modes + fused.modes(self.mode_radius_m, None, core=pose_set)
+
+    def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
+        """Return the index of the pose nearest to a touch's true one; -1 if the search found none near it."""
+        (distance_m,), (index,) = grid.nearest(np.asarray(touch.T_sensor_object)[None])
+        return -1 if distance_m > self.search.found_m else int(index)
+
+    def describe(self) -> dict[str, Any]:
+        """Return what decides the search and what the encoder learned, as JSON values; trains if need be."""
+        return {**self.search.describe(), "trained": self.trained}
+
+
+class GridSource(PoseSource):
+    """Poses listed by a grid, whose contact shapes are rendered and encoded once."""
+
+    searched = False
+
+    def __init__(
+        self, sampler: GridSampler, scene: Scene, encoder: Encoder, new_matcher: NewMatcher, store: StageStore,
+        progress: Progress, options: HypothesisOptions, mode_radius_m: float,
+    ) -> None:  # fmt: skip
+        """`scene` is at the grid's image size and full press."""
+        self.sampler, self.scene, self.encoder, self.new_matcher = sampler, scene, encoder, new_matcher
+        self.store, self.progress, self.options, self.mode_radius_m = store, progress, options, mode_radius_m
+
+    @cached_property
+    def model(self) -> ObjectPoseModel:
+        """The object's grid and contact shapes: from the store, or built now."""
+        return build_model(self.scene, self.sampler, self.store, self.progress)
+
+    @cached_property
+    def trained(self) -> str:
+        """The digest of what the encoder learned: trained now, or read from the store; empty if it learns nothing."""
+        if not self.encoder.capabilities.needs_training:
+            return ""
+        model, scene, sampler = self.model, self.scene, self.sampler
+        return train_encoder(
+            self.encoder, encoder_key(model.key, self.encoder, sampler),
+            lambda kept: ListedProblem(model.grid, scene, sampler, model.shapes.shards, self.progress, kept),
+            self.store,
+        )  # fmt: skip
+
+    @cached_property
+    def banks(self) -> GridScores:
+        """The comparison of touches with the grid's banks, each from the store, or built at first use."""
+        return GridScores(self.encoder, self.new_matcher, self._bank, self.scene.geometry.max_depth_m)
+
+    def _bank(self, press_depth_m: float) -> Scores:
+        return build_bank(
+            self.model, self.scene, self.encoder, press_depth_m, self.store, self.progress, self.trained
+        )  # fmt: skip
+
+    def matcher(self, press_depth_m: float) -> Matcher:
+        """Return the matcher whose bank was cut at this press depth (metres), built at first use."""
+        return self.banks.matcher(press_depth_m)
+
+    def grid_of(self, touch: Touch) -> PoseGrid:
+        """Return the grid's poses, in metres, pressed as deep as the touch."""
+        return self.model.grid.raised(self.scene.geometry.max_depth_m - touch.indentation_m)
+
+    def score(
+        self, touches: Sequence[Touch], times: StageTimes, prior: Prior | None = None
+    ) -> list[tuple[PoseGrid, Scores]]:
+        """Match each touch with all poses of the grid."""
+        scores = self.banks.scores(touches, times)
+        return list(zip(map(self.grid_of, touches), scores, strict=True))
+
+    def propose(
+        self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int,
+        pose_set: NDArray[np.int64] | None,
+    ) -> list[Mode]:  # fmt: skip
+        """Return the fused posterior's modes; of several touches, those that explain all of them best at a glance."""
+        modes = []
+        if len(views) > 1:
+            radius_m = self.options.start_radius * self.mode_radius_m
+            modes = propose_together(views, alone, fused, radius_m, self.options)
+        if pose_set is not None:
+            return modes + fused.modes(self.mode_radius_m, None, core=pose_set)
+        return modes or fused.modes(self.mode_radius_m, top)
+
+    def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
+        """Return the index of the pose nearest to a touch's true one."""
+        return int(grid.nearest(np.asarray(touch.T_sensor_object)[None])[1][0])
+
+    def describe(self) -> dict[str, Any]:
+        """Return what decides the grid, its shapes and what the encoder learned, as JSON values; trains if need be."""
+        return {"model": self.model.key.digest, "trained": self.trained}

@@ -1,0 +1,41 @@
+"""The joint refiner: one pose against all touches at once, by the joint registration engine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tactile_loc.plugin import (
+    Candidate,
+    Capabilities,
+    JointRegistration,
+    RefinedPose,
+    Refiner,
+    RegistrationOptions,
+    Scene,
+    Touch,
+    View,
+)
+
+
+class JointRefiner(Refiner):
+    """Registers the object's surface to all touches at once, and gives the covariance of the pose."""
+
+    capabilities = Capabilities(covariances=True)
+
+    class Options(RegistrationOptions):
+        """Those of the joint registration."""
+
+    def refine(self, touch: Touch, candidate: Candidate, scene: Scene) -> RefinedPose:
+        """Return the pose (4, 4), metres, that explains the touch best near the candidate's."""
+        return self.refine_together([View(touch, scene)], [candidate])[0]
+
+    def refine_many(self, touch: Touch, candidates: Sequence[Candidate], scene: Scene) -> list[RefinedPose]:
+        """Refine several candidates of one touch, each as `refine` does."""
+        return self.refine_together([View(touch, scene)], candidates)
+
+    def refine_together(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
+        """Refine candidates against several touches; one that explains them worse afterwards is left as it was."""
+        poses = np.array([candidate.T_sensor_object for candidate in candidates]).reshape(-1, 4, 4)
+        return JointRegistration(self.options).refine(views, poses)

@@ -1,0 +1,32 @@
+"""Twists and motions undo each other, whatever the centre."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tactile_loc.core.geometry.rigid import (
+    invert,
+    make_transform,
+    random_rotations,
+    transform_points,
+)
+from tactile_loc.core.registration.twists import adjoint, exponential, logarithm
+
+
+def test_motions_and_their_logarithms_undo_each_other():
+    rng = np.random.default_rng(1)
+    x = np.concatenate([0.2 * rng.normal(size=(10, 6)), 1e-9 * rng.normal(size=(10, 6)), np.zeros((1, 6))])
+    centre = rng.normal(size=(len(x), 3))
+    motion = exponential(x, centre)
+    np.testing.assert_allclose(logarithm(motion, centre), x, atol=1e-12)
+    np.testing.assert_allclose(motion[:, :3, :3], Rotation.from_rotvec(x[:, :3]).as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(transform_points(motion, centre[:, None])[:, 0], centre + x[:, 3:], atol=1e-12)
+
+
+def test_a_twist_about_another_centre_in_another_frame_is_the_same_motion():
+    rng = np.random.default_rng(2)
+    T = make_transform(random_rotations(1, rng)[0], rng.normal(size=3))
+    here, there, x = rng.normal(size=3), rng.normal(size=3), 1e-6 * rng.normal(size=6)
+    Ad = adjoint(T[:3, :3], there - transform_points(T, here)[0])
+    np.testing.assert_allclose(T @ exponential(x, here) @ invert(T), exponential(Ad @ x, there), atol=1e-11)

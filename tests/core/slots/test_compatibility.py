@@ -1,0 +1,61 @@
+"""What components declare decides whether they can be combined."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+
+import pytest
+
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.slots.compatibility import INCOMPATIBILITIES, Declared, require_compatible
+from tactile_loc.core.slots.component import Capabilities
+from tactile_loc.core.slots.registry import SLOTS
+
+
+def declaring(*declared: Declared) -> dict:
+    """Components by slot that declare this, and have all other capabilities as they are by default."""
+    made = {}
+    for one in declared:
+        capabilities = dataclasses.replace(Capabilities(), **{one.capability: one.value})
+        made[one.slot] = SimpleNamespace(capabilities=capabilities, outdated="")
+    return made
+
+
+def names(components: dict) -> dict:
+    return {slot: f"my-{slot}" for slot in components}
+
+
+@pytest.mark.parametrize("rule", INCOMPATIBILITIES, ids=str)
+def test_components_that_exclude_each_other_are_refused_by_name_and_with_the_reason(rule):
+    components = declaring(rule.first, rule.second)
+    with pytest.raises(ConfigError) as caught:
+        require_compatible(components, names(components))
+    sentence = str(caught.value)
+    for part in (f"my-{rule.first.slot}", f"my-{rule.second.slot}", rule.reason, rule.advice):
+        assert part in sentence
+    assert "\n" not in sentence
+
+
+@pytest.mark.parametrize("rule", INCOMPATIBILITIES, ids=str)
+def test_either_alone_is_taken(rule):
+    for one, other in ((rule.first, rule.second), (rule.second, rule.first)):
+        components = declaring(one, dataclasses.replace(other, value=not other.value))
+        require_compatible(components, names(components))
+        require_compatible(declaring(one), names(components))
+
+
+@pytest.mark.parametrize("rule", INCOMPATIBILITIES, ids=str)
+def test_what_a_plugin_has_to_change_is_said(rule):
+    components = declaring(rule.first, rule.second)
+    components[rule.second.slot].outdated = "turn it inside out"
+    with pytest.raises(ConfigError, match="turn it inside out"):
+        require_compatible(components, names(components))
+
+
+def test_rules_are_about_slots_and_capabilities_that_there_are():
+    fields = {field.name for field in dataclasses.fields(Capabilities)}
+    for rule in INCOMPATIBILITIES:
+        for declared in (rule.first, rule.second):
+            assert declared.slot in SLOTS
+            assert declared.capability in fields

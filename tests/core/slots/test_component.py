@@ -1,0 +1,49 @@
+"""Capabilities: every one is asked for by code, outside the class that declares it."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import tactile_loc
+from tactile_loc.core.slots.compatibility import INCOMPATIBILITIES
+from tactile_loc.core.slots.component import Capabilities
+
+SOURCES = sorted(Path(tactile_loc.__file__).parent.rglob("*.py"))
+
+
+def read_in(source: str) -> Iterator[str]:
+    """Yield the attributes X that are read as `capabilities.X` or `something.capabilities.X`."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
+            owner = node.value
+            name = owner.attr if isinstance(owner, ast.Attribute) else owner.id if isinstance(owner, ast.Name) else ""
+            if name == "capabilities":
+                yield node.attr
+
+
+READ = {name for path in SOURCES for name in read_in(path.read_text())}
+READ |= {declared.capability for rule in INCOMPATIBILITIES for declared in (rule.first, rule.second)}
+
+
+@pytest.mark.parametrize("capability", [field.name for field in dataclasses.fields(Capabilities)])
+def test_each_capability_is_read_by_code(capability):
+    assert capability in READ
+
+
+def test_nothing_is_asked_for_that_cannot_be_declared():
+    assert {field.name for field in dataclasses.fields(Capabilities)} >= READ
+
+
+def test_the_test_sees_reading_and_not_declaring():
+    source = "class A:\n    capabilities = Capabilities(places=True)\nif a.b.capabilities.refines: capabilities.weights"
+    assert set(read_in(source)) == {"refines", "weights"}
+
+
+def test_each_capability_is_documented():
+    text = Capabilities.__doc__ or ""
+    assert [f.name for f in dataclasses.fields(Capabilities) if f"`{f.name}`" not in text] == []

@@ -1,0 +1,79 @@
+"""Arrays of files that lie: about their size, about what they inflate to, about what they are."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from message_helpers import naming
+from PIL import Image
+
+from tactile_loc.io import images
+from tactile_loc.io.images import MOST_SIDE_PX, load_image, load_npy, load_npz
+
+NUMBERS = np.arange(12.0).reshape(3, 4)
+
+
+def lying(descr: str, shape: tuple[int, ...], content: bytes = bytes(96)) -> bytes:
+    file = io.BytesIO()
+    np.lib.format.write_array_header_1_0(file, {"descr": descr, "fortran_order": False, "shape": shape})
+    return file.getvalue() + content
+
+
+def zipped(path: Path, **members: bytes) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(f"{name}.npy", content)
+    return path
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_arrays_are_read_as_numpy_wrote_them(tmp_path, order):
+    np.save(tmp_path / "a.npy", np.asarray(NUMBERS, order=order))
+    np.savez_compressed(tmp_path / "a.npz", depth=NUMBERS, unit=np.array("mm"), none=np.zeros((0, 3)))
+    np.testing.assert_array_equal(load_npy(tmp_path / "a.npy"), NUMBERS)
+    read = load_npz(tmp_path / "a.npz")
+    assert (list(read), str(read["unit"]), read["none"].shape) == (["depth", "unit", "none"], "mm", (0, 3))
+    np.testing.assert_array_equal(read["depth"], NUMBERS)
+
+
+LIES = [
+    ("<f8", (10**5, 10**6)), ("<f8", (2**62, 8)), ("<f8", (-1, 3)), ("<U0", (10**9,)), ("<f8", (13,)), ("|O", (3,)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("descr", "shape"), LIES)
+def test_a_header_that_says_more_than_there_is(tmp_path, descr, shape):
+    (tmp_path / "a.npy").write_bytes(lying(descr, shape))
+    with pytest.raises(ValueError, match=r"96|allow_pickle"):
+        load_npy(tmp_path / "a.npy")
+    with pytest.raises(ValueError, match=r"96|allow_pickle"):
+        load_npz(zipped(tmp_path / "a.npz", depth=lying(descr, shape)))
+
+
+def test_what_inflates_beyond_the_bound_is_not_inflated(tmp_path, monkeypatch):
+    monkeypatch.setattr(images, "MOST_BYTES", 10**6)
+    path = zipped(tmp_path / "a.npz", depth=lying("|u1", (2 * 10**6,), bytes(2 * 10**6)))
+    assert path.stat().st_size < 10**4
+    with pytest.raises(ValueError, match="inflates"):
+        load_npz(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK", b"PK\x03\x04" + bytes(100), b"\x93NUMPY\x09\x00", b"text"])
+def test_what_is_no_file_of_arrays(tmp_path, content):
+    for suffix, load in ((".npy", load_npy), (".npz", load_npz)):
+        (tmp_path / f"a{suffix}").write_bytes(content)
+        with pytest.raises(ValueError):  # noqa: PT011 - the reason is whatever the file lacks
+            load(tmp_path / f"a{suffix}")
+
+
+def test_an_image_longer_than_any_sensors_is_refused_before_it_is_read(tmp_path):
+    path = tmp_path / "strip.png"
+    Image.new("L", (2, MOST_SIDE_PX + 1)).save(path)
+    with pytest.raises(ValueError, match=naming(MOST_SIDE_PX + 1, MOST_SIDE_PX)):
+        load_image(path)
+    Image.new("L", (2, MOST_SIDE_PX)).save(path)
+    assert load_image(path)[1].shape == (MOST_SIDE_PX, 2)

@@ -1,0 +1,52 @@
+"""docs/plugins.md lists the combinations that are refused as they are."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from tactile_loc.core.slots.compatibility import INCOMPATIBILITIES, Declared
+
+SCRIPT = Path(__file__).parents[1] / "docs" / "combinations.py"
+
+
+def loaded() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("docs_combinations", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+page = loaded()
+
+
+def test_the_table_is_up_to_date():
+    shown = page.TABLE.search(page.PAGE.read_text(encoding="utf-8"))
+    assert shown, "docs/plugins.md has no table of combinations"
+    assert shown[0] == page.table(), "python docs/combinations.py renews it"
+
+
+def test_each_rule_is_a_row():
+    rows = page.table().splitlines()[2:]
+    assert len(rows) == len(INCOMPATIBILITIES) > 0
+    for row, rule in zip(rows, INCOMPATIBILITIES, strict=True):
+        assert rule.reason in row
+        assert rule.advice in row
+
+
+@pytest.mark.parametrize(
+    ("declared", "names"),
+    [
+        (Declared("grid", "places", True), ["whole"]),
+        (Declared("matcher", "top_k_only", True), ["faiss"]),
+        (Declared("matcher", "weights", False), []),
+        (Declared("fuser", "contact_only", False), ["product"]),
+    ],
+)
+def test_built_in_components_are_told_by_what_they_declare(declared, names):
+    assert list(page._declaring(declared)) == names

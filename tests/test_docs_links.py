@@ -1,0 +1,65 @@
+"""Links between the README, the documentation and the packages' READMEs lead to files and headings that are there."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+from markdown.extensions.toc import slugify, unique
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "plugins_contrib").glob("*/*.md")])
+FENCED = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
+HEADING = re.compile(r"^#+ (.+?)\s*$", re.MULTILINE)
+LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+MARKUP = re.compile(r"`([^`]*)`|\*+([^*]+)\*+|\[([^\]]*)\]\([^)]*\)")
+
+
+def without_code(page: Path) -> str:
+    return FENCED.sub("", page.read_text())
+
+
+def headings(page: Path) -> list[str]:
+    """The headings as they are read, without their markup."""
+    return [MARKUP.sub(lambda m: next(filter(None, m.groups()), ""), h) for h in HEADING.findall(without_code(page))]
+
+
+@cache
+def anchors(page: Path) -> frozenset[str]:
+    """The anchors of the headings that are the same on the site and on a code host, where people read the pages too.
+
+    The two differ where a sign stands between spaces: "a / b" is `a-b` on the site, `a--b` on the host.
+    """
+    taken: set[str] = set()
+    site = {unique(slugify(heading, "-"), taken) for heading in headings(page)}
+    host = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings(page)}
+    return frozenset(site & host)
+
+
+def links(page: Path) -> list[str]:
+    return [target for target in LINK.findall(without_code(page)) if not re.match(r"[a-z]+:", target)]
+
+
+def test_anchors_are_those_of_headings_on_the_site_and_on_a_code_host(tmp_path):
+    (page := tmp_path / "page.md").write_text(
+        "# One `two`\n\n```sh\n# no heading\n```\n\n## Three, *four*\n\n## A / b\n"
+    )
+    assert headings(page) == ["One two", "Three, four", "A / b"]
+    assert anchors(page) == {"one-two", "three-four"}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page):
+    for target in links(page):
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        assert file.exists(), f"{page.name} links to {target}: there is no such file"
+        if anchor and "." not in anchor:  # those of the API reference have dots, and are tried when the site is built
+            assert anchor in anchors(file), f"{page.name} links to {target}: there is no such heading"
+
+
+def test_there_are_links_to_headings():
+    assert sum("#" in target for page in PAGES for target in links(page)) > 20
+    assert any("#" in target for target in links(ROOT / "README.md"))
