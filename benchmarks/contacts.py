@@ -38,7 +38,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE, TouchNoise
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
+from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer, localize_together
@@ -70,7 +70,7 @@ class Located(NamedTuple):
     undetermined: bool = False
 
 
-def located(localizer: Localizer, touches: list[Touch], found: Localization) -> Located:
+def locate(localizer: Localizer, touches: list[Touch], found: Localization) -> Located:
     """Compare what touches said with their true poses, which are known."""
     truth = np.asarray(touches[0].T_sensor_object)
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
@@ -78,7 +78,7 @@ def located(localizer: Localizer, touches: list[Touch], found: Localization) -> 
     off_mm = 1e3 * metric.symmetric_distance(poses, np.broadcast_to(truth, poses.shape))
     nees = np.nan
     if chosen.covariance is not None:
-        nees = normalised_error_squared(metric, chosen.T_sensor_object, chosen.covariance, truth)
+        nees = compute_nees(metric, chosen.T_sensor_object, chosen.covariance, truth)
     centre = localizer.object.mesh.centroid_m
     z_mm = 1e3 * abs((poses[0] - truth)[2] @ [*centre, 1.0])
     true = [localizer.scene.of_touch(t).imprint_ious(np.asarray(t.T_sensor_object)[None], t)[0] for t in touches]
@@ -87,15 +87,15 @@ def located(localizer: Localizer, touches: list[Touch], found: Localization) -> 
     return Located(float(off_mm[0]), float(off_mm.min()), float(z_mm), nees, bool(as_well))
 
 
-def examples(arguments: argparse.Namespace, touches: RobotTouches) -> Iterator[tuple[list[Touch], int]]:
+def draw_examples(arguments: argparse.Namespace, touches: RobotTouches) -> Iterator[tuple[list[Touch], int]]:
     """The same examples for every level: their randomness is their number's."""
     for number in range(arguments.examples):
         rng = np.random.default_rng([arguments.seed, number])
         if arguments.fingers:
             for press_mm in arguments.press_mm:
-                yield touches.opposed(rng, press_mm * 1e-3), 0
+                yield touches.draw_grip(rng, press_mm * 1e-3), 0
         else:
-            yield touches.example(max(arguments.touches), rng)
+            yield touches.draw_example(max(arguments.touches), rng)
 
 
 def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> list[dict[str, Any]]:
@@ -107,14 +107,14 @@ def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> 
     found: dict[int, list[Located]] = {n: [] for n in counts}
     seconds: dict[int, list[float]] = {n: [] for n in counts}
     failed, refused = dict.fromkeys(counts, 0), 0
-    for touches, unusable in examples(arguments, source):
+    for touches, unusable in draw_examples(arguments, source):
         refused += unusable
         for n in counts:
             start = time.perf_counter()
             try:
                 said = localize_together([(localizer, touch) for touch in touches[:n]])
                 seconds[n].append(time.perf_counter() - start)
-                found[n].append(located(localizer, touches[:n], said))
+                found[n].append(locate(localizer, touches[:n], said))
             except TactileLocError as error:
                 failed[n] += 1
                 found[n].append(Located())
@@ -138,7 +138,7 @@ def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> 
     return rows
 
 
-def moved(touch: Touch, rng: np.random.Generator) -> Touch:
+def move(touch: Touch, rng: np.random.Generator) -> Touch:
     """The touch, its sensor elsewhere than the robot believes: shifted, and turned about the middle of the gel."""
     shift = rng.normal(size=3)
     gel, R = np.array([0.0, 0.0, touch.geometry.standoff_m]), rotation_about(rng.normal(size=3), np.radians(MOVED_DEG))
@@ -146,19 +146,19 @@ def moved(touch: Touch, rng: np.random.Generator) -> Touch:
     return dataclasses.replace(touch, T_base_sensor=np.asarray(touch.T_base_sensor) @ off)
 
 
-def spoilt(
+def spoil(
     touches: RobotTouches, strangers: RobotTouches, count: int, rng: np.random.Generator
 ) -> tuple[int, dict[str, list[Touch]]]:
     """One touch's number, and the touches of one example by KINDS of what is wrong with it."""
-    right, _ = touches.example(count, rng)
+    right, _ = touches.draw_example(count, rng)
     wrong = int(rng.integers(count))
-    (stranger,), _ = strangers.example(1, rng)
+    (stranger,), _ = strangers.draw_example(1, rng)
     stranger = dataclasses.replace(stranger, T_base_sensor=right[wrong].T_base_sensor, name=right[wrong].name)
-    swapped = {"none": right[wrong], "moved": moved(right[wrong], rng), "other object": stranger}
+    swapped = {"none": right[wrong], "moved": move(right[wrong], rng), "other object": stranger}
     return wrong, {kind: [*right[:wrong], touch, *right[wrong + 1 :]] for kind, touch in swapped.items()}
 
 
-def verdict(agreement: Agreement, wrong: int | None) -> str:
+def judge(agreement: Agreement, wrong: int | None) -> str:
     """Which of VERDICTS an example comes to whose touch number `wrong` is; none is, where that is None."""
     if not agreement.contradictory:
         return "agree"
@@ -177,7 +177,7 @@ def measure_outliers(
     )
     rows: dict[tuple[int, str], list[tuple[str, float]]] = {(n, kind): [] for n in arguments.touches for kind in KINDS}
     for n, number in itertools.product(arguments.touches, range(arguments.examples)):
-        wrong, example = spoilt(ours, theirs, n, np.random.default_rng([arguments.seed, number]))
+        wrong, example = spoil(ours, theirs, n, np.random.default_rng([arguments.seed, number]))
         right = example["none"][1 if wrong == 0 else 0]
         for kind, touches in example.items():
             try:
@@ -189,7 +189,7 @@ def measure_outliers(
             T_base_object = np.asarray(touches[0].T_base_sensor) @ found.best.T_sensor_object
             T = invert(np.asarray(right.T_base_sensor)) @ T_base_object
             error_m = PoseMetric(localizer.object).symmetric_distance(T[None], np.asarray(right.T_sensor_object)[None])
-            said = verdict(found.agreement, None if kind == "none" else wrong)
+            said = judge(found.agreement, None if kind == "none" else wrong)
             rows[n, kind].append((said, 1e3 * float(error_m[0])))
     return [
         {
@@ -220,7 +220,7 @@ def main() -> None:
         parser.add_argument(f"--{level}", dest="levels", action="append_const", const=level)
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
-    print(heading(arguments), flush=True)
+    print(write_heading(arguments), flush=True)
     for mesh, after in zip(arguments.meshes, [*arguments.meshes[1:], arguments.meshes[0]], strict=True):
         path, _, units = mesh.partition(":")
         for sensor in arguments.sensors:
@@ -240,16 +240,16 @@ def main() -> None:
                     else:
                         found = measure(localizer, arguments, level)
                     for row in found:
-                        print(line(row, arguments), flush=True)
+                        print(write_line(row, arguments), flush=True)
                     rows += found
                     if arguments.out:
                         arguments.out.write_text(json.dumps(rows, indent=1))
     if not arguments.outliers:
-        for text in over_all(rows):
+        for text in summarise_all(rows):
             print(text)
 
 
-def over_all(rows: list[dict[str, Any]]) -> Iterator[str]:
+def summarise_all(rows: list[dict[str, Any]]) -> Iterator[str]:
     """Lines that sum up all objects, by sensor, level and number of touches."""
     for kind in dict.fromkeys((row["sensor"], row["level"], row["touches"]) for row in rows):
         alike = [row for row in rows if (row["sensor"], row["level"], row["touches"]) == kind]
@@ -263,7 +263,7 @@ def over_all(rows: list[dict[str, Any]]) -> Iterator[str]:
         )
 
 
-def heading(arguments: argparse.Namespace) -> str:
+def write_heading(arguments: argparse.Namespace) -> str:
     """The table's first line."""
     if arguments.outliers:
         return f"{'object':14s} {'sensor':14s} {'level':10s} touches  {'wrong':13s}" + ", ".join([*VERDICTS, "<1 mm"])
@@ -272,7 +272,7 @@ def heading(arguments: argparse.Namespace) -> str:
     return head + ("   z median, worst" if arguments.fingers else "")
 
 
-def line(row: dict[str, Any], arguments: argparse.Namespace) -> str:
+def write_line(row: dict[str, Any], arguments: argparse.Namespace) -> str:
     """A row of the table."""
     start = f"{row['object']:14s} {row['sensor']:14s} {row['level']:10s} {row['touches']:7d} "
     if arguments.outliers:

@@ -16,7 +16,7 @@ import dataclasses
 
 import numpy as np
 from contacts import LEVELS
-from joint import near
+from joint import move_near
 from scipy.stats import chi2
 
 from tactile_loc.core.geometry.rigid import invert
@@ -25,7 +25,7 @@ from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.refiner import Candidate
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene, View
-from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
+from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.meshes import load_object
 
@@ -34,7 +34,7 @@ CASES = {"mild": {"noise": MILD}, "strong": LEVELS["strong"], "misplaced": LEVEL
 HYPOTHESES, NEAR_MM = 4, 3.0
 
 
-def errors(path: str, level: str, touches: int, arguments: argparse.Namespace) -> list[tuple[float, float]]:
+def measure_errors(path: str, level: str, touches: int, arguments: argparse.Namespace) -> list[tuple[float, float]]:
     """The error, mm, and the normalised estimation error squared of each example of one object."""
     name, _, units = path.partition(":")
     obj = load_object(name, units or "auto", "auto")
@@ -45,7 +45,7 @@ def errors(path: str, level: str, touches: int, arguments: argparse.Namespace) -
     found = []
     for number in range(arguments.examples):
         rng = np.random.default_rng([arguments.seed, number])
-        taken, _ = source.example(touches, rng)
+        taken, _ = source.draw_example(touches, rng)
         T_base_first, truth = np.asarray(taken[0].T_base_sensor), np.asarray(taken[0].T_sensor_object)
         views = [
             View(
@@ -53,11 +53,11 @@ def errors(path: str, level: str, touches: int, arguments: argparse.Namespace) -
                 source.sensor_std_rad,
             ) for t in taken
         ]  # fmt: skip
-        starts = [Candidate(near(truth, obj.mesh.centroid_m, rng), 0, 0.0) for _ in range(HYPOTHESES)]
+        starts = [Candidate(move_near(truth, obj.mesh.centroid_m, rng), 0, 0.0) for _ in range(HYPOTHESES)]
         best = max(refiner.refine_together(views, starts), key=lambda one: one.contact_iou)
         off_mm = 1e3 * metric.symmetric_distance(best.T_sensor_object[None], truth[None])[0]
         known = best.covariance is not None
-        nees = normalised_error_squared(metric, best.T_sensor_object, best.covariance, truth) if known else np.inf
+        nees = compute_nees(metric, best.T_sensor_object, best.covariance, truth) if known else np.inf
         found.append((float(off_mm), nees))
     return found
 
@@ -74,7 +74,7 @@ def main() -> None:
     print("| level | touches | within 3 mm | error, mm | NEES | in 50 % | in 95 % |\n|---|---|---|---|---|---|---|")
     for level in CASES:
         for touches in arguments.touches:
-            found = [errors(path, level, touches, arguments) for path in arguments.meshes]
+            found = [measure_errors(path, level, touches, arguments) for path in arguments.meshes]
             off_mm, nees = np.concatenate([np.array(one) for one in found]).T
             near_by = off_mm < NEAR_MM
             inside = [float((nees[near_by] < chi2.ppf(share, 6)).mean()) for share in (0.5, 0.95)]

@@ -32,7 +32,7 @@ from tactile_loc.store.store import StageStore
 LEVELS = (0.5, 0.8, 0.95)
 
 
-def examples(
+def draw_examples(
     localizer: Localizer, touches: int, count: int, seed: int
 ) -> list[tuple[PosePosterior, PosePosterior, int]]:
     """For each example what is fused, the plain product, and the index of the truth."""
@@ -49,7 +49,7 @@ def examples(
     return found
 
 
-def covered(posteriors: list[PosePosterior], truths: list[int], rng: np.random.Generator) -> list[float]:
+def measure_coverage(posteriors: list[PosePosterior], truths: list[int], rng: np.random.Generator) -> list[float]:
     """The shares of truths in the credible sets of LEVELS."""
     levels = np.array([
         p.credible_level(t, lot) if t >= 0 else 1 - p.elsewhere * (1 - lot)
@@ -61,7 +61,7 @@ def covered(posteriors: list[PosePosterior], truths: list[int], rng: np.random.G
 def measure(localizer: Localizer, touches: int, arguments: argparse.Namespace) -> dict[str, Any]:
     """One row of the table."""
     rng = np.random.default_rng(arguments.seed)
-    found = examples(localizer, touches, arguments.examples, arguments.seed)
+    found = draw_examples(localizer, touches, arguments.examples, arguments.seed)
     fused, product, truths = [list(column) for column in zip(*found, strict=True)]
     sets = [PoseSet.of(p, localizer.probabilities.conformal_sets(touches), arguments.coverage) for p in fused]
     held = np.array([t in s.indices if t >= 0 else s.elsewhere for s, t in zip(sets, truths, strict=True)])
@@ -71,8 +71,8 @@ def measure(localizer: Localizer, touches: int, arguments: argparse.Namespace) -
         "object": localizer.object.name, "touches": touches, "examples": len(found),
         "without_common_pose": arguments.examples - len(found), "poses": float(np.median([len(p.grid) for p in fused])),
         "exponent": localizer.probabilities.fused_scaling.exponent, "levels": LEVELS,
-        "fused": covered(fused, truths, rng),
-        "product": covered(product, truths, rng), "conformal": float(held.mean()),
+        "fused": measure_coverage(fused, truths, rng), "product": measure_coverage(product, truths, rng),
+        "conformal": float(held.mean()),
         "conformal_uncertain": float(held[uncertain].mean()), "held": held.tolist(), "entropy": entropy.tolist(),
         "set_poses": float(np.median([len(s.indices) for s in sets])),
         "found": float(np.mean(np.array(truths) >= 0)), "said_found": float(np.mean([1 - p.elsewhere for p in fused])),

@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from contacts import Located, located
+from contacts import Located, locate
 
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
@@ -31,7 +31,7 @@ CASES = {  # touched, located with
 }
 
 
-def seen_by(touch: Touch, localizer: Localizer) -> Touch:
+def convert_touch(touch: Touch, localizer: Localizer) -> Touch:
     """The touch as the localizer's sensor takes it."""
     return dataclasses.replace(touch, geometry=localizer.scene.geometry)
 
@@ -39,7 +39,7 @@ def seen_by(touch: Touch, localizer: Localizer) -> Touch:
 def find(localizer: Localizer, touches: list[Touch]) -> Located:
     """Locate the object from touches of it; nothing is found where that is refused."""
     try:
-        return located(localizer, touches, localize_together([(localizer, touch) for touch in touches]))
+        return locate(localizer, touches, localize_together([(localizer, touch) for touch in touches]))
     except TactileLocError:
         return Located()
 
@@ -66,8 +66,8 @@ def main() -> None:
                     localizer = localizers[taken_for]
                     found = []
                     for number in range(arguments.examples):
-                        touches, _ = source.example(count, np.random.default_rng([arguments.seed, number]))
-                        found.append(find(localizer, [seen_by(touch, localizer) for touch in touches]))
+                        touches, _ = source.draw_example(count, np.random.default_rng([arguments.seed, number]))
+                        found.append(find(localizer, [convert_touch(touch, localizer) for touch in touches]))
                     chosen, best = np.array([(one.chosen_mm, one.nearest_mm) for one in found]).T
                     print(
                         f"| {name} | {count} | {case} | {np.median(chosen):.2f} | {(chosen < 1).mean():.0%} | "

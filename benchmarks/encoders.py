@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from single_touch import spacing_for
+from single_touch import choose_spacing
 
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.simulation.noise import NOISE
@@ -49,7 +49,7 @@ LINES = ("best-1", "best-10", "best-50", "reg-1", "reg-10", "closest", "random")
 MATCHED = 20_000  # keys in the matcher's timing
 
 
-def config_for(arguments: argparse.Namespace, encoder: dict[str, str], spacing_mm: float) -> RunConfig:
+def make_config(arguments: argparse.Namespace, encoder: dict[str, str], spacing_mm: float) -> RunConfig:
     """Return the configuration of one encoder's runs."""
     return RunConfig.from_dict({
         "sensor": arguments.sensor, "refiner": arguments.refiner, "encoder": encoder,
@@ -60,38 +60,38 @@ def config_for(arguments: argparse.Namespace, encoder: dict[str, str], spacing_m
 def measure(obj: ObjectModel, arguments: argparse.Namespace) -> tuple[dict[str, Any], list[Run]]:
     """Locate one object's touches with each encoder; return a row of the table and the runs."""
     base = {"sensor": arguments.sensor, "refiner": arguments.refiner}
-    spacing_mm = spacing_for(obj, base, arguments.poses)
+    spacing_mm = choose_spacing(obj, base, arguments.poses)
     store = StageStore(arguments.out / "store")
     runs = []
     row: dict[str, Any] = {"object": obj.name, "symmetry": str(obj.symmetry), "spacing_mm": spacing_mm}
     for encoder, settings in ENCODERS.items():
-        localizer = Localizer(config_for(arguments, settings, spacing_mm), obj, store)
+        localizer = Localizer(make_config(arguments, settings, spacing_mm), obj, store)
         row["poses"] = localizer.model.size
         start = time.perf_counter()
         localizer.listed.matcher(localizer.scene.geometry.max_depth_m)
         if any(key.stage == "encoder" for key in store.built):
             row["train_s"] = time.perf_counter() - start
-            _note(arguments.out, obj.name, row["train_s"])
+            _write_note(arguments.out, obj.name, row["train_s"])
         result = evaluate(localizer, arguments.touches, SimulatedTouches(arguments.noise, arguments.seed))
         runs.append(Run(obj.name, str(obj.symmetry), encoder, localizer.model.size, result))
         row[encoder] = {
-            "median_mm": {k: float(np.median(result.errors(k))) * 1e3 for k in LINES},
-            "mean_mm": {k: float(np.mean(result.errors(k))) * 1e3 for k in LINES},
-            "median_normalised": {k: float(np.median(result.normalised(k))) for k in LINES},
-            "median_ms": {k: float(np.median(result.stage_seconds(k))) * 1e3 for k in STAGES},
+            "median_mm": {k: float(np.median(result.select_errors(k))) * 1e3 for k in LINES},
+            "mean_mm": {k: float(np.mean(result.select_errors(k))) * 1e3 for k in LINES},
+            "median_normalised": {k: float(np.median(result.normalise_errors(k))) for k in LINES},
+            "median_ms": {k: float(np.median(result.select_seconds(k))) * 1e3 for k in STAGES},
         }
-    row.setdefault("train_s", _noted(arguments.out).get(obj.name))
+    row.setdefault("train_s", _read_notes(arguments.out).get(obj.name))
     return row, runs
 
 
-def _noted(out: Path) -> dict[str, float]:
+def _read_notes(out: Path) -> dict[str, float]:
     path = out / "training.json"
     return json.loads(path.read_text()) if path.exists() else {}
 
 
-def _note(out: Path, name: str, seconds: float) -> None:
+def _write_note(out: Path, name: str, seconds: float) -> None:
     """Keep how long a training took for the run that resumes this one."""
-    (out / "training.json").write_text(json.dumps({**_noted(out), name: seconds}) + "\n")
+    (out / "training.json").write_text(json.dumps({**_read_notes(out), name: seconds}) + "\n")
 
 
 def report(row: dict[str, Any]) -> str:
@@ -112,13 +112,13 @@ def report(row: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def header() -> str:
+def write_header() -> str:
     """Return the head of the Markdown table."""
     names = ["object", "poses", "encoder", *(k for k in LINES if k != "random"), "random, mean", "training, s"]
     return f"| {' | '.join(names)} |\n|{'---|' * len(names)}"
 
 
-def summary(rows: list[dict[str, Any]]) -> str:
+def summarise(rows: list[dict[str, Any]]) -> str:
     """Say how the learned encoder compares over all objects."""
     ratios = np.array([r["moco"]["median_mm"]["best-1"] / r["pixel"]["median_mm"]["best-1"] for r in rows])
     listed = {r["object"]: r["moco"]["median_mm"]["best-10"] / r["moco"]["median_mm"]["closest"] for r in rows}
@@ -130,7 +130,7 @@ def summary(rows: list[dict[str, Any]]) -> str:
     )
 
 
-def matching_ms(floats: int) -> dict[str, float]:
+def time_matching(floats: int) -> dict[str, float]:
     """Return the median milliseconds in which each matcher scores MATCHED keys of so many floats for one touch."""
     rng = np.random.default_rng(0)
     bank = rng.standard_normal((MATCHED, floats), dtype=np.float32)
@@ -160,9 +160,9 @@ def search_whole(obj: ObjectModel, arguments: argparse.Namespace, name: str) -> 
     start = time.perf_counter()
     _ = localizer.source.trained
     if any(key.stage == "encoder" for key in localizer.store.built):
-        _note(arguments.out, obj.name, time.perf_counter() - start)
+        _write_note(arguments.out, obj.name, time.perf_counter() - start)
     row: dict[str, Any] = {"object": obj.name, "places": len(search.places), "encoder": name}
-    row["train_s"] = _noted(arguments.out).get(obj.name) if name == "moco" else None
+    row["train_s"] = _read_notes(arguments.out).get(obj.name) if name == "moco" else None
     for level in LEVELS:
         noise = dataclasses.replace(NOISE[level], press_share=(1.0, 1.0))
         renderer = registry().create("renderer", "raycast", {})
@@ -170,7 +170,7 @@ def search_whole(obj: ObjectModel, arguments: argparse.Namespace, name: str) -> 
         near: list[bool] = []
         listed: list[bool] = []
         for number in range(arguments.touches):
-            (touch,), _ = source.example(1, np.random.default_rng([arguments.seed, number]))
+            (touch,), _ = source.draw_example(1, np.random.default_rng([arguments.seed, number]))
             found = np.stack([h.T_sensor_object for h in localizer.localize(touch).hypotheses])
             alike, _ = search.alike(touch, localizer.config.search.candidates)
             for within_m, poses, said in ((NEAR_M, alike, near), (LISTED_M, found, listed)):
@@ -216,20 +216,20 @@ def main() -> None:
         compare_whole(arguments)
         return
     rows, runs = [], []
-    print(header(), flush=True)
+    print(write_header(), flush=True)
     for mesh in arguments.meshes or DEMO_OBJECTS:
         path, _, units = mesh.partition(":")
         row, measured = measure(load_object(path, units or "auto"), arguments)
         rows.append(row)
         runs += measured
         print(report(row), flush=True)
-    matching = matching_ms(256)
+    matching = time_matching(256)
     record = {"settings": {k: str(v) for k, v in vars(arguments).items()}, "rows": rows, "matching_ms": matching}
     (arguments.out / "results.json").write_text(json.dumps(record, indent=1) + "\n")
     heading = f"{arguments.touches} simulated touches for each object (noise: {arguments.noise})"
     save_figure(arguments.out / "violins.png", draw_violins(runs, heading))
     encode = np.median([r["moco"]["median_ms"]["encode"] for r in rows])
-    print(summary(rows))
+    print(summarise(rows))
     print(f"encoding one touch with moco: {encode:.1f} ms")
     print(f"scoring {MATCHED} keys of 256 floats: {', '.join(f'{k} {v:.2f} ms' for k, v in matching.items())}")
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from real_images import SETS, head, read, reduced
+from real_images import SETS, read, reduce, write_head
 
 from tactile_loc.calibration.calibrate import measure_press, split
 from tactile_loc.calibration.estimator import CalibrationProblem
@@ -28,7 +28,7 @@ from tactile_loc.core.slots.encoder import Checkpoints
 COUNTS = (1, 2, 5, 10, 20)
 
 
-def at_random(presses: PressFolder, among: Sequence[int], count: int, seed: int) -> list[int]:
+def choose_at_random(presses: PressFolder, among: Sequence[int], count: int, seed: int) -> list[int]:
     """Return the numbers of `count` presses, drawn at random; more are the fewer and others."""
     order = np.random.default_rng(1000 + seed).permutation(among)
     return sorted(order[:count].tolist())
@@ -50,7 +50,7 @@ def _place(presses: PressFolder, number: int) -> NDArray[np.float64]:
     return np.array([columns.mean(), rows.mean()]) / presses.geometry.shape[::-1]
 
 
-def error_deg(presses: PressFolder, count: int, choose: Callable[..., list[int]], seed: int) -> float:
+def measure_error_deg(presses: PressFolder, count: int, choose: Callable[..., list[int]], seed: int) -> float:
     """Return the mean error of the surface's angle on the presses held out, learned from `count` others."""
     others, held_out = split(len(presses), seed)
     learned = choose(presses, others, min(count, len(others)), seed)
@@ -60,12 +60,14 @@ def error_deg(presses: PressFolder, count: int, choose: Callable[..., list[int]]
     return float(np.mean([measure_press(made, *presses.read_press(number)).slope_deg for number in held_out]))
 
 
-def row(name: str, presses: PressFolder, choose: Callable[..., list[int]], counts: Sequence[int], splits: int) -> str:
+def write_row(
+    name: str, presses: PressFolder, choose: Callable[..., list[int]], counts: Sequence[int], splits: int
+) -> str:
     """Return a set's row of the table: errors in degrees, the last of all presses that are not held out."""
     available = len(split(len(presses), 0)[0])
     cells = []
     for count in (*counts, available):
-        each = [error_deg(presses, count, choose, seed) for seed in range(splits)] if count <= available else []
+        each = [measure_error_deg(presses, count, choose, seed) for seed in range(splits)] if count <= available else []
         cells.append(f"{np.mean(each):.2f}" if each else "")
     return f"| {name}, {choose.__name__.replace('_', ' ')} | {' | '.join(cells)} ({available}) |"
 
@@ -80,13 +82,13 @@ def main() -> None:
     arguments = parser.parse_args()
     if not arguments.data.is_dir():
         parser.error(f"there is no {arguments.data}; give --data")
-    print(head("set", *map(str, arguments.counts), "all"))
+    print(write_head("set", *map(str, arguments.counts), "all"))
     with tempfile.TemporaryDirectory() as temporary:
         for name in arguments.sets:
             folder = Path(temporary) / name.replace(" ", "-")
-            presses = reduced(read(name, arguments.data, folder), name, folder)
-            for choose in (at_random, spread):
-                print(row(name, presses, choose, arguments.counts, arguments.splits), flush=True)
+            presses = reduce(read(name, arguments.data, folder), name, folder)
+            for choose in (choose_at_random, spread):
+                print(write_row(name, presses, choose, arguments.counts, arguments.splits), flush=True)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from real_images import SETS, head, read
+from real_images import SETS, read, write_head
 
 from tactile_loc.calibration.calibrate import measure_press, split
 from tactile_loc.calibration.estimator import CalibrationProblem
@@ -43,25 +43,25 @@ def find(presses: PressFolder, name: str) -> FoundPresses:
     return find_presses([*frames, *gel], SETS[name][2] / SETS[name][3])
 
 
-def circles(presses: PressFolder) -> Array:
+def list_circles(presses: PressFolder) -> Array:
     """Return the circles (N, 3) of the labels by hand: centre and radius, pixels."""
     return np.array([[row.number(column) for column in COLUMNS] for row in presses.rows])
 
 
-def relabelled(presses: PressFolder, found: Array) -> PressFolder:
+def relabel(presses: PressFolder, found: Array) -> PressFolder:
     """Return the same presses with other circles (N, 3), pixels; a press without one (NaN) keeps its own."""
     rows = [
-        row if np.isnan(circle).any() else dataclasses.replace(row, values=row.values | _written(circle))
+        row if np.isnan(circle).any() else dataclasses.replace(row, values=row.values | _write(circle))
         for row, circle in zip(presses.rows, found, strict=True)
     ]
     return dataclasses.replace(presses, rows=tuple(rows))
 
 
-def _written(circle: Array) -> dict[str, str]:
+def _write(circle: Array) -> dict[str, str]:
     return {column: f"{value:.2f}" for column, value in zip(COLUMNS, circle, strict=True)}
 
 
-def errors_deg(sets: dict[str, PressFolder], known: NDArray[np.bool_], seed: int) -> dict[str, float]:
+def measure_errors_deg(sets: dict[str, PressFolder], known: NDArray[np.bool_], seed: int) -> dict[str, float]:
     """Learn from each labelling of the same presses; return errors of the surface's angle, by learned and tested."""
     hand = sets["hand"]
     learned, held_out = ([n for n in part if known[n]] for part in split(len(hand), seed))
@@ -76,7 +76,7 @@ def errors_deg(sets: dict[str, PressFolder], known: NDArray[np.bool_], seed: int
     return errors
 
 
-def compared(name: str, data: Path, folder: Path, splits: int) -> tuple[str, str, str]:
+def compare(name: str, data: Path, folder: Path, splits: int) -> tuple[str, str, str]:
     """Return a set's row of the table of circles, its row of the table of errors, and why presses were dropped."""
     presses = read(name, data, folder)
     start = time.perf_counter()
@@ -84,7 +84,7 @@ def compared(name: str, data: Path, folder: Path, splits: int) -> tuple[str, str
     seconds = (time.perf_counter() - start) / len(presses)
     used = {press.name: press.circle for press in found.used}
     largest = STEEPEST * SETS[name][2] / SETS[name][3] - 0.01
-    by_hand = circles(presses)
+    by_hand = list_circles(presses)
     ours = np.full_like(by_hand, np.nan)
     for number, row in enumerate(presses.rows):
         if (circle := used.get(row.image.name)) is not None:
@@ -101,8 +101,8 @@ def compared(name: str, data: Path, folder: Path, splits: int) -> tuple[str, str
     )
     same_gel = dataclasses.replace(presses, background=found.untouched)
     moved = ours - [*offset, 0]
-    sets = {label: relabelled(same_gel, c) for label, c in zip(LEARNED, (by_hand, ours, moved), strict=True)}
-    each = [errors_deg(sets, known, seed) for seed in range(splits)]
+    sets = {label: relabel(same_gel, c) for label, c in zip(LEARNED, (by_hand, ours, moved), strict=True)}
+    each = [measure_errors_deg(sets, known, seed) for seed in range(splits)]
     mean = {key: float(np.mean([e[key] for e in each])) for key in each[0]}
     shown = ("hand on hand", "found on hand", "moved on hand", "found on found", "hand on found")
     dropped = Counter(press.dropped for press in found.presses if press.dropped)
@@ -121,12 +121,12 @@ def main() -> None:
     rows = []
     with tempfile.TemporaryDirectory() as temporary:
         for number, name in enumerate(SETS):
-            rows.append(compared(name, arguments.data, Path(temporary) / str(number), arguments.splits))
+            rows.append(compare(name, arguments.data, Path(temporary) / str(number), arguments.splits))
     first, second, dropped = zip(*rows, strict=True)
-    print(head("set", "used", "centre, px", "90 %", "offset, px", "without it", "radius", "90 %", "time a press"))
+    print(write_head("set", "used", "centre, px", "90 %", "offset, px", "without it", "radius", "90 %", "time a press"))
     print("\n".join(first))
     print()
-    print(head("set", "hand on hand", "found on hand", "moved on hand", "found on found", "hand on found"))
+    print(write_head("set", "hand on hand", "found on hand", "moved on hand", "found on found", "hand on found"))
     print("\n".join(second))
     print()
     print("\n".join(dropped))

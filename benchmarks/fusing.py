@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from single_touch import spacing_for
+from single_touch import choose_spacing
 
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import invert
@@ -31,7 +31,7 @@ def measure(path: str, arguments: argparse.Namespace, store: Path) -> str:
     """One row of the table: poses, then median and most milliseconds for each of NUMBERS."""
     name, _, units = path.partition(":")
     obj = load_object(name, units or "auto", "auto")
-    grid = {"name": "face", "spacing_mm": spacing_for(obj, {}, arguments.poses)}
+    grid = {"name": "face", "spacing_mm": choose_spacing(obj, {}, arguments.poses)}
     localizer = Localizer.create(name, units=units or "auto", grid=grid, store=StageStore(store))
     most = max(NUMBERS)
     touches = localizer.simulate(arguments.examples * most, arguments.seed, noise="strong")

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from single_touch import spacing_for
+from single_touch import choose_spacing
 from torch import nn
 
 from tactile_loc.core.simulation.listed_training import ListedProblem
@@ -34,7 +34,7 @@ from tactile_loc.store.store import StageStore
 BATCHES = (1, 256)
 
 
-def fresh_network(recipe: Recipe) -> nn.Module:
+def make_network(recipe: Recipe) -> nn.Module:
     """Return the recipe's network, untrained: it is as fast as a trained one."""
     generator = torch.Generator().manual_seed(0)
     return make_backbone(
@@ -46,16 +46,16 @@ def fresh_network(recipe: Recipe) -> nn.Module:
     )
 
 
-def epoch_seconds(recipe: Recipe, arguments: argparse.Namespace, device: torch.device) -> dict[str, float]:
+def time_epochs(recipe: Recipe, arguments: argparse.Namespace, device: torch.device) -> dict[str, float]:
     """Train two epochs and return what the second took: in all, and its parts, seconds."""
     obj = load_object(arguments.object)
     settings = {"sensor": "gelslim", "shape_px": recipe.image_px}
-    grid = {"name": "face", "spacing_mm": spacing_for(obj, settings, arguments.poses)}
+    grid = {"name": "face", "spacing_mm": choose_spacing(obj, settings, arguments.poses)}
     with tempfile.TemporaryDirectory() as store:
         localizer = Localizer.create(arguments.object, store=StageStore(Path(store)), grid=grid, **settings)
         model = localizer.model
         problem = ListedProblem(model.grid, localizer.coarse_scene, localizer.sampler, model.shapes.shards)
-        trainer = Trainer(recipe, problem, fresh_network(recipe), device)
+        trainer = Trainer(recipe, problem, make_network(recipe), device)
         rendered = trainer.source.epochs(0, 2)
         trainer._train_epoch(next(rendered))
         start = time.perf_counter()
@@ -76,22 +76,22 @@ def epoch_seconds(recipe: Recipe, arguments: argparse.Namespace, device: torch.d
         }
 
 
-def latencies_ms(recipe: Recipe, keys: int, device: torch.device, rounds: int) -> dict[str, float]:
+def time_latencies(recipe: Recipe, keys: int, device: torch.device, rounds: int) -> dict[str, float]:
     """Return median milliseconds from the network's input to the scores of `keys` keys, for each way of computing."""
     found: dict[str, float] = {}
     for dtype in (torch.float32, torch.bfloat16):
-        network = fresh_network(recipe).to(device, dtype).eval().to(memory_format=torch.channels_last)
+        network = make_network(recipe).to(device, dtype).eval().to(memory_format=torch.channels_last)
         for batch in BATCHES:
             with torch.inference_mode():
-                locate = matching(network, recipe, batch, keys)
+                locate = time_matching(network, recipe, batch, keys)
                 name = f"{str(dtype).removeprefix('torch.')}, {batch}"
-                found[name] = median_ms(locate, device, rounds)
+                found[name] = time_median(locate, device, rounds)
                 if device.type == "cuda":
-                    found[f"{name}, CUDA graph"] = median_ms(graphed(locate), device, rounds)
+                    found[f"{name}, CUDA graph"] = time_median(capture_graph(locate), device, rounds)
     return found
 
 
-def matching(network: nn.Module, recipe: Recipe, batch: int, keys: int) -> Callable[[], torch.Tensor]:
+def time_matching(network: nn.Module, recipe: Recipe, batch: int, keys: int) -> Callable[[], torch.Tensor]:
     """Return what encodes a batch of touches and scores `keys` keys."""
     weight = next(network.parameters())
     images = torch.rand(batch, recipe.planes(partly_seen=False), recipe.image_px, recipe.image_px, device=weight.device)
@@ -101,7 +101,7 @@ def matching(network: nn.Module, recipe: Recipe, batch: int, keys: int) -> Calla
     return lambda: nn.functional.normalize(network(images).flatten(1), dim=1) @ bank.T
 
 
-def graphed(work: Callable[[], Any]) -> Callable[[], Any]:
+def capture_graph(work: Callable[[], Any]) -> Callable[[], Any]:
     """Record work as a CUDA graph and return what replays it."""
     side = torch.cuda.Stream()
     side.wait_stream(torch.cuda.current_stream())
@@ -115,7 +115,7 @@ def graphed(work: Callable[[], Any]) -> Callable[[], Any]:
     return graph.replay
 
 
-def median_ms(work: Callable[[], Any], device: torch.device, rounds: int) -> float:
+def time_median(work: Callable[[], Any], device: torch.device, rounds: int) -> float:
     """Return the median duration of work, waiting for the device each time, milliseconds."""
     for _ in range(3):
         work()
@@ -151,8 +151,8 @@ def main() -> None:
     recipe = PRESETS[arguments.preset].changed(**({"queries": arguments.queries} if arguments.queries else {}))
     chip = torch.cuda.get_device_name() if device.type == "cuda" else platform.processor() or "CPU"
     print(json.dumps({"chip": chip, "torch": torch.__version__, "recipe": recipe.describe()}, indent=1), flush=True)
-    print(json.dumps({"latency_ms": latencies_ms(recipe, arguments.keys, device, arguments.rounds)}, indent=1))
-    print(json.dumps({"training": epoch_seconds(recipe, arguments, device)}, indent=1))
+    print(json.dumps({"latency_ms": time_latencies(recipe, arguments.keys, device, arguments.rounds)}, indent=1))
+    print(json.dumps({"training": time_epochs(recipe, arguments, device)}, indent=1))
 
 
 if __name__ == "__main__":

@@ -40,16 +40,16 @@ FALSE_ALARMS = 0.05
 SUFFERING = {**LEVELS, "mild": {"noise": TouchNoise(**{**NOISE["mild"].__dict__, "press_share": (1.0, 1.0)})}}
 
 
-def example(library: Library, number: int, arguments: argparse.Namespace, again: int) -> list[Touch]:
+def draw_example(library: Library, number: int, arguments: argparse.Namespace, again: int) -> list[Touch]:
     """The touches of one object; those of a smaller number begin those of a larger one."""
     obj, geometry = library.models[number].object, library.models[number].scene.geometry
     raycast = registry().create("renderer", "raycast", {})
     source = RobotTouches(obj, geometry, raycast, **SUFFERING[arguments.level])
     rng = np.random.default_rng([arguments.seed, *map(ord, obj.name), again])
-    return source.example(max(arguments.touches), rng)[0]
+    return source.draw_example(max(arguments.touches), rng)[0]
 
 
-def measured(library: Library, touches: list[Touch]) -> dict[str, Any]:
+def measure_object(library: Library, touches: list[Touch]) -> dict[str, Any]:
     """How well objects explain touches roughly, and by how much those fall short that would be located, with or without
     the truth."""
     start = time.perf_counter()
@@ -70,12 +70,12 @@ def answer(row: dict[str, Any], left_out: bool) -> tuple[list[str], KnownAnswer]
     return names, KnownAnswer(shortfalls, truth, row["touches"])
 
 
-def own_first(row: dict[str, Any], key: str) -> bool:
+def is_own_first(row: dict[str, Any], key: str) -> bool:
     """Whether no object is before an example's own by what `key` of its row says of them."""
     return bool(row[key][row["object"]] == max(row[key].values()))
 
 
-def judged(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, float], Counter[tuple[str, str]]]:
+def judge(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, float], Counter[tuple[str, str]]]:
     """Shares of examples with the same number of touches, and what was taken for what."""
     looked, first, right, known_none, strange_none = [], [], [], [], []
     taken: Counter[tuple[str, str]] = Counter()
@@ -92,15 +92,15 @@ def judged(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, fl
         strange_none.append(null.probabilities(answer(row, left_out=True)[1].shortfalls, row["touches"])[1])
     limit = np.quantile(known_none, 1 - FALSE_ALARMS)
     return {
-        "examples": len(rows), "glanced": np.mean([own_first(row, "alike") for row in rows]),
-        "looked_into": np.mean([own_first(row, "rough_ious") for row in rows]),
+        "examples": len(rows), "glanced": np.mean([is_own_first(row, "alike") for row in rows]),
+        "looked_into": np.mean([is_own_first(row, "rough_ious") for row in rows]),
         "located": np.mean(looked), "first": np.mean(first), "right": np.mean(right),
         "rejected": np.mean(np.array(strange_none) > 0.5), "rejected_at_5": np.mean(np.array(strange_none) > limit),
         "seconds": np.median([row["seconds"] for row in rows]),
     }, taken  # fmt: skip
 
 
-def glance_seconds(library: Library, touch: Touch) -> float:
+def time_glances(library: Library, touch: Touch) -> float:
     """The time of a glance at all objects, the second one: the first opens them."""
     library.glance(touch)
     start = time.perf_counter()
@@ -139,16 +139,16 @@ def main() -> None:
                 if kept is not None and kept.exists():
                     rows.append(json.loads(kept.read_text()))
                     continue
-                touches = example(library, number, arguments, again)[:count]
-                rows.append({"object": name, "touches": count, **measured(library, touches)})
+                touches = draw_example(library, number, arguments, again)[:count]
+                rows.append({"object": name, "touches": count, **measure_object(library, touches)})
                 if kept is not None:
                     kept.parent.mkdir(parents=True, exist_ok=True)
                     kept.write_text(json.dumps(rows[-1]))
     report(rows, arguments)
     for size in arguments.sizes:
         some = Library(library.models[:size])
-        touches = example(some, 0, arguments, 0)[:2]
-        glance_s = glance_seconds(some, touches[0])
+        touches = draw_example(some, 0, arguments, 0)[:2]
+        glance_s = time_glances(some, touches[0])
         start = time.perf_counter()
         identify(touches, some)
         print(f"{size} objects: a glance {1e3 * glance_s:.0f} ms, two touches {time.perf_counter() - start:.1f} s")
@@ -165,7 +165,7 @@ def report(rows: list[dict[str, Any]], arguments: argparse.Namespace) -> None:
     print(header + "| left out: rejected | at 5 % false alarms | s |")
     print("|---" * 10 + "|")
     for count in sorted({row["touches"] for row in rows}):
-        said, taken = judged([row for row in rows if row["touches"] == count], null)
+        said, taken = judge([row for row in rows if row["touches"] == count], null)
         shares = ("glanced", "looked_into", "located", "first", "right", "rejected", "rejected_at_5")
         percent = [f"{said[key]:.0%}" for key in shares]
         print(f"| {count} | {said['examples']} | {' | '.join(percent)} | {said['seconds']:.1f} |")

@@ -38,11 +38,13 @@ def measure(path: str, arguments: argparse.Namespace) -> str:
     ms, errors_mm = [], []
     for number in range(arguments.examples):
         rng = np.random.default_rng([arguments.seed, number])
-        touches, _ = source.example(arguments.touches, rng)
+        touches, _ = source.draw_example(arguments.touches, rng)
         T_base_first = np.asarray(touches[0].T_base_sensor)
         views = [View(t, scene.of_touch(t), invert(np.asarray(t.T_base_sensor)) @ T_base_first) for t in touches]
         truth = np.asarray(touches[0].T_sensor_object)
-        candidates = [Candidate(near(truth, obj.mesh.centroid_m, rng), 0, 0.0) for _ in range(arguments.hypotheses)]
+        candidates = [
+            Candidate(move_near(truth, obj.mesh.centroid_m, rng), 0, 0.0) for _ in range(arguments.hypotheses)
+        ]
         for again in range(AGAIN + (number == 0)):
             start = time.perf_counter()
             refined = refiner.refine_together(views, candidates)
@@ -53,7 +55,7 @@ def measure(path: str, arguments: argparse.Namespace) -> str:
     return f"| {obj.name} | {len(obj.mesh.faces)} | {np.median(ms):.0f} | {np.median(errors_mm):.3f} |"
 
 
-def near(T: np.ndarray, centroid_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def move_near(T: np.ndarray, centroid_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """The pose (4, 4), turned about the centroid and moved."""
     R = rotation_about(rng.normal(size=3), np.radians(TURNED_DEG))
     middle = T[:3, :3] @ centroid_m + T[:3, 3]

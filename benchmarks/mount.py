@@ -45,24 +45,24 @@ class Example(NamedTuple):
     seconds: float
 
 
-def random_pose(std_m: float, rng: np.random.Generator) -> np.ndarray:
+def draw_pose(std_m: float, rng: np.random.Generator) -> np.ndarray:
     """A pose (4, 4) of any rotation."""
     return make_transform(random_rotations(1, rng)[0], std_m * rng.normal(size=3))
 
 
-def simulated(
+def simulate(
     localizer: Localizer, count: int, level: str, rng: np.random.Generator
 ) -> tuple[FlangeTouches, np.ndarray]:
     """Touches of a part at rest, and the true mount."""
     scene = Scene(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
     touches = simulate_touches(localizer.sampler, scene, count, rng, None, NOISE[level])
-    T_flange_sensor, T_base_object = random_pose(MOUNT_STD_M, rng), random_pose(BASE_STD_M, rng)
+    T_flange_sensor, T_base_object = draw_pose(MOUNT_STD_M, rng), draw_pose(BASE_STD_M, rng)
     T_sensor_object = np.stack([touch.T_sensor_object for touch in touches])
     T_base_flange = T_base_object @ invert(T_sensor_object) @ invert(T_flange_sensor)
     return FlangeTouches(tuple(touches), T_base_flange), T_flange_sensor
 
 
-def with_outlier(given: FlangeTouches, rng: np.random.Generator) -> FlangeTouches:
+def add_outlier(given: FlangeTouches, rng: np.random.Generator) -> FlangeTouches:
     """The same, the last flange's pose wrong."""
     T = given.T_base_flange.copy()
     shift = rng.normal(size=3)
@@ -71,11 +71,11 @@ def with_outlier(given: FlangeTouches, rng: np.random.Generator) -> FlangeTouche
     return FlangeTouches(given.touches, T)
 
 
-def example(localizer: Localizer, count: int, level: str, seed: int, outlier: bool) -> Example | str:
+def measure_example(localizer: Localizer, count: int, level: str, seed: int, outlier: bool) -> Example | str:
     """Find one mount, or say why it was refused."""
     rng = np.random.default_rng([seed, count])
-    given, truth = simulated(localizer, count, level, rng)
-    given = with_outlier(given, rng) if outlier else given
+    given, truth = simulate(localizer, count, level, rng)
+    given = add_outlier(given, rng) if outlier else given
     start = time.perf_counter()
     try:
         found = find_mount(localizer, given)
@@ -89,7 +89,7 @@ def example(localizer: Localizer, count: int, level: str, seed: int, outlier: bo
     )  # fmt: skip
 
 
-def row(level: str, count: int, found: list[Example | str], outlier: bool) -> str:
+def write_row(level: str, count: int, found: list[Example | str], outlier: bool) -> str:
     """One row of the table."""
     good = [one for one in found if isinstance(one, Example)]
     start = f"| {level} | {count} | {len(found) - len(good)} of {len(found)} |"
@@ -129,11 +129,11 @@ def main() -> None:
     for level in arguments.levels:
         for count in arguments.touches:
             found = [
-                example(localizer, count, level, arguments.seed + k, arguments.outlier)
+                measure_example(localizer, count, level, arguments.seed + k, arguments.outlier)
                 for localizer in localizers
                 for k in range(arguments.examples)
             ]
-            print(row(level, count, found, arguments.outlier), flush=True)
+            print(write_row(level, count, found, arguments.outlier), flush=True)
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.robot_touches import RobotTouches, approaches_around
+from tactile_loc.evaluation.robot_touches import RobotTouches, draw_approaches
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.result import Localization
@@ -46,7 +46,7 @@ TEMPERATURE = 0.05  # that it need not be fitted: hypotheses are weighed by thei
 Choice = Callable[[Localization, list[Approach]], Iterator[Approach]]
 
 
-def chosen(seconds: list[float]) -> Choice:
+def choose_approach(seconds: list[float]) -> Choice:
     """Choose by what the touches so far have left in doubt."""
 
     def choose(found: Localization, left: list[Approach]) -> Iterator[Approach]:
@@ -58,7 +58,7 @@ def chosen(seconds: list[float]) -> Choice:
     return choose
 
 
-def by_lot(rng: np.random.Generator) -> Choice:
+def choose_by_lot(rng: np.random.Generator) -> Choice:
     """Choose at random."""
     return lambda found, left: (left[k] for k in rng.permutation(len(left)))
 
@@ -72,7 +72,7 @@ def is_known(obj: ObjectModel, found: Localization) -> bool:
     return bool(near_m < WITHIN_M and rotation_angle(turns.swapaxes(-1, -2) @ T[:3, :3]).min() < WITHIN_RAD)
 
 
-def tried(
+def try_approach(
     localizer: Localizer, source: RobotTouches, found: Localization, approaches: list[Approach], choose: Choice,
     most: int, rng: np.random.Generator,
 ) -> tuple[int, int]:  # fmt: skip
@@ -86,7 +86,7 @@ def tried(
             return most + 1, replaced
         for approach in choose(found, left):
             left.remove(approach)
-            touch = source.approached(
+            touch = source.approach(
                 approach.T_base_sensor, float(approach.press_m or 0), approach.name, rng, approach.travel_m
             )
             if touch is not None:
@@ -111,13 +111,13 @@ def measure(localizer: Localizer, arguments: argparse.Namespace) -> dict[str, An
     entropies = []
     for number in range(arguments.examples):
         rng = np.random.default_rng([arguments.seed, number])
-        (touch,), _ = source.example(1, rng)
+        (touch,), _ = source.draw_example(1, rng)
         first = localizer.localize(touch, top=MOST_MODES)
         entropies.append(PoseModes.of(first).entropy)
-        around = approaches_around(localizer.object, localizer.scene.geometry, arguments.approaches, PRESS, rng)
-        for name, choose in (("chosen", chosen(seconds)), ("random", by_lot(rng.spawn(1)[0]))):
+        around = draw_approaches(localizer.object, localizer.scene.geometry, arguments.approaches, PRESS, rng)
+        for name, choose in (("chosen", choose_approach(seconds)), ("random", choose_by_lot(rng.spawn(1)[0]))):
             own = np.random.default_rng([arguments.seed, number, 1])
-            found[name].append(tried(localizer, source, first, around, choose, arguments.most, own))
+            found[name].append(try_approach(localizer, source, first, around, choose, arguments.most, own))
     touches = {name: [t for t, _ in rows] for name, rows in found.items()}
     return {
         "object": localizer.object.name, "sensor": localizer.config.sensor.name, "level": arguments.level,
@@ -127,19 +127,22 @@ def measure(localizer: Localizer, arguments: argparse.Namespace) -> dict[str, An
     }  # fmt: skip
 
 
-def shares(touches: list[int], most: int) -> list[float]:
+def write_shares(touches: list[int], most: int) -> list[float]:
     """The shares that are known after 1, 2, ... touches."""
     return [float(np.mean(np.array(touches) <= n)) for n in range(1, most + 1)]
 
 
-def line(name: str, rows: list[dict[str, Any]]) -> str:
+def write_line(name: str, rows: list[dict[str, Any]]) -> str:
     """A row of the table, of one object or of all."""
     doubt = np.mean([nats for row in rows for nats in row["entropies"]])
     cells = [name, str(sum(len(row["touches"]["chosen"]) for row in rows)), f"{doubt:.2f}"]
     for kind in ("chosen", "random"):
         touches = [t for row in rows for t in row["touches"][kind]]
         more = np.array(touches) - 1
-        cells += [" ".join(f"{share:.0%}" for share in shares(touches, rows[0]["most"])), f"{1 + more.mean():.2f}"]
+        cells += [
+            " ".join(f"{share:.0%}" for share in write_shares(touches, rows[0]["most"])),
+            f"{1 + more.mean():.2f}",
+        ]
         cells.append(str(sum(sum(row["replaced"][kind]) for row in rows)))
     seconds = [s for row in rows for s in row["seconds"]]
     cells.append(f"{1e3 * np.median(seconds):.0f}" if seconds else "")
@@ -177,10 +180,10 @@ def main() -> None:
                 kept.parent.mkdir(parents=True, exist_ok=True)
                 kept.write_text(json.dumps(row, indent=1))
         rows.append(row)
-        print(line(row["object"], [row]), flush=True)
+        print(write_line(row["object"], [row]), flush=True)
     rows.sort(key=lambda row: -float(np.mean(row["entropies"])))
     for count in sorted({min(12, len(rows)), len(rows)}):
-        print(line(f"the {count} in most doubt after the first touch", rows[:count]))
+        print(write_line(f"the {count} in most doubt after the first touch", rows[:count]))
 
 
 if __name__ == "__main__":

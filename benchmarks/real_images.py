@@ -61,13 +61,13 @@ def read(name: str, data: Path, folder: Path) -> PressFolder:
     return read_presses(folder, geometry, median_background=name == "FOTS")
 
 
-def reduced(presses: PressFolder, name: str, folder: Path) -> PressFolder:
+def reduce(presses: PressFolder, name: str, folder: Path) -> PressFolder:
     """Return a set's presses as small as `tactile-loc calibrate` reads them."""
     size_px = choose_size_px(presses.camera)
     return read_presses(folder, presses.camera, median_background=name == "FOTS", size_px=size_px)
 
 
-def health_rows(calibrations: dict[str, Calibrated], sets: dict[str, PressFolder]) -> list[str]:
+def list_health_rows(calibrations: dict[str, Calibrated], sets: dict[str, PressFolder]) -> list[str]:
     """Return rows of how far off each calibration finds each set's images, resized: figures from least to most.
 
     Of its own set the presses that were held out; of the others all, as they are and with their own untouched gel.
@@ -87,27 +87,27 @@ def health_rows(calibrations: dict[str, Calibrated], sets: dict[str, PressFolder
 def _figure(calibrated: Calibrated, presses: PressFolder, number: int, untouched: NDArray[np.uint8]) -> float:
     """The health of an image, resized to the calibration's, as a multiple of the worst that it learned from."""
     estimator = calibrated.estimator
-    image, zero = (_resized(i, estimator.geometry.shape) for i in (presses.images[number], untouched))
+    image, zero = (_resize(i, estimator.geometry.shape) for i in (presses.images[number], untouched))
     estimator.untouched, kept = zero, estimator.untouched
     found: Health = measure_health(image, zero, estimator.read(image)[1], estimator.geometry)
     estimator.untouched = kept
     return found.compare(calibrated.usual)
 
 
-def _resized(image: NDArray[np.uint8], shape: tuple[int, int]) -> NDArray[np.uint8]:
+def _resize(image: NDArray[np.uint8], shape: tuple[int, int]) -> NDArray[np.uint8]:
     from PIL import Image
 
     return np.asarray(Image.fromarray(image).resize(shape[::-1], Image.Resampling.BOX))
 
 
-def slopes(presses: PressFolder, splits: int) -> tuple[Calibrated, dict[str, float]]:
+def measure_slopes(presses: PressFolder, splits: int) -> tuple[Calibrated, dict[str, float]]:
     """Calibrate on several splits; return the first and the mean errors."""
     done = [
         calibrate(presses, presses.geometry, presses.background, "photometric", seed=seed) for seed in range(splits)
     ]
     means = [calibrated.record()["held_out"]["mean"] for calibrated in done]
     image = presses.images[0]
-    seconds = [_timed(lambda: done[0].estimator.read_indentation(image)) for _ in range(9)]
+    seconds = [_time(lambda: done[0].estimator.read_indentation(image)) for _ in range(9)]
     mean = {key: float(np.mean([m[key] for m in means])) for key in means[0]}
     return done[0], {**mean, "ms": 1e3 * float(np.median(seconds))}
 
@@ -143,15 +143,17 @@ class SpherePress:
         tops_mm = surface_mm + below_mm  # of the sphere, as each pixel in contact says
         top_mm = float(tops_mm[away_mm < radius_mm / 2].mean())
         rim_mm = float(surface_mm[np.abs(away_mm - radius_mm) < pitch_mm].mean())
-        return cls(circle, radius_mm, below_mm.max(), rim_mm, top_mm, _rms((tops_mm - top_mm)[away_mm < radius_mm]))
+        return cls(
+            circle, radius_mm, below_mm.max(), rim_mm, top_mm, _measure_rms((tops_mm - top_mm)[away_mm < radius_mm])
+        )
 
-    def row(self, stated: str) -> str:
+    def write_row(self, stated: str) -> str:
         """Return a row of the table of presses."""
         by_circle = f"{self.cap_mm:.3f} + {self.rim_mm:.3f} = {self.cap_mm + self.rim_mm:.3f}"
         return f"| {stated} | {self.radius_mm:.2f} | {by_circle} | {self.top_mm:.3f} | {self.rms_mm:.3f} |"
 
 
-def growth(calibrated: Calibrated, shapes: Path) -> list[float]:
+def measure_growth(calibrated: Calibrated, shapes: Path) -> list[float]:
     """Return how strong the colours around the prism's tip are at each press, in multiples of those at 0.5 mm.
 
     A flat face touches the same of the gel at any press, whose surface then grows in proportion, and small slopes'
@@ -160,9 +162,9 @@ def growth(calibrated: Calibrated, shapes: Path) -> list[float]:
     """
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-    images = [_image(shapes / f"prism_{press}_real.png") for press in PRESSES_MM]
-    pose, geometry = _pose(json.loads((shapes / "poses.json").read_text()), "0.5"), calibrated.estimator.geometry
-    tip = _tip(pose, shapes / "prism.stl", geometry.shape, 0.0)
+    images = [_read_image(shapes / f"prism_{press}_real.png") for press in PRESSES_MM]
+    pose, geometry = _write_pose(json.loads((shapes / "poses.json").read_text()), "0.5"), calibrated.estimator.geometry
+    tip = _find_tip(pose, shapes / "prism.stl", geometry.shape, 0.0)
     away_mm = distance_transform_edt(~tip) * 1e3 * geometry.pixel_pitch_m
     looked_at = (away_mm > AROUND_MM[0]) & (away_mm < AROUND_MM[1])
     for image in images:
@@ -173,13 +175,13 @@ def growth(calibrated: Calibrated, shapes: Path) -> list[float]:
     return [float((change * usual).sum() / (usual**2).sum()) for change in changes]
 
 
-def depths(calibrated: Calibrated, shapes: Path, spheres: dict[str, SpherePress]) -> list[str]:
+def measure_depths(calibrated: Calibrated, shapes: Path, spheres: dict[str, SpherePress]) -> list[str]:
     """Return rows of the table of depths of the prism's tip, beside what is stated and what the sphere shows."""
     poses = json.loads((shapes / "poses.json").read_text())
     rows = []
-    for press, times in zip(PRESSES_MM, growth(calibrated, shapes), strict=True):
-        indentation = calibrated.estimator.read_indentation(_image(shapes / f"prism_{press}_real.png"))
-        tip = _tip(_pose(poses, press), shapes / "prism.stl", indentation.shape)
+    for press, times in zip(PRESSES_MM, measure_growth(calibrated, shapes), strict=True):
+        indentation = calibrated.estimator.read_indentation(_read_image(shapes / f"prism_{press}_real.png"))
+        tip = _find_tip(_write_pose(poses, press), shapes / "prism.stl", indentation.shape)
         tip_mm, press_mm = (
             1e3 * indentation[tip].mean(),
             1e3 * measure_press_m(indentation, calibrated.estimator.geometry),
@@ -189,7 +191,7 @@ def depths(calibrated: Calibrated, shapes: Path, spheres: dict[str, SpherePress]
     return rows
 
 
-def located(sensor: Path, shapes: Path, store: Path) -> list[str]:
+def locate(sensor: Path, shapes: Path, store: Path) -> list[str]:
     """Locate the prism from its images with the default components; return rows of the table of poses."""
     localizer = Localizer.create(
         shapes / "prism.stl", units="mm", symmetry="none", sensor={"name": "calibrated", "path": str(sensor)},
@@ -201,7 +203,9 @@ def located(sensor: Path, shapes: Path, store: Path) -> list[str]:
     for press in PRESSES_MM:
         touch = localizer.read_touch(shapes / f"prism_{press}_real.png")
         localization = localizer.localize(touch)
-        turns = [_off(h.T_sensor_object, _pose(poses, press), touch.geometry) for h in localization.hypotheses]
+        turns = [
+            _measure_off(h.T_sensor_object, _write_pose(poses, press), touch.geometry) for h in localization.hypotheses
+        ]
         x_mm, y_mm, yaw_deg = turns[0]
         apart = min((abs(abs(t[2] - turns[0][2]) - 180) for t in turns[1:]), default=np.inf)
         both = "yes" if apart < 5 else "no"
@@ -213,12 +217,12 @@ def located(sensor: Path, shapes: Path, store: Path) -> list[str]:
     return rows
 
 
-def head(*names: str) -> str:
+def write_head(*names: str) -> str:
     """Return the head of a Markdown table."""
     return f"| {' | '.join(names)} |\n|{'---|' * len(names)}"
 
 
-def _off(T: NDArray[np.float64], pose: dict[str, Any], geometry: SensorGeometry) -> tuple[float, float, float]:
+def _measure_off(T: NDArray[np.float64], pose: dict[str, Any], geometry: SensorGeometry) -> tuple[float, float, float]:
     """How far a pose of the prism is off: x and y of the tip in mm, yaw in degrees."""
     tip_m = T @ np.array([0.0, 0.0, TIP_Z_M, 1.0])
     u, v = (value + 0.5 for value in pose["origin_px"])  # the set counts from the first pixel's centre
@@ -228,12 +232,14 @@ def _off(T: NDArray[np.float64], pose: dict[str, Any], geometry: SensorGeometry)
     return 1e3 * float(tip_m[0] - x_m), 1e3 * float(tip_m[1] - y_m), yaw_deg
 
 
-def _pose(poses: dict[str, Any], press: str) -> dict[str, Any]:
+def _write_pose(poses: dict[str, Any], press: str) -> dict[str, Any]:
     """The pose at a press; the lightest has none of its own, but the object had not moved."""
     return poses.get(f"prism_{press}") or poses["prism_0.5"]
 
 
-def _tip(pose: dict[str, Any], mesh: Path, shape: tuple[int, int], border_mm: float = BORDER_MM) -> NDArray[np.bool_]:
+def _find_tip(
+    pose: dict[str, Any], mesh: Path, shape: tuple[int, int], border_mm: float = BORDER_MM
+) -> NDArray[np.bool_]:
     """The pixels (H, W) that the prism's tip covers, but for its border."""
     import trimesh
 
@@ -247,15 +253,15 @@ def _tip(pose: dict[str, Any], mesh: Path, shape: tuple[int, int], border_mm: fl
     return (along > low[0]) & (along < high[0]) & (across > low[1]) & (across < high[1])
 
 
-def _image(path: Path) -> NDArray[np.uint8]:
+def _read_image(path: Path) -> NDArray[np.uint8]:
     return load_image(path, "RGB")[1]
 
 
-def _rms(values: NDArray[np.floating]) -> float:
+def _measure_rms(values: NDArray[np.floating]) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _timed(work: Any) -> float:
+def _time(work: Any) -> float:
     start = time.perf_counter()
     work()
     return time.perf_counter() - start
@@ -273,17 +279,17 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         work = Path(temporary)
         small, calibrations = {}, {}
-        print(head("set", "presses", "surface angle", "shape in the contact", "untouched gel", "image to depth"))
+        print(write_head("set", "presses", "surface angle", "shape in the contact", "untouched gel", "image to depth"))
         for number, name in enumerate(SETS):
             presses = read(name, arguments.data, work / str(number))
-            first, mean = slopes(presses, arguments.splits)
+            first, mean = measure_slopes(presses, arguments.splits)
             print(
                 f"| {name} | {len(presses)} | {mean['slope_deg']:.2f}° | {1e6 * mean['shape_m']:.0f} um | "
                 f"{1e6 * mean['untouched_m']:.0f} um | {mean['ms']:.0f} ms |",
                 flush=True,
             )
-            small[name] = reduced(presses, name, work / str(number))
-            calibrations[name], less = slopes(small[name], arguments.splits)
+            small[name] = reduce(presses, name, work / str(number))
+            calibrations[name], less = measure_slopes(small[name], arguments.splits)
             size = "{} x {}".format(*choose_size_px(presses.camera))
             print(
                 f"| {name}, reduced to {size} | | {less['slope_deg']:.2f}° | {1e6 * less['shape_m']:.0f} um | "
@@ -296,22 +302,34 @@ def main() -> None:
                     work / "sensor", presses.geometry, presses.background, first.estimator, first.record()
                 )
         print()
-        print(head("health by the calibration of", *small))
-        print("\n".join(health_rows(calibrations, small)))
+        print(write_head("health by the calibration of", *small))
+        print("\n".join(list_health_rows(calibrations, small)))
         if arguments.calibrations:
             return
         shapes = arguments.data / "gelslim_shapes"
-        images = {press: _image(shapes / f"sphere_{press}_real.png") for press in PRESSES_MM}
+        images = {press: _read_image(shapes / f"sphere_{press}_real.png") for press in PRESSES_MM}
         spheres = {press: SpherePress.of(sensor, image) for press, image in images.items()}
         print()
-        print(head("stated, mm", "circle's radius, mm", "circle: cap + gel", "surface: top", "RMS in the circle, mm"))
-        print("\n".join(sphere.row(press) for press, sphere in spheres.items()))
+        print(
+            write_head(
+                "stated, mm", "circle's radius, mm", "circle: cap + gel", "surface: top", "RMS in the circle, mm"
+            )
+        )
+        print("\n".join(sphere.write_row(press) for press, sphere in spheres.items()))
         print()
-        print(head("stated, mm", "prism's tip, mm", "less stated", "less sphere's", "press, mm", "colours around it"))
-        print("\n".join(depths(sensor, shapes, spheres)))
+        print(
+            write_head(
+                "stated, mm", "prism's tip, mm", "less stated", "less sphere's", "press, mm", "colours around it"
+            )
+        )
+        print("\n".join(measure_depths(sensor, shapes, spheres)))
         print()
-        print(head("stated, mm", "x off, mm", "y off, mm", "yaw off, °", "press, mm", "both half turns", "hypotheses"))
-        print("\n".join(located(work / "sensor", shapes, work / "store")))
+        print(
+            write_head(
+                "stated, mm", "x off, mm", "y off, mm", "yaw off, °", "press, mm", "both half turns", "hypotheses"
+            )
+        )
+        print("\n".join(locate(work / "sensor", shapes, work / "store")))
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from single_touch import spacing_for
+from single_touch import choose_spacing
 
 from tactile_loc import Localizer
 from tactile_loc.core.errors import TactileLocError
@@ -39,9 +39,9 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.refiner import Candidate, Refiner
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.metrics import symmetric_adds
+from tactile_loc.evaluation.metrics import compute_adds
 from tactile_loc.evaluation.protocol import SURFACE_POINTS
-from tactile_loc.evaluation.simulated_touches import SimulatedTouches, true_pose
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes import load_object
 from tactile_loc.store.store import StageStore
@@ -123,7 +123,7 @@ def probreg_filterreg() -> Peer:
 PEERS = {"open3d ICP": open3d_icp, "small_gicp GICP": small_gicp_gicp, "probreg FilterReg": probreg_filterreg}
 
 
-def refiners() -> tuple[dict[str, Refiner], dict[str, str]]:
+def list_refiners() -> tuple[dict[str, Refiner], dict[str, str]]:
     """Return the refiners that can be had, and of each other one why not."""
     makers: dict[str, Callable[[], Refiner]] = {
         label: partial(registry().create, "refiner", name, options) for label, (name, options) in OURS.items()
@@ -150,7 +150,7 @@ class Bench:
 
     def __init__(self, obj: ObjectModel, arguments: argparse.Namespace, compared: dict[str, Refiner]) -> None:
         base = {"sensor": arguments.sensor, "renderer": arguments.model_renderer, "temperature": TEMPERATURE}
-        self.spacing_mm = spacing_for(obj, base, arguments.poses)
+        self.spacing_mm = choose_spacing(obj, base, arguments.poses)
         base["grid"] = {"name": "face", "spacing_mm": self.spacing_mm}
         store = StageStore(arguments.store)
         self.localizer = Localizer(RunConfig.from_dict(base), obj, store)
@@ -158,16 +158,16 @@ class Bench:
         self.compared = compared
         self.points_m = obj.mesh.sample(SURFACE_POINTS, np.random.default_rng(0))
 
-    def records(self, noise: str, touches: int, seed: int) -> list[Record]:
+    def collect_records(self, noise: str, touches: int, seed: int) -> list[Record]:
         """Return what was measured of each of the touches of a noise."""
-        drawn = [SimulatedTouches(noise, seed).touch(self.drawer, number) for number in range(touches)]
-        first = self.candidates(drawn[0])[1]
+        drawn = [SimulatedTouches(noise, seed).draw_touch(self.drawer, number) for number in range(touches)]
+        first = self.find_candidates(drawn[0])[1]
         for refiner in self.compared.values():
             refiner.refine_many(drawn[0], first[:2], self.localizer.scene)
             refiner.refine(drawn[0], first[0], self.localizer.scene)
         return [{"noise": noise, **self.measure(number, touch)} for number, touch in enumerate(drawn)]
 
-    def candidates(self, touch: Touch) -> tuple[PosePosterior, list[Candidate]]:
+    def find_candidates(self, touch: Touch) -> tuple[PosePosterior, list[Candidate]]:
         """Return a touch's posterior and its ten most probable grid poses."""
         posterior = self.localizer.posterior(touch)
         poses = posterior.grid.T_sensor_object
@@ -175,19 +175,19 @@ class Bench:
 
     def measure(self, number: int, touch: Touch) -> Record:
         """Refine a touch's most probable pose by all refiners, and ten by some: errors in mm, times in ms."""
-        posterior, ten = self.candidates(touch)
+        posterior, ten = self.find_candidates(touch)
         order = list(self.compared)
         order = order[number % len(order) :] + order[: number % len(order)]
         record: Record = {
             "object": self.localizer.object.name, "touch": number, "errors_mm": {}, "ms": {}, "choices": {},
-            "candidate_mm": float(self.errors_mm(ten[0].T_sensor_object[None], touch)[0]),
+            "candidate_mm": float(self.measure_errors_mm(ten[0].T_sensor_object[None], touch)[0]),
             "distinctive": is_distinctive(posterior, self.spacing_mm),
         }  # fmt: skip
         for name in order:
             start = time.perf_counter()
             refined = self.compared[name].refine(touch, ten[0], self.localizer.scene)
             record["ms"][name] = (time.perf_counter() - start) * 1e3
-            record["errors_mm"][name] = float(self.errors_mm(refined.T_sensor_object[None], touch)[0])
+            record["errors_mm"][name] = float(self.measure_errors_mm(refined.T_sensor_object[None], touch)[0])
         record["choices"] = {name: self.choose(name, touch, ten) for name in order if name in CHOOSING}
         return record
 
@@ -198,89 +198,97 @@ class Bench:
         poses = np.stack([pose.T_sensor_object for pose in refined])
         chosen = int(self.localizer.scene.imprint_ious(poses, touch).argmax())
         seconds = time.perf_counter() - start
-        errors = self.errors_mm(poses, touch)
+        errors = self.measure_errors_mm(poses, touch)
         lines = zip(LINES, (errors[0], errors[chosen], errors.min()), strict=True)
         return {line: float(error) for line, error in lines} | {"ms": seconds * 1e3}
 
-    def errors_mm(self, poses: Poses, touch: Touch) -> NDArray[np.float64]:
+    def measure_errors_mm(self, poses: Poses, touch: Touch) -> NDArray[np.float64]:
         """ADD (K,) in mm of poses (K, 4, 4), symmetry regarded."""
-        return 1e3 * symmetric_adds(self.localizer.object, self.points_m, poses, true_pose(touch))
+        return 1e3 * compute_adds(self.localizer.object, self.points_m, poses, require_true_pose(touch))
 
 
-def of(records: list[Record], what: str, name: str) -> NDArray[np.float64]:
+def select(records: list[Record], what: str, name: str) -> NDArray[np.float64]:
     """The numbers (T,) of a refiner in records."""
     return np.array([record[what][name] for record in records])
 
 
-def right_mode(records: list[Record]) -> list[Record]:
+def keep_right_mode(records: list[Record]) -> list[Record]:
     """The records whose candidate lies within RIGHT_MODE_MM of the truth."""
     return [record for record in records if record["candidate_mm"] <= RIGHT_MODE_MM]
 
 
-def cells(records: list[Record], name: str) -> list[str]:
+def write_cells(records: list[Record], name: str) -> list[str]:
     """Median, 90th percentile, share of touches that came nearer than their candidate, and median time."""
     if not records:
         return ["", "", "", ""]
-    errors, before = of(records, "errors_mm", name), np.array([record["candidate_mm"] for record in records])
+    errors, before = select(records, "errors_mm", name), np.array([record["candidate_mm"] for record in records])
     better = np.mean(errors < before - LEAST_MM)
     return [
         f"{np.median(errors):.3f}", f"{np.percentile(errors, 90):.2f}", f"{100 * better:.0f} %",
-        f"{np.median(of(records, 'ms', name)):.1f}",
+        f"{np.median(select(records, 'ms', name)):.1f}",
     ]  # fmt: skip
 
 
-def table(head: list[str], rows: list[list[str]]) -> str:
+def write_table(head: list[str], rows: list[list[str]]) -> str:
     """A Markdown table."""
     lines = [f"| {' | '.join(row)} |" for row in [head, *rows]]
     return "\n".join([lines[0], f"|{'---|' * len(head)}", *lines[1:]])
 
 
-def objects(records: list[Record]) -> dict[str, list[Record]]:
+def list_objects(records: list[Record]) -> dict[str, list[Record]]:
     """The records of each object."""
     names = dict.fromkeys(record["object"] for record in records)
     return {name: [record for record in records if record["object"] == name] for name in names}
 
 
-def by_object(records: list[Record], compared: dict[str, Refiner], missing: dict[str, str]) -> str:
+def group_by_object(records: list[Record], compared: dict[str, Refiner], missing: dict[str, str]) -> str:
     """The table of one object and noise."""
-    near = right_mode(records)
+    near = keep_right_mode(records)
     columns = ["median mm", "90th percentile", "improved", "median ms"]
     head = ["refiner", *columns, *(f"{column}, right mode ({len(near)})" for column in columns)]
-    rows = [[name, *cells(records, name), *cells(near, name)] for name in compared]
-    return table(head, rows + [[name, why, *[""] * 7] for name, why in missing.items()])
+    rows = [[name, *write_cells(records, name), *write_cells(near, name)] for name in compared]
+    return write_table(head, rows + [[name, why, *[""] * 7] for name, why in missing.items()])
 
 
-def medians(records: list[Record], compared: dict[str, Refiner]) -> str:
+def list_medians(records: list[Record], compared: dict[str, Refiner]) -> str:
     """Medians of all objects, one column a refiner."""
     rows = [
-        [name, str(len(some)), *(f"{np.median(of(some, 'errors_mm', k)):.3f}" for k in compared)]
-        for name, some in objects(records).items()
+        [name, str(len(some)), *(f"{np.median(select(some, 'errors_mm', k)):.3f}" for k in compared)]
+        for name, some in list_objects(records).items()
     ]
-    return table(["object", "touches", *compared], rows)
+    return write_table(["object", "touches", *compared], rows)
 
 
-def relative(records: list[Record], name: str) -> float:
+def compare_relative(records: list[Record], name: str) -> float:
     """The geometric mean over objects of a refiner's median error, as a multiple of the reference's."""
     logs = [
-        np.log(np.maximum([np.median(of(some, "errors_mm", k)) for k in (name, REFERENCE)], LEAST_MM))
-        for some in objects(records).values()
+        np.log(np.maximum([np.median(select(some, "errors_mm", k)) for k in (name, REFERENCE)], LEAST_MM))
+        for some in list_objects(records).values()
     ]
     return float(np.exp(np.mean([mine - reference for mine, reference in logs])))
 
 
-def summary(records: list[Record], compared: dict[str, Refiner]) -> str:
+def summarise(records: list[Record], compared: dict[str, Refiner]) -> str:
     """One row a refiner, over all objects."""
-    near = right_mode(records)
+    near = keep_right_mode(records)
     head = ["refiner", f"median / {REFERENCE}'s", "improved", "median ms", f"median / {REFERENCE}'s, right mode"]
     head += ["median mm", "90th percentile", "improved"]
     rows = []
     for name in compared:
-        whole, part = cells(records, name), cells(near, name)
-        rows.append([name, f"{relative(records, name):.2f}", *whole[2:], f"{relative(near, name):.2f}", *part[:3]])
-    return table(head, rows)
+        whole, part = write_cells(records, name), write_cells(near, name)
+        rows.append(
+            [
+                name,
+                f"{compare_relative(records, name):.2f}",
+                *whole[2:],
+                f"{compare_relative(near, name):.2f}",
+                *part[:3],
+            ]
+        )
+    return write_table(head, rows)
 
 
-def choosing(records: list[Record], compared: dict[str, Refiner]) -> str:
+def write_choosing(records: list[Record], compared: dict[str, Refiner]) -> str:
     """Median and mean errors of choosing among ten refined poses, over all objects."""
     rows = []
     for name in CHOOSING:
@@ -290,32 +298,33 @@ def choosing(records: list[Record], compared: dict[str, Refiner]) -> str:
             lines = {k: np.array([r["choices"][name][k] for r in some]) for k in (*LINES, "ms")}
             errors = [f"{np.median(lines[k]):.3f} ({lines[k].mean():.2f})" for k in LINES]
             rows.append([name, f"{label} ({len(some)})", *errors, f"{np.median(lines['ms']):.0f}"])
-    return table(["refiner", "touches", *(f"{line}, median (mean) mm" for line in LINES), "ms for ten"], rows)
+    return write_table(["refiner", "touches", *(f"{line}, median (mean) mm" for line in LINES), "ms for ten"], rows)
 
 
 def report(records: list[Record], noise: str, compared: dict[str, Refiner]) -> str:
     """All that is said of a noise over all objects."""
     some = [record for record in records if record["noise"] == noise]
     parts = {
-        "medians, mm": medians(some, compared), "medians in the right mode, mm": medians(right_mode(some), compared),
-        "all objects": summary(some, compared), "choosing": choosing(some, compared),
+        "medians, mm": list_medians(some, compared),
+        "medians in the right mode, mm": list_medians(keep_right_mode(some), compared),
+        "all objects": summarise(some, compared), "choosing": write_choosing(some, compared),
     }  # fmt: skip
     return "\n\n".join(f"noise {noise}, {title}:\n\n{text}" for title, text in parts.items())
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Measure all meshes and print tables, an object's as soon as it is done."""
-    compared, missing = refiners()
+    compared, missing = list_refiners()
     records: list[Record] = []
     for mesh in arguments.meshes or DEMO_OBJECTS:
         path, _, units = mesh.partition(":")
         bench = Bench(load_object(path, units or "auto"), arguments, compared)
         for noise in arguments.noise.split(","):
-            measured = bench.records(noise, arguments.touches, arguments.seed)
+            measured = bench.collect_records(noise, arguments.touches, arguments.seed)
             records += measured
             obj = bench.localizer.object
             print(f"\n{obj.name}, symmetry {obj.symmetry}, {bench.localizer.model.size} poses, noise {noise}:\n")
-            print(by_object(measured, compared, missing), flush=True)
+            print(group_by_object(measured, compared, missing), flush=True)
         if arguments.json:
             settings = {name: str(value) for name, value in vars(arguments).items()}
             arguments.json.write_text(json.dumps({"settings": settings, "records": records}, indent=1) + "\n")

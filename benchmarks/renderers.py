@@ -62,7 +62,7 @@ class Row:
     depth_difference_um: float
 
 
-def grid_like_poses(mesh: TriangleMesh, g: SensorGeometry, count: int, rotations: int, seed: int) -> Poses:
+def draw_poses(mesh: TriangleMesh, g: SensorGeometry, count: int, rotations: int, seed: int) -> Poses:
     """Return contact poses (N <= count, 4, 4): random rotations times a square raster 24 mm wide."""
     R = random_rotations(rotations, np.random.default_rng(seed))
     side = int(np.ceil(np.sqrt(count / rotations)))
@@ -74,7 +74,7 @@ def grid_like_poses(mesh: TriangleMesh, g: SensorGeometry, count: int, rotations
     return T[touching]
 
 
-def available(mesh: TriangleMesh, T: Poses, g: SensorGeometry) -> dict[str, Renderer]:
+def list_available(mesh: TriangleMesh, T: Poses, g: SensorGeometry) -> dict[str, Renderer]:
     """Return the renderers that run here, warmed up on the mesh and the camera."""
     found: dict[str, Renderer] = {}
     for name, kind in (("raycast", RaycastRenderer), ("pyrender", PyrenderRenderer), ("heightmap", HeightmapRenderer)):
@@ -91,7 +91,7 @@ def available(mesh: TriangleMesh, T: Poses, g: SensorGeometry) -> dict[str, Rend
 def measure(name: str, camera: str, mesh: TriangleMesh, T: Poses, rounds: int) -> list[Row]:
     """Time all renderers in turns on the same poses and compare their pictures with ray casting's."""
     g = CAMERAS[camera]
-    renderers = available(mesh, T, g)
+    renderers = list_available(mesh, T, g)
     seconds: dict[str, list[float]] = {r: [] for r in renderers}
     pictures: dict[str, Float32] = {}
     for k in range(rounds):
@@ -105,12 +105,12 @@ def measure(name: str, camera: str, mesh: TriangleMesh, T: Poses, rounds: int) -
     rotations = len(np.unique(T[:, :3, :3].reshape(len(T), 9), axis=0))
     return [
         Row(camera, name, len(mesh.faces), len(T), rotations, r, speed[r], speed[r] / reference,
-            *agreement(pictures[r], pictures["raycast"], g))
+            *measure_agreement(pictures[r], pictures["raycast"], g))
         for r in renderers
     ]  # fmt: skip
 
 
-def agreement(depth: Float32, reference: Float32, g: SensorGeometry) -> tuple[float, float, float]:
+def measure_agreement(depth: Float32, reference: Float32, g: SensorGeometry) -> tuple[float, float, float]:
     """Return `mask_agreement`, `contact_iou` and `depth_difference_um` as Row states them."""
     limit = np.float32(g.standoff_m + g.max_depth_m)
     touch, expected = depth < limit, reference < limit
@@ -146,7 +146,7 @@ def main() -> None:
     for path in args.meshes:
         mesh = load_object(path, symmetry="none").mesh
         for camera, g in CAMERAS.items():
-            T = grid_like_poses(mesh, g, args.poses, args.rotations, args.seed)
+            T = draw_poses(mesh, g, args.poses, args.rotations, args.seed)
             rows += measure(path.stem, camera, mesh, T, args.rounds)
     show(sorted(rows, key=lambda r: (r.camera, r.mesh)))
     if args.json:

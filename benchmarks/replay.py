@@ -28,8 +28,8 @@ from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
-from tactile_loc.evaluation.slides import BASE, IMAGE_TOPIC, T_BASE_OBJECT, Slide, random_slide, write_slide
+from tactile_loc.evaluation.metrics import compute_nees
+from tactile_loc.evaluation.slides import BASE, IMAGE_TOPIC, T_BASE_OBJECT, Slide, draw_random_slide, write_slide
 from tactile_loc.io.recordings import Recording
 from tactile_loc.io.ros_messages import read_pose, read_stamp_ns
 from tactile_loc.locate.localizer import Localizer
@@ -42,14 +42,14 @@ POSE_TOPIC = "/object/pose"
 NEAR_M = 1e-3
 
 
-def decoded(path: Path, topic: str) -> list[Any]:
+def decode(path: Path, topic: str) -> list[Any]:
     """The messages of a topic, as an independent reader has them."""
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         return [found.decoded_message for found in reader.iter_decoded_messages(topics=[topic])]
 
 
-def replayed(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, float, float]:
+def replay(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, float, float]:
     """Replay a recording into the base's frame; also the seconds that took, and of these what locating did."""
     locating_s = 0.0
 
@@ -70,7 +70,7 @@ def replayed(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, f
     return found, time.perf_counter() - start, locating_s
 
 
-def errors(localizer: Localizer, poses: list[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def measure_errors(localizer: Localizer, poses: list[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Surface distances to the truth (N,), metres, and of those near it squared errors over their covariances."""
     metric = PoseMetric(localizer.object)
     T = np.stack([read_pose(message).T for message in poses])
@@ -78,19 +78,19 @@ def errors(localizer: Localizer, poses: list[Any]) -> tuple[NDArray[np.float64],
     covariances = np.stack([np.reshape(read_pose(message).covariance, (6, 6)) for message in poses])
     error_m = metric.symmetric_distance(T, truth)
     near = np.flatnonzero((error_m < NEAR_M) & (covariances[:, 0, 0] > 0))
-    squared = [normalised_error_squared(metric, T[k], covariances[k], T_BASE_OBJECT) for k in near]
+    squared = [compute_nees(metric, T[k], covariances[k], T_BASE_OBJECT) for k in near]
     return error_m, np.array(squared)
 
 
-def row(localizer: Localizer, slide: Slide, level: str, folder: Path) -> str:
+def write_row(localizer: Localizer, slide: Slide, level: str, folder: Path) -> str:
     """One row of the table."""
     source, out = folder / "slide.mcap", folder / "poses.mcap"
     write_slide(source, slide)
-    found, seconds, locating_s = replayed(localizer, source, out)
-    poses = decoded(out, POSE_TOPIC)
+    found, seconds, locating_s = replay(localizer, source, out)
+    poses = decode(out, POSE_TOPIC)
     lifted = {int(slide.stamps_ns[number]) for number in slide.frames if slide.press_m[number] <= 0}
     imagined = sum(read_stamp_ns(message.header) in lifted for message in poses)
-    error_m, squared = errors(localizer, poses)
+    error_m, squared = measure_errors(localizer, poses)
     summary = found.summary
     return (
         f"| {localizer.object.name} | {level} | {summary.frames} | {summary.no_contact} ({imagined}) | "
@@ -121,9 +121,9 @@ def main() -> None:
         localizer = Localizer.create(name, sensor=arguments.sensor, store=StageStore(arguments.store))
         localizer.localize(localizer.simulate(1)[0])  # builds the model, compiles
         for level in arguments.levels:
-            slide = random_slide(localizer, arguments.images, arguments.seed, NOISE[level], renderer)
+            slide = draw_random_slide(localizer, arguments.images, arguments.seed, NOISE[level], renderer)
             with tempfile.TemporaryDirectory() as folder:
-                print(row(localizer, slide, level, Path(folder)), flush=True)
+                print(write_row(localizer, slide, level, Path(folder)), flush=True)
 
 
 if __name__ == "__main__":

@@ -24,13 +24,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from contacts import LEVELS, Located, located
+from contacts import LEVELS, Located, locate
 
 from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.protocol import contact_share
+from tactile_loc.evaluation.protocol import measure_contact_share
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
@@ -40,14 +40,14 @@ AREAS = (0.0, 0.01, 0.03, 0.1, 1.0)  # borders of the share of the sensor in con
 NEAR_MM = 1.0
 
 
-def created(path: str, arguments: argparse.Namespace, sensor: str, store: Path) -> Localizer:
+def create(path: str, arguments: argparse.Namespace, sensor: str, store: Path) -> Localizer:
     """A localizer of the object in a mesh file."""
     name, _, units = path.partition(":")
     chosen = {slot: json.loads(given) for slot in ("grid", "encoder") if (given := getattr(arguments, slot))}
     return Localizer.create(name, units=units or "auto", sensor=sensor, store=StageStore(store), **chosen)
 
 
-def peak_memory_mb() -> float:
+def measure_peak_memory_mb() -> float:
     """The most memory that this process has had, on Linux; getrusage would tell its parent's, if that is more."""
     status = Path("/proc/self/status").read_text()
     return int(status.partition("VmHWM:")[2].split()[0]) / 1e3
@@ -55,28 +55,30 @@ def peak_memory_mb() -> float:
 
 def build(path: str, arguments: argparse.Namespace, sensor: str, store: Path) -> dict[str, float]:
     """Build all that a touch needs; return how much that is, and the time and memory it took."""
-    localizer, start = created(path, arguments, sensor, store), time.perf_counter()
+    localizer, start = create(path, arguments, sensor, store), time.perf_counter()
     searched = len(localizer.search.places) if localizer.search else localizer.model.size
     places_s = time.perf_counter() - start
     _ = localizer.probabilities.temperature_scaling
     return {
         "places": searched, "places_s": places_s, "fit_s": time.perf_counter() - start - places_s,
-        "memory_mb": peak_memory_mb(),
+        "memory_mb": measure_peak_memory_mb(),
     }  # fmt: skip
 
 
-def built(path: str, arguments: argparse.Namespace, sensor: str, store: Path) -> tuple[Localizer, dict[str, float]]:
+def build_model(
+    path: str, arguments: argparse.Namespace, sensor: str, store: Path
+) -> tuple[Localizer, dict[str, float]]:
     """A localizer that a process of its own has built, and what that took."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
         about = process.submit(build, path, arguments, sensor, store).result()
-    localizer, start = created(path, arguments, sensor, store), time.perf_counter()
+    localizer, start = create(path, arguments, sensor, store), time.perf_counter()
     _ = localizer.search or localizer.model
     opened_s = time.perf_counter() - start
     megabytes = sum(file.stat().st_size for file in store.rglob("*") if file.is_file()) / 1e6
     return localizer, {**about, "megabytes": megabytes, "open_s": opened_s}
 
 
-def nearest_m(answer: Localization, touch: Touch) -> float:
+def measure_nearest_m(answer: Localization, touch: Touch) -> float:
     """How near to the truth the search came, before it chose and refined, metres."""
     return float(answer.posterior.grid.nearest(np.asarray(touch.T_sensor_object)[None])[0][0])
 
@@ -87,21 +89,21 @@ def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> 
     source = RobotTouches(localizer.object, localizer.scene.geometry, raycast, **LEVELS[level])
     found = []
     for number in range(-1, arguments.touches):
-        (touch,), _ = source.example(1, np.random.default_rng([arguments.seed, max(number, 0)]))
+        (touch,), _ = source.draw_example(1, np.random.default_rng([arguments.seed, max(number, 0)]))
         start = time.perf_counter()
         try:
             answer = localizer.localize(touch)
             seconds = time.perf_counter() - start
-            said, searched_m = located(localizer, [touch], answer), nearest_m(answer, touch)
+            said, searched_m = locate(localizer, [touch], answer), measure_nearest_m(answer, touch)
         except TactileLocError:
             seconds, said, searched_m = time.perf_counter() - start, Located(), np.inf
         if number >= 0:  # the first warms up
-            one = {"seconds": seconds, "area": contact_share(touch), "searched_mm": 1e3 * searched_m}
+            one = {"seconds": seconds, "area": measure_contact_share(touch), "searched_mm": 1e3 * searched_m}
             found.append({**said._asdict(), **one})
     return found
 
 
-def shares(found: list[dict[str, float]]) -> dict[str, float]:
+def write_shares(found: list[dict[str, float]]) -> dict[str, float]:
     """The shares of touches, of none NaN."""
     first = np.array([one["chosen_mm"] < NEAR_MM for one in found])
     among = np.array([one["nearest_mm"] < NEAR_MM for one in found])
@@ -117,7 +119,7 @@ def shares(found: list[dict[str, float]]) -> dict[str, float]:
     }  # fmt: skip
 
 
-def line(start: list[str], one: dict[str, float]) -> str:
+def write_line(start: list[str], one: dict[str, float]) -> str:
     """A row of the table."""
     percent = [f"{one[key]:.0%}" for key in ("first", "among", "ambiguous", "not_listed", "not_found")]
     times = [f"{1e3 * one[key]:.0f}" for key in ("median_s", "slow_s")]
@@ -143,13 +145,13 @@ def main() -> None:
     for path in arguments.meshes:
         for sensor in arguments.sensors:
             with tempfile.TemporaryDirectory() as store:
-                localizer, about = built(path, arguments, sensor, Path(store))
+                localizer, about = build_model(path, arguments, sensor, Path(store))
                 found = measure(localizer, arguments, arguments.level)
             rows += [{"object": localizer.object.name, "sensor": sensor, **about, **one} for one in found]
             words = [localizer.object.name, sensor, f"{about['places']:.0f}", f"{about['places_s']:.1f}",
                      f"{about['fit_s']:.0f}", f"{1e-3 * about['memory_mb']:.2f}", f"{about['megabytes']:.0f}",
                      f"{about['open_s']:.2f}"]  # fmt: skip
-            print(line(words, shares(found)), flush=True)
+            print(write_line(words, write_shares(found)), flush=True)
             if arguments.out:
                 arguments.out.write_text(json.dumps(rows, indent=1))
     print(
@@ -159,8 +161,8 @@ def main() -> None:
     for low, high in pairwise(AREAS):
         some = [row for row in rows if low <= row["area"] < high]
         if some:
-            print(line([f"{100 * low:g} to {100 * high:g} %"], shares(some)))
-    print(line(["all"], shares(rows)))
+            print(write_line([f"{100 * low:g} to {100 * high:g} %"], write_shares(some)))
+    print(write_line(["all"], write_shares(rows)))
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ SCALES, DIRECTIONS = (0.5, 1.0, 2.0, 4.0), (1000, 4000, 16_000)
 MEASURED = {"places_s": ("listing places (s)", [0.3, 1, 3, 10, 30]), "touch_s": ("one touch (s)", [0.1, 0.2, 0.4, 0.8])}
 
 
-def scaled(obj: ObjectModel, scale: float) -> ObjectModel:
+def scale_object(obj: ObjectModel, scale: float) -> ObjectModel:
     """The object, so many times as large."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, f"{obj.name}.ply")
@@ -52,7 +52,7 @@ def measure(obj: ObjectModel, directions: int, arguments: argparse.Namespace) ->
         source = RobotTouches(obj, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
         seconds = []
         for number in range(arguments.touches + 1):  # the first warms up
-            (touch,), _ = source.example(1, np.random.default_rng([arguments.seed, number]))
+            (touch,), _ = source.draw_example(1, np.random.default_rng([arguments.seed, number]))
             start = time.perf_counter()
             localizer.localize(touch)
             seconds.append(time.perf_counter() - start)
@@ -106,7 +106,7 @@ def main() -> None:
         obj = load_object(name, units or "auto")
         jobs = [(scale, DIRECTIONS[1]) for scale in SCALES] + [(1.0, n) for n in DIRECTIONS if n != DIRECTIONS[1]]
         for scale, directions in jobs:
-            row = {"object": obj.name, "scale": scale, **measure(scaled(obj, scale), directions, arguments)}
+            row = {"object": obj.name, "scale": scale, **measure(scale_object(obj, scale), directions, arguments)}
             rows.append(row)
             print(f"| {obj.name} | {row['size_mm']:.0f} | {directions} | {row['poses'] / 1e6:.2f} | "
                   f"{row['places_s']:.1f} | {1e3 * row['touch_s']:.0f} |", flush=True)  # fmt: skip

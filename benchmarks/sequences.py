@@ -27,7 +27,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from tactile_loc.core.geometry.hand_eye import moved
-from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
+from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.registration.cloud_refiner import Cloud
 from tactile_loc.core.sensing.clouds import contact_cloud
@@ -35,8 +36,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.metrics import pose_differences
-from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
+from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import Frame, SlidingTouches, Slip
 from tactile_loc.locate.localizer import Localizer
@@ -59,7 +59,7 @@ class Followed(NamedTuple):
     seconds: np.ndarray
 
 
-def sliding(localizer: Localizer) -> SlidingTouches:
+def make_sliding(localizer: Localizer) -> SlidingTouches:
     """Sequences of the localizer's object, by another renderer than its own."""
     renderer = registry().create("renderer", "raycast", {})
     return SlidingTouches(RobotTouches(
@@ -68,7 +68,7 @@ def sliding(localizer: Localizer) -> SlidingTouches:
     ))  # fmt: skip
 
 
-def started(localizer: Localizer, frames: Sequence[Frame], rng: np.random.Generator) -> Tracker:
+def start_tracker(localizer: Localizer, frames: Sequence[Frame], rng: np.random.Generator) -> Tracker:
     """A tracker that begins near the truth."""
     tracker = Tracker(localizer)
     truth = frames[0].T_base_sensor @ frames[0].T_sensor_object
@@ -76,7 +76,7 @@ def started(localizer: Localizer, frames: Sequence[Frame], rng: np.random.Genera
     return tracker
 
 
-def tracked(tracker: Tracker, frames: Sequence[Frame]) -> tuple[list[TrackedPose], np.ndarray]:
+def track(tracker: Tracker, frames: Sequence[Frame]) -> tuple[list[TrackedPose], np.ndarray]:
     """What is tracked at each frame, and seconds."""
     found, seconds = [], []
     for frame in frames:
@@ -86,7 +86,7 @@ def tracked(tracker: Tracker, frames: Sequence[Frame]) -> tuple[list[TrackedPose
     return found, np.array(seconds)
 
 
-def timed(find: Callable[[Touch], np.ndarray], touches: Sequence[Touch]) -> Followed:
+def time_each(find: Callable[[Touch], np.ndarray], touches: Sequence[Touch]) -> Followed:
     """The pose that is found of each touch."""
     poses, seconds = [], []
     for touch in touches:
@@ -96,14 +96,14 @@ def timed(find: Callable[[Touch], np.ndarray], touches: Sequence[Touch]) -> Foll
     return Followed(np.array(poses), np.array(seconds))
 
 
-def chained(frames: Sequence[Frame]) -> Followed:
+def chain_icp(frames: Sequence[Frame]) -> Followed:
     """Poses by ICP of each frame to the one before, from the first frame's true pose on."""
     icp = registry().create("refiner", "icp", {})
     poses, seconds, before = [frames[0].T_sensor_object], [0.0], None
     for last, frame in zip((frames[0], *frames), frames, strict=False):
         start = time.perf_counter()
         T_frame_last = invert(frame.T_base_sensor) @ last.T_base_sensor
-        cloud = None if frame.touch is None else cloud_of(frame.touch)
+        cloud = None if frame.touch is None else make_cloud(frame.touch)
         if before is not None and cloud is not None:
             guess = T_frame_last.copy()
             points_mm = before.points_mm @ guess[:3, :3].T + 1e3 * guess[:3, 3]
@@ -119,7 +119,7 @@ def chained(frames: Sequence[Frame]) -> Followed:
     return Followed(np.array(poses), np.array(seconds))
 
 
-def cloud_of(touch: Touch) -> Cloud:
+def make_cloud(touch: Touch) -> Cloud:
     """A touch's surface and walls as points in mm."""
     geometry, shape = touch.thinned(200)
     points_m, normals = contact_cloud(shape, geometry)
@@ -127,9 +127,23 @@ def cloud_of(touch: Touch) -> Cloud:
     return Cloud(1e3 * points_m[::every], normals[::every], 1e3 * geometry.pixel_pitch_m)
 
 
-def row(localizer: Localizer, name: str, followed: Followed, truth: np.ndarray, local: np.ndarray, last: str) -> str:
+def measure_pose_differences(obj: ObjectModel, T_estimates: Poses, T_true: Poses) -> tuple[np.ndarray, np.ndarray]:
+    """How far off the centroid (K,), metres, and the rotation (K,), radians, of estimates (K, 4, 4) are.
+
+    They are compared with whichever pose looks like the true one (K, 4, 4) and is nearest, root mean square distance of
+    the surface.
+    """
+    nearest = PoseMetric(obj).nearest_equivalents(T_true, T_estimates)
+    centroids_m = (nearest - T_estimates)[:, :3] @ [*obj.mesh.centroid_m, 1.0]
+    turned = rotation_angle(nearest[:, :3, :3] @ np.swapaxes(T_estimates[:, :3, :3], 1, 2))
+    return np.linalg.norm(centroids_m, axis=-1), turned
+
+
+def write_row(
+    localizer: Localizer, name: str, followed: Followed, truth: np.ndarray, local: np.ndarray, last: str
+) -> str:
     """One row of the table of slides."""
-    shift_m, turn_rad = pose_differences(localizer.object, followed.T_sensor_object, truth)
+    shift_m, turn_rad = measure_pose_differences(localizer.object, followed.T_sensor_object, truth)
     mm, degrees = 1e3 * shift_m, np.degrees(turn_rad)
     ms = 1e3 * followed.seconds[local]
     return (
@@ -139,25 +153,25 @@ def row(localizer: Localizer, name: str, followed: Followed, truth: np.ndarray, 
     )
 
 
-def slides(localizer: Localizer, count: int, seed: int) -> list[str]:
+def measure_slides(localizer: Localizer, count: int, seed: int) -> list[str]:
     """The rows of one sequence."""
     rng = np.random.default_rng([seed, 0])
-    frames = sliding(localizer).example(count, rng)
+    frames = make_sliding(localizer).draw_example(count, rng)
     truth = np.array([frame.T_sensor_object for frame in frames])
-    found, seconds = tracked(started(localizer, frames, rng), frames)
+    found, seconds = track(start_tracker(localizer, frames, rng), frames)
     local, metric = np.array([not one.searched for one in found]), PoseMetric(localizer.object)
     inside = np.mean([
-        normalised_error_squared(metric, one.T_sensor_object, one.covariance, T) < chi2.ppf(0.95, 6)
+        compute_nees(metric, one.T_sensor_object, one.covariance, T) < chi2.ppf(0.95, 6)
         for one, T in zip(found, truth, strict=True)
     ])  # fmt: skip
     poses = np.array([one.T_sensor_object for one in found])
     some = [k for k in range(0, count, ALONE_EVERY) if frames[k].touch is not None]
-    alone = timed(lambda touch: localizer.localize(touch).best.T_sensor_object, [frames[k].touch for k in some])
-    chain, every = chained(frames), np.ones(count, bool)
+    alone = time_each(lambda touch: localizer.localize(touch).best.T_sensor_object, [frames[k].touch for k in some])
+    chain, every = chain_icp(frames), np.ones(count, bool)
     return [
-        row(localizer, "tracker", Followed(poses, seconds), truth, local, f"{inside:.0%} | {(~local).sum()}"),
-        row(localizer, "each alone", alone, truth[some], every[: len(some)], "- | -"),
-        row(localizer, "ICP", chain, truth, every, "- | -"),
+        write_row(localizer, "tracker", Followed(poses, seconds), truth, local, f"{inside:.0%} | {(~local).sum()}"),
+        write_row(localizer, "each alone", alone, truth[some], every[: len(some)], "- | -"),
+        write_row(localizer, "ICP", chain, truth, every, "- | -"),
     ]
 
 
@@ -173,14 +187,14 @@ class Found(NamedTuple):
     seconds: float
 
 
-def jumps(localizer: Localizer, examples: int, seed: int, slip: Slip | None) -> Found:
+def measure_jumps(localizer: Localizer, examples: int, seed: int, slip: Slip | None) -> Found:
     """After how many jumps, or slips, the object is found again."""
     near_m = SLIP_FOUND_M if slip else FOUND_M
     metric, searching, counts = PoseMetric(localizer.object), [], np.zeros(5, int)
     for number in range(examples):
         rng = np.random.default_rng([seed, 1, number])
-        frames = sliding(localizer).example(BEFORE + LATE + 1, rng, BEFORE, slip)
-        found, seconds = tracked(started(localizer, frames, rng), frames)
+        frames = make_sliding(localizer).draw_example(BEFORE + LATE + 1, rng, BEFORE, slip)
+        found, seconds = track(start_tracker(localizer, frames, rng), frames)
         searching += [s for one, s in zip(found, seconds, strict=True) if one.searched]
         alone = localizer.localize(frames[BEFORE].touch).best.T_sensor_object
         near = [is_near(metric, alone[None], frames[BEFORE], near_m)[0]]
@@ -213,15 +227,15 @@ def main() -> None:
     for localizer in localizers:
         touch = localizer.simulate(1)[0]
         localizer.localize(touch)  # builds the model
-        tracked(Tracker(localizer), [Frame(0.0, touch, np.eye(4), np.eye(4))] * 2)  # compiles
-        print("\n".join(slides(localizer, arguments.frames, arguments.seed)), flush=True)
+        track(Tracker(localizer), [Frame(0.0, touch, np.eye(4), np.eye(4))] * 2)  # compiles
+        print("\n".join(measure_slides(localizer, arguments.frames, arguments.seed)), flush=True)
     for slip in (None, SLIP):
         print(
             f"\n| object | {'slips' if slip else 'jumps'} | one frame alone | {SOON} frames later | any mode | "
             f"{LATE} frames later | any mode | search, ms |\n|---|---|---|---|---|---|---|---|"
         )
         for localizer in localizers:
-            *counts, seconds = jumps(localizer, arguments.jumps, arguments.seed, slip)
+            *counts, seconds = measure_jumps(localizer, arguments.jumps, arguments.seed, slip)
             print(f"| {localizer.object.name} | {arguments.jumps} | {' | '.join(map(str, counts))} | "
                   f"{1e3 * seconds:.0f} |", flush=True)  # fmt: skip
 

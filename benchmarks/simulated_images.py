@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from single_touch import spacing_for
+from single_touch import choose_spacing
 
 from tactile_loc.calibration.estimator import GelEstimator
 from tactile_loc.calibration.folder import write_calibration
@@ -56,12 +56,13 @@ def measure(estimator: GelEstimator, noise_m: float, touches: list[Touch], lamps
             else find_indentation(depth_m, press_m)
         )
         rows += [
-            errors(estimator, noise_m, t, image, truth) for t, image, truth in zip(some, images, known, strict=True)
+            measure_errors(estimator, noise_m, t, image, truth)
+            for t, image, truth in zip(some, images, known, strict=True)
         ]
     return np.array(rows)
 
 
-def errors(
+def measure_errors(
     estimator: GelEstimator, noise_m: float, touch: Touch, image: np.ndarray, known_m: np.ndarray
 ) -> tuple[float, ...]:
     """Measure one touch; the IoU is 0 when no contact is found in it."""
@@ -82,7 +83,7 @@ def errors(
     return (*(float(np.sqrt(np.mean(np.square(part)))) for part in (off_mm[observed], inside)), iou, press_mm, took_ms)
 
 
-def row(name: str, values: np.ndarray) -> str:
+def write_row(name: str, values: np.ndarray) -> str:
     """Return a line of the table: means over touches, the least IoU, the median time."""
     image, contact, iou, press, _ = values.mean(axis=0)
     numbers = (f"{v:.3f}" for v in (image, contact, iou, values[:, 2].min(), press))
@@ -92,10 +93,10 @@ def row(name: str, values: np.ndarray) -> str:
 LINES, WHAT = ("best-1", "reg-1"), ("shapes", "images")
 
 
-def located(name: str, sensor: Path, encoder: str, arguments: argparse.Namespace) -> str:
+def locate(name: str, sensor: Path, encoder: str, arguments: argparse.Namespace) -> str:
     """Return a line of the second table: medians of an object's errors, from shapes and from images, in mm."""
     obj = load_object(name, "auto")
-    spacing_mm = spacing_for(obj, {"sensor": arguments.sensor}, arguments.poses)
+    spacing_mm = choose_spacing(obj, {"sensor": arguments.sensor}, arguments.poses)
     config = RunConfig.from_dict({
         "sensor": {"name": "calibrated", "path": str(sensor)}, "encoder": encoder,
         "grid": {"name": "face", "spacing_mm": spacing_mm},
@@ -104,9 +105,9 @@ def located(name: str, sensor: Path, encoder: str, arguments: argparse.Namespace
     shapes, images = (
         evaluate(localizer, arguments.locate, SimulatedTouches(seed=arguments.seed, images=i)) for i in (False, True)
     )
-    cells = [f"{mm(float(np.median(e.errors(line))))} ({np.median(e.normalised(line)):.3f})"
+    cells = [f"{mm(float(np.median(e.select_errors(line))))} ({np.median(e.normalise_errors(line)):.3f})"
              for line in LINES for e in (shapes, images)]  # fmt: skip
-    closest = mm(float(np.median(shapes.errors("closest"))))
+    closest = mm(float(np.median(shapes.select_errors("closest"))))
     return f"| {obj.name} | {localizer.model.size} | {encoder} | {' | '.join(cells)} | {closest} |"
 
 
@@ -139,8 +140,8 @@ def main() -> None:
     for name in DEMO_OBJECTS:
         touches = Localizer.create(name, sensor=arguments.sensor).simulate(arguments.touches, seed=arguments.seed)
         measured.append(measure(estimator, record["noise_m"], touches, lamps))
-        print(row(name, measured[-1]), flush=True)
-    print(row("all", np.concatenate(measured)))
+        print(write_row(name, measured[-1]), flush=True)
+    print(write_row("all", np.concatenate(measured)))
     if not arguments.locate:
         return
     names = ["object", "poses", "encoder", *(f"{line} from {what}" for line in LINES for what in WHAT), "closest"]
@@ -149,7 +150,7 @@ def main() -> None:
         sensor = write_calibration(Path(temporary) / "sensor", geometry, presses.background, estimator, record)
         for encoder in arguments.encoder or ["pixel"]:
             for name in DEMO_OBJECTS:
-                print(located(name, sensor, encoder, arguments), flush=True)
+                print(locate(name, sensor, encoder, arguments), flush=True)
 
 
 if __name__ == "__main__":

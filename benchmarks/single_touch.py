@@ -28,7 +28,7 @@ from tactile_loc.store.store import StageStore
 LINES = ("closest", "random", "best-1", "best-10", "reg-1", "chosen")
 
 
-def spacing_for(obj: ObjectModel, base: dict, poses: int) -> float:  # type: ignore[type-arg]
+def choose_spacing(obj: ObjectModel, base: dict, poses: int) -> float:  # type: ignore[type-arg]
     """Return the grid spacing (mm) that gives about `poses` poses: their number goes with its inverse cube."""
     spacing_mm = 4.0
     for _ in range(2):
@@ -41,7 +41,7 @@ def spacing_for(obj: ObjectModel, base: dict, poses: int) -> float:  # type: ign
 def measure(obj: ObjectModel, arguments: argparse.Namespace) -> dict[str, object]:
     """Build one object's model in an empty store, locate its touches, and return a row of the table."""
     base = {"sensor": arguments.sensor, "refiner": arguments.refiner}
-    spacing_mm = spacing_for(obj, base, arguments.poses)
+    spacing_mm = choose_spacing(obj, base, arguments.poses)
     config = RunConfig.from_dict({**base, "grid": {"name": "face", "spacing_mm": spacing_mm}})
     with tempfile.TemporaryDirectory() as store:
         localizer = Localizer(config, obj, StageStore(Path(store)))
@@ -52,11 +52,11 @@ def measure(obj: ObjectModel, arguments: argparse.Namespace) -> dict[str, object
         poses = len(localizer.model.grid)
     return {
         "object": obj.name, "symmetry": str(obj.symmetry), "poses": poses, "spacing_mm": spacing_mm, "build_s": build_s,
-        "random_mm": result.scale_m() * 1e3,
-        "median_mm": {k: float(np.median(result.errors(k))) * 1e3 for k in LINES},
-        "mean_mm": {k: float(np.mean(result.errors(k))) * 1e3 for k in LINES},
-        "median_normalised": {k: float(np.median(result.normalised(k))) for k in LINES},
-        "median_ms": {k: float(np.median(result.stage_seconds(k))) * 1e3 for k in STAGES},
+        "random_mm": result.compute_scale_m() * 1e3,
+        "median_mm": {k: float(np.median(result.select_errors(k))) * 1e3 for k in LINES},
+        "mean_mm": {k: float(np.mean(result.select_errors(k))) * 1e3 for k in LINES},
+        "median_normalised": {k: float(np.median(result.normalise_errors(k))) for k in LINES},
+        "median_ms": {k: float(np.median(result.select_seconds(k))) * 1e3 for k in STAGES},
     }  # fmt: skip
 
 

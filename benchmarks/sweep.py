@@ -28,8 +28,7 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.combination import combine
 from tactile_loc.sweeps.plan import Plan
 from tactile_loc.sweeps.results import write_sweep
-from tactile_loc.sweeps.sweep import Sweep, Workers, run_sweep
-from tactile_loc.sweeps.table import MOMENTARY
+from tactile_loc.sweeps.sweep import MOMENTARY, Sweep, Workers, run_sweep
 from tactile_loc.sweeps.workers import DaskWorkers, LocalWorkers
 
 SENSOR = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
@@ -46,7 +45,7 @@ WAYS = ("local", "local-killed", "dask", "dask-killed")
 KILL_AFTER = 0.25  # of the rows
 
 
-def plan_for(arguments: argparse.Namespace) -> Plan:
+def make_plan(arguments: argparse.Namespace) -> Plan:
     """Return the plan of 3 x 2 x 3 x 4 combinations, or of 1 x 1 x 2 x 2."""
     sensor = arguments.out / "sensor.toml"
     sensor.write_text(SENSOR)
@@ -58,7 +57,7 @@ def plan_for(arguments: argparse.Namespace) -> Plan:
 
 
 @contextmanager
-def killing(rows: Path, after: int, victims: Callable[[], list[int]]) -> Iterator[list[int]]:
+def kill_at_random(rows: Path, after: int, victims: Callable[[], list[int]]) -> Iterator[list[int]]:
     """Kill one of the processes `victims` when the folder `rows` holds `after` rows; yield who was killed."""
     killed: list[int] = []
     over = threading.Event()
@@ -79,7 +78,7 @@ def killing(rows: Path, after: int, victims: Callable[[], list[int]]) -> Iterato
         thread.join()
 
 
-def local_workers() -> list[int]:
+def list_local_workers() -> list[int]:
     """Return the process numbers of this process's local workers."""
     children = psutil.Process().children()
     return [child.pid for child in children if any("multiprocessing.spawn" in word for word in child.cmdline())]
@@ -88,17 +87,22 @@ def local_workers() -> list[int]:
 def measure(name: str, arguments: argparse.Namespace, workers: Workers, victims: Callable[[], list[int]] | None) -> Any:
     """Run the sweep into a folder and a store of its own, and return its table and its counts."""
     out, store = arguments.out / name, arguments.out / f"store-{name}"
-    plan = plan_for(arguments)
+    plan = make_plan(arguments)
     after = int(KILL_AFTER * len(combine(plan)[0]))
     start_s = time.perf_counter()
-    with killing(out / "rows", after, victims or list) as killed:
+    with kill_at_random(out / "rows", after, victims or list) as killed:
         swept = run_sweep(plan, out, store, workers)
     seconds = time.perf_counter() - start_s
     write_sweep(out, swept, "chosen")
-    return lasting(swept), {"name": name, "seconds": round(seconds, 1), "killed": len(killed), **counts(swept, store)}
+    return drop_momentary(swept), {
+        "name": name,
+        "seconds": round(seconds, 1),
+        "killed": len(killed),
+        **count_rows(swept, store),
+    }
 
 
-def counts(swept: Sweep, store: Path) -> dict[str, Any]:
+def count_rows(swept: Sweep, store: Path) -> dict[str, Any]:
     """Return how many rows there are and failed, and how often stages were built."""
     built = Counter(name for row in swept.rows for name in json.loads(row["built"]))
     stored = {f"{entry.stage} {entry.digest}" for entry in StageStore(store).entries()}
@@ -109,27 +113,27 @@ def counts(swept: Sweep, store: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def lasting(swept: Sweep) -> list[dict[str, Any]]:
+def drop_momentary(swept: Sweep) -> list[dict[str, Any]]:
     """Return the table without what depends on the machine or the moment."""
     return [{name: value for name, value in row.items() if name not in MOMENTARY} for row in swept.rows]
 
 
 @contextmanager
-def workers_for(way: str, arguments: argparse.Namespace) -> Iterator[tuple[Workers, Callable[[], list[int]]]]:
+def make_workers(way: str, arguments: argparse.Namespace) -> Iterator[tuple[Workers, Callable[[], list[int]]]]:
     """Workers of one of WAYS, and how to find their processes."""
     from distributed import LocalCluster
 
     if way.startswith("local"):
-        yield LocalWorkers(arguments.workers, 1, arguments.out / "workers.log"), local_workers
+        yield LocalWorkers(arguments.workers, 1, arguments.out / "workers.log"), list_local_workers
         return
     with LocalCluster(n_workers=arguments.workers, processes=True, threads_per_worker=1, **QUIET) as cluster:
         yield DaskWorkers(cluster.scheduler_address), lambda: [nanny.pid for nanny in cluster.workers.values()]
 
 
-def runs(arguments: argparse.Namespace) -> Iterator[tuple[list[dict[str, Any]], dict[str, Any]]]:
+def run_all(arguments: argparse.Namespace) -> Iterator[tuple[list[dict[str, Any]], dict[str, Any]]]:
     """Run the sweep in all ways that were asked for."""
     for way in arguments.ways:
-        with workers_for(way, arguments) as (workers, victims):
+        with make_workers(way, arguments) as (workers, victims):
             yield measure(way, arguments, workers, victims if way.endswith("-killed") else None)
 
 
@@ -152,7 +156,7 @@ def main() -> int:
     arguments.out = arguments.out.absolute()
     arguments.out.mkdir(parents=True, exist_ok=True)
     found, first = [], None
-    for table, count in runs(arguments):
+    for table, count in run_all(arguments):
         first = table if first is None else first
         found.append({**count, "same_table": table == first, "whole": is_whole(count, table, first)})
         print(json.dumps(found[-1]), flush=True)

@@ -5,37 +5,41 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Sequence
 from contextlib import chdir
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.geometry.hand_eye import pose_errors
+from tactile_loc.core.geometry.rigid import Poses, covariance_at, invert, transform_points
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.drawing.next_touch import draw_next_touch
 from tactile_loc.drawing.pictures import (
+    compute_extent_mm,
     draw_contact_shape,
-    draw_noise,
     draw_outline,
-    extent_mm,
+    draw_touches,
     make_figure,
     millimetres,
     percent,
     save_figure,
 )
 from tactile_loc.drawing.pose_panel import draw_pose
-from tactile_loc.drawing.track import draw_track
-from tactile_loc.evaluation.robot_touches import RobotTouches, approaches_around
+from tactile_loc.drawing.tasks import draw_next_touch
+from tactile_loc.evaluation.robot_touches import RobotTouches, draw_approaches
 from tactile_loc.evaluation.sequences import SlidingTouches
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.verdict import Verdict
 from tactile_loc.tasks.next_touch import next_touch
 from tactile_loc.tasks.pose_modes import MOST_MODES
-from tactile_loc.tasks.tracker import Tracker
+from tactile_loc.tasks.tracker import TrackedPose, Tracker
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,6 +52,13 @@ SHOWN = 4  # most probable poses
 TOUCH_SEED = 3
 SLIDE_FRAMES, SLIDE_SEED, SLIDE_LIFT = 500, 5, (250, 300)  # frames, and those in which nothing touches
 NEXT_SEED = 5
+TRACKED, TRUE, SURE, STARTED = "#2b6cb0", "#e03131", "#bee3f8", "#2f855a"
+SHADES = {
+    Verdict.AMBIGUOUS: "#fefcbf", Verdict.POOR_FIT: "#fed7d7", Verdict.NOT_FOUND: "#fed7d7",
+    Verdict.NO_CONTACT: "#edf2f7",
+}  # fmt: skip
+DEVIATIONS = 2.0  # that are drawn about nothing
+SURFACE_POINTS = 4000
 
 
 def draw_rendering(localizer: Localizer) -> Figure:
@@ -59,7 +70,7 @@ def draw_rendering(localizer: Localizer) -> Figure:
     left, middle, right = figure.subfigures(1, 3, width_ratios=[5, 4.3, 4.3])
     left.suptitle("the object in contact", size=10, y=0.93)
     draw_pose(left.add_axes((0.02, 0.02, 0.96, 0.86)), scene.object.mesh, geometry, T)
-    extent = extent_mm(geometry)
+    extent = compute_extent_mm(geometry)
     views = (
         (middle, "camera depth z(u) beyond the surface (mm)", np.where(np.isfinite(z_m), z_m, np.nan)),
         (right, "contact shape c(u): depth from full penetration (mm)", None),
@@ -91,6 +102,19 @@ def draw_neighbours(localizer: Localizer) -> Figure:
         axes.set_xlabel("x (mm)", size=8)
     figure.suptitle(f"neighbours in a grid of {len(grid)} poses, root mean square distance of the surface", size=12)
     return figure
+
+
+def draw_noise(localizer: Localizer, seed: int = 0) -> Figure:
+    """Draw five touches of a localizer's object, the same in every row, with each level of noise in turn.
+
+    Titles give the press depth that the sensor measures, mm. Where noise makes a touch be drawn anew, columns differ.
+    """
+    touches = [
+        replace(touch, name=f"{level}, {millimetres(touch.press_depth_m)}")
+        for level in NOISE
+        for touch in localizer.simulate(5, seed, noise=level)
+    ]
+    return draw_touches(touches, f"{localizer.object.name} on {localizer.config.sensor.name}: touch noise")
 
 
 def draw_matching(localizers: dict[str, Localizer]) -> Figure:
@@ -143,7 +167,7 @@ def draw_slide(localizer: Localizer) -> Figure:
         localizer.object, localizer.sensor.geometry, renderer, noise=NOISE["mild"], sensor_std_m=1e-4,
         sensor_std_rad=np.radians(0.1),
     )  # fmt: skip
-    frames = SlidingTouches(source).example(SLIDE_FRAMES, np.random.default_rng(SLIDE_SEED))
+    frames = SlidingTouches(source).draw_example(SLIDE_FRAMES, np.random.default_rng(SLIDE_SEED))
     tracker, found = Tracker(localizer), []
     tracker.start(frames[0].T_base_sensor @ frames[0].T_sensor_object, np.diag([3e-7] * 3 + [1e-4] * 3))
     for k, frame in enumerate(frames):
@@ -155,12 +179,98 @@ def draw_slide(localizer: Localizer) -> Figure:
     return draw_track(found, truth, localizer.object, gel_m, title)
 
 
+@dataclass(frozen=True, eq=False)
+class TrackErrors:
+    """How far N tracked poses are off: the distance of their centroids (N,), metres, and the turn (N,), radians; and
+    one standard deviation of each as the covariances say, root sums over the axes."""
+
+    shift_m: NDArray[np.float64]
+    turn_rad: NDArray[np.float64]
+    shift_std_m: NDArray[np.float64]
+    turn_std_rad: NDArray[np.float64]
+
+
+def draw_track(
+    found: Sequence[TrackedPose], T_true: Poses, obj: ObjectModel, gel_m: NDArray[np.float64], title: str
+) -> Figure:
+    """Draw the gel's path over the object, tracked and true (N, 4, 4), and the errors of N frames over time.
+
+    `gel_m` (3,), metres, is the gel's middle in the sensor's frame. Frames without any pose are left out.
+    """
+    known = [k for k, one in enumerate(found) if one.T_sensor_object is not None]
+    some, truth = [found[k] for k in known], T_true[known]
+    figure = make_figure(11.5, 4.8, constrained=True)
+    figure.suptitle(title, size=12, weight="bold")
+    panels: Any = figure.subfigures(1, 2, width_ratios=[5, 6.5])
+    left, right = panels
+    same = PoseMetric(obj).nearest_equivalents(truth, np.array([one.T_sensor_object for one in some]))
+    _draw_path(left.subplots(), some, same, obj, gel_m)
+    above, below = right.subplots(2, 1, sharex=True)
+    errors = measure_track(some, same, obj)
+    times_s = np.array([one.time_s for one in some])
+    _draw_errors(above, times_s, 1e3 * errors.shift_m, 1e3 * errors.shift_std_m, "off by (mm)")
+    _draw_errors(below, times_s, np.degrees(errors.turn_rad), np.degrees(errors.turn_std_rad), "turned by (degrees)")
+    for axes in (above, below):
+        _shade(axes, found)
+    below.set_xlabel("time (s)")
+    above.legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4)
+    return figure
+
+
+def measure_track(found: Sequence[TrackedPose], T_true: Poses, obj: ObjectModel) -> TrackErrors:
+    """Return how far tracked poses are off true ones (N, 4, 4)."""
+    T = np.array([one.T_sensor_object for one in found])
+    C = np.array([one.covariance for one in found])
+    at_centroid = covariance_at(C, T[:, :3, :3] @ obj.mesh.centroid_m)
+    variances = np.diagonal(at_centroid, axis1=1, axis2=2)
+    centroid = [*obj.mesh.centroid_m, 1.0]
+    shift_m = np.linalg.norm(((T - T_true) @ centroid)[:, :3], axis=1)
+    turn_rad = np.linalg.norm(pose_errors(T, T_true)[:, 3:], axis=1)
+    stds = (np.sqrt(variances[:, some].sum(axis=1)) for some in (slice(0, 3), slice(3, 6)))
+    return TrackErrors(shift_m, turn_rad, *stds)
+
+
+def _draw_path(
+    axes: Any, found: Sequence[TrackedPose], T_true: Poses, obj: ObjectModel, gel_m: NDArray[np.float64]
+) -> None:
+    """The gel's middle in the object's frame, seen along the axis in which the path is shortest; mm."""
+    tracked = np.array([one.T_sensor_object for one in found])
+    paths_mm = [1e3 * transform_points(invert(T), gel_m[None])[:, 0] for T in (T_true, tracked)]
+    surface_mm = 1e3 * obj.mesh.sample(SURFACE_POINTS, np.random.default_rng(0))
+    x, y = sorted(np.argsort(np.ptp(paths_mm[0], axis=0))[1:])
+    axes.scatter(surface_mm[:, x], surface_mm[:, y], s=1, color="#cbd5e0", lw=0)
+    for path_mm, color, label, width in zip(paths_mm, (TRUE, TRACKED), ("true", "tracked"), (2.4, 1.0), strict=True):
+        axes.plot(path_mm[:, x], path_mm[:, y], color=color, lw=width, label=label)
+    axes.scatter(*paths_mm[0][0, [x, y]], color=STARTED, s=26, zorder=3, label="start")
+    axes.set(aspect="equal", xlabel=f"{'xyz'[x]} of the object (mm)", ylabel=f"{'xyz'[y]} of the object (mm)")
+    axes.set_title("the gel's middle over the object", size=10)
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _draw_errors(
+    axes: Any, times_s: NDArray[np.float64], off: NDArray[np.float64], std: NDArray[np.float64], label: str
+) -> None:
+    axes.fill_between(times_s, 0, DEVIATIONS * std, color=SURE, lw=0, label=f"{DEVIATIONS:g} standard deviations")
+    axes.plot(times_s, off, color=TRACKED, lw=1.2, label="error")
+    axes.set_ylabel(label)
+    axes.set_ylim(0, 1.1 * max(np.quantile(off, 0.99), np.quantile(DEVIATIONS * std, 0.9)))
+    axes.margins(x=0)
+    axes.grid(lw=0.3)
+
+
+def _shade(axes: Any, found: Sequence[TrackedPose]) -> None:
+    """Shade the times at which the track was not certain."""
+    for one, after in zip(found, [*found[1:], found[-1]], strict=True):
+        if one.verdict in SHADES:
+            axes.axvspan(one.time_s, after.time_s, color=SHADES[one.verdict], lw=0, alpha=0.7, zorder=1.5)
+
+
 def draw_next(localizer: Localizer) -> Figure:
     """Draw what the poses that one touch leaves possible would show at the best of 100 approaches."""
     touch = localizer.simulate(1, NEXT_SEED)[0]
     found = localizer.localize(replace(touch, T_base_sensor=invert(np.asarray(touch.T_sensor_object))), top=MOST_MODES)
     rng = np.random.default_rng(NEXT_SEED)
-    chosen = next_touch(found, approaches_around(localizer.object, localizer.scene.geometry, 100, 0.8, rng))
+    chosen = next_touch(found, draw_approaches(localizer.object, localizer.scene.geometry, 100, 0.8, rng))
     return draw_next_touch(chosen, f"{localizer.object.name}: {len(chosen.modes.probabilities)} possible poses")
 
 

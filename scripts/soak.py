@@ -146,7 +146,7 @@ def main() -> int:
         if given.localisations:
             results.append(located(localizer, localizer.simulate(given.touches, seed=given.seed), given.localisations))
         if given.seconds:
-            frames = SlidingTouches(source).example(SLIDE, np.random.default_rng(given.seed))
+            frames = SlidingTouches(source).draw_example(SLIDE, np.random.default_rng(given.seed))
             results.append(tracked(localizer, frames, round(given.seconds * RATE_HZ)))
     print("| | times | s | memory once warm, MiB | at the end | growth | files open | at the end | answers changed |")
     print("\n".join(["|---" * 9 + "|", *(result.row() for result in results)]))

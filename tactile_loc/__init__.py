@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from tactile_loc.drawing.pictures import draw_result as draw_result
     from tactile_loc.drawing.pictures import save_figure as save_figure
     from tactile_loc.evaluation.robot_touches import RobotTouches as RobotTouches
-    from tactile_loc.evaluation.robot_touches import approaches_around as approaches_around
+    from tactile_loc.evaluation.robot_touches import draw_approaches as draw_approaches
     from tactile_loc.evaluation.sequences import SlidingTouches as SlidingTouches
     from tactile_loc.io.approach_files import Approach as Approach
     from tactile_loc.io.approach_files import read_approaches as read_approaches

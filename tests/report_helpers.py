@@ -15,7 +15,7 @@ import numpy as np
 
 from tactile_loc.evaluation.fusion import FusionEvaluation
 from tactile_loc.evaluation.fusion_tables import FusionRun, write_fusion_tables
-from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
+from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.evaluation.tables import Run, write_tables
 from tactile_loc.io.records import write_record
@@ -24,7 +24,7 @@ from tactile_loc.locate.result_arrays import gather_arrays, write_arrays
 from tactile_loc.locate.result_json import make_record
 from tactile_loc.reports import find_source
 from tactile_loc.reports.page import Page, render
-from tactile_loc.reports.report import page_of
+from tactile_loc.reports.report import make_page
 
 UNFRIENDLY = "<script>alert('x')</script>&amp;\"\u2028"
 SWEPT = ("none", "icp", "filterreg")
@@ -100,7 +100,7 @@ def write_sweep(folder: Path, rows: list[dict[str, Any]] | None = None) -> Path:
 
 
 def page_in(folder: Path) -> Page:
-    return page_of(find_source(folder))
+    return make_page(find_source(folder))
 
 
 def html_of(folder: Path) -> str:

@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 
 from tactile_loc import Localizer, load_object, write_touch
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
-from tactile_loc.evaluation.slides import random_slide, write_slide
+from tactile_loc.evaluation.slides import draw_random_slide, write_slide
 from tactile_loc.io.approach_files import read_approaches
 from tactile_loc.io.frame_sources import ImageFolder
 from tactile_loc.io.mount_files import MountRecord, write_mount
@@ -128,7 +128,7 @@ def furnished(tmp_path_factory, store) -> Path:
     write_touch(folder / "touches" / "0.npz", touches[0])
     (frame,) = ImageFolder(folder / "touches", every=True).read_frames()
     (folder / "found.jsonl").write_text(LiveLocator(localizer).locate(frame).record.model_dump_json() + "\n")
-    write_slide(folder / "drive.mcap", random_slide(localizer, 3, seed=0))
+    write_slide(folder / "drive.mcap", draw_random_slide(localizer, 3, seed=0))
     (folder / "poses.toml").write_text(
         "".join(
             f"[[approach]]\nT_sensor_next = {make_transform(np.eye(3), [x, 0, -0.05]).tolist()}\n"

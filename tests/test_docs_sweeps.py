@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
-from tactile_loc.sweeps.plan import Plan, split_all, varied_options
-from tactile_loc.sweeps.table import IDENTITY, MOMENTARY, columns_of
+from tactile_loc.sweeps.plan import Plan, find_varied_options, split_all
+from tactile_loc.sweeps.sweep import IDENTITY, MOMENTARY, list_columns
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "sweeps.md").read_text()
@@ -136,8 +136,8 @@ def test_every_column_is_explained():
     rows = PAGE[PAGE.index("| column |") : PAGE.index("The last columns")].strip().splitlines()[2:]
     explained = {name for row in rows for name in re.findall(r"`([\w.-]+)`", row.split("|")[1])}
     plan = Plan.from_values({"object": "pin", "option": ["grid.spacing_mm=3,4", "encoder.cells=12,20"]})
-    assert varied_options(plan.slots["grid"]) == ["spacing_mm"]
-    columns = columns_of(plan)
+    assert find_varied_options(plan.slots["grid"]) == ["spacing_mm"]
+    columns = list_columns(plan)
     assert explained <= set(columns)
     assert {c for c in columns if not re.fullmatch(r"[\w-]+_(median_mm|mean_mm|median_share)", c)} <= explained
     assert set(IDENTITY) <= explained

@@ -127,7 +127,7 @@ def _has_scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> boo
 def _find_labels(folder: Path, frames: list[Any], mm_per_px: float, ball_radius_mm: float) -> dict[str, Any]:
     from tactile_loc.calibration.frames import SHEET
     from tactile_loc.calibration.unlabelled import estimate_depths_mm, find_presses, write_labels
-    from tactile_loc.drawing.labels import draw_labels
+    from tactile_loc.drawing.calibration import draw_labels
     from tactile_loc.drawing.pictures import save_figure
 
     found = find_presses(frames, ball_radius_mm / mm_per_px, make_progress())

@@ -29,8 +29,8 @@ from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.io.touches import read_touch
 from tactile_loc.reports import find_source, write_report
 from tactile_loc.store.store import StageStore
-from tactile_loc.sweeps.comparison import as_text, compare
-from tactile_loc.sweeps.plan import Plan, choice_labels
+from tactile_loc.sweeps.comparison import compare, format_texts
+from tactile_loc.sweeps.plan import Plan, name_choices
 from tactile_loc.sweeps.results import read_sweep
 from tactile_loc.tasks.next_touch import next_touch
 from tactile_loc.tasks.next_touch_files import next_touch_record, read_modes
@@ -167,7 +167,7 @@ def _next_touch(folder: Path) -> None:
 
 def _compared(folder: Path) -> None:
     found = read_sweep(folder)
-    as_text(compare(found, found, "chosen"))
+    format_texts(compare(found, found, "chosen"))
 
 
 def _recording(folder: Path) -> None:
@@ -221,7 +221,7 @@ _ALL = (
     Reader("configuration", partial(corpora.texts, "run"), _configuration, f"run --config FOLDER/run.toml {KEPT}",
            names_file=False),
     Reader("plan", partial(corpora.texts, "plan"),
-           lambda folder: choice_labels(Plan.from_toml(folder / "plan.toml")),
+           lambda folder: name_choices(Plan.from_toml(folder / "plan.toml")),
            f"sweep FOLDER/plan.toml --dry-run {KEPT}"),
     Reader("approaches", partial(corpora.texts, "approaches"),
            lambda folder: _require_rigid(*(one.T_base_sensor for one in _approaches(folder, np.eye(4))))),

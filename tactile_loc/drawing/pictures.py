@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from tactile_loc.core.formatting import millimetres, percent
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.drawing.pose_panel import EDGE, STEEL, TRUTH, draw_pose
-from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
 from tactile_loc.store.files import write_atomically
 
@@ -63,9 +61,7 @@ def draw_touches(touches: Sequence[Touch], title: str) -> Figure:
     rows = -(-len(shown) // columns)
     figure = make_figure(2.5 * columns + 1.0, 2.7 * rows + 0.9, constrained=True)
     figure.suptitle(title, size=12, weight="bold")
-    grid: NDArray[Any] = figure.subplots(rows, columns, squeeze=False)
-    for axes in grid.flat[len(shown) :]:
-        axes.set_axis_off()
+    grid = add_panels(figure, len(shown), columns)
     deepest_m = max(touch.press_depth_m for touch in shown)  # one colour scale for all
     for axes, touch in zip(grid.flat, shown, strict=False):
         image = draw_contact_shape(axes, touch.contact_shape, touch.geometry, deepest_m)
@@ -74,19 +70,6 @@ def draw_touches(touches: Sequence[Touch], title: str) -> Figure:
     grid[0, 0].set_xlabel("x (mm)", size=8)
     figure.colorbar(image, ax=list(grid.flat), shrink=0.8, label="depth from full penetration (mm)")
     return figure
-
-
-def draw_noise(localizer: Localizer, seed: int = 0) -> Figure:
-    """Draw five touches of a localizer's object, the same in every row, with each level of noise in turn.
-
-    Titles give the press depth that the sensor measures, mm. Where noise makes a touch be drawn anew, columns differ.
-    """
-    touches = [
-        dataclasses.replace(touch, name=f"{level}, {millimetres(touch.press_depth_m)}")
-        for level in NOISE
-        for touch in localizer.simulate(5, seed, noise=level)
-    ]
-    return draw_touches(touches, f"{localizer.object.name} on {localizer.config.sensor.name}: touch noise")
 
 
 def draw_contact_shape(
@@ -101,7 +84,7 @@ def draw_contact_shape(
 
     colours = colormaps["viridis"].with_extremes(bad=NO_CONTACT)
     depth_mm = np.ma.masked_where(~shape.contact, 1e3 * shape.depth_m)
-    extent = extent_mm(geometry)
+    extent = compute_extent_mm(geometry)
     image: AxesImage = axes.imshow(
         depth_mm, cmap=colours, vmin=0.0, vmax=1e3 * (deepest_m or shape.press_depth_m), extent=extent, origin="upper"
     )
@@ -129,7 +112,7 @@ def _draw_observed(panel: SubFigure, touch: Touch) -> None:
     draw_outline(axes, touch)
     axes.set_xlabel("x (mm)", size=9, labelpad=2)
     axes.set_ylabel("y (mm)", size=9, labelpad=-2)
-    _heading(panel, "observed contact shape")
+    _write_heading(panel, "observed contact shape")
     bar = panel.add_axes((0.125, 0.095, 0.85, 0.022))
     panel.colorbar(image, cax=bar, orientation="horizontal")
     bar.set_xlabel("depth from full penetration (mm); grey: no contact", size=9, labelpad=2)
@@ -140,13 +123,13 @@ def _draw_photo(panel: SubFigure, localization: Localization, scene: Scene) -> N
     """The image, and where the contact of the best pose would end in it."""
     touch = localization.touch
     axes = panel.add_axes((0.125, 0.19, 0.85, 0.68))
-    axes.imshow(np.asarray(touch.image), extent=extent_mm(touch.geometry), origin="upper")
+    axes.imshow(np.asarray(touch.image), extent=compute_extent_mm(touch.geometry), origin="upper")
     made = scene.contact_shape(localization.best.T_sensor_object, touch.press_depth_m)
     draw_outline(axes, dataclasses.replace(touch, contact_shape=made), EXPECTED)
     axes.tick_params(labelsize=8, length=2.5)
     axes.set_xlabel("x (mm)", size=9, labelpad=2)
     axes.set_ylabel("y (mm)", size=9, labelpad=-2)
-    _heading(panel, "image")
+    _write_heading(panel, "image")
     panel.text(0.55, 0.085, "white: outline that the best pose makes", size=9, ha="center", color="#37474f")
 
 
@@ -162,16 +145,16 @@ def _draw_candidates(
         draw_contact_shape(axes, shape, touch.geometry)
         draw_outline(axes, touch)
         axes.set(xticks=[], yticks=[])
-        axes.set_title(_caption(i, hypothesis.probability, hypothesis.imprint_iou, errors_m), size=8.5, pad=4)
-    _heading(panel, "best explanations: probability, imprint IoU" if columns == 2 else "best")
+        axes.set_title(_write_caption(i, hypothesis.probability, hypothesis.imprint_iou, errors_m), size=8.5, pad=4)
+    _write_heading(panel, "best explanations: probability, imprint IoU" if columns == 2 else "best")
     panel.text(0.5, 0.012, "red: observed outline", size=9, ha="center", va="bottom", color=OUTLINE)
 
 
-def _heading(panel: SubFigure, text: str) -> None:
+def _write_heading(panel: SubFigure, text: str) -> None:
     panel.text(0.5, 0.893, text, size=11, ha="center", va="bottom")
 
 
-def _caption(i: int, probability: float, imprint_iou: float, errors_m: Sequence[float] | None) -> str:
+def _write_caption(i: int, probability: float, imprint_iou: float, errors_m: Sequence[float] | None) -> str:
     text = f"{i + 1}:  {percent(probability)},  IoU {100 * imprint_iou:.0f} %"
     return text if errors_m is None else f"{text},  {millimetres(errors_m[i])} off"
 
@@ -186,20 +169,37 @@ def _draw_scene(panel: SubFigure, localization: Localization, scene: Scene) -> N
     handles: list[Any] = [Patch(fc=STEEL, ec=EDGE, lw=0.8, label="best pose")]
     if touch.T_sensor_object is not None:
         handles.append(Line2D([], [], color=TRUTH, lw=1.5, label="true pose"))
-    _heading(panel, "the object on the sensor")
+    _write_heading(panel, "the object on the sensor")
     panel.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, -0.005), ncols=2, frameon=False, fontsize=9)
+
+
+def group_nearby(places: NDArray[np.float64], apart: float, order: float = 2) -> list[list[int]]:
+    """Return groups of places (N, D) by index: each is nearer than `apart` to its group's first, in a norm's order."""
+    groups: list[list[int]] = []
+    for i, place in enumerate(places):
+        near = next((g for g in groups if np.linalg.norm(places[g[0]] - place, order) < apart), None)
+        groups.append([i]) if near is None else near.append(i)
+    return groups
+
+
+def add_panels(parent: Figure | SubFigure, count: int, columns: int, **options: Any) -> NDArray[Any]:
+    """Return rows of axes (R, C) in a figure, `columns` in a row, of which the first `count` are to be drawn in."""
+    panels: NDArray[Any] = parent.subplots(-(-count // columns), columns, squeeze=False, **options)
+    for axes in panels.flat[count:]:
+        axes.set_axis_off()
+    return panels
 
 
 def draw_outline(axes: Axes, touch: Touch, colour: str = OUTLINE) -> None:
     """Draw the border of the touch's contact, as the sensor sees it, in mm."""
-    left, right, bottom, top = extent_mm(touch.geometry)
+    left, right, bottom, top = compute_extent_mm(touch.geometry)
     height, width = touch.geometry.shape
     x = left + (np.arange(width) + 0.5) / width * (right - left)
     y = top + (np.arange(height) + 0.5) / height * (bottom - top)
     axes.contour(x, y, touch.contact_shape.contact.astype(float), levels=[0.5], colors=colour, linewidths=1.1)
 
 
-def extent_mm(geometry: SensorGeometry) -> tuple[float, float, float, float]:
+def compute_extent_mm(geometry: SensorGeometry) -> tuple[float, float, float, float]:
     """Return the image's borders (left, right, bottom, top) on the sensing surface, mm; y runs down."""
     sx, sy = geometry.scale_at_surface
     x0, x1 = -geometry.cx / sx, (geometry.width_px - geometry.cx) / sx

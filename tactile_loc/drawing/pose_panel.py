@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.drawing.raytracing import Bounds, Buffers, Tracer, View, box, shade, shrink
+from tactile_loc.drawing.raytracing import Bounds, Buffers, Tracer, View, make_box, shade, shrink
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,6 +22,7 @@ Array = NDArray[np.float64]
 STEEL, GEL, HOUSING = (0.50, 0.64, 0.80), (0.87, 0.88, 0.86), (0.34, 0.36, 0.40)
 EDGE, TRUTH = "#16202c", "#e8590c"
 PIXELS, SUPERSAMPLE = 620, 2
+AZIMUTHS_DEG = (-55.0, -35.0, 35.0, 55.0, -145.0, -125.0, 125.0, 145.0)
 GEL_MM, RIM_MM = 1.5, 1.6  # thickness drawn for the gel, width of the housing around it
 
 
@@ -28,61 +30,58 @@ def draw_pose(
     axes: Axes, mesh: TriangleMesh, geometry: SensorGeometry, T_estimate: Array, T_true: Array | None = None
 ) -> None:
     """Draw the object at `T_estimate` (4, 4) over the sensing rectangle and the edges of it at `T_true`; metres."""
-    view = View(azimuth_deg=_best_azimuth_deg(mesh, T_estimate))
-    estimate = _posed_mm(mesh, T_estimate)
-    truth = None if T_true is None else _posed_mm(mesh, T_true)
-    floor = _sensor_mm(geometry)
-    bounds = _bounds(view, [s for s in (estimate, truth, *floor) if s is not None])
-    shape = _pixels(bounds)
+    view = choose_view(mesh, T_estimate)
+    estimate = _pose_triangles(mesh, T_estimate)
+    truth = None if T_true is None else _pose_triangles(mesh, T_true)
+    floor = build_sensor_mm(geometry)
+    bounds = _fit_bounds(view, [s for s in (estimate, truth, *floor) if s is not None])
+    shape = _choose_size(bounds)
     tracer = Tracer([estimate, *floor], view)
     seen = tracer.look(bounds, shape)
-    image = shade(seen, np.array([STEEL, GEL, HOUSING]), tracer.shadow(seen, 0.02))
+    image = shade(seen, np.array([STEEL, GEL, HOUSING]), tracer.cast_shadow(seen, 0.02))
     size_mm = float(np.ptp(estimate.reshape(-1, 3), axis=0).max())
-    _paint(image, seen.edges(0.04 * size_mm) & (seen.surface >= 0), EDGE, 0.75)
+    _paint(image, seen.find_edges(0.04 * size_mm) & (seen.surface >= 0), EDGE, 0.75)
     if truth is not None:
-        _paint(image, _thicker(Tracer([truth], view).look(bounds, shape).edges(0.04 * size_mm)), TRUTH, 0.95)
+        _paint(image, _thicken(Tracer([truth], view).look(bounds, shape).find_edges(0.04 * size_mm)), TRUTH, 0.95)
     axes.imshow(shrink(image, SUPERSAMPLE), extent=bounds, interpolation="antialiased", zorder=1)
-    _draw_axes(axes, view, geometry, _height_mm(geometry, estimate, truth), _Picture(seen, bounds))
+    _draw_axes(axes, view, geometry, _measure_height_mm(geometry, estimate, truth), _Picture(seen, bounds))
     axes.set(xlim=bounds[:2], ylim=bounds[2:], aspect="equal")
     axes.set_axis_off()
 
 
-def _posed_mm(mesh: TriangleMesh, T: Array) -> Array:
+def _pose_triangles(mesh: TriangleMesh, T: Array) -> Array:
     return transform_points(T, mesh.vertices_m)[mesh.faces] * 1e3
 
 
-def _sensor_mm(geometry: SensorGeometry) -> list[Array]:
-    """The gel under the sensing rectangle, and the housing around it."""
+def build_sensor_mm(geometry: SensorGeometry) -> list[Array]:
+    """Return the gel under the sensing rectangle and the housing around it, triangles (12, 3, 3), mm, sensor frame."""
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
     top = 1e3 * geometry.surface_m
-    gel = box((x0, x1), (y0, y1), (top - GEL_MM, top))
+    gel = make_box((x0, x1), (y0, y1), (top - GEL_MM, top))
     rim = RIM_MM
-    return [gel, box((x0 - rim, x1 + rim), (y0 - rim, y1 + rim), (top - 2.2 * GEL_MM, top - 0.4 * GEL_MM))]
+    return [gel, make_box((x0 - rim, x1 + rim), (y0 - rim, y1 + rim), (top - 2.2 * GEL_MM, top - 0.4 * GEL_MM))]
 
 
-def _best_azimuth_deg(mesh: TriangleMesh, T: Array) -> float:
-    """The direction that shows most of the object's outline, rather from where it does not hide the sensor."""
+def choose_view(mesh: TriangleMesh, T: Array, elevation_deg: float = View.elevation_deg) -> View:
+    """Return the view that shows most of the object at T (4, 4), metres, and hides the sensor least."""
     points = 1e3 * transform_points(T, mesh.vertices_m)
-    scores = {}
-    for azimuth_deg in (-55.0, -35.0, 35.0, 55.0, -145.0, -125.0, 125.0, 145.0):
-        view = View(azimuth_deg=azimuth_deg)
+
+    def rate(view: View) -> float:
         nearness_mm = float(view.axes[2, :2] @ points.mean(axis=0)[:2])
-        scores[azimuth_deg] = _spread(view.project(points)) * (1 - 0.4 * np.tanh(nearness_mm / 15))
-    return max(scores, key=lambda a: scores[a])
+        shown = np.sqrt(max(np.linalg.det(np.cov(view.project(points).T)), 0.0))
+        return float(shown * (1 - 0.4 * np.tanh(nearness_mm / 15)))
+
+    return max((View(azimuth_deg, elevation_deg) for azimuth_deg in AZIMUTHS_DEG), key=rate)
 
 
-def _spread(points: Array) -> float:
-    return float(np.sqrt(max(np.linalg.det(np.cov(points.T)), 0.0)))
-
-
-def _bounds(view: View, surfaces: list[Array]) -> Bounds:
+def _fit_bounds(view: View, surfaces: list[Array]) -> Bounds:
     flat = np.concatenate([view.project(s).reshape(-1, 2) for s in surfaces])
     (left, bottom), (right, top) = flat.min(axis=0), flat.max(axis=0)
     margin = 0.17 * max(right - left, top - bottom)
     return left - margin, right + margin, bottom - margin, top + 0.3 * margin
 
 
-def _pixels(bounds: Bounds) -> tuple[int, int]:
+def _choose_size(bounds: Bounds) -> tuple[int, int]:
     """Image size (H, W), `PIXELS` times the supersampling along the longer side."""
     width, height = bounds[1] - bounds[0], bounds[3] - bounds[2]
     scale = PIXELS / max(width, height)
@@ -97,14 +96,14 @@ def _paint(image: Array, where: NDArray[np.bool_], colour: str, opacity: float) 
     image[where, 3] = np.maximum(image[where, 3], opacity)
 
 
-def _thicker(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _thicken(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
     grown = marked.copy()
     grown[1:] |= marked[:-1]
     grown[:, 1:] |= marked[:, :-1]
     return grown
 
 
-def _height_mm(geometry: SensorGeometry, *surfaces: Array | None) -> float:
+def _measure_height_mm(geometry: SensorGeometry, *surfaces: Array | None) -> float:
     top = max(float(s[..., 2].max()) for s in surfaces if s is not None)
     return max(top - 1e3 * geometry.surface_m, 5.0)
 
@@ -116,7 +115,7 @@ class _Picture:
     seen: Buffers
     bounds: Bounds
 
-    def covered(self, places: Array) -> int:
+    def count_hidden(self, places: Array) -> int:
         """How many of the places (N, 2), mm in the picture, the object covers."""
         left, right, bottom, top = self.bounds
         height, width = self.seen.surface.shape
@@ -133,11 +132,11 @@ def _draw_axes(axes: Axes, view: View, geometry: SensorGeometry, height_mm: floa
     towards = view.axes[2]
     near_x, near_y = (x1 if towards[0] > 0 else x0), (y1 if towards[1] > 0 else y0)
     out_x, out_y = np.sign(near_x - 0.5 * (x0 + x1)), np.sign(near_y - 0.5 * (y0 + y1))
-    z_low, xs, ys = z0 - GEL_MM, _ticks(x0, x1), _ticks(y0, y1)
-    _scale(axes, view, [(x, near_y + out_y * away, z_low) for x in xs], xs, (0, out_y, 0), "x (mm)")
-    _scale(axes, view, [(near_x + out_x * away, y, z_low) for y in ys], ys, (out_x, 0, 0), "y (mm)")
+    z_low, xs, ys = z0 - GEL_MM, list_round_values(x0, x1, 6.5), list_round_values(y0, y1, 6.5)
+    _draw_scale(axes, view, [(x, near_y + out_y * away, z_low) for x in xs], xs, (0, out_y, 0), "x (mm)")
+    _draw_scale(axes, view, [(near_x + out_x * away, y, z_low) for y in ys], ys, (out_x, 0, 0), "y (mm)")
     rim_mm = [x0 - RIM_MM, x1 + RIM_MM, y0 - RIM_MM, y1 + RIM_MM]
-    _draw_height(axes, view, rim_mm, z0, _ticks(z0, z0 + height_mm, 4.5), picture)
+    _draw_height(axes, view, rim_mm, z0, list_round_values(z0, z0 + height_mm, 4.5), picture)
 
 
 def _draw_height(
@@ -151,22 +150,22 @@ def _draw_height(
     ]
     reach_mm = 0.05 * (picture.bounds[1] - picture.bounds[0])
     hidden = [
-        sum(picture.covered(view.project(np.array(points) + k * reach_mm * outwards)) for k in (0, 1, 2))
+        sum(picture.count_hidden(view.project(np.array(points) + k * reach_mm * outwards)) for k in (0, 1, 2))
         for points, outwards in sides
     ]
     points, outwards = sides[int(np.argmin(hidden))]
     pole = view.project(np.array([[*points[0][:2], base_mm], points[-1]]))
     axes.plot(pole[:, 0], pole[:, 1], color="#777777", lw=0.8, zorder=2)
-    _scale(axes, view, points, ticks, outwards, "z (mm)", distance=7.6)
+    _draw_scale(axes, view, points, ticks, outwards, "z (mm)", distance=7.6)
 
 
-def _ticks(low: float, high: float, most: float = 6.5) -> list[float]:
-    """Round values between two limits, mm: as many steps as fit, at most `most`."""
+def list_round_values(low: float, high: float, most: float = 6.0) -> list[float]:
+    """Return round values between two limits, mm: as many steps as fit, at most `most`."""
     step = next((s for s in (1, 2, 5, 10, 20, 50, 100) if (high - low) / s <= most), 200)
-    return [float(t) for t in np.arange(np.ceil(low / step - 1e-6), np.floor(high / step + 1e-6) + 1) * step]
+    return [float(k * step) for k in range(math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6) + 1)]
 
 
-def _scale(
+def _draw_scale(
     axes: Axes, view: View, points: list[Any], values: list[float], outwards: Any, label: str, distance: float = 6.6
 ) -> None:
     """Draw tick marks (points in mm of the sensor frame) with their values, and the axis's name at the middle."""
@@ -177,24 +176,13 @@ def _scale(
     for point, value in zip(flat, values, strict=True):
         end = point + length * direction
         axes.plot(*np.stack([point, end]).T, color="#777777", lw=0.8, zorder=2)
-        _text(axes, point + 2.4 * length * direction, f"{value:g}", 8)
+        _write_text(axes, point + 2.4 * length * direction, f"{value:g}", 8)
     middle = 0.5 * (flat[0] + flat[-1])
-    _text(axes, middle + distance * length * direction, label, 9)
+    _write_text(axes, middle + distance * length * direction, label, 9)
 
 
-def _text(axes: Axes, at: Array, text: str, size: float) -> None:
+def _write_text(axes: Axes, at: Array, text: str, size: float) -> None:
     from matplotlib.patheffects import withStroke
 
-    halo = [withStroke(linewidth=2.0, foreground="white")]
-    axes.text(
-        at[0],
-        at[1],
-        text,
-        size=size,
-        ha="center",
-        va="center",
-        color="#333333",
-        path_effects=halo,
-        zorder=3,
-        clip_on=False,
-    )
+    look: dict[str, Any] = {"ha": "center", "va": "center", "color": "#333333", "zorder": 3, "clip_on": False}
+    axes.text(at[0], at[1], text, size=size, path_effects=[withStroke(linewidth=2.0, foreground="white")], **look)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,15 +73,15 @@ class Buffers:
         right, up, towards = self.origins
         return right[columns] + up[rows] - self.depth[self.hit][:, None] * towards
 
-    def edges(self, jump: float) -> NDArray[np.bool_]:
+    def find_edges(self, jump: float) -> NDArray[np.bool_]:
         """Mark (H, W) outlines, creases, and places where the depth jumps by more than `jump` (the points' unit)."""
         marked = np.zeros(self.surface.shape, bool)
         depth = np.where(self.hit, self.depth, np.float32(0))
         for axis in (0, 1):
-            a, b = _pairs(self.surface, axis)
-            z0, z1 = _pairs(depth, axis)
+            a, b = _pair_neighbours(self.surface, axis)
+            z0, z1 = _pair_neighbours(depth, axis)
             differs = (a != b) | (np.abs(z1 - z0) > jump)
-            near, far = _pairs(self.face, axis)
+            near, far = _pair_neighbours(self.face, axis)
             two = (near != far) & ~differs
             cosines = (self.face_normals[near[two]] * self.face_normals[far[two]]).sum(axis=-1)
             differs[two] = cosines < np.cos(np.radians(CREASE_DEG))
@@ -96,20 +97,18 @@ class Tracer:
         corners = np.concatenate([triangles.reshape(-1, 3) for triangles in surfaces])
         self._mesh = TriangleMesh(corners, np.arange(len(corners)).reshape(-1, 3))
         self._of_face = np.append(np.repeat(np.arange(len(surfaces)), [len(triangles) for triangles in surfaces]), -1)
-        a, b, c = np.moveaxis(corners.reshape(-1, 3, 3), 1, 0)
-        normals = np.cross(b - a, c - a)
-        self._normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        self._normals = compute_normals(corners.reshape(-1, 3, 3))
         self._distance = 4.0 * float(np.abs(corners).max()) + 1.0
 
     def look(self, bounds: Bounds, shape: tuple[int, int]) -> Buffers:
         """Cast a ray through each of `shape` (H, W) pixels over bounds (left, right, bottom, top) of the picture."""
         axes = self.view.axes
-        depth, face, u, v = self._seen_along(axes, bounds, shape)
+        depth, face, u, v = self._render_along(axes, bounds, shape)
         towards = np.where(self._normals @ axes[2] < 0, -1.0, 1.0)[:, None] * self._normals  # however they are wound
         origins = u[:, None] * axes[0] + self._distance * axes[2], v[:, None] * axes[1], axes[2]
         return Buffers(self._of_face[face], face, depth, towards, origins)
 
-    def shadow(self, buffers: Buffers, lift: float) -> NDArray[np.bool_]:
+    def cast_shadow(self, buffers: Buffers, lift: float) -> NDArray[np.bool_]:
         """Mark (H, W) the points that another surface hides from the light, as a picture from there shows; `lift`, and
         a pixel of that picture, keep them off their own surface."""
         towards = LIGHT / np.linalg.norm(LIGHT)
@@ -121,7 +120,7 @@ class Tracer:
         pixel = float((high - low).max()) / LIT_PX
         rows, columns = (int(np.ceil(size / pixel)) + 1 for size in (high - low)[::-1])
         bounds = low[0], low[0] + columns * pixel, low[1], low[1] + rows * pixel
-        depth, *_ = self._seen_along(axes, bounds, (rows, columns))
+        depth, *_ = self._render_along(axes, bounds, (rows, columns))
         start = buffers.points + (lift + 1.5 * pixel) * buffers.normals
         at = start @ axes.T
         column = ((at[:, 0] - low[0]) / pixel).astype(int).clip(0, columns - 1)
@@ -130,7 +129,7 @@ class Tracer:
         hidden[buffers.hit] = depth[row, column] < self._distance - at[:, 2]
         return hidden
 
-    def _seen_along(
+    def _render_along(
         self, axes: Array, bounds: Bounds, shape: tuple[int, int]
     ) -> tuple[NDArray[np.float32], NDArray[np.int64], Array, Array]:
         """Depths and faces (H, W) along -axes[2], and where pixels are: u (W,) right and v (H,) up in the picture."""
@@ -165,12 +164,19 @@ def shrink(image: Array, factor: int) -> Array:
     return np.concatenate([np.clip(rgb, 0.0, 1.0), alpha], -1)
 
 
-def box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Array:
+def compute_normals(triangles: Array) -> Array:
+    """Return the unit normals (F, 3) of triangles (F, 3, 3); zero where there is none."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    normals = np.cross(b - a, c - a)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
+
+
+def make_box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Array:
     """Return the triangles (12, 3, 3) of an axis-aligned box."""
     corners = np.array([(a, b, c) for c in z for b in y for a in x])
     quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
     return corners[np.array([tri for a, b, c, d in quads for tri in ((a, b, c), (a, c, d))])]
 
 
-def _pairs(values: NDArray, axis: int) -> tuple[NDArray, NDArray]:
+def _pair_neighbours(values: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]]:
     return (values[:-1], values[1:]) if axis == 0 else (values[:, :-1], values[:, 1:])

@@ -1,8 +1,10 @@
-"""Touches and poses as a Rerun file (.rrd), for the viewer of that name; none is started."""
+"""Results, frames and replayed recordings as Rerun files (.rrd), for the viewer of that name; none is started."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -10,18 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import MissingLibraryError, OutputError
+from tactile_loc.core.errors import MissingLibraryError, OutputError, TactileLocError
 from tactile_loc.core.formatting import percent
 from tactile_loc.core.geometry.pose_words import pose_words
-from tactile_loc.core.geometry.rigid import rotation_to_quaternion
+from tactile_loc.core.geometry.rigid import covariance_along, invert, rotation_to_quaternion
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.locate.located_frame import LocatedFrame
+from tactile_loc.locate.result import Localization
 from tactile_loc.locate.result_arrays import find_most_probable, reduce_mesh
-from tactile_loc.store.files import require_writable
+from tactile_loc.store.files import require_writable, write_atomically
+from tactile_loc.tasks.replay import FrameRecord, FrameView, Replay
 
 SENSOR = "base/sensor"
 OBJECT, HYPOTHESES, POSTERIOR, SPREAD = (f"{SENSOR}/{n}" for n in ("object", "hypotheses", "posterior", "uncertainty"))
@@ -42,10 +46,10 @@ def require_rerun(path: Path) -> None:
     if path.is_dir():
         raise OutputError(f"{path} is a folder; choose another --rerun")
     require_writable(path.parent)
-    _library()
+    _import_rerun()
 
 
-def _library() -> Any:
+def _import_rerun() -> Any:
     try:
         import rerun
     except ImportError as error:
@@ -76,7 +80,7 @@ class RerunLog:
     """
 
     def __init__(self, path: Path, scene: Scene) -> None:
-        self._rr, self._name, self._refused = _library(), path.name, False
+        self._rr, self._name, self._refused = _import_rerun(), path.name, False
         path.parent.mkdir(parents=True, exist_ok=True)
         self._stream = self._rr.RecordingStream(f"tactile-loc {scene.object.name}")
         self._stream.save(path)
@@ -110,7 +114,7 @@ class RerunLog:
             self._show(path, has_pose, colour)
         if frame.posterior is not None:
             self._add_posterior(frame.posterior)
-        self._log("pose", self._rr.TextDocument(pose_text(frame)))
+        self._log("pose", self._rr.TextDocument(describe_pose(frame)))
         self._flush()
 
     def _flush(self) -> None:
@@ -150,14 +154,14 @@ class RerunLog:
         shape = None if touch is None else touch.contact_shape
         self._log("contact_shape", nothing if shape is None else rr.DepthImage(shape.depth_m, meter=1.0))
         if touch is not None and touch.T_base_sensor is not None:
-            self._log(SENSOR, self._transform(touch.T_base_sensor))
+            self._log(SENSOR, self._make_transform(touch.T_base_sensor))
 
-    def _transform(self, T: NDArray[np.float64]) -> Any:
+    def _make_transform(self, T: NDArray[np.float64]) -> Any:
         return self._rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
 
     def _add_poses(self, found: LocatedFrame) -> None:
         rr, poses = self._rr, found.T_sensor_object_modes
-        self._log(OBJECT, self._transform(poses[0]))
+        self._log(OBJECT, self._make_transform(poses[0]))
         self._log(HYPOTHESES, rr.InstancePoses3D(translations=poses[:, :3, 3], mat3x3=poses[:, :3, :3]))
         self._log(HYPOTHESES, rr.AnyValues(probability=found.probabilities))
         self._log("plots/probability", rr.Scalars(found.probabilities[0]))
@@ -166,10 +170,10 @@ class RerunLog:
         if found.covariance is None:
             self._log(SPREAD, rr.Clear(recursive=False))
             return
-        self._log(SPREAD, self._ellipsoid(poses[0, :3, 3], found.covariance[:3, :3]))
+        self._log(SPREAD, self._make_ellipsoid(poses[0, :3, 3], found.covariance[:3, :3]))
         self._log(SPREAD, rr.AnyValues(covariance=found.covariance.ravel()))
 
-    def _ellipsoid(self, centre_m: NDArray[np.float64], covariance: NDArray[np.float64]) -> Any:
+    def _make_ellipsoid(self, centre_m: NDArray[np.float64], covariance: NDArray[np.float64]) -> Any:
         """The place's uncertainty: half axes of DEVIATIONS standard deviations."""
         variances, R = np.linalg.eigh(covariance)
         R[:, 0] *= np.sign(np.linalg.det(R))  # axes of a right-handed frame
@@ -185,7 +189,7 @@ class RerunLog:
         self._log(POSTERIOR, self._rr.AnyValues(T_sensor_object=poses.reshape(-1), probability=p))
 
 
-def pose_text(frame: Logged) -> str:
+def describe_pose(frame: Logged) -> str:
     """Return what is known at a frame in words: mm, degrees, per cent."""
     found = frame.located
     if found is None:
@@ -201,3 +205,55 @@ def pose_text(frame: Logged) -> str:
         said,
     )
     return "\n".join(line for line in lines if line)
+
+
+def write_localization(path: Path, localization: Localization, scene: Scene) -> Path:
+    """Write a result as a Rerun file, a frame a touch, atomically, and return the path; poses are in the first one's.
+
+    Raises OutputError and MissingLibraryError.
+    """
+
+    def write(temporary: Path) -> None:
+        first, located = localization.touch, LocatedFrame.of(localization)
+        with RerunLog(temporary, scene) as log:
+            log.add(Logged(0, 0.0, first.image, first, located, localization.posterior, first.name))
+            for number, touch in enumerate(localization.others, 1):
+                T_other_first = invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
+                seen = located.seen_from(T_other_first)
+                log.add(Logged(number, float(number), touch.image, touch, seen, says=touch.name))
+
+    return write_atomically(path, write)
+
+
+def write_replay(path: Path, replay: Replay, records: Sequence[FrameRecord]) -> Path:
+    """Write what the images of a recording came to as a Rerun file, atomically, and return the path.
+
+    Images are read anew. Raises OutputError and MissingLibraryError.
+    """
+
+    def write(temporary: Path) -> None:
+        with RerunLog(temporary, replay.localizer.scene) as log:
+            for record, view in zip(records, replay.views(), strict=True):
+                log.add(_read_frame(record, view, records[0].stamp_ns, replay))
+
+    return write_atomically(path, write)
+
+
+def _read_frame(record: FrameRecord, view: FrameView, start_ns: int, replay: Replay) -> Logged:
+    touch = None
+    with suppress(TactileLocError):  # the record says why there is none
+        touch = replace(replay.touch(view.image), T_base_sensor=view.T_base_frame)
+    time_s = 1e-9 * (record.stamp_ns - start_ns)
+    return Logged(record.number, time_s, view.image, touch, _locate_in_sensor(record, view))
+
+
+def _locate_in_sensor(record: FrameRecord, view: FrameView) -> LocatedFrame:
+    """What a record says, in the sensor's frame."""
+    if record.T_frame_object is None:
+        return LocatedFrame(record.verdict, says=record.says)
+    T = np.eye(4) if view.T_base_frame is None else invert(view.T_base_frame)
+    covariance = None if record.covariance is None else covariance_along(np.array(record.covariance), T[:3, :3])
+    shares, iou = np.array([record.probability or 0.0]), record.imprint_iou
+    return LocatedFrame(
+        record.verdict, (T @ record.T)[None], shares, covariance, np.nan if iou is None else iou, says=record.says
+    )

@@ -32,7 +32,7 @@ from tactile_loc.core.simulation.touch_simulation import PressNoise
 from tactile_loc.core.slots.refiner import Candidate, Refiner
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene
-from tactile_loc.evaluation.simulated_touches import true_pose
+from tactile_loc.evaluation.simulated_touches import require_true_pose
 from tactile_loc.locate.localizer import Localizer
 
 Float32 = NDArray[np.float32]
@@ -47,12 +47,12 @@ BLUR_M = 3e-4  # of all contacts that are compared: single pixels of an outline 
 REFINER = "filterreg"  # always the same: which touches are ambiguous does not depend on the method that is evaluated
 
 
-def judging_noise(noise: str) -> str:
+def choose_judging_noise(noise: str) -> str:
     """Return the noise that touches of a noise are judged against: their own, or mild for clean ones."""
     return "mild" if NOISE[noise] == TouchNoise() else noise
 
 
-def ambiguity_ratios(
+def measure_ambiguity(
     localizer: Localizer, touches: Sequence[Touch], noise: TouchNoise, rngs: Sequence[np.random.Generator]
 ) -> Float64:
     """Return the ratio (T,) of each touch, unitless; infinite where no distant pose is in the grid.
@@ -60,18 +60,18 @@ def ambiguity_ratios(
     Each touch's `rng` draws measurements of its true pose with `noise`. Raises TouchError for a touch whose true pose
     is not known.
     """
-    truths = np.stack([true_pose(touch) for touch in touches])
-    distances = _shape_distances(localizer, touches, truths)
+    truths = np.stack([require_true_pose(touch) for touch in touches])
+    distances = _measure_shape_distances(localizer, touches, truths)
     refiner: Refiner = registry().create("refiner", REFINER, {})
     apart_m = localizer.sampler.options.spacing_mm * 1e-3
     ratios = []
     for touch, T_true, apart, rng in zip(touches, truths, distances, rngs, strict=True):
-        rivals = distinct_rivals(localizer.listed.grid_of(touch), T_true, apart, apart_m)
-        ratios.append(_Judge(localizer.scene.as_seen(), refiner, noise).ratio(touch, T_true, rivals, rng))
+        rivals = find_rivals(localizer.listed.grid_of(touch), T_true, apart, apart_m)
+        ratios.append(_Judge(localizer.scene.as_seen(), refiner, noise).find_ratio(touch, T_true, rivals, rng))
     return np.array(ratios)
 
 
-def distinct_rivals(grid: PoseGrid, T_true: Poses, apart: Float32, radius_m: float) -> Poses:
+def find_rivals(grid: PoseGrid, T_true: Poses, apart: Float32, radius_m: float) -> Poses:
     """Return the distant grid poses (R, 4, 4), metres, with the least of `apart` (N,), none within a radius of another.
 
     Distant is farther than DISTANT_M from the true pose (4, 4), symmetry regarded; R is at most RIVALS.
@@ -84,7 +84,7 @@ def distinct_rivals(grid: PoseGrid, T_true: Poses, apart: Float32, radius_m: flo
     return grid.T_sensor_object[chosen]
 
 
-def noise_ratio(true: Float64, others: Float64, measured: Float64) -> Float64:
+def compute_noise_ratio(true: Float64, others: Float64, measured: Float64) -> Float64:
     """Return the module's ratio (R,) of contact depths `others` (R, P) beside the true ones (P,), metres.
 
     `measured` (K, P) are noisy measurements of the true pose. A shape that does not differ has ratio 0.
@@ -104,28 +104,28 @@ class _Judge:
     refiner: Refiner
     noise: TouchNoise
 
-    def ratio(self, touch: Touch, T_true: Poses, rivals: Poses, rng: np.random.Generator) -> float:
+    def find_ratio(self, touch: Touch, T_true: Poses, rivals: Poses, rng: np.random.Generator) -> float:
         """The least ratio of the rivals (R, 4, 4), as they are and refined; infinite without any."""
         pressed = self.scene.of_touch(touch)
         truth = pressed.in_contact(T_true[None])[0][0]
         clean = ContactShape(pressed.contact_depths(truth[None])[0], touch.press_depth_m, touch.indentation_m)
-        poses = self._distant(pressed, truth, np.concatenate([rivals, self._refined(touch, clean, rivals)]))
+        poses = self._keep_distant(pressed, truth, np.concatenate([rivals, self._refine(touch, clean, rivals)]))
         if len(poses) == 0:
             return np.inf
-        measured = self._measured(touch, truth, rng)
+        measured = self._measure(touch, truth, rng)
         true, others, noisy = (
-            _gently_blurred(depths, touch.geometry)
+            _blur_gently(depths, touch.geometry)
             for depths in (clean.depth_m[None], pressed.contact_depths(poses), measured)
         )
-        return float(noise_ratio(true[0], others, noisy).min())
+        return float(compute_noise_ratio(true[0], others, noisy).min())
 
-    def _distant(self, pressed: Scene, truth: Poses, poses: Poses) -> Poses:
+    def _keep_distant(self, pressed: Scene, truth: Poses, poses: Poses) -> Poses:
         """Those of poses (R, 4, 4), metres, that touch far from the truth (4, 4), in contact."""
         poses, touching = pressed.in_contact(poses)
         away_m = PoseMetric(pressed.object).symmetric_distance(np.broadcast_to(truth, poses.shape), poses)
         return poses[touching & (away_m > DISTANT_M)]
 
-    def _refined(self, touch: Touch, clean: ContactShape, rivals: Poses) -> Poses:
+    def _refine(self, touch: Touch, clean: ContactShape, rivals: Poses) -> Poses:
         """The rivals (R, 4, 4) refined against the clean shape, so that the grid's steps hide nothing."""
         try:
             target = dataclasses.replace(touch, contact_shape=clean)
@@ -135,7 +135,7 @@ class _Judge:
         refined = self.refiner.refine_many(target, candidates, self.scene.of_touch(target))
         return np.array([pose.T_sensor_object for pose in refined]).reshape(-1, 4, 4)
 
-    def _measured(self, touch: Touch, T_true: Poses, rng: np.random.Generator) -> Float32:
+    def _measure(self, touch: Touch, T_true: Poses, rng: np.random.Generator) -> Float32:
         """Noisy measurements (K, H, W) of the touch's true pose and press, cut at its press depth; metres."""
         press = PressNoise(self.noise, self.scene, touch.indentation_m, rng)
         T, _ = self.scene.in_contact(np.repeat(T_true[None], MEASUREMENTS, axis=0))
@@ -147,21 +147,21 @@ class _Judge:
         return measured
 
 
-def _gently_blurred(depths_m: Float32, geometry: SensorGeometry) -> Float64:
+def _blur_gently(depths_m: Float32, geometry: SensorGeometry) -> Float64:
     """Contact depths (N, H, W) at the observed pixels on the gel (N, P), blurred by BLUR_M; metres."""
     gel = Gel.of(geometry)
     blurred = gel.blurred(depths_m[:, gel.rows, gel.columns], BLUR_M)
     return blurred[:, geometry.observed_mask[gel.rows, gel.columns]].astype(float)
 
 
-def _shape_distances(localizer: Localizer, touches: Sequence[Touch], truths: Poses) -> Float32:
+def _measure_shape_distances(localizer: Localizer, touches: Sequence[Touch], truths: Poses) -> Float32:
     """Squared distances (T, N) between the grid's contact shapes and those of true poses (T, 4, 4), square metres.
 
     Both are clean, cut at the touch's press depth, at the grid's resolution, over every EVERY-th observed pixel.
     """
     pixels = np.flatnonzero(localizer.coarse_scene.geometry.observed_mask)[::EVERY]
     press = np.array([touch.press_depth_m for touch in touches], np.float32)
-    wanted = _true_shapes(localizer, touches, truths).reshape(len(touches), -1)[:, pixels]
+    wanted = _draw_true_shapes(localizer, touches, truths).reshape(len(touches), -1)[:, pixels]
     parts = []
     for depths in localizer.model.shapes.shards():  # at full press: cut at each touch's own while comparing
         shapes = np.ascontiguousarray(depths.reshape(len(depths), -1)[:, pixels].T)
@@ -170,7 +170,7 @@ def _shape_distances(localizer: Localizer, touches: Sequence[Touch], truths: Pos
     return np.concatenate(parts, axis=1)
 
 
-def _true_shapes(localizer: Localizer, touches: Sequence[Touch], truths: Poses) -> Float32:
+def _draw_true_shapes(localizer: Localizer, touches: Sequence[Touch], truths: Poses) -> Float32:
     """Clean contact depths (T, H, W) of the true poses, metres, each cut at its touch's press depth."""
     shapes = []
     for touch, T in zip(touches, truths, strict=True):

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import millimetres
-from tactile_loc.drawing.pictures import OUTLINE, draw_contact_shape, draw_outline, make_figure
+from tactile_loc.drawing.pictures import OUTLINE, add_panels, draw_contact_shape, draw_outline, make_figure
 from tactile_loc.evaluation.fusion_tables import FusionRun
-from tactile_loc.evaluation.posterior_metrics import LEVELS, POSTERIOR_METRICS
+from tactile_loc.evaluation.metrics import LEVELS, POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import Evaluation
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.tables import Run
+from tactile_loc.evaluation.tabular import EvaluatedObject
 from tactile_loc.locate.localizer import Localizer
 
 if TYPE_CHECKING:
@@ -42,28 +44,30 @@ def draw_violins(runs: Sequence[Run], title: str) -> Figure:
     The error axis is logarithmic. Dashed lines are the medians of a random pose and of the grid pose nearest to the
     truth, white dots medians, thick bars quartiles.
     """
-    objects, encoders = (
-        list(dict.fromkeys(names)) for names in zip(*((r.object, r.encoder) for r in runs), strict=True)
-    )
+    figure, panels, colours = _make_object_panels(runs, title, 4.9, 3.6, 0.5)
+    for name, axes in panels.items():
+        _draw_object(axes, [run for run in runs if run.object == name], colours)
+    lowest = min(_take_logarithm(run.evaluation.normalise_errors(line)).min() for run in runs for line in DRAWN)
+    _scale_errors(next(iter(panels.values())), lowest)
+    columns = min(3 + len(colours), int(figure.get_figwidth() / 2.2))
+    figure.legend(handles=_make_handles(colours), loc="outside lower center", ncols=columns, frameon=False)
+    return figure
+
+
+def _make_object_panels(
+    runs: Sequence[EvaluatedObject], title: str, width: float, height: float, wider: float = 0.0
+) -> tuple[Figure, dict[str, Axes], dict[str, str]]:
+    """Make a figure with a panel, `width` by `height` inches, for each object, and choose a colour for each encoder."""
+    objects, encoders = (dict.fromkeys(names) for names in zip(*((r.object, r.encoder) for r in runs), strict=True))
     columns = min(3, len(objects))
     rows = -(-len(objects) // columns)
-    figure = make_figure(max(6.4, 4.9 * columns) + 0.5, 3.6 * rows + 1.1, constrained=True)
-    panels: NDArray[Any] = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    colours = dict(zip(encoders, COLOURS * (1 + len(encoders) // len(COLOURS)), strict=False))
-    for axes, name in zip(panels.flat, objects, strict=False):
-        _draw_object(axes, [run for run in runs if run.object == name], colours)
-    for axes in panels.flat[len(objects) :]:
-        axes.set_axis_off()
-    _scale_errors(
-        panels[0, 0], min(_logarithm(run.evaluation.normalised(line)).min() for run in runs for line in DRAWN)
-    )
+    figure = make_figure(max(6.4, width * columns) + wider, height * rows + 1.1, constrained=True)
+    figure.suptitle(textwrap.fill(title, int(8.5 * figure.get_figwidth())), size=13, weight="bold")
+    panels = add_panels(figure, len(objects), columns, sharey=True)
     for axes in panels[:, 0]:
         axes.set_ylabel("ADD / mean ADD of a random pose")
-    width = figure.get_figwidth()
-    figure.suptitle(textwrap.fill(title, int(8.5 * width)), size=13, weight="bold")
-    columns = min(3 + len(encoders), int(width / 2.2))
-    figure.legend(handles=_handles(colours), loc="outside lower center", ncols=columns, frameon=False)
-    return figure
+    colours = dict(zip(encoders, itertools.cycle(COLOURS), strict=False))
+    return figure, dict(zip(objects, panels.flat, strict=False)), colours
 
 
 def draw_gallery(localizer: Localizer, evaluation: Evaluation, touches: SimulatedTouches, title: str) -> Figure:
@@ -71,15 +75,15 @@ def draw_gallery(localizer: Localizer, evaluation: Evaluation, touches: Simulate
 
     Above the observed contact shapes, below the clean ones of the estimated poses with the observed outline.
     """
-    errors_m = evaluation.errors(GALLERY_LINE)
-    chosen = _best_median_worst(errors_m)
+    errors_m = evaluation.select_errors(GALLERY_LINE)
+    chosen = _choose_touches(errors_m)
     figure = make_figure(2.35 * len(chosen) + 1.3, 5.8, constrained=True)
     figure.suptitle(textwrap.fill(title, int(8.5 * figure.get_figwidth())), size=13, weight="bold")
     panels: NDArray[Any] = figure.subplots(2, len(chosen), squeeze=False, sharex=True, sharey=True)
     deepest_m = localizer.scene.geometry.max_depth_m
     for column, (kind, number) in zip(panels.T, chosen, strict=True):
-        touch = touches.touch(localizer, number)
-        shape = localizer.scene.contact_shape(evaluation.poses(GALLERY_LINE)[number], touch.press_depth_m)
+        touch = touches.draw_touch(localizer, number)
+        shape = localizer.scene.contact_shape(evaluation.select_poses(GALLERY_LINE)[number], touch.press_depth_m)
         draw_contact_shape(column[0], touch.contact_shape, touch.geometry, deepest_m)
         image = draw_contact_shape(column[1], shape, touch.geometry, deepest_m)
         draw_outline(column[1], touch)
@@ -99,16 +103,21 @@ def _draw_object(axes: Axes, runs: Sequence[Run], colours: dict[str, str]) -> No
     for i, run in enumerate(runs):
         shift = (i - 0.5 * (len(runs) - 1)) * width
         for place, line in enumerate(DRAWN):
-            _draw_violin(axes, place + shift, width, run.evaluation.normalised(line), colours[run.encoder])
+            _draw_violin(axes, place + shift, width, run.evaluation.normalise_errors(line), colours[run.encoder])
     for line, colour in (("random", RANDOM), ("closest", CLOSEST)):
-        level = float(_logarithm(np.median(runs[0].evaluation.normalised(line))))
+        level = float(_take_logarithm(np.median(runs[0].evaluation.normalise_errors(line))))
         axes.axhline(level, color=colour, lw=1.2, ls=(0, (5, 3)), zorder=1)
-    scale = millimetres(runs[0].evaluation.scale_m())
+    scale = millimetres(runs[0].evaluation.compute_scale_m())
     axes.set_title(f"{runs[0].object} (random: {scale} on average)", size=11)
     axes.set_xticks(range(len(DRAWN)), [line.capitalize() for line in DRAWN], size=9)
     axes.set_xlim(-0.6, len(DRAWN) - 0.4)
+    _draw_grid(axes, axis="y")
+
+
+def _draw_grid(axes: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
+    """Draw a grid behind everything, and no frame at the top and on the right."""
     axes.set_axisbelow(True)
-    axes.grid(axis="y", color="#e2e8f0", lw=0.8)
+    axes.grid(axis=axis, color="#e2e8f0", lw=0.8)
     axes.spines[["top", "right"]].set_visible(False)
 
 
@@ -124,16 +133,16 @@ def _scale_errors(axes: Axes, lowest: float) -> None:
 
 def _draw_violin(axes: Axes, place: float, width: float, values: NDArray[np.float64], colour: str) -> None:
     """The distribution of values (T,) on an axis of logarithms, its quartiles as a bar, its median as a dot."""
-    logarithms = _logarithm(values)
+    logarithms = _take_logarithm(values)
     if np.ptp(logarithms) > 1e-9:  # a density needs values that differ
         parts: Any = axes.violinplot([logarithms], [place], widths=0.92 * width, showextrema=False, points=200)
         parts["bodies"][0].set(facecolor=colour, edgecolor=colour, alpha=0.45, linewidth=0.8, zorder=2)
-    low, median, high = _logarithm(np.quantile(values, (0.25, 0.5, 0.75)))
+    low, median, high = _take_logarithm(np.quantile(values, (0.25, 0.5, 0.75)))
     axes.vlines(place, low, high, color=colour, lw=4, zorder=3)
     axes.plot(place, median, "o", ms=4.5, mfc="white", mec=colour, mew=1.2, zorder=4)
 
 
-def _handles(colours: dict[str, str]) -> list[Any]:
+def _make_handles(colours: dict[str, str]) -> list[Any]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -146,11 +155,11 @@ def _handles(colours: dict[str, str]) -> list[Any]:
     ]
 
 
-def _logarithm(values: NDArray[np.float64] | np.floating[Any]) -> NDArray[np.float64]:
+def _take_logarithm(values: NDArray[np.float64] | np.floating[Any]) -> NDArray[np.float64]:
     return np.asarray(np.log10(np.maximum(values, FLOOR)))
 
 
-def _best_median_worst(errors_m: NDArray[np.float64]) -> list[tuple[str, int]]:
+def _choose_touches(errors_m: NDArray[np.float64]) -> list[tuple[str, int]]:
     """Up to EACH touches of each kind, by rising error, none twice."""
     order = np.argsort(errors_m, kind="stable")
     each = min(EACH, max(1, len(order) // 3))
@@ -174,7 +183,7 @@ def draw_reliability(runs: Sequence[Run], title: str) -> Figure:
         colour, marker = COLOURS[number % len(COLOURS)], MARKERS[number // len(COLOURS) % len(MARKERS)]
         _draw_coverage(coverage, run, colour, marker)
         posterior_metrics = run.evaluation.posterior_metrics[:, POSTERIOR_METRICS.index("entropy")]
-        errors_mm = np.maximum(1e3 * run.evaluation.errors("reg-1"), LEAST_MM)
+        errors_mm = np.maximum(1e3 * run.evaluation.select_errors("reg-1"), LEAST_MM)
         entropy.plot(posterior_metrics, errors_mm, marker, ms=4, alpha=0.6, color=colour, mec="none")
     coverage.plot([0, 100], [0, 100], color="#1a202c", lw=1, ls=(0, (5, 3)), label="as it should be")
     coverage.set(xlim=(0, 100), ylim=(0, 100), aspect="equal")
@@ -184,9 +193,7 @@ def draw_reliability(runs: Sequence[Run], title: str) -> Figure:
     entropy.set_xlabel("entropy of the posterior (nats)")
     entropy.set_ylabel("ADD of the most probable pose, refined (mm)")
     for axes in (coverage, entropy):
-        axes.grid(color="#e2e8f0", lw=0.8)
-        axes.set_axisbelow(True)
-        axes.spines[["top", "right"]].set_visible(False)
+        _draw_grid(axes)
     figure.legend(loc="outside right center", frameon=False, fontsize=9)
     return figure
 
@@ -196,7 +203,7 @@ def _draw_coverage(axes: Axes, run: Run, colour: str, marker: str) -> None:
     sure = np.linspace(0, 1, 101)
     held = np.searchsorted(levels, sure, side="right") / len(levels)
     axes.plot(100 * sure, 100 * held, color=colour, lw=1.6, label=f"{run.object}, {run.encoder}")
-    axes.plot(100 * np.array(LEVELS), 100 * np.array(run.posterior_summary().coverage), marker, color=colour, ms=6)
+    axes.plot(100 * np.array(LEVELS), 100 * np.array(run.summarise_posteriors().coverage), marker, color=colour, ms=6)
 
 
 def draw_fusion(runs: Sequence[FusionRun], title: str) -> Figure:
@@ -204,22 +211,10 @@ def draw_fusion(runs: Sequence[FusionRun], title: str) -> Figure:
 
     Best-1 of each encoder, and kinematic, of the first one; logarithmic, with mm on the right.
     """
-    objects, encoders = (
-        list(dict.fromkeys(names)) for names in zip(*((r.object, r.encoder) for r in runs), strict=True)
-    )
-    colours = dict(zip(encoders, COLOURS * (1 + len(encoders) // len(COLOURS)), strict=False))
-    columns = min(3, len(objects))
-    rows = -(-len(objects) // columns)
-    figure = make_figure(max(6.4, 4.4 * columns), 3.4 * rows + 1.1, constrained=True)
-    figure.suptitle(textwrap.fill(title, int(8.5 * figure.get_figwidth())), size=13, weight="bold")
-    panels: NDArray[Any] = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    for axes, name in zip(panels.flat, objects, strict=False):
+    figure, panels, colours = _make_object_panels(runs, title, 4.4, 3.4)
+    for name, axes in panels.items():
         _draw_fused_object(axes, [run for run in runs if run.object == name], colours)
-    for axes in panels.flat[len(objects) :]:
-        axes.set_axis_off()
-    for axes in panels[:, 0]:
-        axes.set_ylabel("ADD / mean ADD of a random pose")
-    handles, labels = panels[0, 0].get_legend_handles_labels()
+    handles, labels = next(iter(panels.values())).get_legend_handles_labels()
     columns = min(len(labels), int(figure.get_figwidth() / 2))
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
     return figure
@@ -235,33 +230,22 @@ def _draw_fused_object(axes: Axes, runs: Sequence[FusionRun], colours: dict[str,
     axes.minorticks_off()
     axes.set_xticks(runs[0].evaluation.contacts)
     axes.set_xlabel("number of contacts")
-    random_mm = 1e3 * runs[0].evaluation.scale_m()
+    random_mm = 1e3 * runs[0].evaluation.compute_scale_m()
     axes.set_title(f"{runs[0].object} (random: {random_mm:.1f} mm)", size=11)
-    right = axes.secondary_yaxis("right", functions=_scaling(random_mm))
+    right = axes.secondary_yaxis(
+        "right", functions=(lambda v: np.multiply(v, random_mm), lambda v: np.divide(v, random_mm))
+    )
     right.set_yticks([1, 2, 5, 10, 20, 50], ["1", "2", "5", "10", "20", "50"])
     right.minorticks_off()
     right.set_ylabel("ADD (mm)")
-    axes.grid(color="#e2e8f0", lw=0.8)
-    axes.set_axisbelow(True)
-    axes.spines[["top"]].set_visible(False)
-
-
-def _scaling(factor: float) -> Any:
-    """Multiplication by a factor, and its inverse, as an axis takes them."""
-
-    def there(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(values) * factor
-
-    def back(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(values) / factor
-
-    return there, back
+    _draw_grid(axes)
+    axes.spines["right"].set_visible(True)
 
 
 def _draw_line(axes: Axes, run: FusionRun, line: str, colour: str, marker: str, label: str) -> None:
     """Medians as a line, the quartiles as a band."""
     contacts = run.evaluation.contacts
-    found = [run.statistics(line, n, normalised=True) for n in contacts]
+    found = [run.summarise(line, n, normalised=True) for n in contacts]
     low, median, high = np.maximum([(s.q25, s.median, s.q75) for s in found], FUSION_FLOOR).T
     axes.fill_between(contacts, low, high, color=colour, alpha=0.2, lw=0)
     axes.plot(contacts, median, marker=marker, ms=5, lw=1.8, color=colour, label=f"{label}: median, quartiles")

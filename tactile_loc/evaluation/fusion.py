@@ -15,9 +15,9 @@ from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.slots.fuser import Fuser
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.evaluation.metrics import symmetric_adds
-from tactile_loc.evaluation.protocol import describe_located, save_in_shards, surface_points
-from tactile_loc.evaluation.simulated_touches import SimulatedTouches, true_pose
+from tactile_loc.evaluation.metrics import compute_adds
+from tactile_loc.evaluation.protocol import describe_located, sample_surface, save_in_shards
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
@@ -45,19 +45,19 @@ class FusionEvaluation:
     alone: NDArray[np.bool_]
     refused: NDArray[np.int64]
 
-    def errors(self, line: str, contacts: int) -> NDArray[np.float64]:
+    def select_errors(self, line: str, contacts: int) -> NDArray[np.float64]:
         """Return the errors (E,) of a line with so many contacts, metres."""
         return self.errors_m[:, self.contacts.index(contacts), FUSION_LINES.index(line)]
 
-    def scale_m(self) -> float:
+    def compute_scale_m(self) -> float:
         """Return the mean error of a random pose of the grid, metres, by which the paper normalises."""
         return float(self.errors_m[:, :, FUSION_LINES.index("random")].mean())
 
-    def normalised(self, line: str, contacts: int) -> NDArray[np.float64]:
+    def normalise_errors(self, line: str, contacts: int) -> NDArray[np.float64]:
         """Return the errors (E,) of a line as shares of the mean error of a random pose (unitless)."""
-        return self.errors(line, contacts) / self.scale_m()
+        return self.select_errors(line, contacts) / self.compute_scale_m()
 
-    def without_common(self, line: str, contacts: int) -> int:
+    def count_without_common(self, line: str, contacts: int) -> int:
         """Return in how many examples a line of FUSED_LINES found no pose that touches all so many sensors."""
         return int(self.alone[:, self.contacts.index(contacts), FUSED_LINES.index(line)].sum())
 
@@ -80,12 +80,12 @@ def evaluate_fusion(
         examples = _Examples(localizer, numbers, touches)
         save_in_shards(work, ARRAYS, count, SHARD, examples.locate)
 
-    return _read(numbers, localizer.store.build(fusion_key(localizer, numbers, count, touches), run))
+    return _read(numbers, localizer.store.build(make_fusion_key(localizer, numbers, count, touches), run))
 
 
-def fusion_key(localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches) -> StageKey:
+def make_fusion_key(localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches) -> StageKey:
     """Return the key under which an evaluation is stored: everything that decides its errors."""
-    own: dict[str, Any] = {"kinematic": _kinematic().describe(), "contacts": list(contacts)}
+    own: dict[str, Any] = {"kinematic": _make_kinematic().describe(), "contacts": list(contacts)}
     return StageKey("contact-evaluation", FUSION_VERSION, {**describe_located(localizer, touches, count), **own})
 
 
@@ -102,32 +102,32 @@ class _Examples:
         name = self.localizer.object.name
         task = f"locating {name} by contacts, examples {numbers[0] + 1} to {numbers[-1] + 1}"
         with self.localizer.progress.task(task, len(numbers)) as advance:
-            posteriors, poses, refused = self._touched(numbers)
+            posteriors, poses, refused = self._locate_touches(numbers)
             rows = []
             for number, own, truths in zip(numbers, posteriors, poses, strict=True):
-                rows.append(self._example(number, own, truths))
+                rows.append(self._locate_example(number, own, truths))
                 advance(1)
         return [*(np.stack(column) for column in zip(*rows, strict=True)), refused]
 
-    def _touched(self, numbers: range) -> tuple[list[list[PosePosterior]], list[Poses], NDArray[np.int64]]:
+    def _locate_touches(self, numbers: range) -> tuple[list[list[PosePosterior]], list[Poses], NDArray[np.int64]]:
         """What each touch of each example says alone, their true poses (M, 4, 4), metres, and presses refused (E,)."""
         most = self.contacts[-1]
-        drawn = [self.source.drawn(self.localizer, MOST_FUSED * e + k) for e in numbers for k in range(most)]
+        drawn = [self.source.draw_counted(self.localizer, MOST_FUSED * e + k) for e in numbers for k in range(most)]
         touches = [touch for touch, _ in drawn]
         refused = np.array([count for _, count in drawn]).reshape(len(numbers), most).sum(axis=1)
         found: dict[int, PosePosterior] = {}
         for i in sorted(range(len(touches)), key=lambda i: touches[i].press_depth_m):  # those of one bank together
             found[i] = self.localizer.posteriors([touches[i]])[0]
         starts = range(0, len(touches), most)
-        poses = [np.stack([true_pose(touch) for touch in touches[i : i + most]]) for i in starts]
+        poses = [np.stack([require_true_pose(touch) for touch in touches[i : i + most]]) for i in starts]
         return [[found[i + k] for k in range(most)] for i in starts], poses, refused
 
-    def _example(
+    def _locate_example(
         self, number: int, posteriors: Sequence[PosePosterior], truths: Poses
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Errors (C, L) in metres and (C, 2) where a fuser found no common pose, of one example."""
         grid = posteriors[0].grid
-        rng = np.random.default_rng(self.source.random(MOST_FUSED * number, 1))
+        rng = np.random.default_rng(self.source.seed_touch(MOST_FUSED * number, 1))
         guesses = rng.integers(len(grid), size=MOST_FUSED)
         lots = rng.random((MOST_FUSED, len(FUSED_LINES)))
         chosen, alone = [], []
@@ -136,19 +136,19 @@ class _Examples:
             chosen += [_draw(posterior, lot) for (posterior, _), lot in zip(fused, lots[n - 1], strict=True)]
             chosen.append(int(guesses[n - 1]))
             alone.append([without for _, without in fused])
-        errors = symmetric_adds(self.localizer.object, self._points_m, grid.T_sensor_object[chosen], truths[0])
+        errors = compute_adds(self.localizer.object, self._points_m, grid.T_sensor_object[chosen], truths[0])
         return errors.reshape(len(self.contacts), len(FUSION_LINES)), np.array(alone)
 
     @cached_property
     def _fusers(self) -> tuple[Fuser, Fuser]:
-        return self.localizer.fuser, _kinematic()
+        return self.localizer.fuser, _make_kinematic()
 
     @cached_property
     def _points_m(self) -> NDArray[np.float64]:
-        return surface_points(self.localizer.object)
+        return sample_surface(self.localizer.object)
 
 
-def _kinematic() -> Fuser:
+def _make_kinematic() -> Fuser:
     fuser: Fuser = registry().create("fuser", "kinematic", {})
     return fuser
 

@@ -1,29 +1,37 @@
-"""How far an estimated pose is from the true one, in metres of object surface.
+"""How far an estimated pose is from the true one, in metres of object surface, and what a posterior knew of it.
 
 All regard symmetry: a pose is compared with every pose that looks the same as the true one. ADD is the mean distance
 of surface points (Hinterstoisser et al., ACCV 2012), MSSD the largest (Hodan et al., ECCV 2020), ADD-S the mean
-distance to whichever surface point is nearest, which forgives all that looks alike.
+distance to whichever surface point is nearest, which forgives all that looks alike. Of a posterior: likelihood,
+credible level, entropy, spread; coverage.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.geometry.rigid import Poses, rotation_angle, transform_points
+from tactile_loc.core.geometry.rigid import Poses, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.evaluation.rolls import least_largest, least_mean
+from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.evaluation.rolls import find_least_largest, find_least_mean
 
 FEW_SYMMETRIES = 8  # up to which all are measured with all points
 ALIKE = 1.25  # of the least root mean square distance: symmetries within it may have the least mean distance
 TRIED, TRIED_POINTS, MEASURED = 24, 300, 2  # of many symmetries: tried with few points, measured with all
 AT_ONCE = 32  # transforms applied to all points at once
+POSTERIOR_METRICS = ("nll", "credible_level", "entropy", "expected_error", "spread")
+LEVELS = (0.5, 0.8, 0.95)
+STEP_M = 2e-5  # of a continuous symmetry, in finding the nearest of the poses that look the same
 
 Points = NDArray[np.float64]
 
 
-def add(points_m: Points, T1: Poses, T2: Poses) -> NDArray[np.float64]:
+def compute_add(points_m: Points, T1: Poses, T2: Poses) -> NDArray[np.float64]:
     """Mean distance (...,) in metres between object points (P, 3) at poses T1 and T2 (..., 4, 4): ADD.
 
     Symmetry is not regarded.
@@ -31,44 +39,25 @@ def add(points_m: Points, T1: Poses, T2: Poses) -> NDArray[np.float64]:
     return np.linalg.norm(transform_points(T1, points_m) - transform_points(T2, points_m), axis=-1).mean(axis=-1)
 
 
-def symmetric_add(obj: ObjectModel, points_m: Points, T_estimate: Poses, T_true: Poses) -> float:
-    """ADD in metres of one estimate (4, 4), the least over the true poses (4, 4) that look the same by symmetry."""
-    return float(symmetric_adds(obj, points_m, T_estimate[None], T_true)[0])
-
-
-def symmetric_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
+def compute_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
     """ADD (K,) in metres of estimates (K, 4, 4), each the least over the true poses (4, 4) that look the same.
 
     Of many symmetries, those near the least root mean square distance, which is cheap, are tried with few of the points
     (P, 3), and the best of them measured with all; a continuous axis is searched for the best roll.
     """
     if obj.symmetry.continuous_axis is not None:
-        return np.array([least_mean(obj, points_m, T, T_true) for T in T_estimates])
+        return np.array([find_least_mean(obj, points_m, T, T_true) for T in T_estimates])
     same = T_true @ obj.symmetry.elements()
     chosen = np.broadcast_to(np.arange(len(same)), (len(T_estimates), len(same)))
     if len(same) > FEW_SYMMETRIES:
-        chosen = _alike(_rms(obj, T_estimates, same))
+        chosen = _choose_alike(_measure_rms(obj, T_estimates, same))
         few = points_m[:: max(1, len(points_m) // TRIED_POINTS)]
-        best = np.argsort(_mean_distances(few, T_estimates[:, None] - same[chosen]), axis=1)[:, :MEASURED]
+        best = np.argsort(_average_distances(few, T_estimates[:, None] - same[chosen]), axis=1)[:, :MEASURED]
         chosen = np.take_along_axis(chosen, best, axis=1)
-    return _mean_distances(points_m, T_estimates[:, None] - same[chosen]).min(axis=1)
+    return _average_distances(points_m, T_estimates[:, None] - same[chosen]).min(axis=1)
 
 
-def pose_differences(
-    obj: ObjectModel, T_estimates: Poses, T_true: Poses
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How far off the centroid (K,), metres, and the rotation (K,), radians, of estimates (K, 4, 4) are.
-
-    They are compared with whichever pose looks like the true one (K, 4, 4) and is nearest, root mean square distance of
-    the surface.
-    """
-    nearest = PoseMetric(obj).nearest_equivalents(T_true, T_estimates)
-    centroids_m = (nearest - T_estimates)[:, :3] @ [*obj.mesh.centroid_m, 1.0]
-    turned = rotation_angle(nearest[:, :3, :3] @ np.swapaxes(T_estimates[:, :3, :3], 1, 2))
-    return np.linalg.norm(centroids_m, axis=-1), turned
-
-
-def mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
+def compute_mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
     """Largest distance (K,) in metres of surface at estimates (K, 4, 4) from the true pose (4, 4): MSSD.
 
     Exact over the whole surface when `corners_m` (V, 3) are its hull's (`TriangleMesh.hull_corners_m`): the distance is
@@ -76,13 +65,13 @@ def mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true: Poses)
     from below, so that none that could be better is left out; rolls about a continuous axis likewise.
     """
     if obj.symmetry.continuous_axis is not None:
-        return np.array([least_largest(obj, corners_m, T, T_true) for T in T_estimates])
+        return np.array([find_least_largest(obj, corners_m, T, T_true) for T in T_estimates])
     same = T_true @ obj.symmetry.elements()
-    rms = _rms(obj, T_estimates, same)
-    return np.array([_least_largest(corners_m, T - same, r) for T, r in zip(T_estimates, rms, strict=True)])
+    rms = _measure_rms(obj, T_estimates, same)
+    return np.array([_find_least_largest(corners_m, T - same, r) for T, r in zip(T_estimates, rms, strict=True)])
 
 
-def add_s(points_m: Points, T_estimates: Poses, T_true: Poses, every: int = 1) -> NDArray[np.float64]:
+def compute_add_s(points_m: Points, T_estimates: Poses, T_true: Poses, every: int = 1) -> NDArray[np.float64]:
     """Mean distance (K,) in metres from object points (P, 3) at the true pose (4, 4) to the nearest of them at the
     estimates (K, 4, 4): ADD-S, also called ADI. The mean is over every `every`-th point, the nearest is of all."""
     from scipy.spatial import cKDTree
@@ -91,7 +80,7 @@ def add_s(points_m: Points, T_estimates: Poses, T_true: Poses, every: int = 1) -
     return np.array([tree.query(transform_points(np.linalg.solve(T, T_true), asked))[0].mean() for T in T_estimates])
 
 
-def _rms(obj: ObjectModel, T_estimates: Poses, same: Poses) -> NDArray[np.float64]:
+def _measure_rms(obj: ObjectModel, T_estimates: Poses, same: Poses) -> NDArray[np.float64]:
     """Root mean square distance (K, E) of surface between estimates (K, 4, 4) and poses (E, 4, 4), metres."""
     from scipy.spatial.distance import cdist
 
@@ -100,7 +89,7 @@ def _rms(obj: ObjectModel, T_estimates: Poses, same: Poses) -> NDArray[np.float6
     return distances
 
 
-def _alike(rms_m: NDArray[np.float64]) -> NDArray[np.int64]:
+def _choose_alike(rms_m: NDArray[np.float64]) -> NDArray[np.int64]:
     """Choose TRIED of the symmetries (K, E) of each estimate, evenly among those near the least distance."""
     order = np.argsort(rms_m, axis=1)
     least = np.take_along_axis(rms_m, order[:, :1], axis=1)
@@ -109,20 +98,20 @@ def _alike(rms_m: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.take_along_axis(order, steps.astype(np.int64), axis=1)
 
 
-def _distances(points_m: Points, difference: Poses) -> NDArray[np.float64]:
+def _measure_distances(points_m: Points, difference: Poses) -> NDArray[np.float64]:
     """How far points (P, 3) move, (D, P) metres, between poses whose matrices differ by (D, 4, 4)."""
     moved = difference[:, :3, :3] @ points_m.T + difference[:, :3, 3:]
     return np.sqrt(np.einsum("dip,dip->dp", moved, moved))
 
 
-def _mean_distances(points_m: Points, difference: Poses) -> NDArray[np.float64]:
+def _average_distances(points_m: Points, difference: Poses) -> NDArray[np.float64]:
     """The mean (...,) of the distances that differences of poses (..., 4, 4) move points (P, 3) by, metres."""
     flat = difference.reshape(-1, 4, 4)
-    means = [_distances(points_m, flat[i : i + AT_ONCE]).mean(axis=1) for i in range(0, len(flat), AT_ONCE)]
+    means = [_measure_distances(points_m, flat[i : i + AT_ONCE]).mean(axis=1) for i in range(0, len(flat), AT_ONCE)]
     return np.concatenate(means).reshape(difference.shape[:-2])
 
 
-def _least_largest(corners_m: Points, difference: Poses, rms_m: NDArray[np.float64]) -> float:
+def _find_least_largest(corners_m: Points, difference: Poses, rms_m: NDArray[np.float64]) -> float:
     """The least over differences of poses (E, 4, 4) of the largest distance they move a corner (V, 3) by, metres."""
     order = np.argsort(rms_m)
     least = np.inf
@@ -130,5 +119,56 @@ def _least_largest(corners_m: Points, difference: Poses, rms_m: NDArray[np.float
         some = order[start : start + AT_ONCE]
         if rms_m[some[0]] >= least:
             break
-        least = min(least, float(_distances(corners_m, difference[some]).max(axis=1).min()))
+        least = min(least, float(_measure_distances(corners_m, difference[some]).max(axis=1).min()))
     return least
+
+
+def measure_posterior(posterior: PosePosterior, T_true: Poses, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return the numbers (5,) of POSTERIOR_METRICS of a posterior whose true pose (4, 4), metres, is known.
+
+    `nll`, nats: of the grid pose nearest to the truth. `credible_level`: the probability of the smallest credible set
+    that holds that pose, drawn at random within its own share. `entropy`, nats. `expected_error` and `spread`, metres:
+    the mean distance from the truth, and from the most probable pose, of poses drawn from the posterior; symmetry
+    regarded.
+    """
+    p = posterior.probabilities
+    truth = int(posterior.grid.nearest(T_true[None])[1][0])
+    level = posterior.credible_level(truth, rng.random())
+    best = posterior.grid.T_sensor_object[int(posterior.log_p.argmax())]
+    expected, spread = (float(p @ posterior.grid.distances(T)) for T in (T_true, best))
+    return np.array([-posterior.log_p[truth], level, posterior.entropy, expected, spread])
+
+
+def compute_nees(metric: PoseMetric, T_estimate: Poses, covariance: NDArray[np.float64], T_true: Poses) -> float:
+    """Return e^T C^-1 e (unitless) of an estimate (4, 4), metres, with its covariance C (6, 6), in ROS's order.
+
+    e (6,) is the error of x, y, z and the rotation vector, along the sensor's axes, from the pose that looks like the
+    true one (4, 4) and is nearest. With true covariances and Gaussian errors its mean is 6 (chi-squared).
+    """
+    T = metric.nearest_equivalents(T_true[None], T_estimate[None], STEP_M)[0]
+    turned = Rotation.from_matrix(T[:3, :3] @ T_estimate[:3, :3].T).as_rotvec()
+    e = np.concatenate([T[:3, 3] - T_estimate[:3, 3], turned])
+    return float(e @ np.linalg.solve(covariance, e))
+
+
+@dataclass(frozen=True)
+class PosteriorSummary:
+    """The metrics of many touches' posteriors, summed up: means over touches, lengths in metres, nll in nats.
+
+    `coverage` are the shares of touches whose truth is in the credible set of each of LEVELS.
+    """
+
+    nll: float
+    uniform_nll: float
+    coverage: tuple[float, ...]
+    entropy: float
+    expected_error_m: float
+    spread_m: float
+
+    @classmethod
+    def of(cls, metrics: NDArray[np.float64], grid_poses: int) -> PosteriorSummary:
+        """Sum up metrics (T, 5) of posteriors over a grid of so many poses."""
+        nll, level, entropy, expected_error_m, spread_m = metrics.T
+        coverage = tuple(float((level <= sure).mean()) for sure in LEVELS)
+        means = (float(v.mean()) for v in (entropy, expected_error_m, spread_m))
+        return cls(float(nll.mean()), float(np.log(grid_poses)), coverage, *means)

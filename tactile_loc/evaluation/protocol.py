@@ -19,10 +19,9 @@ from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import noise_level
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.evaluation.ambiguity import AMBIGUOUS, ambiguity_ratios, judging_noise
-from tactile_loc.evaluation.metrics import add_s, mssd, symmetric_adds
-from tactile_loc.evaluation.posterior_metrics import posterior_metrics
-from tactile_loc.evaluation.simulated_touches import SimulatedTouches, true_pose
+from tactile_loc.evaluation.ambiguity import AMBIGUOUS, choose_judging_noise, measure_ambiguity
+from tactile_loc.evaluation.metrics import compute_add_s, compute_adds, compute_mssd, measure_posterior
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
@@ -43,7 +42,7 @@ MEASURED = ("errors_m", "T_sensor_object", "seconds", "posterior_metrics")
 ARRAYS = (*MEASURED, "ambiguity", "contact_share", "refused")
 
 
-def surface_points(obj: ObjectModel) -> NDArray[np.float64]:
+def sample_surface(obj: ObjectModel) -> NDArray[np.float64]:
     """Return the points (SURFACE_POINTS, 3) of an object, metres, over which ADD is taken: always the same."""
     return obj.mesh.sample(SURFACE_POINTS, np.random.default_rng(0))
 
@@ -69,7 +68,7 @@ class TouchEvaluator:
 
         `rng` draws the random poses. The refinement's time is that of one pose. Raises TouchError without a true pose.
         """
-        truth = true_pose(touch)
+        truth = require_true_pose(touch)
         times = StageTimes()
         posterior = self.localizer.posterior(touch, times=times)
         top = posterior.top(MOST)
@@ -77,9 +76,10 @@ class TouchEvaluator:
         guesses = rng.integers(len(posterior.grid), size=FEW)
         refined, times.seconds["refine"] = self._refine(touch, posterior, top[:FEW])
         chosen = int(self.localizer.scene.imprint_ious(refined, touch).argmax())
-        poses = self._lines(posterior.grid, truth, top, guesses, refined, chosen)
+        poses = self._choose_lines(posterior.grid, truth, top, guesses, refined, chosen)
         seconds = np.array([times.seconds[stage] for stage in STAGES])
-        return MeasuredTouch(self._errors_m(poses, truth), poses, seconds, posterior_metrics(posterior, truth, rng))
+        errors_m, metrics = self._measure_errors(poses, truth), measure_posterior(posterior, truth, rng)
+        return MeasuredTouch(errors_m, poses, seconds, metrics)
 
     def _refine(self, touch: Touch, posterior: PosePosterior, top: NDArray[np.int64]) -> tuple[Poses, float]:
         """Refine the grid poses `top` (K,), and say how long the first took, seconds."""
@@ -89,14 +89,14 @@ class TouchEvaluator:
         others = self.localizer.refine(touch, posterior, [int(index) for index in top[1:]])
         return np.stack([pose.T_sensor_object for pose in (first, *others)]), seconds
 
-    def _lines(
+    def _choose_lines(
         self, grid: PoseGrid, T_true: Poses, top: NDArray[np.int64], guesses: NDArray[np.int64], refined: Poses,
         chosen: int,
     ) -> Poses:  # fmt: skip
         """The pose (L, 4, 4) of each line: of those it may choose from, the one nearest to the truth by ADD."""
-        on_grid = np.concatenate([top, guesses, _near(grid, T_true)])
+        on_grid = np.concatenate([top, guesses, _find_near(grid, T_true)])
         poses = np.concatenate([grid.T_sensor_object[on_grid], refined])
-        errors = symmetric_adds(self.localizer.object, self._points_m, poses, T_true)
+        errors = compute_adds(self.localizer.object, self._points_m, poses, T_true)
         k, n = len(top), len(on_grid)
         choices = {
             "best-1": (0, 1), "best-10": (0, min(FEW, k)), "best-50": (0, k), "reg-1": (n, n + 1),
@@ -105,21 +105,21 @@ class TouchEvaluator:
         }  # fmt: skip
         return np.stack([poses[a + errors[a:b].argmin()] for a, b in (choices[line] for line in LINES)])
 
-    def _errors_m(self, poses: Poses, T_true: Poses) -> NDArray[np.float64]:
+    def _measure_errors(self, poses: Poses, T_true: Poses) -> NDArray[np.float64]:
         """Errors (L, M) in metres of poses (L, 4, 4); equal poses are measured once."""
         obj = self.localizer.object
         distinct, where = np.unique(poses.reshape(len(poses), 16), axis=0, return_inverse=True)
         distinct = distinct.reshape(-1, 4, 4)
         errors = (
-            symmetric_adds(obj, self._points_m, distinct, T_true),
-            mssd(obj, self.localizer.object.mesh.hull_corners_m, distinct, T_true),
-            add_s(self._points_m, distinct, T_true, ASKED_EVERY),
+            compute_adds(obj, self._points_m, distinct, T_true),
+            compute_mssd(obj, self.localizer.object.mesh.hull_corners_m, distinct, T_true),
+            compute_add_s(self._points_m, distinct, T_true, ASKED_EVERY),
         )
         return np.stack(errors, axis=1)[where.ravel()]
 
     @cached_property
     def _points_m(self) -> NDArray[np.float64]:
-        return surface_points(self.localizer.object)
+        return sample_surface(self.localizer.object)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +129,8 @@ class Evaluation:
     `errors_m` (T, L, M) in metres of every line of LINES by every metric of METRICS; `T_sensor_object` (T, L, 4, 4) the
     pose that a line ended with, metres; `seconds` (T, S) of every stage of STAGES, refining one pose;
     `posterior_metrics` (T, B) what POSTERIOR_METRICS names, of each posterior, metres and nats; `ambiguity` (T,) the
-    touches' `ambiguity_ratios`, unitless; `contact_share` (T,) the share of the observed pixels that a touch shows in
-    contact, 0 to 1; `refused` (T,) how many presses before each showed no touch, and do not count.
+    touches' ratios (`measure_ambiguity`), unitless; `contact_share` (T,) the share of the observed pixels that a touch
+    shows in contact, 0 to 1; `refused` (T,) how many presses before each showed no touch, and do not count.
     """
 
     errors_m: NDArray[np.float64]
@@ -146,23 +146,23 @@ class Evaluation:
         """The touches (T,) that a distant pose explains as well as the true one, within noise."""
         return self.ambiguity < AMBIGUOUS
 
-    def errors(self, line: str, metric: str = "add") -> NDArray[np.float64]:
+    def select_errors(self, line: str, metric: str = "add") -> NDArray[np.float64]:
         """Return the errors (T,) of a line, metres."""
         return self.errors_m[:, LINES.index(line), METRICS.index(metric)]
 
-    def scale_m(self, metric: str = "add") -> float:
+    def compute_scale_m(self, metric: str = "add") -> float:
         """Return the mean error of a random pose of the grid, metres, by which the paper normalises."""
-        return float(self.errors("random", metric).mean())
+        return float(self.select_errors("random", metric).mean())
 
-    def normalised(self, line: str, metric: str = "add") -> NDArray[np.float64]:
+    def normalise_errors(self, line: str, metric: str = "add") -> NDArray[np.float64]:
         """Return the errors (T,) of a line as shares of the mean error of a random pose (unitless)."""
-        return self.errors(line, metric) / self.scale_m(metric)
+        return self.select_errors(line, metric) / self.compute_scale_m(metric)
 
-    def poses(self, line: str) -> Poses:
+    def select_poses(self, line: str) -> Poses:
         """Return the poses (T, 4, 4) that a line ended with, metres."""
         return self.T_sensor_object[:, LINES.index(line)]
 
-    def stage_seconds(self, stage: str) -> NDArray[np.float64]:
+    def select_seconds(self, stage: str) -> NDArray[np.float64]:
         """Return how long a stage took (T,), seconds."""
         return self.seconds[:, STAGES.index(stage)]
 
@@ -179,16 +179,16 @@ def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> Eva
         evaluator = TouchEvaluator(localizer)
         save_in_shards(work, ARRAYS, count, SHARD, lambda numbers: _localise(evaluator, numbers, touches))
 
-    return _read(localizer.store.build(evaluation_key(localizer, count, touches), run))
+    return _read(localizer.store.build(make_evaluation_key(localizer, count, touches), run))
 
 
-def evaluation_key(localizer: Localizer, count: int, touches: SimulatedTouches) -> StageKey:
+def make_evaluation_key(localizer: Localizer, count: int, touches: SimulatedTouches) -> StageKey:
     """Return the key under which an evaluation is stored: everything that decides its errors."""
     refiner = {"refiner": localizer.refiner.describe()}
     return StageKey("evaluation", PROTOCOL_VERSION, {**describe_located(localizer, touches, count), **refiner})
 
 
-def _near(grid: PoseGrid, T_true: Poses) -> NDArray[np.int64]:
+def _find_near(grid: PoseGrid, T_true: Poses) -> NDArray[np.int64]:
     """Indices of the grid poses with the least root mean square distance to the truth, symmetry regarded."""
     return np.argsort(grid.distances(T_true), kind="stable")[:NEAR]
 
@@ -196,25 +196,25 @@ def _near(grid: PoseGrid, T_true: Poses) -> NDArray[np.int64]:
 def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: SimulatedTouches) -> list[NDArray[Any]]:
     """The ARRAYS of some touches."""
     localizer = evaluator.localizer
-    touches, refused = zip(*(source.drawn(localizer, number) for number in numbers), strict=True)
+    touches, refused = zip(*(source.draw_counted(localizer, number) for number in numbers), strict=True)
     for touch in touches:
         localizer.listed.matcher(touch.press_depth_m)  # what is built once is no part of a touch's time
     localizer.most_probable_pose(touches[0])  # nor is loading libraries
-    noise = noise_level(judging_noise(source.noise))
-    rngs = [np.random.default_rng(source.random(number, 3)) for number in numbers]
-    ambiguity = ambiguity_ratios(localizer, touches, noise, rngs)
+    noise = noise_level(choose_judging_noise(source.noise))
+    rngs = [np.random.default_rng(source.seed_touch(number, 3)) for number in numbers]
+    ambiguity = measure_ambiguity(localizer, touches, noise, rngs)
     rows = []
     what = f"{localizer.object.name} ({localizer.config.encoder.name})"
     task = f"locating {what}, touches {numbers[0] + 1} to {numbers[-1] + 1}"
     with localizer.progress.task(task, len(touches)) as advance:
         for number, touch in zip(numbers, touches, strict=True):
-            rows.append(evaluator.measure(touch, np.random.default_rng(source.random(number, 1))))
+            rows.append(evaluator.measure(touch, np.random.default_rng(source.seed_touch(number, 1))))
             advance(1)
     measured = (np.stack([getattr(row, name) for row in rows]) for name in MEASURED)
-    return [*measured, ambiguity, np.array([contact_share(touch) for touch in touches]), np.array(refused)]
+    return [*measured, ambiguity, np.array([measure_contact_share(touch) for touch in touches]), np.array(refused)]
 
 
-def contact_share(touch: Touch) -> float:
+def measure_contact_share(touch: Touch) -> float:
     """Return the share of the observed pixels that a touch shows in contact, 0 to 1, unitless."""
     return float(touch.contact_shape.contact[touch.geometry.observed_mask].mean())
 
@@ -232,12 +232,12 @@ def save_in_shards(
     is not made again.
     """
     every = range(count)
-    shards = [_shard(work, names, every[start : start + size], make) for start in every[::size]]
+    shards = [_make_shard(work, names, every[start : start + size], make) for start in every[::size]]
     for name, columns in zip(names, zip(*shards, strict=True), strict=True):
         work.save_array(name, np.concatenate(columns))
 
 
-def _shard(work: Workspace, names: Sequence[str], numbers: range, make: Callable[[range], Arrays]) -> Arrays:
+def _make_shard(work: Workspace, names: Sequence[str], numbers: range, make: Callable[[range], Arrays]) -> Arrays:
     """The arrays of some numbers: made now, or loaded if an interrupted run got that far."""
     own = [f"{name}-{numbers.start:06d}" for name in names]
     found: Arrays = [array for array in (work.load(name, keep=False) for name in own) if array is not None]

@@ -17,7 +17,7 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.noise import TouchNoise
+from tactile_loc.core.simulation.noise import Float32, TouchNoise
 from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.approach_files import Approach
@@ -46,7 +46,7 @@ class RobotTouches:
     sensor_std_m: float = 0.0
     sensor_std_rad: float = 0.0
 
-    def example(self, count: int, rng: np.random.Generator) -> tuple[list[Touch], int]:
+    def draw_example(self, count: int, rng: np.random.Generator) -> tuple[list[Touch], int]:
         """Return `count` touches of the object, which stands still, and how many presses showed no usable touch.
 
         The base frame is the object's. Raises TouchError when hardly any press shows a touch.
@@ -56,15 +56,15 @@ class RobotTouches:
         for _ in range(MOST_DRAWS):
             if len(touches) == count:
                 return touches, refused
-            T = self.random_pose(rng)
-            drawn = None if T is None else self._pressed(T, f"touch-{len(touches):02d}", rng)
+            T = self.draw_pose(rng)
+            drawn = None if T is None else self._press(T, f"touch-{len(touches):02d}", rng)
             if isinstance(drawn, Touch):
                 touches.append(drawn)
             elif drawn is not None:
                 refused += 1
         raise TouchError(f"hardly any press of {self.object.name} shows a touch; press deeper")
 
-    def approached(
+    def approach(
         self, T_base_sensor: Poses, press_m: float, name: str, rng: np.random.Generator, travel_m: float = np.inf
     ) -> Touch | None:
         """Return the touch of a sensor that moves along its z from `T_base_sensor` (4, 4) until contact, and presses.
@@ -79,17 +79,17 @@ class RobotTouches:
             return None
         T = contact[0]
         T[2, 3] -= press_m
-        drawn = self.shown(T, press_m, name, rng)
+        drawn = self.draw_touch(T, press_m, name, rng)
         return drawn if isinstance(drawn, Touch) else None
 
-    def opposed(self, rng: np.random.Generator, press_m: float) -> list[Touch]:
+    def draw_grip(self, rng: np.random.Generator, press_m: float) -> list[Touch]:
         """Return the two touches of a gripper that closes on the object: the second sensor faces the first.
 
         Raises TouchError when no such grip of the object shows two touches.
         """
         turned = make_transform(rotation_about([1, 0, 0], np.pi), np.zeros(3))
         for _ in range(MOST_DRAWS):
-            T = self.random_pose(rng)
+            T = self.draw_pose(rng)
             if T is None:
                 continue
             scene = Scene(self.object, self.geometry, self.renderer)
@@ -97,13 +97,13 @@ class RobotTouches:
             if not touching.all():
                 continue
             poses[:, 2, 3] -= press_m
-            found = [self.shown(pose, press_m, f"finger-{k}", rng) for k, pose in enumerate(poses)]
+            found = [self.draw_touch(pose, press_m, f"finger-{k}", rng) for k, pose in enumerate(poses)]
             touches = [touch for touch in found if isinstance(touch, Touch)]
             if len(touches) == len(poses):
                 return touches
         raise TouchError(f"no grip of {self.object.name} shows a touch of both fingers")
 
-    def random_pose(self, rng: np.random.Generator) -> Poses | None:
+    def draw_pose(self, rng: np.random.Generator) -> Poses | None:
         """Draw a pose (4, 4), metres, that just touches: a random rotation, its lowest point over a random place of the
         sensor; None if it misses."""
         R = random_rotations(1, rng)[0]
@@ -115,50 +115,60 @@ class RobotTouches:
         poses, touching = bring_to_contact(self.object.mesh, T[None], self.geometry)
         return poses[0] if touching[0] else None
 
-    def _pressed(self, T: Poses, name: str, rng: np.random.Generator) -> Touch | TouchError | None:
+    def _press(self, T: Poses, name: str, rng: np.random.Generator) -> Touch | TouchError | None:
         press_m = self.geometry.max_depth_m * rng.uniform(*self.press)
         T = T.copy()
         T[2, 3] -= press_m
-        return self.shown(T, press_m, name, rng)
+        return self.draw_touch(T, press_m, name, rng)
 
-    def shown(self, T: Poses, press_m: float, name: str, rng: np.random.Generator) -> Touch | TouchError | None:
+    def draw_touch(self, T: Poses, press_m: float, name: str, rng: np.random.Generator) -> Touch | TouchError | None:
         """Return the touch of a pressed pose (4, 4), metres; why there is none; None where the contact is too small."""
-        geometry, press = self.geometry.pressed(press_m, self.geometry.max_depth_m), np.array([press_m])
+        geometry = self.geometry.pressed(press_m, self.geometry.max_depth_m)
         clean = Scene(self.object, geometry, self.renderer).contact_depths(T[None])
         contact = (clean[0] < np.float32(press_m)) & geometry.observed_mask
         if contact.sum() < max(1.0, self.least_percent / 100 * geometry.observed_mask.sum()):
             return None
-        measured = self.noise.measure_press(press, self.geometry.max_depth_m, rng)
-        depth = self.noise.cut(self.noise.corrupt(clean, press, geometry, rng), press, measured)[0]
+        depth, measured_m = measure_noisily(self.noise, clean, press_m, geometry, rng)
         try:
-            shape = ContactShape(depth, float(measured[0]))
+            shape = ContactShape(depth, measured_m)
             return Touch(
-                shape, self.geometry, name, T_base_sensor=self._measured(invert(T), rng), T_sensor_object=T,
+                shape, self.geometry, name, T_sensor_object=T,
+                T_base_sensor=self.misplace(invert(T), *rng.normal(size=(2, 3))),
                 T_base_sensor_std_m=self.sensor_std_m or Touch.T_base_sensor_std_m,
                 T_base_sensor_std_rad=self.sensor_std_rad or Touch.T_base_sensor_std_rad,
             )  # fmt: skip
         except TouchError as error:
             return error
 
-    def _measured(self, T_base_sensor: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-        """A sensor's pose as the robot believes it."""
-        turn, shift = rng.normal(size=(2, 3))
-        return self.misplaced(T_base_sensor, turn, shift)
-
-    def misplaced(
+    def misplace(
         self, T_base_sensor: NDArray[np.float64], turn: NDArray[np.float64], shift: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return a sensor's pose (4, 4), metres, that is turned and shifted by so many standard deviations, (3,) each,
         along its axes and about those through the middle of the gel, where the touch is."""
         if self.sensor_std_m == self.sensor_std_rad == 0:
             return T_base_sensor
-        gel = np.array([0.0, 0.0, self.geometry.standoff_m])
-        R = rotation_about(turn, float(np.linalg.norm(turn)) * self.sensor_std_rad)
-        off: NDArray[np.float64] = T_base_sensor @ make_transform(R, gel - R @ gel + self.sensor_std_m * shift)
-        return off
+        return np.asarray(
+            T_base_sensor @ move_about_gel(self.geometry, self.sensor_std_rad * turn, self.sensor_std_m * shift)
+        )
 
 
-def approaches_around(
+def move_about_gel(geometry: SensorGeometry, turn_rad: NDArray[np.float64], shift_m: NDArray[np.float64]) -> Poses:
+    """Return the motion (4, 4) by a rotation vector (3,) about the middle of the gel and a shift (3,), metres."""
+    gel, angle_rad = np.array([0.0, 0.0, geometry.standoff_m]), float(np.linalg.norm(turn_rad))
+    R = rotation_about(turn_rad, angle_rad) if angle_rad > 0 else np.eye(3)
+    return make_transform(R, gel - R @ gel + shift_m)
+
+
+def measure_noisily(
+    noise: TouchNoise, clean_m: Float32, press_m: float, geometry: SensorGeometry, rng: np.random.Generator
+) -> tuple[Float32, float]:
+    """Return the contact shape (H, W) and the press depth that are measured of a clean one (1, H, W), metres."""
+    press, deepest_m = np.array([press_m]), geometry.max_depth_m
+    measured = noise.measure_press(press, deepest_m, rng)
+    return noise.cut(noise.corrupt(clean_m, press, geometry, rng), press, measured)[0], float(measured[0])
+
+
+def draw_approaches(
     obj: ObjectModel, geometry: SensorGeometry, count: int, press: float, rng: np.random.Generator
 ) -> list[Approach]:
     """Return approaches from all directions, in the object's frame, that aim at random points of its surface.

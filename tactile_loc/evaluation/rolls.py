@@ -23,46 +23,46 @@ PRECISION_M, INTERVALS = 1e-7, 24  # of the largest distance; how many intervals
 Array = NDArray[np.float64]
 
 
-def least_mean(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true: Poses) -> float:
+def find_least_mean(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true: Poses) -> float:
     """Return the least mean distance, metres, of points (P, 3) at a pose (4, 4) from the true one (4, 4), rolled.
 
     Of an object with a continuous axis of symmetry.
     """
     few_m = points_m[:: max(1, len(points_m) // TRIED_POINTS)]
-    few = [_sinusoids(obj, few_m, T_estimate, T_true @ S) for S in _flips(obj)]
+    few = [_fit_sinusoids(obj, few_m, T_estimate, T_true @ S) for S in _list_flips(obj)]
     evenly = np.linspace(0.0, 2 * np.pi, TRIED, endpoint=False)
-    tried = [np.append(evenly, _lowest(f.mean(axis=0))) for f in few]
-    means_m = np.stack([_distances(f, rolls).mean(axis=1) for f, rolls in zip(few, tried, strict=True)])
+    tried = [np.append(evenly, _find_lowest(f.mean(axis=0))) for f in few]
+    means_m = np.stack([_measure_distances(f, rolls).mean(axis=1) for f, rolls in zip(few, tried, strict=True)])
     best, place = np.unravel_index(int(means_m.argmin()), means_m.shape)
-    every = _sinusoids(obj, points_m, T_estimate, T_true @ _flips(obj)[best])
-    roll = _weiszfeld(every, _weiszfeld(few[best], tried[best][place], ROUNDS_FEW), ROUNDS_ALL)
-    return float(_distances(every, roll).mean())
+    every = _fit_sinusoids(obj, points_m, T_estimate, T_true @ _list_flips(obj)[best])
+    roll = _iterate_weiszfeld(every, _iterate_weiszfeld(few[best], tried[best][place], ROUNDS_FEW), ROUNDS_ALL)
+    return float(_measure_distances(every, roll).mean())
 
 
-def least_largest(obj: ObjectModel, corners_m: Array, T_estimate: Poses, T_true: Poses) -> float:
+def find_least_largest(obj: ObjectModel, corners_m: Array, T_estimate: Poses, T_true: Poses) -> float:
     """Return the least largest distance, metres, of points (P, 3) at a pose (4, 4) from the true one (4, 4), rolled.
 
     Of an object with a continuous axis of symmetry; right to PRECISION_M.
     """
-    flips = [_sinusoids(obj, corners_m, T_estimate, T_true @ S) for S in _flips(obj)]
-    best_m = min(float(_distances(s, _lowest(s.mean(axis=0))).max()) for s in flips)
+    flips = [_fit_sinusoids(obj, corners_m, T_estimate, T_true @ S) for S in _list_flips(obj)]
+    best_m = min(float(_measure_distances(s, _find_lowest(s.mean(axis=0))).max()) for s in flips)
     for sinusoids in flips:
         half = float(np.pi) / INTERVALS
         middles: Array = (2 * np.arange(INTERVALS, dtype=np.float64) + 1) * half
         while len(middles):
-            best_m = min(best_m, float(_distances(sinusoids, middles).max(axis=1).min()))
-            hopeful = _least_over(sinusoids, middles, half).max(axis=1) < best_m - PRECISION_M
+            best_m = min(best_m, float(_measure_distances(sinusoids, middles).max(axis=1).min()))
+            hopeful = _bound_distances(sinusoids, middles, half).max(axis=1) < best_m - PRECISION_M
             half /= 2
             middles = (middles[hopeful, None] + np.array([-half, half])).ravel()
     return best_m
 
 
-def _flips(obj: ObjectModel) -> Poses:
+def _list_flips(obj: ObjectModel) -> Poses:
     """What the symmetry has beside its axis (F, 4, 4): nothing, or half a turn across it."""
     return obj.symmetry.elements(np.pi)[::2]
 
 
-def _sinusoids(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true: Poses) -> Array:
+def _fit_sinusoids(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true: Poses) -> Array:
     """The squared distances (P, 3) of points (P, 3) between poses (4, 4): a, b and c, m^2."""
     axis = np.asarray(obj.symmetry.continuous_axis)
     offset = points_m - obj.symmetry.centre_m
@@ -74,27 +74,27 @@ def _sinusoids(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true: Pos
     return np.column_stack([constant, *(-2 * np.einsum("pi,pi->p", fixed, turned) for turned in (cosine, sine))])
 
 
-def _lowest(sinusoids: Array) -> Array:
+def _find_lowest(sinusoids: Array) -> Array:
     """The rolls (...,), radians, at which sinusoids (..., 3) are least."""
     return np.asarray(np.arctan2(-sinusoids[..., 2], -sinusoids[..., 1]))
 
 
-def _distances(sinusoids: Array, rolls: Array | float) -> Array:
+def _measure_distances(sinusoids: Array, rolls: Array | float) -> Array:
     """The distances (..., P), metres, of which sinusoids (P, 3) are the squares, at rolls (...,), radians."""
     waves = np.stack([np.ones_like(rolls), np.cos(rolls), np.sin(rolls)], axis=-1)
     return np.sqrt(np.maximum(waves @ sinusoids.T, 0.0))
 
 
-def _least_over(sinusoids: Array, middles: Array, half: float) -> Array:
+def _bound_distances(sinusoids: Array, middles: Array, half: float) -> Array:
     """The least distances (I, P), metres, over the intervals of rolls middles (I,) - half to middles + half."""
-    ends = np.minimum(_distances(sinusoids, middles - half), _distances(sinusoids, middles + half))
+    ends = np.minimum(_measure_distances(sinusoids, middles - half), _measure_distances(sinusoids, middles + half))
     lowest = sinusoids[:, 0] - np.hypot(sinusoids[:, 1], sinusoids[:, 2])
-    off = (_lowest(sinusoids) - middles[:, None] + np.pi) % (2 * np.pi) - np.pi
+    off = (_find_lowest(sinusoids) - middles[:, None] + np.pi) % (2 * np.pi) - np.pi
     return np.where(np.abs(off) < half, np.sqrt(np.maximum(lowest, 0.0)), ends)
 
 
-def _weiszfeld(sinusoids: Array, roll: Array | float, rounds: int) -> Array | float:
+def _iterate_weiszfeld(sinusoids: Array, roll: Array | float, rounds: int) -> Array | float:
     """The roll, radians, after some rounds towards the least mean of the distances whose squares are (P, 3)."""
     for _ in range(rounds):
-        roll = _lowest((1.0 / np.maximum(_distances(sinusoids, roll), COINCIDENT_M)) @ sinusoids)
+        roll = _find_lowest((1.0 / np.maximum(_measure_distances(sinusoids, roll), COINCIDENT_M)) @ sinusoids)
     return roll

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TouchError
-from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.touch_simulation import lowered
-from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.evaluation.robot_touches import RobotTouches, move_about_gel
 
 WAVES = 3  # that a smoothly changing number is the sum of
 SLOWEST_HZ, FASTEST_HZ = 0.1, 0.5  # of them
@@ -68,7 +68,7 @@ class SlidingTouches:
     turn_rad_s: float = 0.25
     noise_s: float = 0.25
 
-    def example(
+    def draw_example(
         self, count: int, rng: np.random.Generator, jump_at: int | None = None, slip: Slip | None = None
     ) -> list[Frame]:
         """Return `count` frames; from frame `jump_at` on the object lies elsewhere, and nobody says so.
@@ -76,58 +76,58 @@ class SlidingTouches:
         It lies anywhere, or, given a `slip`, where that takes it. The base frame is the object's, before it jumps.
         Raises TouchError where hardly any start, or slip, shows a touch.
         """
-        errors = correlated_normal(count, 1 / (self.rate_hz * self.noise_s), 6, rng)
+        errors = draw_correlated(count, 1 / (self.rate_hz * self.noise_s), 6, rng)
         frames: list[Frame] = []
         T_base_object = T_base_sensor = np.eye(4)
-        for k, (T_sensor_object, touch) in enumerate(self._path(count, rng, jump_at, slip)):
+        for k, (T_sensor_object, touch) in enumerate(self._draw_path(count, rng, jump_at, slip)):
             if k == jump_at:
                 T_base_object = T_base_sensor @ T_sensor_object  # the sensor is where it was
             T_base_sensor = T_base_object @ invert(T_sensor_object)
-            reported = self.source.misplaced(T_base_sensor, *errors[k].reshape(2, 3))
+            reported = self.source.misplace(T_base_sensor, *errors[k].reshape(2, 3))
             named = None if touch is None else replace(touch, name=f"frame-{k:04d}", T_base_sensor=reported)
             frames.append(Frame(k / self.rate_hz, named, reported, T_sensor_object))
         return frames
 
-    def _path(
+    def _draw_path(
         self, count: int, rng: np.random.Generator, jump_at: int | None, slip: Slip | None
     ) -> Iterator[tuple[Poses, Touch | None]]:
         """Where the sensor sees the object while it slides, (4, 4), metres, and its touches."""
         dt_s = 1 / self.rate_hz
-        speeds = smooth_random(count, dt_s, 5, rng) * ([self.speed_m_s] * 2 + [self.turn_rad_s] * 3)
-        presses_m = self._presses(smooth_random(count, dt_s, 1, rng)[:, 0])
+        speeds = draw_smooth(count, dt_s, 5, rng) * ([self.speed_m_s] * 2 + [self.turn_rad_s] * 3)
+        presses_m = self._draw_presses(draw_smooth(count, dt_s, 1, rng)[:, 0])
         gels = rng.integers(2**32, size=1 + int(count * dt_s / self.noise_s))
         T, direction = np.eye(4), 1.0
         for k, (speed, press_m) in enumerate(zip(speeds, presses_m, strict=True)):
             gel = int(gels[int(k * dt_s / self.noise_s)])
             if k in (0, jump_at):
-                near = partial(self._slipped, T, slip, rng) if k and slip else partial(self.source.random_pose, rng)
-                T, touch = self._started(near, press_m, gel)
+                near = partial(self._slip, T, slip, rng) if k and slip else partial(self.source.draw_pose, rng)
+                T, touch = self._start(near, press_m, gel)
             else:
-                T, touch, direction = self._moved(T, direction, dt_s * speed, press_m, gel)
-            yield _pressed(T, press_m), touch
+                T, touch, direction = self._move(T, direction, dt_s * speed, press_m, gel)
+            yield _press(T, press_m), touch
 
-    def _presses(self, wandering: Floats) -> Floats:
+    def _draw_presses(self, wandering: Floats) -> Floats:
         """Presses (N,), metres, between the source's shares of the deepest, of smooth random numbers (N,)."""
         low, high = self.source.press
         share = low + (high - low) * (0.5 + 0.5 * np.tanh(wandering))
         return np.asarray(self.source.geometry.max_depth_m * share)
 
-    def _started(self, random_pose: Callable[[], Poses | None], press_m: float, gel: int) -> tuple[Poses, Touch | None]:
+    def _start(self, random_pose: Callable[[], Poses | None], press_m: float, gel: int) -> tuple[Poses, Touch | None]:
         """A random pose that just touches, and its touch."""
         for _ in range(MOST_STARTS):
             T = random_pose()
-            touch = None if T is None else self._touch(T, press_m, gel)
+            touch = None if T is None else self._draw_touch(T, press_m, gel)
             if T is not None and isinstance(touch, Touch):
                 return T, touch
         raise TouchError(f"hardly any press of {self.source.object.name} shows a touch; press deeper")
 
-    def _slipped(self, T: Poses, slip: Slip, rng: np.random.Generator) -> Poses | None:
+    def _slip(self, T: Poses, slip: Slip, rng: np.random.Generator) -> Poses | None:
         """A pose that just touches, as far from T (4, 4) as a slip is, in a random direction; None without contact."""
-        step = np.concatenate([slip.shift_m * _direction(2, rng), slip.turn_rad * _direction(3, rng)])
-        moved, touching = bring_to_contact(self.source.object.mesh, (self._step(step) @ T)[None], self.source.geometry)
-        return moved[0] if touching[0] else None
+        step = np.concatenate([slip.shift_m * _draw_direction(2, rng), slip.turn_rad * _draw_direction(3, rng)])
+        moved, touching = self._follow(T, step)
+        return moved if touching else None
 
-    def _moved(
+    def _move(
         self, T: Poses, direction: float, step: Floats, press_m: float, gel: int
     ) -> tuple[Poses, Touch | None, float]:
         """The pose after a step (5,), its touch, and the direction taken: back where it cannot be the same.
@@ -135,35 +135,33 @@ class SlidingTouches:
         If neither goes, part of the step is tried. A contact that is far out already, since the press became lighter,
         may be so until it is not; an image that is no touch, as that of nothing but a face, is passed.
         """
-        here = partial(self._touch, T, press_m, gel)
+        here = partial(self._draw_touch, T, press_m, gel)
         outside = INSIDE
         for part, way in itertools.product(PARTS, (direction, -direction)):
-            moved, touching = bring_to_contact(
-                self.source.object.mesh, (self._step(way * part * step) @ T)[None], self.source.geometry
-            )
-            if not touching[0] or abs(moved[0, 2, 3] - T[2, 3]) > MOST_RISE_M + np.abs(step[:2]).sum():
+            moved, touching = self._follow(T, way * part * step)
+            if not touching or abs(moved[2, 3] - T[2, 3]) > MOST_RISE_M + np.abs(step[:2]).sum():
                 continue
-            touch = self._touch(moved[0], press_m, gel)
-            far = self._outside(touch)
+            touch = self._draw_touch(moved, press_m, gel)
+            far = self._measure_outside(touch)
             if far > outside:
-                outside = max(INSIDE, self._outside(here()))
+                outside = max(INSIDE, self._measure_outside(here()))
             if far <= outside:
-                return moved[0], touch if isinstance(touch, Touch) else None, way
+                return moved, touch if isinstance(touch, Touch) else None, way
         stayed = here()
         return T, stayed if isinstance(stayed, Touch) else None, -direction
 
-    def _step(self, step: Floats) -> Poses:
-        """The motion (4, 4) of an object that slides by step[:2], metres, and turns by step[2:], rad, about the gel's
-        middle."""
-        gel = np.array([0.0, 0.0, self.source.geometry.standoff_m])
-        angle = float(np.linalg.norm(step[2:]))
-        R = rotation_about(step[2:], angle) if angle > 0 else np.eye(3)
-        return make_transform(R, gel - R @ gel + [*step[:2], 0.0])
+    def _follow(self, T: Poses, step: Floats) -> tuple[Poses, bool]:
+        """The pose that just touches after an object at T (4, 4) slides by step[:2], metres, and turns by step[2:],
+        radians, about the gel's middle; and whether it touches."""
+        geometry = self.source.geometry
+        moved = move_about_gel(geometry, step[2:], np.array([*step[:2], 0.0])) @ T
+        poses, touching = bring_to_contact(self.source.object.mesh, moved[None], geometry)
+        return poses[0], bool(touching[0])
 
-    def _touch(self, T: Poses, press_m: float, gel: int) -> Touch | TouchError | None:
-        return self.source.shown(_pressed(T, press_m), press_m, "frame", np.random.default_rng(gel))
+    def _draw_touch(self, T: Poses, press_m: float, gel: int) -> Touch | TouchError | None:
+        return self.source.draw_touch(_press(T, press_m), press_m, "frame", np.random.default_rng(gel))
 
-    def _outside(self, touch: Touch | TouchError | None) -> float:
+    def _measure_outside(self, touch: Touch | TouchError | None) -> float:
         """How far out the middle of the contact is: 0 the middle of the sensing rectangle, 1 its border."""
         if not isinstance(touch, Touch):
             return np.inf if touch is None else 0.0
@@ -175,16 +173,16 @@ class SlidingTouches:
         return float((2 * np.abs(np.subtract(middle, [(x0 + x1) / 2, (y0 + y1) / 2])) / [x1 - x0, y1 - y0]).max())
 
 
-def _direction(dimensions: int, rng: np.random.Generator) -> Floats:
+def _draw_direction(dimensions: int, rng: np.random.Generator) -> Floats:
     found = rng.normal(size=dimensions)
     return np.asarray(found / np.linalg.norm(found))
 
 
-def _pressed(T: Poses, press_m: float) -> Poses:
+def _press(T: Poses, press_m: float) -> Poses:
     return lowered(T[None], np.array([press_m]))[0]
 
 
-def smooth_random(count: int, dt_s: float, columns: int, rng: np.random.Generator) -> Floats:
+def draw_smooth(count: int, dt_s: float, columns: int, rng: np.random.Generator) -> Floats:
     """Return numbers (count, columns), every `dt_s` seconds, that change smoothly; root mean square 1.
 
     Each column is a sum of WAVES of random frequency and phase.
@@ -195,7 +193,7 @@ def smooth_random(count: int, dt_s: float, columns: int, rng: np.random.Generato
     return np.asarray(np.sqrt(2 / WAVES) * np.sin(2 * np.pi * frequency * t_s + phase).sum(axis=-1))
 
 
-def correlated_normal(count: int, share: float, columns: int, rng: np.random.Generator) -> Floats:
+def draw_correlated(count: int, share: float, columns: int, rng: np.random.Generator) -> Floats:
     """Return standard normal numbers (count, columns), each row's errors those of the row before but for a `share`.
 
     A first-order autoregressive process: of rows k apart the correlation is (1 - share)^k.

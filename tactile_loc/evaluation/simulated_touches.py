@@ -40,11 +40,11 @@ class SimulatedTouches:
                 f"noise {self.noise!r} is of contact shapes; images have their camera's own: leave --noise out"
             )
 
-    def touch(self, localizer: Localizer, number: int) -> Touch:
-        """Return touch `number` with its true pose; see `drawn`."""
-        return self.drawn(localizer, number)[0]
+    def draw_touch(self, localizer: Localizer, number: int) -> Touch:
+        """Return touch `number` with its true pose; see `draw_counted`."""
+        return self.draw_counted(localizer, number)[0]
 
-    def drawn(self, localizer: Localizer, number: int) -> tuple[Touch, int]:
+    def draw_counted(self, localizer: Localizer, number: int) -> tuple[Touch, int]:
         """Return touch `number` with its true pose, and how many presses were refused before it showed a touch.
 
         One whose image shows no contact is drawn anew, with a warning. Raises CalibrationError, ConfigError or
@@ -52,12 +52,12 @@ class SimulatedTouches:
         """
         refused = 0
         for draw in range(MOST_DRAWS):
-            drawn, without_touch = self._drawn(localizer, number, draw)
+            drawn, without_touch = self._draw_once(localizer, number, draw)
             refused += without_touch
             if not self.images:
                 return drawn, refused
             try:
-                return _seen(localizer, drawn, np.random.default_rng(self.random(number, 2))), refused
+                return _read_image(localizer, drawn, np.random.default_rng(self.seed_touch(number, 2))), refused
             except TouchError as error:
                 refused += 1
                 log.warning("%s of %s is drawn anew: %s", drawn.name, localizer.object.name, error)
@@ -75,11 +75,11 @@ class SimulatedTouches:
             except ConfigError as error:
                 raise ConfigError(f"{localizer.config.sensor.name}: {error}") from error
 
-    def in_words(self) -> str:
+    def describe_kind(self) -> str:
         """Return what kind of touches these are, for titles."""
         return "as images" if self.images else f"noise: {self.noise}"
 
-    def random(self, number: int, purpose: int) -> np.random.SeedSequence:
+    def seed_touch(self, number: int, purpose: int) -> np.random.SeedSequence:
         """Return the randomness of a touch (purpose 0), beside it (1), of its image (2), of measuring it again (3)."""
         return np.random.SeedSequence([self.seed, number, purpose])
 
@@ -88,23 +88,23 @@ class SimulatedTouches:
         described: dict[str, Any] = {"noise": noise_level(self.noise).describe(), "seed": self.seed}
         return described | ({"images": localizer.sensor.describe()} if self.images else {})
 
-    def _drawn(self, localizer: Localizer, number: int, draw: int) -> tuple[Touch, int]:
+    def _draw_once(self, localizer: Localizer, number: int, draw: int) -> tuple[Touch, int]:
         """The touch of one draw, and how many presses were refused before it."""
-        sequence = self.random(number, 0)
+        sequence = self.seed_touch(number, 0)
         seed = int((sequence.spawn(draw)[-1] if draw else sequence).generate_state(1, np.uint64)[0])
         rng, noise = np.random.default_rng(seed), noise_level(self.noise)
         (touch,), refused = draw_touches(localizer.sampler, localizer.scene, 1, rng, noise=noise)
         return dataclasses.replace(touch, name=f"touch-{number:04d}"), refused
 
 
-def true_pose(touch: Touch) -> NDArray[np.float64]:
+def require_true_pose(touch: Touch) -> NDArray[np.float64]:
     """Return a touch's true pose (4, 4), metres. Raises TouchError when it is not known."""
     if touch.T_sensor_object is None:
         raise TouchError(f"{touch.name} has no true pose to compare with; simulate it")
     return touch.T_sensor_object
 
 
-def _seen(localizer: Localizer, touch: Touch, rng: np.random.Generator) -> Touch:
+def _read_image(localizer: Localizer, touch: Touch, rng: np.random.Generator) -> Touch:
     """The touch as the sensor reads it from an image. Raises TouchError when it shows no contact."""
     image = localizer.sensor.simulated_image(touch.contact_shape, rng)
     shape = localizer.sensor.contact_shape(image)

@@ -18,7 +18,8 @@ from tactile_loc.core.simulation.noise import TouchNoise
 from tactile_loc.core.simulation.touch_simulation import lowered
 from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.core.slots.scene import Scene
-from tactile_loc.evaluation.simulated_touches import true_pose
+from tactile_loc.evaluation.robot_touches import NO_NOISE, measure_noisily
+from tactile_loc.evaluation.simulated_touches import require_true_pose
 from tactile_loc.imaging.optics import Optics
 from tactile_loc.imaging.simulate import render_touches
 from tactile_loc.io.recordings import RecordingWriter, write_recording
@@ -42,7 +43,6 @@ PRESS = (0.5, 0.9)  # of the sensor's deepest
 LIFTED = 0.04  # of all images, at the beginning and at the end: nothing touches
 LIFT_M = 2e-3
 STARTS = 12
-NO_NOISE = TouchNoise()
 T_BASE_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.4, -0.1, 0.2])
 T_FLANGE_GEL = make_transform(rotation_about([0, 0, 1], 0.4) @ rotation_about([0, 1, 0], 0.1), [0.01, 0.0, 0.12])
 
@@ -74,24 +74,23 @@ class Slide:
         """Where the robot's flange was (2 N - 1, 4, 4), metres: the object stands still."""
         return T_BASE_OBJECT @ invert(self.T_sensor_object) @ invert(T_FLANGE_GEL)
 
-    def depths_m(self, number: int) -> NDArray[np.float32]:
+    def draw_depths_m(self, number: int) -> NDArray[np.float32]:
         """Return the contact shape (H, W) at a time, metres: where nothing touches it is the press depth.
 
         If that is everywhere, it is the sensor's deepest.
         """
-        geometry, press = self.scene.geometry, self.press_m[number : number + 1]
+        geometry, press_m = self.scene.geometry, float(self.press_m[number])
         untouched = np.full(geometry.shape, geometry.max_depth_m, np.float32)
-        if press[0] <= 0:
+        if press_m <= 0:
             return untouched
-        seen = self.scene.pressed(float(press[0]), geometry.max_depth_m)
+        seen = self.scene.pressed(press_m, geometry.max_depth_m)
         clean = seen.contact_depths(self.T_sensor_object[number][None])
         rng = np.random.default_rng([self.seed, number])
-        measured = self.noise.measure_press(press, geometry.max_depth_m, rng)
-        depth = self.noise.cut(self.noise.corrupt(clean, press, seen.geometry, rng), press, measured)[0]
-        return depth if (depth < np.float32(measured[0])).any() else untouched
+        depth, measured_m = measure_noisily(self.noise, clean, press_m, seen.geometry, rng)
+        return depth if (depth < np.float32(measured_m)).any() else untouched
 
 
-def slide(
+def draw_slide(
     scene: Scene, T_start: NDArray[np.float64], frames: int, noise: TouchNoise = NO_NOISE, seed: int = 0
 ) -> Slide:
     """Return a slide of an object that starts at a pose (4, 4), metres: a figure of eight, pressed more and less.
@@ -102,7 +101,7 @@ def slide(
     scene = dataclasses.replace(scene, drawing="pressed")
     count = 2 * frames - 1
     phase = np.linspace(0, 2 * np.pi, count)
-    moved = _about_gel(scene, T_start, TURN_RAD * np.sin(phase))
+    moved = _turn_about_gel(scene, T_start, TURN_RAD * np.sin(phase))
     moved[:, :2, 3] += REACH_M * np.stack([np.sin(phase), np.sin(2 * phase)], axis=1)
     poses, touching = scene.in_contact(moved)
     if not touching.all():
@@ -115,7 +114,7 @@ def slide(
     return Slide(scene, stamps, lowered(poses, press_m), press_m, noise, seed)
 
 
-def _about_gel(scene: Scene, T: NDArray[np.float64], angles_rad: NDArray[np.float64]) -> Poses:
+def _turn_about_gel(scene: Scene, T: NDArray[np.float64], angles_rad: NDArray[np.float64]) -> Poses:
     """A pose (4, 4), metres, turned by angles (N,) about the middle of the gel: (N, 4, 4)."""
     x0, x1, y0, y1 = scene.geometry.rectangle
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
@@ -123,7 +122,7 @@ def _about_gel(scene: Scene, T: NDArray[np.float64], angles_rad: NDArray[np.floa
     return make_transform(R, middle - R @ middle) @ T
 
 
-def random_slide(
+def draw_random_slide(
     localizer: Localizer, frames: int, seed: int, noise: TouchNoise = NO_NOISE, renderer: Renderer | None = None
 ) -> Slide:
     """Return a slide that starts at a simulated touch; a `renderer` draws it, by default the localizer's own.
@@ -133,7 +132,7 @@ def random_slide(
     scene = dataclasses.replace(localizer.scene, renderer=renderer or localizer.scene.renderer)
     for touch in localizer.simulate(STARTS, seed):
         try:
-            return slide(scene, true_pose(touch), frames, noise, seed)
+            return draw_slide(scene, require_true_pose(touch), frames, noise, seed)
         except TouchError as error:
             refused = error
     raise refused
@@ -151,12 +150,12 @@ class Photos:
         return render_touches(depth_m[None], [press], self._geometry, self._optics, self._rng)[0], "rgb8"
 
 
-def as_depths(depth_m: NDArray[np.float32], press_m: float) -> tuple[NDArray[Any], str]:
+def show_depths(depth_m: NDArray[np.float32], press_m: float) -> tuple[NDArray[Any], str]:
     """Show a contact shape (H, W), metres, as it is."""
     return depth_m, "32FC1"
 
 
-def write_slide(path: Path, slide: Slide, show: Show = as_depths) -> Path:
+def write_slide(path: Path, slide: Slide, show: Show = show_depths) -> Path:
     """Write a slide as a recording: images, by `show` of contact shape and press, TF, and the truth. Returns the path.
 
     `/gel/image`, in the frame `gel`; `/tf` of the flange at twice the images' rate, `/tf_static` of the gel on it; the
@@ -171,7 +170,7 @@ def write_slide(path: Path, slide: Slide, show: Show = as_depths) -> Path:
             stamp = int(slide.stamps_ns[number])
             writer.write("/tf", TF, make_transforms({(BASE, FLANGE): T_base_flange}, stamp), stamp)
             if number in slide.frames:
-                values, encoding = show(slide.depths_m(number), float(slide.press_m[number]))
+                values, encoding = show(slide.draw_depths_m(number), float(slide.press_m[number]))
                 writer.write(IMAGE_TOPIC, IMAGE, make_image(values, encoding, stamp, GEL), stamp)
                 truth = make_plain_pose(slide.T_sensor_object[number], stamp, GEL)
                 writer.write(TRUTH_TOPIC, POSE_STAMPED, truth, stamp)

@@ -12,7 +12,7 @@ import numpy as np
 
 from tactile_loc.core.formatting import mm
 from tactile_loc.evaluation import tabular
-from tactile_loc.evaluation.posterior_metrics import LEVELS, POSTERIOR_METRICS, PosteriorSummary
+from tactile_loc.evaluation.metrics import LEVELS, POSTERIOR_METRICS, PosteriorSummary
 from tactile_loc.evaluation.protocol import LINES, METRICS, PROTOCOL_VERSION, STAGES, Evaluation
 
 SCHEMA_VERSION = 2
@@ -44,166 +44,142 @@ class Run(tabular.EvaluatedObject):
 
     evaluation: Evaluation
 
-    def statistics(self, line: str, metric: str = "add", normalised: bool = False) -> tabular.Statistics:
-        """Return the statistics of a line: in metres, or as shares of the mean random error if `normalised`."""
-        values = self.evaluation.errors(line, metric)
-        return tabular.Statistics.of(values / self.evaluation.scale_m(metric) if normalised else values)
-
-    def unambiguous(self, line: str) -> tabular.Statistics | None:
+    def summarise_unambiguous(self, line: str) -> tabular.Statistics | None:
         """Return a line's statistics over the touches that are not ambiguous, metres; None if all are."""
-        errors = self.evaluation.errors(line)[~self.evaluation.ambiguous]
+        errors = self.evaluation.select_errors(line)[~self.evaluation.ambiguous]
         return tabular.Statistics.of(errors) if len(errors) else None
 
-    def posterior_summary(self) -> PosteriorSummary:
+    def summarise_posteriors(self) -> PosteriorSummary:
         """Return the metrics of the posteriors, summed up."""
         return PosteriorSummary.of(self.evaluation.posterior_metrics, self.grid_poses)
 
-    def median_seconds(self) -> dict[str, float]:
+    def compute_median_seconds(self) -> dict[str, float]:
         """Return the median duration of each stage, seconds."""
-        return {stage: float(np.median(self.evaluation.stage_seconds(stage))) for stage in STAGES}
+        return {stage: float(np.median(self.evaluation.select_seconds(stage))) for stage in STAGES}
 
 
-def summary_header() -> list[str]:
-    """Return the heads of the columns of `summary_rows`."""
-    return ["object", "encoder", *SHOWN]
+def tabulate_medians(runs: Sequence[Run], normalised: bool = False) -> tabular.Table:
+    """Return a row for each run: the median ADD of each line, mm, or as a share of a random pose's if `normalised`."""
+    write = "{:.3f}".format if normalised else mm
+    return tabular.tabulate(
+        runs, SHOWN, lambda run: (write(run.summarise(line, normalised=normalised).median) for line in SHOWN)
+    )
 
 
-def summary_rows(runs: Sequence[Run]) -> list[list[str]]:
-    """Return a row of cells for each run: the median ADD of each line, "mm (normalised)"."""
-    return tabular.bracketed(medians_mm(runs), medians_normalised(runs), names=2)
+def tabulate_ambiguity(runs: Sequence[Run]) -> tabular.Table:
+    """Return a row for each run: the share of ambiguous touches, medians over all and over the others, mm."""
 
-
-def medians_mm(runs: Sequence[Run]) -> list[list[str]]:
-    """Return a row of cells for each run: object, encoder, the median ADD of each line, mm."""
-    return [[run.object, run.encoder, *(mm(run.statistics(line).median) for line in SHOWN)] for run in runs]
-
-
-def medians_normalised(runs: Sequence[Run]) -> list[list[str]]:
-    """Return a row of cells for each run: object, encoder, each line's median ADD as a share of a random pose's."""
-    shares = [[run.statistics(line, normalised=True).median for line in SHOWN] for run in runs]
-    return [[run.object, run.encoder, *(f"{v:.3f}" for v in row)] for run, row in zip(runs, shares, strict=True)]
-
-
-def time_rows(runs: Sequence[Run]) -> list[list[str]]:
-    """Return a row of cells for each run: the median milliseconds of each stage."""
-    return [[run.object, run.encoder, *(f"{1e3 * s:.1f}" for s in run.median_seconds().values())] for run in runs]
-
-
-def ambiguity_header() -> list[str]:
-    """Return the heads of the columns of `ambiguity_rows`."""
-    return ["object", "encoder", "ambiguous", *(f"{line}, {of}" for line in JUDGED for of in ("all", "unambiguous"))]
-
-
-def ambiguity_rows(runs: Sequence[Run]) -> list[list[str]]:
-    """Return a row of cells for each run: the share of ambiguous touches, medians over all and over the others, mm."""
-    rows = []
-    for run in runs:
-        row = [run.object, run.encoder, f"{100 * run.evaluation.ambiguous.mean():.0f} %"]
+    def list_cells(run: Run) -> Iterator[str]:
+        yield f"{100 * run.evaluation.ambiguous.mean():.0f} %"
         for line in JUDGED:
-            others = run.unambiguous(line)
-            row += [mm(run.statistics(line).median), mm(others.median) if others else "-"]
-        rows.append(row)
-    return rows
+            others = run.summarise_unambiguous(line)
+            yield from (mm(run.summarise(line).median), mm(others.median) if others else "-")
+
+    heads = ["ambiguous", *(f"{line}, {of}" for line in JUDGED for of in ("all", "unambiguous"))]
+    return tabular.tabulate(runs, heads, list_cells)
 
 
-def area_header() -> list[str]:
-    """Return the heads of the columns of `area_rows`."""
+def tabulate_areas(runs: Sequence[Run]) -> tabular.Table:
+    """Return a row for each run: presses refused, and for each contact area "median mm, share (touches)"."""
+
+    def list_cells(run: Run) -> Iterator[str]:
+        yield str(run.evaluation.refused.sum())
+        for area in _group_areas(run):
+            count = area["touches"]
+            yield f"{mm(area['median_m'])}, {100 * area['within_1_mm']:.0f} % ({count})" if count else "-"
+
     limits = [f"{100 * share:g}" for share in AREAS]
     between = [f"{low} to {high} %" for low, high in itertools.pairwise(limits[1:-1])]
-    return ["object", "encoder", "refused", f"below {limits[1]} %", *between, f"above {limits[-2]} %"]
+    return tabular.tabulate(
+        runs, ["refused", f"below {limits[1]} %", *between, f"above {limits[-2]} %"], list_cells
+    )  # fmt: skip
 
 
-def area_rows(runs: Sequence[Run]) -> list[list[str]]:
-    """Return a row of cells for each run: presses refused, and for each contact area "median mm, share (touches)"."""
-    rows = []
-    for run in runs:
-        cells = []
-        for area in _areas(run):
-            near = f"{mm(area['median_m'])}, {100 * area['within_1_mm']:.0f} %" if area["touches"] else ""
-            cells.append(f"{near} ({area['touches']})" if near else "-")
-        rows.append([run.object, run.encoder, str(run.evaluation.refused.sum()), *cells])
-    return rows
+def tabulate_posteriors(runs: Sequence[Run]) -> tabular.Table:
+    """Return a row for each run: how often each of LEVELS holds, and mean metrics, lengths in mm."""
+
+    def list_cells(run: Run) -> Iterator[str]:
+        summary = run.summarise_posteriors()
+        yield from (f"{100 * share:.0f} %" for share in summary.coverage)
+        yield from (f"{value:.2f}" for value in (summary.nll, summary.uniform_nll, summary.entropy))
+        yield from (mm(summary.expected_error_m), mm(summary.spread_m))
+
+    sets = (f"in the {100 * level:.0f} % set" for level in LEVELS)
+    return tabular.tabulate(
+        runs, [*sets, "NLL, nats", "uniform", "entropy", "expected error, mm", "spread, mm"], list_cells
+    )
 
 
-def posterior_rows(runs: Sequence[Run]) -> list[list[str]]:
-    """Return a row of cells for each run: how often each of LEVELS holds, and mean metrics, lengths in mm."""
-    rows = []
-    for run in runs:
-        summary = run.posterior_summary()
-        held = [f"{100 * share:.0f} %" for share in summary.coverage]
-        nats = [f"{value:.2f}" for value in (summary.nll, summary.uniform_nll, summary.entropy)]
-        rows.append([run.object, run.encoder, *held, *nats, mm(summary.expected_error_m), mm(summary.spread_m)])
-    return rows
-
-
-def posterior_header() -> list[str]:
-    """Return the heads of the columns of `posterior_rows`."""
-    sets = [f"in the {100 * level:.0f} % set" for level in LEVELS]
-    return ["object", "encoder", *sets, "NLL, nats", "uniform", "entropy", "expected error, mm", "spread, mm"]
-
-
-def markdown(runs: Sequence[Run], heading: str) -> str:
+def format_markdown(runs: Sequence[Run], heading: str) -> str:
     """Return all tables as Markdown, the lengths in mm."""
     note = "Median ADD in mm and, in brackets, divided by the mean error of a random pose; symmetry regarded."
-    parts = [f"# {heading}\n", f"{note}\n", tabular.markdown_table(summary_header(), summary_rows(runs))]
-    parts += [f"{AMBIGUITY_NOTE}\n", tabular.markdown_table(ambiguity_header(), ambiguity_rows(runs))]
-    parts += [f"{AREA_NOTE}\n", tabular.markdown_table(area_header(), area_rows(runs))]
-    times = tabular.markdown_table(["object", "encoder", *STAGES], time_rows(runs))
-    parts += [f"Median time of each stage, ms:\n\n{times}"]
-    parts += [f"{COVERAGE_NOTE}\n", tabular.markdown_table(posterior_header(), posterior_rows(runs))]
+    medians = tabular.bracket_shares(tabulate_medians(runs), tabulate_medians(runs, normalised=True), names=2)
+    times = tabular.tabulate(
+        runs, STAGES, lambda run: (f"{1e3 * s:.1f}" for s in run.compute_median_seconds().values())
+    )  # fmt: skip
+    parts = [f"# {heading}\n", f"{note}\n", tabular.format_markdown(medians)]
+    parts += [f"{AMBIGUITY_NOTE}\n", tabular.format_markdown(tabulate_ambiguity(runs))]
+    parts += [f"{AREA_NOTE}\n", tabular.format_markdown(tabulate_areas(runs))]
+    parts += [f"Median time of each stage, ms:\n\n{tabular.format_markdown(times)}"]
+    parts += [f"{COVERAGE_NOTE}\n", tabular.format_markdown(tabulate_posteriors(runs))]
     for run in runs:
-        parts.append(
-            f"## {run.object}, {run.encoder}\n\n{run.grid_poses} grid poses, symmetry {run.symmetry}; ADD, mm:\n"
-        )
-        parts.append(tabular.markdown_table(_DETAILS, _detail_rows(run)))
+        about = f"{run.grid_poses} grid poses, symmetry {run.symmetry}; ADD, mm:"
+        parts.append(f"## {run.object}, {run.encoder}\n\n{about}\n")
+        parts.append(tabular.format_markdown([_DETAILS, *_list_details(run)]))
     return "\n".join(parts)
 
 
-def csv_text(runs: Sequence[Run]) -> str:
+def format_csv(runs: Sequence[Run]) -> str:
     """Return one row for each object, encoder, line and metric as CSV, lengths in mm."""
-    return tabular.csv_table(list(_long_rows(runs)))
+    return tabular.format_csv([
+        {
+            "object": run.object, "encoder": run.encoder, "line": line, "metric": metric,
+            **tabular.list_columns(**run.compare_statistics(line, metric)),
+        }
+        for run in runs for line in LINES for metric in METRICS
+    ])  # fmt: skip
 
 
-def record(runs: Sequence[Run], protocol: Mapping[str, Any]) -> dict[str, Any]:
+def record_runs(runs: Sequence[Run], protocol: Mapping[str, Any]) -> dict[str, Any]:
     """Return everything as JSON values in SI units; `protocol` says how many touches, which noise and seed."""
-    return tabular.document(
-        SCHEMA_VERSION, {"version": PROTOCOL_VERSION, **protocol}, [_run_record(run) for run in runs]
-    )
+    asked = {"version": PROTOCOL_VERSION, **protocol}
+    return tabular.build_document(SCHEMA_VERSION, asked, [_record_run(run) for run in runs])
 
 
 def write_tables(folder: Path, runs: Sequence[Run], protocol: Mapping[str, Any], heading: str) -> list[Path]:
     """Write results.json, results.csv and results.md and return their paths. Raises OutputError."""
-    return tabular.write_all(folder, "results", record(runs, protocol), csv_text(runs), markdown(runs, heading))
+    document = tabular.format_json(record_runs(runs, protocol))
+    return tabular.write_texts(
+        folder, "results", json=document, csv=format_csv(runs), md=format_markdown(runs, heading)
+    )  # fmt: skip
 
 
-def _run_record(run: Run) -> dict[str, Any]:
+def _record_run(run: Run) -> dict[str, Any]:
     evaluation = run.evaluation
-    return run.record(
+    unambiguous = {line: found and asdict(found) for line in JUDGED for found in [run.summarise_unambiguous(line)]}
+    return run.describe(
         touches=len(evaluation.errors_m),
-        random_mean_m={metric: evaluation.scale_m(metric) for metric in METRICS},
-        median_seconds=run.median_seconds(),
-        lines={line: {metric: _statistics(run, line, metric) for metric in METRICS} for line in LINES},
-        ambiguity=_ambiguity(run),
+        random_mean_m={metric: evaluation.compute_scale_m(metric) for metric in METRICS},
+        median_seconds=run.compute_median_seconds(),
+        lines={line: {metric: _record_statistics(run, line, metric) for metric in METRICS} for line in LINES},
+        ambiguity={"ambiguous": float(evaluation.ambiguous.mean()), "unambiguous": unambiguous},
         ambiguity_ratios=[r if np.isfinite(r) else None for r in evaluation.ambiguity.tolist()],
         refused=int(evaluation.refused.sum()),
-        contact_areas=_areas(run),
+        contact_areas=_group_areas(run),
         contact_shares=evaluation.contact_share.tolist(),
-        posterior={**asdict(run.posterior_summary()), "levels": list(LEVELS)},
+        posterior={**asdict(run.summarise_posteriors()), "levels": list(LEVELS)},
         posterior_metrics=dict(zip(POSTERIOR_METRICS, evaluation.posterior_metrics.T.tolist(), strict=True)),
-        errors_m={line: {m: evaluation.errors(line, m).tolist() for m in METRICS} for line in LINES},
+        errors_m={line: {m: evaluation.select_errors(line, m).tolist() for m in METRICS} for line in LINES},
     )
 
 
-def _ambiguity(run: Run) -> dict[str, Any]:
-    """The share of ambiguous touches, and each of JUDGED over the others, metres; null where all are ambiguous."""
-    others = {line: run.unambiguous(line) for line in JUDGED}
-    unambiguous = {line: None if found is None else asdict(found) for line, found in others.items()}
-    return {"ambiguous": float(run.evaluation.ambiguous.mean()), "unambiguous": unambiguous}
+def _record_statistics(run: Run, line: str, metric: str) -> dict[str, Any]:
+    return {unit: asdict(found) for unit, found in run.compare_statistics(line, metric).items()}
 
 
-def _areas(run: Run) -> list[dict[str, Any]]:
+def _group_areas(run: Run) -> list[dict[str, Any]]:
     """The touches of each of AREAS, and the errors of AREA_LINE over them, metres; null where there is none."""
-    errors, share = run.evaluation.errors(AREA_LINE), run.evaluation.contact_share
+    errors, share = run.evaluation.select_errors(AREA_LINE), run.evaluation.contact_share
     found = []
     for low, high in itertools.pairwise(AREAS):
         some = errors[(share >= low) & ((share < high) | (high == AREAS[-1]))]
@@ -213,29 +189,15 @@ def _areas(run: Run) -> list[dict[str, Any]]:
     return found
 
 
-def _statistics(run: Run, line: str, metric: str) -> dict[str, Any]:
-    metres, shares = run.statistics(line, metric), run.statistics(line, metric, normalised=True)
-    return {"metres": asdict(metres), "normalised": asdict(shares)}
-
-
-def _long_rows(runs: Sequence[Run]) -> Iterator[dict[str, Any]]:
-    for run in runs:
-        for line in LINES:
-            for metric in METRICS:
-                names = {"object": run.object, "encoder": run.encoder, "line": line, "metric": metric}
-                metres, shares = run.statistics(line, metric), run.statistics(line, metric, normalised=True)
-                yield {**names, **tabular.columns(metres, shares)}
-
-
 _DETAILS = [
     "line", "median", "mean", "std", "quartiles", "90 %", "median / random", "mean / random", "median MSSD",
     "median ADD-S",
 ]  # fmt: skip
 
 
-def _detail_rows(run: Run) -> Iterator[list[str]]:
+def _list_details(run: Run) -> Iterator[list[str]]:
     for line in LINES:
-        s, share = run.statistics(line), run.statistics(line, normalised=True)
+        s, share = run.compare_statistics(line).values()
         lengths = [mm(s.median), mm(s.mean), mm(s.std), f"{mm(s.q25)} to {mm(s.q75)}", mm(s.p90)]
-        others = [mm(run.statistics(line, metric).median) for metric in ("mssd", "add-s")]
+        others = [mm(run.summarise(line, metric).median) for metric in ("mssd", "add-s")]
         yield [line, *lengths, f"{share.median:.3f}", f"{share.mean:.3f}", *others]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,8 @@ from numpy.typing import NDArray
 from tactile_loc.io.records import read_versions
 from tactile_loc.store.files import write_atomically
 
-Rows = Sequence[Sequence[str]]
+Table = list[list[str]]
+"""Rows of cells; the first row names the columns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +33,19 @@ class EvaluatedObject:
     evaluation: Any
     configuration: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
-    def record(self, **found: Any) -> dict[str, Any]:
+    def summarise(self, *of: Any, normalised: bool = False) -> Statistics:
+        """Return the statistics of the evaluation's errors `of` a line and a metric, or a number of contacts.
+
+        In metres, or as shares of the mean random error if `normalised`.
+        """
+        found = self.evaluation
+        return Statistics.of(found.normalise_errors(*of) if normalised else found.select_errors(*of))
+
+    def compare_statistics(self, *of: Any) -> dict[str, Statistics]:
+        """Return the statistics of errors both ways: in "metres", and "normalised"."""
+        return {"metres": self.summarise(*of), "normalised": self.summarise(*of, normalised=True)}
+
+    def describe(self, **found: Any) -> dict[str, Any]:
         """Return what was evaluated, what was found, and every setting, as JSON values."""
         named = {key: getattr(self, key) for key in ("object", "symmetry", "encoder", "grid_poses")}
         return {**named, **found, "configuration": dict(self.configuration)}
@@ -55,27 +69,33 @@ class Statistics:
         return cls(float(values.mean()), float(median), float(values.std()), float(q25), float(q75), float(p90))
 
 
-def columns(metres: Statistics, normalised: Statistics) -> dict[str, str]:
+def list_columns(metres: Statistics, normalised: Statistics) -> dict[str, str]:
     """Return statistics as columns of a CSV file: lengths in mm, and shares of a random pose's mean error."""
     lengths = {f"{k}_mm": f"{1e3 * v:.6g}" for k, v in asdict(metres).items()}
     return lengths | {f"{k}_normalised": f"{v:.6g}" for k, v in asdict(normalised).items()}
 
 
-def bracketed(lengths: Rows, shares: Rows, names: int) -> list[list[str]]:
-    """Join two tables with the same first `names` columns: "mm (normalised)" in the others."""
-    pairs = zip(lengths, shares, strict=True)
-    return [
-        [*a[:names], *(f"{x} ({y})" for x, y in zip(a[names:], b[names:], strict=True))] for a, b in pairs
-    ]  # fmt: skip
+def tabulate(
+    runs: Iterable[EvaluatedObject], heads: Iterable[str], cells: Callable[[Any], Iterable[str]]
+) -> Table:  # fmt: skip
+    """Return a row for each run: its object, its encoder, and the run's `cells`, one under each of `heads`."""
+    return [["object", "encoder", *heads], *([run.object, run.encoder, *cells(run)] for run in runs)]
 
 
-def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def bracket_shares(lengths: Table, shares: Table, names: int) -> Table:
+    """Join two tables with the same heads and the same first `names` columns: "mm (normalised)" in the others."""
+    rows = zip(lengths[1:], shares[1:], strict=True)
+    joined = ([*a[:names], *map("{} ({})".format, a[names:], b[names:])] for a, b in rows)
+    return [lengths[0], *joined]
+
+
+def format_markdown(table: Sequence[Sequence[str]]) -> str:
     """Return a table as Markdown."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+    header, *rows = table
+    return "\n".join("| " + " | ".join(line) + " |" for line in (header, ["---"] * len(header), *rows)) + "\n"
 
 
-def csv_table(rows: Sequence[Mapping[str, Any]]) -> str:
+def format_csv(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return rows, all with the first one's keys, as CSV."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
@@ -84,7 +104,9 @@ def csv_table(rows: Sequence[Mapping[str, Any]]) -> str:
     return text.getvalue()
 
 
-def document(schema_version: int, protocol: Mapping[str, Any], runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def build_document(
+    schema_version: int, protocol: Mapping[str, Any], runs: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:  # fmt: skip
     """Return a JSON document of runs, with when and with what they were made."""
     return {
         "schema_version": schema_version,
@@ -95,11 +117,14 @@ def document(schema_version: int, protocol: Mapping[str, Any], runs: Sequence[Ma
     }
 
 
-def write_all(folder: Path, name: str, record: Mapping[str, Any], csv_text: str, markdown: str) -> list[Path]:
-    """Write NAME.json, NAME.csv and NAME.md and return their paths. Raises OutputError."""
-    texts = {"json": json.dumps(record, indent=1) + "\n", "csv": csv_text, "md": markdown}
-    return [write_atomically(folder / f"{name}.{suffix}", _writer(text)) for suffix, text in texts.items()]
+def write_texts(folder: Path, name: str, **texts: str) -> list[Path]:
+    """Write each text to a file NAME.SUFFIX of its keyword and return their paths. Raises OutputError."""
+    return [
+        write_atomically(folder / f"{name}.{suffix}", partial(Path.write_text, data=text, encoding="utf-8"))
+        for suffix, text in texts.items()
+    ]
 
 
-def _writer(text: str) -> Any:
-    return lambda path: path.write_text(text, encoding="utf-8")
+def format_json(document: Mapping[str, Any]) -> str:
+    """Return a document as it is written."""
+    return json.dumps(document, indent=1) + "\n"

@@ -45,7 +45,7 @@ class SurfaceDistribution:
         return self.mass / np.maximum(self.area_m2, 1e-15)
 
 
-def touched_points(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> NDArray[np.int64]:
+def find_touched_vertices(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> NDArray[np.int64]:
     """Return the vertex (N,) that is nearest to the sensor's centre at each pose (N, 4, 4), metres."""
     from scipy.spatial import cKDTree
 
@@ -53,7 +53,7 @@ def touched_points(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorG
     return np.asarray(cKDTree(mesh.vertices_m).query(centres_m)[1], np.int64)
 
 
-def surface_distribution(
+def spread_over_surface(
     mesh: TriangleMesh, T_sensor_object: Poses, weights: Array, geometry: SensorGeometry, spread_m: float
 ) -> SurfaceDistribution:
     """Return where on the surface the sensor's centre touches, given poses (N, 4, 4) and their weights (N,), sum one.
@@ -61,9 +61,10 @@ def surface_distribution(
     A pose counts where the surface is nearest to the sensor's centre. Its weight is spread over the vertices around, by
     area and by a Gaussian of `spread_m` metres, but not to the back of a wall.
     """
-    fine = refined(mesh, edge_m(mesh))
-    mass = np.bincount(touched_points(fine, T_sensor_object, geometry), weights, len(fine.vertices_m)).astype(float)
-    area = vertex_areas(fine)
+    fine = split_long_edges(mesh, choose_edge_m(mesh))
+    touched = find_touched_vertices(fine, T_sensor_object, geometry)
+    mass = np.bincount(touched, weights, len(fine.vertices_m)).astype(float)
+    area = compute_vertex_areas(fine)
     return SurfaceDistribution(fine, _spread(fine, mass, area, spread_m), area, spread_m)
 
 
@@ -71,7 +72,7 @@ def _spread(mesh: TriangleMesh, mass: Array, area_m2: Array, spread_m: float) ->
     """Spread masses (V,) to the vertices around; what it sums to stays the same."""
     from scipy.spatial import cKDTree
 
-    tree, normals = cKDTree(mesh.vertices_m), vertex_normals(mesh)
+    tree, normals = cKDTree(mesh.vertices_m), compute_vertex_normals(mesh)
     found = np.zeros(len(mass))
     for source in np.flatnonzero(mass):
         near = np.array(tree.query_ball_point(mesh.vertices_m[source], REACH * spread_m), np.int64)
@@ -83,12 +84,12 @@ def _spread(mesh: TriangleMesh, mass: Array, area_m2: Array, spread_m: float) ->
     return found
 
 
-def edge_m(mesh: TriangleMesh) -> float:
+def choose_edge_m(mesh: TriangleMesh) -> float:
     """Return how long an edge may be, metres, for a smooth picture of this surface."""
     return float(np.sqrt(mesh.face_areas.sum() / PATCHES))
 
 
-def refined(mesh: TriangleMesh, longest_m: float) -> TriangleMesh:
+def split_long_edges(mesh: TriangleMesh, longest_m: float) -> TriangleMesh:
     """Return the same surface with no edge longer than `longest_m` metres: longest edges are halved until none is."""
     vertices, faces = mesh.vertices_m, mesh.faces
     for _ in range(MOST_SPLITS):
@@ -119,13 +120,13 @@ def _split_longest(
     return np.concatenate([vertices_m, vertices_m[edges].mean(axis=1)]), np.concatenate([faces[~long], *halves])
 
 
-def vertex_areas(mesh: TriangleMesh) -> Array:
+def compute_vertex_areas(mesh: TriangleMesh) -> Array:
     """Return a third of the area of the faces around each vertex (V,), square metres."""
     areas = np.repeat(mesh.face_areas / 3.0, 3)
     return np.bincount(mesh.faces.ravel(), areas, len(mesh.vertices_m)).astype(float)
 
 
-def vertex_normals(mesh: TriangleMesh) -> Array:
+def compute_vertex_normals(mesh: TriangleMesh) -> Array:
     """Return unit normals (V, 3), the mean of the faces around, weighted by their areas; zero where there are none."""
     a, b, c = np.moveaxis(mesh.triangles_m, 1, 0)
     normals = np.zeros_like(mesh.vertices_m)
@@ -159,7 +160,7 @@ class SideMap:
     mass: Array
 
 
-def yaw_rad(R: Array) -> Array:
+def compute_yaw_rad(R: Array) -> Array:
     """Return the turn (N,) about the sensor's z of rotations R_sensor_object (N, 3, 3), radians, -pi to pi.
 
     R = Rz(yaw) A, with A the smallest rotation that brings the side that faces the sensor there (`align_to_z`).
@@ -174,9 +175,9 @@ def yaw_rad(R: Array) -> Array:
     return np.arctan2(turned[:, 1], turned[:, 0])
 
 
-def yaw_histogram(R: Array, weights: Array) -> YawHistogram:
+def count_yaws(R: Array, weights: Array) -> YawHistogram:
     """Sum weights (N,) of rotations R_sensor_object (N, 3, 3) by yaw: a bar a yaw of a lattice, or of ten degrees."""
-    yaw_deg = np.degrees(yaw_rad(R)) % 360.0
+    yaw_deg = np.degrees(compute_yaw_rad(R)) % 360.0
     values, which = np.unique(np.round(yaw_deg, 2) % 360.0, return_inverse=True)
     step_deg = float(np.diff(values).min()) if len(values) > 1 else 360.0 / YAW_BINS
     if len(values) <= MOST_YAWS and step_deg >= 1.0:
@@ -187,20 +188,20 @@ def yaw_histogram(R: Array, weights: Array) -> YawHistogram:
     return YawHistogram(middles, np.bincount(bins, weights, YAW_BINS).astype(float), width_deg)
 
 
-def side_map(R: Array, weights: Array) -> SideMap:
+def map_sides(R: Array, weights: Array) -> SideMap:
     """Sum weights (N,) of rotations R_sensor_object (N, 3, 3) by the side of the object that faces the sensor."""
     facing = -R[:, 2, :]
     mean = facing.mean(axis=0)
     if np.linalg.norm(mean) < 1e-6:
-        return _globe(facing, weights)
+        return _map_globe(facing, weights)
     normal = mean / np.linalg.norm(mean)
     widest_deg = float(np.degrees(np.arccos(np.clip(facing @ normal, -1, 1))).max())
     if widest_deg > CAP_DEG:
-        return _globe(facing, weights)
-    return _lean(R, weights, normal, widest_deg)
+        return _map_globe(facing, weights)
+    return _map_lean(R, weights, normal, widest_deg)
 
 
-def _globe(facing: Array, weights: Array) -> SideMap:
+def _map_globe(facing: Array, weights: Array) -> SideMap:
     azimuth_deg = np.degrees(np.arctan2(facing[:, 1], facing[:, 0]))
     x, heights = np.linspace(-180, 180, AZIMUTHS + 1), np.linspace(-1, 1, HEIGHTS + 1)
     mass, _, _ = np.histogram2d(np.clip(facing[:, 2], -1, 1), azimuth_deg, (heights, x), weights=weights)
@@ -208,7 +209,7 @@ def _globe(facing: Array, weights: Array) -> SideMap:
     return SideMap("globe", best, x, np.degrees(np.arcsin(heights)), mass)
 
 
-def _lean(R: Array, weights: Array, normal: Array, widest_deg: float) -> SideMap:
+def _map_lean(R: Array, weights: Array, normal: Array, widest_deg: float) -> SideMap:
     if widest_deg < SAME_SIDE_DEG:
         return SideMap("one", normal, np.zeros(0), np.zeros(0), np.ones((1, 1)))
     side = R @ normal

@@ -36,7 +36,8 @@ class Board:
 
     def __init__(self) -> None:
         self._changed, self._making = threading.Condition(), threading.Lock()
-        self._version, self._make = 0, _nothing
+        self._version = 0
+        self._make: MakeState = dict  # nothing
         self._made = 0, ""
         self._watchers = 0
         self.ended = False
@@ -55,7 +56,7 @@ class Board:
             self._changed.wait_for(lambda: not self._watchers, LAST_S)
 
     @contextmanager
-    def watched(self) -> Iterator[None]:
+    def watch(self) -> Iterator[None]:
         """Count whoever watches in the block."""
         with self._changed:
             self._watchers += 1
@@ -66,7 +67,7 @@ class Board:
                 self._watchers -= 1
                 self._changed.notify_all()
 
-    def newer(self, version: int, timeout_s: float) -> tuple[int, str]:
+    def wait_for_newer(self, version: int, timeout_s: float) -> tuple[int, str]:
         """Wait for what is newer than `version`, and return its version and JSON; the same version, where none came."""
         with self._changed:
             self._changed.wait_for(lambda: self._version > version or self.ended, timeout_s)
@@ -77,10 +78,6 @@ class Board:
             if self._made[0] < newest:
                 self._made = newest, json.dumps(make(), **JSON_OPTIONS)
             return self._made
-
-
-def _nothing() -> dict[str, Any]:
-    return {}
 
 
 class LiveServer:
@@ -138,8 +135,8 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(self.page)
         elif self.path == "/events":
             self._begin("text/event-stream; charset=utf-8")
-            with self.board.watched():
-                for event in self._events():
+            with self.board.watch():
+                for event in self._generate_events():
                     self.wfile.write(event.encode())
         else:
             self.send_error(HTTPStatus.NOT_FOUND)
@@ -154,12 +151,12 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header(name, value)
         self.end_headers()
 
-    def _events(self) -> Iterator[str]:
+    def _generate_events(self) -> Iterator[str]:
         """What is shown, whenever it is another, and a word now and then meanwhile; at last, that it ended."""
         version, pause = 0, threading.Event()
         while True:
             ended = self.board.ended
-            newest, text = self.board.newer(version, ALIVE_S)
+            newest, text = self.board.wait_for_newer(version, ALIVE_S)
             if newest > version:
                 yield f"data: {text}\n\n"
                 pause.wait(SHORTEST_S)

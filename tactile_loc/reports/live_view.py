@@ -13,6 +13,7 @@ from tactile_loc.core.geometry.rigid import transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.drawing.pose_panel import choose_view
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result_arrays import reduce_mesh
 from tactile_loc.reports import pictures, scene
@@ -32,20 +33,21 @@ NUMBERS = (  # of an element, its label, and what it means
 NOTHING = "-"
 
 
-def live_page(localizer: Localizer, about: str) -> Page:
+def make_live_page(localizer: Localizer, about: str) -> Page:
     """Return the page that shows frames as they come; `about` says of what."""
     geometry, mesh = localizer.sensor.geometry, reduce_mesh(localizer.object.mesh)
     frame = pictures.Frame.of(geometry)
     numbers = {"numbers": NUMBERS, "frame": frame}
     data = {
-        "mesh": scene.packed_mesh(mesh), "pad": scene.empty_pad(geometry, np.eye(4)), "bounds": _bounds(mesh, geometry),
-        "camera": _camera(mesh, geometry, _above(mesh, geometry)),
+        "mesh": scene.pack_mesh(mesh), "pad": scene.build_empty_pad(geometry, np.eye(4)),
+        "bounds": _compute_bounds(mesh, geometry),
+        "camera": _place_camera(mesh, geometry, _place_above(mesh, geometry)),
     }  # fmt: skip
     title = f"{localizer.object.name}, live"
     return Page("live", title, about, [Section("now", "", numbers)], data, ["solids.js", "live.js"], connects=True)
 
 
-def shape_made(result: LiveResult, localizer: Localizer) -> ContactShape | None:
+def render_shape(result: LiveResult, localizer: Localizer) -> ContactShape | None:
     """Return the contact shape that a frame's pose makes, pressed as its touch is; None without either."""
     touch, T = result.touch, result.located.T_sensor_object
     if touch is None or T is None:
@@ -54,7 +56,7 @@ def shape_made(result: LiveResult, localizer: Localizer) -> ContactShape | None:
     return ContactShape(depths_m[0], touch.press_depth_m)
 
 
-def live_state(result: LiveResult, made: ContactShape | None, localizer: Localizer) -> dict[str, Any]:
+def describe_frame(result: LiveResult, made: ContactShape | None, localizer: Localizer) -> dict[str, Any]:
     """Return what the page shows of a frame, as JSON values; `made` (H, W) is the contact shape that its pose makes."""
     geometry, record, touch = localizer.sensor.geometry, result.record, result.touch
     shape = None if touch is None else touch.contact_shape
@@ -62,32 +64,32 @@ def live_state(result: LiveResult, made: ContactShape | None, localizer: Localiz
     image = result.frame.image
     return {
         "number": record.number,
-        "texts": _texts(record, result.rate_hz),
+        "texts": _write_texts(record, result.rate_hz),
         "pictures": [
-            None if image is None else pictures.photo_png(image),
-            None if shape is None else pictures.shape_png(shape, geometry),
+            None if image is None else pictures.encode_photo(image),
+            None if shape is None else pictures.draw_shape(shape, geometry),
         ],
-        "outline": "" if shape is None else pictures.outline_path(shape, geometry),
-        "made": "" if made is None else pictures.outline_path(made, geometry),
-        "contact": scene.polyline([] if shape is None else scene.outlines_mm(shape, geometry)),
+        "outline": "" if shape is None else pictures.trace_outline(shape, geometry),
+        "made": "" if made is None else pictures.trace_outline(made, geometry),
+        "contact": scene.join_lines([] if shape is None else scene.trace_outlines_mm(shape, geometry)),
         "touches": touch is not None,
-        "T": None if T is None else scene.rows_mm(T),
-        "camera": None if T is None else _camera(localizer.object.mesh, geometry, T),
+        "T": None if T is None else scene.list_rows_mm(T),
+        "camera": None if T is None else _place_camera(localizer.object.mesh, geometry, T),
     }
 
 
-def _texts(record: LiveRecord, rate_hz: float) -> dict[str, str]:
+def _write_texts(record: LiveRecord, rate_hz: float) -> dict[str, str]:
     """What elements of the page say, by their names."""
     shares = {"probability": record.probability, "imprint": record.imprint_iou}
     return {
         "says": record.says or record.name, "verdict": record.word,
         **{name: NOTHING if share is None else percent(share) for name, share in shares.items()},
-        **_pose(record), "rate": f"{rate_hz:.1f} Hz" if rate_hz else NOTHING,
+        **_write_pose(record), "rate": f"{rate_hz:.1f} Hz" if rate_hz else NOTHING,
         "rate-more": f"{record.number + 1} frames, {record.dropped} dropped as newer ones had come",
     }  # fmt: skip
 
 
-def _pose(record: LiveRecord) -> dict[str, str]:
+def _write_pose(record: LiveRecord) -> dict[str, str]:
     """Where the object is, mm and degrees, and standard deviations."""
     if record.T_sensor_object is None:
         return {"place": NOTHING, "place-more": "", "turn": NOTHING, "turn-more": ""}
@@ -99,19 +101,19 @@ def _pose(record: LiveRecord) -> dict[str, str]:
     }  # fmt: skip
 
 
-def _reach_mm(mesh: TriangleMesh) -> float:
+def _measure_reach_mm(mesh: TriangleMesh) -> float:
     """The object's largest extent, mm."""
     return 1e3 * float(np.linalg.norm(np.ptp(mesh.vertices_m, axis=0)))
 
 
-def _bounds(mesh: TriangleMesh, geometry: SensorGeometry) -> list[list[float]]:
+def _compute_bounds(mesh: TriangleMesh, geometry: SensorGeometry) -> list[list[float]]:
     """The range along x, y, z, mm, that holds the sensor, and the object wherever it touches."""
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
-    reach_mm, z = _reach_mm(mesh) + scene.MARGIN_MM, 1e3 * geometry.surface_m
+    reach_mm, z = _measure_reach_mm(mesh) + scene.MARGIN_MM, 1e3 * geometry.surface_m
     return [[x0 - reach_mm, x1 + reach_mm], [y0 - reach_mm, y1 + reach_mm], [z - scene.MARGIN_MM, z + reach_mm]]
 
 
-def _above(mesh: TriangleMesh, geometry: SensorGeometry) -> Array:
+def _place_above(mesh: TriangleMesh, geometry: SensorGeometry) -> Array:
     """The object as it is, on the gel (4, 4): where it is looked at before anything is known."""
     T = np.eye(4)
     T[:3, 3] = -mesh.vertices_m.mean(axis=0)
@@ -119,9 +121,9 @@ def _above(mesh: TriangleMesh, geometry: SensorGeometry) -> Array:
     return T
 
 
-def _camera(mesh: TriangleMesh, geometry: SensorGeometry, T: Array) -> dict[str, Any]:
+def _place_camera(mesh: TriangleMesh, geometry: SensorGeometry, T: Array) -> dict[str, Any]:
     """From where the sensor, and the object at T (4, 4), are seen."""
-    housing = scene.empty_pad(geometry, np.eye(4))["housing"]
+    housing = scene.build_empty_pad(geometry, np.eye(4))["housing"]
     corners = np.stack([housing[k] for k in "xyz"], axis=1)
     seen_mm = np.concatenate([1e3 * transform_points(T, mesh.vertices_m), corners])
-    return scene.camera_on(seen_mm, _bounds(mesh, geometry), scene.view_of(mesh, T))
+    return scene.place_camera(seen_mm, _compute_bounds(mesh, geometry), choose_view(mesh, T, scene.ELEVATION_DEG))

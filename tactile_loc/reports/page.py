@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -53,14 +52,14 @@ def render(page: Page) -> str:
     """Return the page as HTML. Raises ValueError when a number of its data is not finite."""
     from plotly.offline import get_plotlyjs
 
-    scripts = [get_plotlyjs(), *(asset(name) for name in ("page.js", *page.scripts))]
+    scripts = [get_plotlyjs(), *(read_asset(name) for name in ("page.js", *page.scripts))]
     hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
-    template = templates().get_template("page.html.j2")
-    return template.render(page=page, style=asset("page.css"), scripts=scripts, hashes=hashes)
+    template = load_templates().get_template("page.html.j2")
+    return template.render(page=page, style=read_asset("page.css"), scripts=scripts, hashes=hashes)
 
 
 @cache
-def templates() -> Environment:
+def load_templates() -> Environment:
     """Return the templates that come with the package. Whatever comes from a file or a user is shown as it is."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -70,19 +69,13 @@ def templates() -> Environment:
     return found
 
 
-def asset(name: str) -> str:
+def read_asset(name: str) -> str:
     """Return the text of a script or style sheet that comes with the package."""
     return resources.files("tactile_loc.reports").joinpath("assets", name).read_text(encoding="utf-8")
 
 
-def require_finite(page: Page) -> Page:
-    """Return the page. Raises ValueError when a number of its data is not finite, which JSON cannot say."""
-    json.dumps(page.data, **JSON_OPTIONS)
-    return page
-
-
 @contextmanager
-def damage_named(path: Path) -> Iterator[None]:
+def name_damage(path: Path) -> Iterator[None]:
     """Say in one sentence what a result's document lacks, or holds that it should not. Raises ResultError."""
     try:
         yield

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.drawing.pictures import extent_mm
+from tactile_loc.drawing.pictures import compute_extent_mm
+from tactile_loc.drawing.pose_panel import list_round_values
 from tactile_loc.io.images import UNREADABLE, load_image
-from tactile_loc.reports.scene import number, outlines_mm, round_values
+from tactile_loc.reports.scene import trace_outlines_mm, write_number
 
 log = logging.getLogger(__name__)
 
@@ -41,7 +42,7 @@ class Frame:
     @classmethod
     def of(cls, geometry: SensorGeometry) -> Frame:
         """Return the frame of a sensor's images."""
-        return cls(*extent_mm(geometry))
+        return cls(*compute_extent_mm(geometry))
 
     @property
     def width(self) -> float:
@@ -56,12 +57,12 @@ class Frame:
     @property
     def ticks_x(self) -> list[tuple[float, str]]:
         """Round numbers along the lower border, and how they are written."""
-        return [(x, number(x)) for x in round_values(self.left, self.right)]
+        return [(x, write_number(x)) for x in list_round_values(self.left, self.right)]
 
     @property
     def ticks_y(self) -> list[tuple[float, str]]:
         """Round numbers along the left border, and how they are written."""
-        return [(y, number(y)) for y in round_values(self.top, self.bottom)]
+        return [(y, write_number(y)) for y in list_round_values(self.top, self.bottom)]
 
     @property
     def bar_mm(self) -> float:
@@ -70,35 +71,35 @@ class Frame:
         return float(max(k * power for k in (1, 2, 5) if k * power <= self.width / 4 * 1.0001))
 
 
-def shape_png(shape: ContactShape, geometry: SensorGeometry) -> str:
+def draw_shape(shape: ContactShape, geometry: SensorGeometry) -> str:
     """Return a contact shape (H, W) as a data URI: depth from full penetration, transparent without contact."""
     share = shape.depth_m / np.float32(shape.press_depth_m)
-    return _png(share, shape.contact, geometry.observed_mask, DEPTHS)
+    return _encode_shares(share, shape.contact, geometry.observed_mask, DEPTHS)
 
 
-def difference_png(made: ContactShape, observed: ContactShape, geometry: SensorGeometry) -> str:
+def draw_difference(made: ContactShape, observed: ContactShape, geometry: SensorGeometry) -> str:
     """Return by how much deeper `made` presses than `observed` (H, W) as a data URI: red deeper, blue less deep.
 
     The colours end at MOST_APART of the press depth; where both agree it is transparent.
     """
     deeper = (observed.depth_m - made.depth_m) / np.float32(MOST_APART * observed.press_depth_m)
-    return _png(0.5 + 0.5 * deeper, np.abs(deeper) > EQUAL, geometry.observed_mask, DIFFERENCES)
+    return _encode_shares(0.5 + 0.5 * deeper, np.abs(deeper) > EQUAL, geometry.observed_mask, DIFFERENCES)
 
 
-def outline_path(shape: ContactShape, geometry: SensorGeometry) -> str:
+def trace_outline(shape: ContactShape, geometry: SensorGeometry) -> str:
     """Return the border of a contact (H, W) as an SVG path in mm on the sensing surface."""
-    lines = outlines_mm(shape, geometry)
+    lines = trace_outlines_mm(shape, geometry)
     return "".join("M" + "L".join(f"{x:.2f} {y:.2f}" for x, y, _ in line) for line in lines)
 
 
-def photo_png(image: NDArray[np.uint8]) -> str:
+def encode_photo(image: NDArray[np.uint8]) -> str:
     """Return a photo (H, W, 3) as a data URI."""
     from PIL import Image
 
-    return _data_uri(Image.fromarray(image))
+    return _encode_image(Image.fromarray(image))
 
 
-def gallery_picture(path: Path) -> str | None:
+def encode_gallery(path: Path) -> str | None:
     """Return a PNG as a data URI, at most WIDEST_PX wide and with at most COLOURS colours; None if there is none.
 
     A picture that cannot be read is left out with a warning.
@@ -114,10 +115,10 @@ def gallery_picture(path: Path) -> str | None:
         return None
     if small.width > WIDEST_PX:
         small = small.resize((WIDEST_PX, math.ceil(small.height * WIDEST_PX / small.width)), Image.Resampling.LANCZOS)
-    return _data_uri(small.quantize(COLOURS))
+    return _encode_image(small.quantize(COLOURS))
 
 
-def gradient(name: str, steps: int = 9) -> str:
+def write_gradient(name: str, steps: int = 9) -> str:
     """Return a colour scale as CSS, from its low end on the left to its high end on the right."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
@@ -125,7 +126,9 @@ def gradient(name: str, steps: int = 9) -> str:
     return f"linear-gradient(to right, {', '.join(to_hex(c) for c in colormaps[name](np.linspace(0, 1, steps)))})"
 
 
-def _png(share: NDArray[np.floating], shown: NDArray[np.bool_], observed: NDArray[np.bool_], colours: str) -> str:
+def _encode_shares(
+    share: NDArray[np.floating], shown: NDArray[np.bool_], observed: NDArray[np.bool_], colours: str
+) -> str:
     """Shares (H, W), 0 to 1, in colours where they are shown."""
     from matplotlib import colormaps
     from PIL import Image
@@ -136,10 +139,10 @@ def _png(share: NDArray[np.floating], shown: NDArray[np.bool_], observed: NDArra
     palette = (255 * colormaps[colours](np.linspace(0, 1, steps))[:, :3]).round().astype(np.uint8)
     image = Image.fromarray(index)
     image.putpalette([0, 0, 0, *UNSEEN_RGBA[:3], *palette.ravel().tolist()])
-    return _data_uri(image, transparency=bytes([0, UNSEEN_RGBA[3], *[255] * steps]))
+    return _encode_image(image, transparency=bytes([0, UNSEEN_RGBA[3], *[255] * steps]))
 
 
-def _data_uri(image: Any, **options: Any) -> str:
+def _encode_image(image: Any, **options: Any) -> str:
     """A PIL image as a PNG data URI."""
     buffer = io.BytesIO()
     image.save(buffer, "PNG", optimize=True, **options)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
 
 from tactile_loc.core.errors import OutputError, ResultError
-from tactile_loc.reports.page import Page, damage_named, render
+from tactile_loc.reports.page import JSON_OPTIONS, Page, name_damage, render
 from tactile_loc.store.files import write_atomically
 
 KINDS = {"result": "run", "results": "evaluation", "contacts": "contacts", "sweep": "sweep"}
@@ -31,26 +32,29 @@ class Source:
 def find_source(path: Path) -> Source:
     """Return the result that a path names: its folder, or one of its files. Raises ResultError if it names none."""
     if os.path.isdir(path):
-        return _in_folder(path)
+        return _find_in_folder(path)
     kind = KINDS.get(path.stem) if path.suffix in SUFFIXES else None
     if kind is None:
         what = "is no result" if os.path.exists(path) else "does not exist"
-        raise ResultError(f"{path} {what}; give the folder that run, evaluate or sweep wrote, or its {_names()}")
+        raise ResultError(f"{path} {what}; give the folder that run, evaluate or sweep wrote, or its {_list_names()}")
     document = path.with_suffix(".json")
     if not os.path.isfile(document):
         raise ResultError(f"there is no {document}; give the folder that run, evaluate or sweep wrote")
     return Source(kind, document)
 
 
-def page_of(source: Source) -> Page:
+def make_page(source: Source) -> Page:
     """Return the page of a result. Raises ResultError when its files cannot be used."""
     from tactile_loc.reports import evaluation, run, sweep
 
-    kinds = {
-        "run": run.read_page, "evaluation": evaluation.evaluation_page, "contacts": evaluation.contacts_page,
-        "sweep": sweep.sweep_page,
+    makers = {
+        "run": run.make_run_page, "evaluation": evaluation.make_evaluation_page,
+        "contacts": evaluation.make_contacts_page, "sweep": sweep.make_sweep_page,
     }  # fmt: skip
-    return kinds[source.kind](source.path)
+    with name_damage(source.path):
+        page = makers[source.kind](source.path)
+        json.dumps(page.data, **JSON_OPTIONS)  # refuses a number that is not finite
+    return page
 
 
 def write_report(source: Source, out: Path | None = None) -> Path:
@@ -61,8 +65,8 @@ def write_report(source: Source, out: Path | None = None) -> Path:
     path = source.folder / DEFAULT_NAME if out is None else out
     if path.suffix.lower() not in (".html", ".htm"):
         raise OutputError(f"a report is written as .html, not as {path.name}; choose another --out")
-    with damage_named(source.path):
-        return write_page(page_of(source), path)
+    with name_damage(source.path):
+        return write_page(make_page(source), path)
 
 
 def write_page(page: Page, path: Path) -> Path:
@@ -71,19 +75,19 @@ def write_page(page: Page, path: Path) -> Path:
     return write_atomically(path, lambda temporary: temporary.write_bytes(html))
 
 
-def _in_folder(folder: Path) -> Source:
+def _find_in_folder(folder: Path) -> Source:
     found = [Source(kind, folder / f"{name}.json") for name, kind in KINDS.items()]
     found = [source for source in found if source.path.is_file()]
     if not found:
         hint = ""
         if (folder / "results.csv").is_file():
             hint = "; of a folder of touches, give the folder of one"
-        raise ResultError(f"{folder} holds no result: none of {_names()}{hint}")
+        raise ResultError(f"{folder} holds no result: none of {_list_names()}{hint}")
     if len(found) > 1:
         names = " and ".join(source.path.name for source in found)
         raise ResultError(f"{folder} holds several results, {names}; give one of these files")
     return found[0]
 
 
-def _names() -> str:
+def _list_names() -> str:
     return ", ".join(f"{name}.json" for name in KINDS)

@@ -16,7 +16,7 @@ from tactile_loc.locate.doubts import list_doubts
 from tactile_loc.locate.result_arrays import NAME, ResultArrays, TouchArrays, read_arrays
 from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord, TouchRecord, read_record
 from tactile_loc.reports import pictures, scene
-from tactile_loc.reports.distribution import SurfaceDistribution, side_map, surface_distribution, yaw_histogram
+from tactile_loc.reports.distribution import SurfaceDistribution, count_yaws, map_sides, spread_over_surface
 from tactile_loc.reports.page import Page, Section
 
 ALL = 0.999999  # of the probability: what is missing is rounding
@@ -27,64 +27,66 @@ LEAST_SPREAD_MM = 0.5
 BEFORE = ("model",)  # stages that are no part of a localisation
 
 
-def read_page(path: Path) -> Page:
+def make_run_page(path: Path) -> Page:
     """Return the page of a result, given its result.json. Raises ResultError when its files cannot be used."""
     record = read_record(path)
-    return make_page(record, read_arrays(path.with_name(NAME), record))
+    return make_result_page(record, read_arrays(path.with_name(NAME), record))
 
 
-def make_page(record: ResultRecord, arrays: ResultArrays) -> Page:
+def make_result_page(record: ResultRecord, arrays: ResultArrays) -> Page:
     """Return the page of a result that has been read."""
-    data = run_data(record, arrays)
+    data = collect_data(record, arrays)
     truth = record.touch.T_sensor_object is not None
     notes = [*record.object.notes, *list_doubts(record)]
     sections = [
-        Section("summary", "", {"numbers": list(_numbers(record)), "notes": notes}),
-        Section("candidates", "Candidates", {"header": _header(record), "rows": _rows(record), "truth": truth}),
-        Section("contact", "Contact shapes", _contact(record, arrays)),
-        Section("distribution", "Distribution", _distribution(record, arrays, data)),
-        Section("times", "Times", {"built": _built(record)}),
-        Section("made", "Made with", _made(record)),
+        Section("summary", "", {"numbers": list(_list_numbers(record)), "notes": notes}),
+        Section(
+            "candidates", "Candidates", {"header": _list_heads(record), "rows": _list_rows(record), "truth": truth}
+        ),
+        Section("contact", "Contact shapes", _describe_contact(record, arrays)),
+        Section("distribution", "Distribution", _describe_distribution(record, arrays, data)),
+        Section("times", "Times", {"built": _write_build_time(record)}),
+        Section("made", "Made with", _describe_settings(record)),
     ]
     title = f"{record.object.name} on {record.sensor_name}"
-    return Page("run", title, _about(record), sections, data, ["solids.js", "run.js"])
+    return Page("run", title, _write_about(record), sections, data, ["solids.js", "run.js"])
 
 
-def run_data(record: ResultRecord, arrays: ResultArrays) -> dict[str, Any]:
+def collect_data(record: ResultRecord, arrays: ResultArrays) -> dict[str, Any]:
     """Return what the scripts of a run's page draw, as JSON values; millimetres, degrees, per cent."""
     poses = np.array([h.T_sensor_object for h in record.hypotheses], float)
     T_true = record.touch.T_sensor_object
     truth = None if T_true is None else np.array(T_true, float)
-    surface = surface_of(record, arrays)
+    surface = find_surface(record, arrays)
     return {
-        "candidates": [_drawn(h, T) for h, T in zip(record.hypotheses, poses, strict=True)],
-        **scene.sensor_scene(arrays, poses, truth),
-        "surface": scene.surface_scene(surface, poses, truth, arrays.touches[0].geometry),
-        **_rotations(arrays),
+        "candidates": [_describe_candidate(h, T) for h, T in zip(record.hypotheses, poses, strict=True)],
+        **scene.build_sensor_scene(arrays, poses, truth),
+        "surface": scene.build_surface_scene(surface, poses, truth, arrays.touches[0].geometry),
+        **_sum_rotations(arrays),
         "times": [[stage, 1e3 * s] for stage, s in record.seconds.items() if stage not in BEFORE],
     }
 
 
-def surface_of(record: ResultRecord, arrays: ResultArrays) -> SurfaceDistribution:
+def find_surface(record: ResultRecord, arrays: ResultArrays) -> SurfaceDistribution:
     """Return where on the surface the first touch's sensor may be."""
     options = record.configuration.get("grid", {}).get("options", {})
     spacing_mm = options.get("spacing_mm")
     spread_mm = max(SPREAD * float(spacing_mm if isinstance(spacing_mm, (int, float)) else SPACING_MM), LEAST_SPREAD_MM)
     geometry = arrays.touches[0].geometry
-    return surface_distribution(arrays.mesh, arrays.T_sensor_object, arrays.weights, geometry, 1e-3 * spread_mm)
+    return spread_over_surface(arrays.mesh, arrays.T_sensor_object, arrays.weights, geometry, 1e-3 * spread_mm)
 
 
-def _drawn(h: HypothesisRecord, T: NDArray[np.float64]) -> dict[str, Any]:
+def _describe_candidate(h: HypothesisRecord, T: NDArray[np.float64]) -> dict[str, Any]:
     error_mm = None if h.error_m is None else 1e3 * h.error_m
     return {
-        "rank": h.rank, "probability": h.probability, "imprint_iou": h.imprint_iou, "T": scene.rows_mm(T),
+        "rank": h.rank, "probability": h.probability, "imprint_iou": h.imprint_iou, "T": scene.list_rows_mm(T),
         "error_mm": error_mm,
     }  # fmt: skip
 
 
-def _rotations(arrays: ResultArrays) -> dict[str, Any]:
+def _sum_rotations(arrays: ResultArrays) -> dict[str, Any]:
     R, weights = arrays.T_sensor_object[:, :3, :3], arrays.weights
-    yaw, side = yaw_histogram(R, weights), side_map(R, weights)
+    yaw, side = count_yaws(R, weights), map_sides(R, weights)
     return {
         "yaw": {"deg": yaw.yaw_deg.round(3).tolist(), "percent": (100 * yaw.mass).tolist(), "width": yaw.width_deg},
         "side": {
@@ -94,7 +96,7 @@ def _rotations(arrays: ResultArrays) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _about(record: ResultRecord) -> str:
+def _write_about(record: ResultRecord) -> str:
     touch = record.touch
     what = f"touch {touch.name}" if touch.path is not None else f"simulated touch, noise {touch.noise}"
     if record.other_touches:
@@ -103,7 +105,7 @@ def _about(record: ResultRecord) -> str:
     return f"{what}, {pressed}; {record.searched}; {record.created}"
 
 
-def _numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
+def _list_numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
     best = record.hypotheses[0]
     x, y, z, angle_deg, axis = format_pose(np.array(best.T_sensor_object))
     turned = f"of the object in the sensor's frame, turned {angle_deg}° about {axis}"
@@ -123,11 +125,11 @@ def _numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
         yield "error", millimetres(errors.best_m), closest
 
 
-def _header(record: ResultRecord) -> list[str]:
+def _list_heads(record: ResultRecord) -> list[str]:
     return [*COLUMNS, *([] if record.errors is None else ["error (mm)"])]
 
 
-def _rows(record: ResultRecord) -> list[list[str]]:
+def _list_rows(record: ResultRecord) -> list[list[str]]:
     return [
         [
             str(h.rank), f"{100 * h.probability:.1f}", f"{100 * h.imprint_iou:.0f}",
@@ -137,7 +139,7 @@ def _rows(record: ResultRecord) -> list[list[str]]:
     ]  # fmt: skip
 
 
-def _contact(record: ResultRecord, arrays: ResultArrays) -> dict[str, Any]:
+def _describe_contact(record: ResultRecord, arrays: ResultArrays) -> dict[str, Any]:
     """The touches, what each candidate would show instead, and the differences."""
     records = [record.touch, *record.other_touches]
     ious = record.hypotheses[0].imprint_ious or [record.hypotheses[0].imprint_iou]
@@ -145,55 +147,58 @@ def _contact(record: ResultRecord, arrays: ResultArrays) -> dict[str, Any]:
     apart = f"{pictures.MOST_APART * press_mm:.2f}"
     words = (f"\N{MINUS SIGN}{apart} and less", "pressed in less … more than the touch (mm)", f"+{apart} and more")
     return {
-        "touches": [_observed(*one) for one in zip(records, ious, arrays.touches, strict=True)],
-        "depths": (pictures.gradient(pictures.DEPTHS), ("0", "depth from full penetration (mm)", f"{press_mm:.2f}")),
-        "differences": (pictures.gradient(pictures.DIFFERENCES), words),
-        "cards": [(h.rank, _card(h), _shown(i, arrays.touches)) for i, h in enumerate(record.hypotheses)],
+        "touches": [_describe_touch(*one) for one in zip(records, ious, arrays.touches, strict=True)],
+        "depths": (
+            pictures.write_gradient(pictures.DEPTHS),
+            ("0", "depth from full penetration (mm)", f"{press_mm:.2f}"),
+        ),
+        "differences": (pictures.write_gradient(pictures.DIFFERENCES), words),
+        "cards": [(h.rank, _write_card(h), _draw_shown(i, arrays.touches)) for i, h in enumerate(record.hypotheses)],
     }
 
 
-def _observed(record: TouchRecord, imprint_iou: float, touch: TouchArrays) -> dict[str, Any]:
+def _describe_touch(record: TouchRecord, imprint_iou: float, touch: TouchArrays) -> dict[str, Any]:
     best = record.best_imprint_iou
     return {
         "name": record.name,
         "explained": "" if best is None else f"{100 * imprint_iou:.0f} % (another pose: {100 * best:.0f} %)",
         "outlier": record.outlier,
         "frame": pictures.Frame.of(touch.geometry),
-        "outline": pictures.outline_path(touch.shape, touch.geometry),
-        "picture": pictures.shape_png(touch.shape, touch.geometry),
-        "photo": None if touch.image is None else pictures.photo_png(touch.image),
+        "outline": pictures.trace_outline(touch.shape, touch.geometry),
+        "picture": pictures.draw_shape(touch.shape, touch.geometry),
+        "photo": None if touch.image is None else pictures.encode_photo(touch.image),
     }
 
 
-def _card(h: HypothesisRecord) -> str:
+def _write_card(h: HypothesisRecord) -> str:
     off = "" if h.error_m is None else f", {millimetres(h.error_m)} off"
     return f"{percent(h.probability)}, IoU {100 * h.imprint_iou:.0f} %{off}"
 
 
-def _shown(number: int, touches: Sequence[TouchArrays]) -> list[tuple[str, str]]:
+def _draw_shown(number: int, touches: Sequence[TouchArrays]) -> list[tuple[str, str]]:
     """What candidate `number` would show to each touch's sensor, and how that differs from the touch."""
     return [
         (
-            pictures.shape_png(touch.make_shape(number), touch.geometry),
-            pictures.difference_png(touch.make_shape(number), touch.shape, touch.geometry),
+            pictures.draw_shape(touch.make_shape(number), touch.geometry),
+            pictures.draw_difference(touch.make_shape(number), touch.shape, touch.geometry),
         )
         for touch in touches
     ]
 
 
-def _distribution(record: ResultRecord, arrays: ResultArrays, data: dict[str, Any]) -> dict[str, Any]:
+def _describe_distribution(record: ResultRecord, arrays: ResultArrays, data: dict[str, Any]) -> dict[str, Any]:
     held = f"they hold {100 * arrays.mass:.3g} % of the probability"
     return {
         "kept": len(arrays.log_p),
         "searched": record.grid_poses,
         "others": "the others have no probability" if arrays.mass > ALL else held,
         "spread_mm": data["surface"]["spread_mm"],
-        "side": _side_sentence(data["side"]),
+        "side": _write_side(data["side"]),
         "one_side": data["side"]["kind"] == "one",
     }
 
 
-def _side_sentence(side: dict[str, Any]) -> str:
+def _write_side(side: dict[str, Any]) -> str:
     """Which sides of the object can face the sensor, in words."""
     normal = "({:.2f}, {:.2f}, {:.2f})".format(*side["normal"])
     if side["kind"] == "one":
@@ -203,12 +208,12 @@ def _side_sentence(side: dict[str, Any]) -> str:
     return f"Any side can face the sensor; most probable is {normal} in the object's own frame."
 
 
-def _built(record: ResultRecord) -> str:
+def _write_build_time(record: ResultRecord) -> str:
     seconds = record.seconds.get("model")
     return "" if seconds is None else f"{seconds:.3g}"
 
 
-def _made(record: ResultRecord) -> dict[str, Any]:
+def _describe_settings(record: ResultRecord) -> dict[str, Any]:
     obj = record.object
     size = " x ".join(f"{1e3 * v:.1f}" for v in obj.size_m)
     components = [(slot, record.configuration.get(slot, {}).get("name", ""), package)

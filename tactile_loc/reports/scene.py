@@ -16,15 +16,14 @@ from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.drawing.pictures import extent_mm
-from tactile_loc.drawing.pose_panel import GEL_MM, RIM_MM
-from tactile_loc.drawing.raytracing import CREASE_DEG, View, box
+from tactile_loc.drawing.pictures import compute_extent_mm, group_nearby
+from tactile_loc.drawing.pose_panel import GEL_MM, RIM_MM, build_sensor_mm, choose_view, list_round_values
+from tactile_loc.drawing.raytracing import CREASE_DEG, View, compute_normals
 from tactile_loc.locate.result_arrays import ResultArrays, TouchArrays
-from tactile_loc.reports.distribution import SurfaceDistribution, touched_points, vertex_normals
+from tactile_loc.reports.distribution import SurfaceDistribution, compute_vertex_normals, find_touched_vertices
 
 Array = NDArray[np.float64]
 
-AZIMUTHS_DEG = (-55.0, -35.0, 35.0, 55.0, -145.0, -125.0, 125.0, 145.0)
 ELEVATION_DEG = 28.0
 ASIDE_DEG = 25.0  # a peak is seen from the side, lest it be flat
 FIELD_DEG = 45.0
@@ -37,25 +36,25 @@ LIFT_MM, TOGETHER_MM = 1.5, 4.0  # marks are so far above the surface, and those
 AROUND_MM, AXES_MM = 14.0, 10.0
 
 
-def sensor_scene(arrays: ResultArrays, poses: Poses, truth: Array | None) -> dict[str, Any]:
+def build_sensor_scene(arrays: ResultArrays, poses: Poses, truth: Array | None) -> dict[str, Any]:
     """Return the object and the sensors under it, and from where both are seen at the candidates' poses (K, 4, 4)."""
-    pads = [pad(touch) for touch in arrays.touches]
-    bounds = bounds_mm(arrays.mesh, [*poses, *([] if truth is None else [truth])], pads)
-    view = view_of(arrays.mesh, poses[0])
+    pads = [build_pad(touch) for touch in arrays.touches]
+    bounds = compute_bounds_mm(arrays.mesh, [*poses, *([] if truth is None else [truth])], pads)
+    view = choose_view(arrays.mesh, poses[0], ELEVATION_DEG)
     best_mm = 1e3 * transform_points(poses[0], arrays.mesh.vertices_m)
-    seen_mm = np.concatenate([best_mm, *(_points(one["housing"]) for one in pads)])
+    seen_mm = np.concatenate([best_mm, *(_stack_points(one["housing"]) for one in pads)])
     return {
-        "mesh": packed_mesh(arrays.mesh),
-        "creases": [] if truth is None else creases(arrays.mesh),
-        "truth": None if truth is None else rows_mm(truth),
+        "mesh": pack_mesh(arrays.mesh),
+        "creases": [] if truth is None else find_creases(arrays.mesh),
+        "truth": None if truth is None else list_rows_mm(truth),
         "pads": pads,
         "bounds": bounds,
-        "camera": camera_on(seen_mm, bounds, view),
-        "ticks": pad_ticks(arrays.touches[0].geometry, view),
+        "camera": place_camera(seen_mm, bounds, view),
+        "ticks": list_pad_ticks(arrays.touches[0].geometry, view),
     }
 
 
-def surface_scene(
+def build_surface_scene(
     found: SurfaceDistribution, poses: Poses, truth: Array | None, geometry: SensorGeometry
 ) -> dict[str, Any]:
     """Return the object painted with the density, and where candidates (K, 4, 4) and the truth touch it."""
@@ -64,72 +63,66 @@ def surface_scene(
     points_mm = 1e3 * found.mesh.vertices_m
     box_mm = np.stack([points_mm.min(axis=0), points_mm.max(axis=0)], axis=1)
     bounds = (box_mm + np.array([-AROUND_MM, AROUND_MM])).round(2).tolist()
-    view = view_on(found.mesh.vertices_m[int(found.density.argmax())], found.mesh.centroid_m)
-    axes = triad(box_mm, view, AXES_MM)
+    view = choose_view_on(found.mesh.vertices_m[int(found.density.argmax())], found.mesh.centroid_m)
+    axes = build_triad(box_mm, view, AXES_MM)
     return {
-        "mesh": packed_mesh(found.mesh),
-        "log_density": packed(np.maximum(density, high - DECADES), "<f4"),
+        "mesh": pack_mesh(found.mesh),
+        "log_density": pack_array(np.maximum(density, high - DECADES), "<f4"),
         "range": [high - DECADES, high],
-        "marks": _marks(found.mesh, poses, truth, geometry),
+        "marks": _place_marks(found.mesh, poses, truth, geometry),
         "spread_mm": 1e3 * found.spread_m,
         "bounds": bounds,
-        "camera": camera_on(np.concatenate([points_mm, _points(axes["names"])]), bounds, view),
+        "camera": place_camera(np.concatenate([points_mm, _stack_points(axes["names"])]), bounds, view),
         "triad": axes,
     }
 
 
-def _marks(mesh: TriangleMesh, poses: Poses, truth: Array | None, geometry: SensorGeometry) -> dict[str, Any]:
+def _place_marks(mesh: TriangleMesh, poses: Poses, truth: Array | None, geometry: SensorGeometry) -> dict[str, Any]:
     """Where the first candidates and the truth are, a little above the surface; those that are near share a mark."""
     names = [*map(str, range(1, 1 + min(NAMED, len(poses)))), *([] if truth is None else ["true"])]
     named = np.stack([*poses[:NAMED], *([] if truth is None else [truth])])
-    vertices = touched_points(mesh, named, geometry)
-    places = 1e3 * mesh.vertices_m[vertices] + LIFT_MM * vertex_normals(mesh)[vertices]
-    groups: list[list[int]] = []
-    for i, place in enumerate(places):
-        near = next((g for g in groups if np.linalg.norm(places[g[0]] - place) < TOGETHER_MM), None)
-        groups.append([i]) if near is None else near.append(i)
+    vertices = find_touched_vertices(mesh, named, geometry)
+    places = 1e3 * mesh.vertices_m[vertices] + LIFT_MM * compute_vertex_normals(mesh)[vertices]
+    groups = group_nearby(places, TOGETHER_MM)
     at = np.stack([places[group].mean(axis=0) for group in groups])
-    return {**_columns(at), "text": [", ".join(names[i] for i in group) for group in groups]}
+    return {**_split_columns(at), "text": [", ".join(names[i] for i in group) for group in groups]}
 
 
-def packed(values: NDArray[Any], kind: str) -> str:
+def pack_array(values: NDArray[Any], kind: str) -> str:
     """Return an array's numbers, little-endian float32 ("<f4") or int32 ("<i4"), row by row, as base64."""
     return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode()
 
 
-def packed_mesh(mesh: TriangleMesh) -> dict[str, str]:
+def pack_mesh(mesh: TriangleMesh) -> dict[str, str]:
     """Return a surface, its corners in mm."""
-    return {"vertices_mm": packed(1e3 * mesh.vertices_m, "<f4"), "faces": packed(mesh.faces, "<i4")}
+    return {"vertices_mm": pack_array(1e3 * mesh.vertices_m, "<f4"), "faces": pack_array(mesh.faces, "<i4")}
 
 
-def rows_mm(T: Array) -> list[float]:
+def list_rows_mm(T: Array) -> list[float]:
     """Return the rows of [R t] of a transform (4, 4) in metres as twelve numbers, the translation in mm."""
     rows = np.array(T[:3], float)
     rows[:, 3] *= 1e3
     return [round(float(v), 7) for v in rows.ravel()]
 
 
-def pad(touch: TouchArrays) -> dict[str, Any]:
+def build_pad(touch: TouchArrays) -> dict[str, Any]:
     """Return a touch's sensor: its gel, the housing around it, and the outline of its contact; mm, first frame."""
     T = invert(touch.T_sensor_first)
-    lines = [transform_points(T, 1e-3 * line) * 1e3 for line in outlines_mm(touch.shape, touch.geometry)]
-    return {**empty_pad(touch.geometry, T), "contact": polyline(lines)}
+    lines = [transform_points(T, 1e-3 * line) * 1e3 for line in trace_outlines_mm(touch.shape, touch.geometry)]
+    return {**build_empty_pad(touch.geometry, T), "contact": join_lines(lines)}
 
 
-def empty_pad(geometry: SensorGeometry, T: Array) -> dict[str, Any]:
+def build_empty_pad(geometry: SensorGeometry, T: Array) -> dict[str, Any]:
     """Return a sensor's gel and the housing around it, mm, moved by a transform (4, 4) in metres; no contact."""
-    x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
-    top, rim = 1e3 * geometry.surface_m, RIM_MM
-    gel = box((x0, x1), (y0, y1), (top - GEL_MM, top))
-    housing = box((x0 - rim, x1 + rim), (y0 - rim, y1 + rim), (top - 2.2 * GEL_MM, top - 0.4 * GEL_MM))
-    return {"gel": _triangles(gel, T), "housing": _triangles(housing, T), "contact": polyline([])}
+    gel, housing = (_move_triangles(part, T) for part in build_sensor_mm(geometry))
+    return {"gel": gel, "housing": housing, "contact": join_lines([])}
 
 
-def outlines_mm(shape: ContactShape, geometry: SensorGeometry) -> list[Array]:
+def trace_outlines_mm(shape: ContactShape, geometry: SensorGeometry) -> list[Array]:
     """Return the closed borders (P, 3) of a contact (H, W) on the undeformed gel, mm of the sensor frame."""
     from contourpy import contour_generator
 
-    left, right, bottom, top = extent_mm(geometry)
+    left, right, bottom, top = compute_extent_mm(geometry)
     height, width = geometry.shape
     framed = np.pad((shape.contact & geometry.observed_mask).astype(float), 1)  # closed at the image's border
     borders: Any = contour_generator(z=framed).lines(0.5)
@@ -141,11 +134,9 @@ def outlines_mm(shape: ContactShape, geometry: SensorGeometry) -> list[Array]:
     return found
 
 
-def creases(mesh: TriangleMesh) -> list[list[int]]:
+def find_creases(mesh: TriangleMesh) -> list[list[int]]:
     """Return pairs of vertices between which the surface bends sharply or ends, at most MOST_CREASES."""
-    a, b, c = np.moveaxis(mesh.triangles_m, 1, 0)
-    normals = np.cross(b - a, c - a)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    normals = compute_normals(mesh.triangles_m)
     edges = np.sort(np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], -1).reshape(-1, 2), axis=1)
     faces = np.repeat(np.arange(len(mesh.faces)), 3)
     order = np.lexsort((faces, edges[:, 1], edges[:, 0]))
@@ -157,16 +148,16 @@ def creases(mesh: TriangleMesh) -> list[list[int]]:
     return sharp
 
 
-def bounds_mm(mesh: TriangleMesh, poses: Sequence[Array], pads: Iterable[dict[str, Any]]) -> list[list[float]]:
+def compute_bounds_mm(mesh: TriangleMesh, poses: Sequence[Array], pads: Iterable[dict[str, Any]]) -> list[list[float]]:
     """Return the range (low, high) along x, y, z, mm, that holds the object at all poses (4, 4) and the pads."""
     clouds = [1e3 * transform_points(T, mesh.vertices_m) for T in poses]
-    clouds += [_points(one["housing"]) for one in pads]
+    clouds += [_stack_points(one["housing"]) for one in pads]
     low = np.min([cloud.min(axis=0) for cloud in clouds], axis=0)
     high = np.max([cloud.max(axis=0) for cloud in clouds], axis=0)
     return [[round(float(a - MARGIN_MM), 2), round(float(b + MARGIN_MM), 2)] for a, b in zip(low, high, strict=True)]
 
 
-def camera_on(points_mm: Array, bounds: Sequence[Sequence[float]], view: View) -> dict[str, dict[str, float]]:
+def place_camera(points_mm: Array, bounds: Sequence[Sequence[float]], view: View) -> dict[str, dict[str, float]]:
     """Return plotly's camera that sees all points (P, 3), mm, from a view; `bounds` are the axes' ranges.
 
     Plotly's unit is the geometric mean of the ranges, its origin their middle, its angle of view FIELD_DEG.
@@ -181,19 +172,7 @@ def camera_on(points_mm: Array, bounds: Sequence[Sequence[float]], view: View) -
     return {name: {k: round(float(v), 5) for k, v in zip("xyz", place, strict=True)} for name, place in places.items()}
 
 
-def view_of(mesh: TriangleMesh, T_sensor_object: Array) -> View:
-    """Return from where the object at a pose (4, 4), metres, shows most and hides the sensor least."""
-    points_mm = 1e3 * transform_points(T_sensor_object, mesh.vertices_m)
-    scores = {}
-    for azimuth_deg in AZIMUTHS_DEG:
-        view = View(azimuth_deg, ELEVATION_DEG)
-        nearness_mm = float(view.axes[2, :2] @ points_mm.mean(axis=0)[:2])
-        shown = float(np.sqrt(max(np.linalg.det(np.cov(view.project(points_mm).T)), 0.0)))
-        scores[azimuth_deg] = shown * (1 - 0.4 * np.tanh(nearness_mm / 15))
-    return View(max(scores, key=lambda a: scores[a]), ELEVATION_DEG)
-
-
-def view_on(point: Array, centre: Array) -> View:
+def choose_view_on(point: Array, centre: Array) -> View:
     """Return a view from which a point (3,) of a surface lies in front of the surface's centre."""
     x, y, z = point - centre
     azimuth_deg = float(np.degrees(np.arctan2(x, -y)))
@@ -201,57 +180,51 @@ def view_on(point: Array, centre: Array) -> View:
     return View(azimuth_deg + ASIDE_DEG, float(np.clip(elevation_deg, -60, 60)))
 
 
-def triad(box_mm: Array, view: View, length_mm: float) -> dict[str, Any]:
+def build_triad(box_mm: Array, view: View, length_mm: float) -> dict[str, Any]:
     """Return the frame's axes, `length_mm` long, at the lower left of a box (3, 2), mm, as it is seen: lines, names."""
     corners = np.array(np.meshgrid(*box_mm, indexing="ij")).reshape(3, -1).T
     origin_mm = corners[(view.project(corners) @ [1.0, 1.0]).argmin()]
-    lines = polyline([np.stack([origin_mm, end]) for end in origin_mm + length_mm * np.eye(3)])
+    lines = join_lines([np.stack([origin_mm, end]) for end in origin_mm + length_mm * np.eye(3)])
     names = origin_mm + 1.25 * length_mm * np.eye(3)
-    return {"lines": lines, "names": {**_columns(names), "text": ["x", "y", "z"]}}
+    return {"lines": lines, "names": {**_split_columns(names), "text": ["x", "y", "z"]}}
 
 
-def pad_ticks(geometry: SensorGeometry, view: View) -> dict[str, list[Any]]:
+def list_pad_ticks(geometry: SensorGeometry, view: View) -> dict[str, list[Any]]:
     """Return numbers along the two edges of the first sensor's pad that are nearest to the viewer, mm."""
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
     away, z = RIM_MM + 5.5, 1e3 * geometry.surface_m - GEL_MM
     x = x1 + away if view.axes[2, 0] > 0 else x0 - away
     y = y1 + away if view.axes[2, 1] > 0 else y0 - away
     further = 1 + 9 / max(abs(x), abs(y))
-    places = [(v, y) for v in round_values(x0, x1)] + [(x, v) for v in round_values(y0, y1)]
-    text = [number(v) for limits in ((x0, x1), (y0, y1)) for v in round_values(*limits)]
+    places = [(v, y) for v in list_round_values(x0, x1)] + [(x, v) for v in list_round_values(y0, y1)]
+    text = [write_number(v) for limits in ((x0, x1), (y0, y1)) for v in list_round_values(*limits)]
     places += [(0.5 * (x0 + x1), y * further), (x * further, 0.5 * (y0 + y1))]
-    return {**_columns(np.array([(*place, z) for place in places])), "text": [*text, "x (mm)", "y (mm)"]}
+    return {**_split_columns(np.array([(*place, z) for place in places])), "text": [*text, "x (mm)", "y (mm)"]}
 
 
-def round_values(low: float, high: float, most: int = 6) -> list[float]:
-    """Return round numbers from `low` to `high`: as many steps as fit, at most `most`."""
-    step = next((s for s in (1, 2, 5, 10, 20, 50, 100) if (high - low) / s <= most), 200)
-    return [float(k * step) for k in range(int(np.ceil(low / step - 1e-6)), int(np.floor(high / step + 1e-6)) + 1)]
-
-
-def number(value: float) -> str:
+def write_number(value: float) -> str:
     """Write a number shortly, with a true minus."""
     return f"{value:g}".replace("-", "\N{MINUS SIGN}")
 
 
-def _points(columns: Mapping[str, Any]) -> Array:
+def _stack_points(columns: Mapping[str, Any]) -> Array:
     """Points (P, 3) of their coordinates."""
     return np.stack([columns[k] for k in "xyz"], axis=1)
 
 
-def _columns(points: Array) -> dict[str, list[float]]:
+def _split_columns(points: Array) -> dict[str, list[float]]:
     """Points (P, 3) by coordinate."""
     return {name: np.round(points[:, k], 3).tolist() for k, name in enumerate("xyz")}
 
 
-def _triangles(triangles_mm: Array, T: Array) -> dict[str, list[float]]:
+def _move_triangles(triangles_mm: Array, T: Array) -> dict[str, list[float]]:
     """Triangles (F, 3, 3), mm, moved by a transform in metres, as plotly's mesh."""
     corners = transform_points(T, 1e-3 * triangles_mm.reshape(-1, 3)) * 1e3
     numbers = np.arange(len(corners)).reshape(-1, 3)
-    return _columns(corners) | {name: numbers[:, k].tolist() for k, name in enumerate("ijk")}
+    return _split_columns(corners) | {name: numbers[:, k].tolist() for k, name in enumerate("ijk")}
 
 
-def polyline(lines: Sequence[Array]) -> dict[str, list[float | None]]:
+def join_lines(lines: Sequence[Array]) -> dict[str, list[float | None]]:
     """Return lines (P, 3) as one, with gaps between them."""
     columns: dict[str, list[float | None]] = {"x": [], "y": [], "z": []}
     for line in lines:

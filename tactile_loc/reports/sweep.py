@@ -11,7 +11,7 @@ from typing import Any
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.io.records import read_document
 from tactile_loc.io.toml import format_toml
-from tactile_loc.reports.page import Page, Section, damage_named, require_finite
+from tactile_loc.reports.page import Page, Section
 
 FACTORS = ("object", *SLOTS, "noise", "seed", "count")  # and every "slot.option": what a combination is made of
 NOT_COMPONENTS = ("object", "noise", "seed", "count")
@@ -28,19 +28,42 @@ MOST_BEST = 4  # objects whose best combination is named
 Row = dict[str, Any]
 
 
-def sweep_page(path: Path) -> Page:
-    """Return the page of a sweep, given its sweep.json. Raises ResultError when its files cannot be used."""
+def make_sweep_page(path: Path) -> Page:
+    """Return the page of a sweep, given its sweep.json.
+
+    Raises ResultError, or ValueError when it holds no combination.
+    """
     document = read_document(path)
-    with damage_named(path):
-        return require_finite(_page(document, rows_of(document)))
+    rows = read_rows(document)
+    lines = find_measured_lines(rows)
+    failed = [row for row in rows if row.get("error")]
+    good = [row for row in rows if not row.get("error")]
+    factors = find_varying(rows) or [factor for factor in SHOWN_FACTORS if factor in rows[0]]
+    kinds = find_components(rows) if lines else []
+    times = {column: name for column, name in TIMES.items() if column in rows[0]}
+    summary = {"numbers": list(_list_numbers(rows, len(failed), lines)), "count": len(good), "lines": lines}
+    sections = [
+        Section("summary", "", summary),
+        *([Section("time", "Error against time", _describe_times(rows, times))] if lines and times else []),
+        *([Section("effects", "What each component does", {"factors": kinds})] if kinds else []),
+        Section("rows", "Combinations", _tabulate_rows(good, factors, lines)),
+        *([Section("failed", "What failed", _tabulate_failed(failed, factors))] if failed else []),
+        Section("made", "Made with", _describe_settings(document, rows)),
+    ]
+    others = [column for column in dict.fromkeys([*TIMES, *OTHERS]) if column in rows[0]]
+    columns = [*factors, *(line + MEDIAN for line in lines), *others]
+    drawn = [{column: row.get(column) for column in columns} for row in good]
+    data = {"factors": factors, "components": kinds, "rows": drawn}
+    title = f"Sweep: {len(rows)} combinations"
+    return Page("sweep", title, _write_about(document, rows), sections, data, ["errors.js", "sweep.js"])
 
 
-def rows_of(document: Mapping[str, Any]) -> list[Row]:
+def read_rows(document: Mapping[str, Any]) -> list[Row]:
     """Return a sweep's rows: texts of what it is made of, numbers of what came of it, None where there is none.
 
     Raises ValueError when there is no row.
     """
-    rows = [{column: _value(column, value) for column, value in row.items()} for row in document["rows"]]
+    rows = [{column: _read_value(column, value) for column, value in row.items()} for row in document["rows"]]
     if not rows:
         raise ValueError("it holds no combination")
     return rows
@@ -51,24 +74,24 @@ def is_factor(column: str) -> bool:
     return column in FACTORS or (column.partition(".")[0] in SLOTS and "." in column)
 
 
-def varying(rows: Sequence[Row]) -> list[str]:
+def find_varying(rows: Sequence[Row]) -> list[str]:
     """Return the factors that do not have the same value in all rows."""
     return [column for column in rows[0] if is_factor(column) and len({row[column] for row in rows}) > 1]
 
 
-def components(rows: Sequence[Row]) -> list[str]:
+def find_components(rows: Sequence[Row]) -> list[str]:
     """Return the factors that vary and are of the method's making: components and their options."""
-    return [factor for factor in varying(rows) if factor not in NOT_COMPONENTS]
+    return [factor for factor in find_varying(rows) if factor not in NOT_COMPONENTS]
 
 
-def measured_lines(rows: Sequence[Row]) -> list[str]:
+def find_measured_lines(rows: Sequence[Row]) -> list[str]:
     """Return the lines whose median error is known of any row."""
     columns = [c.removesuffix(MEDIAN) for c in rows[0] if c.endswith(MEDIAN)]
     known = [line for line in columns if any(isinstance(row[line + MEDIAN], float) for row in rows)]
     return sorted(known, key=lambda line: LINES.index(line) if line in LINES else len(LINES))
 
 
-def _value(column: str, value: Any) -> Any:
+def _read_value(column: str, value: Any) -> Any:
     if value is None or value == "":
         return None
     if is_factor(column):
@@ -78,31 +101,7 @@ def _value(column: str, value: Any) -> Any:
     return value
 
 
-def _page(document: Mapping[str, Any], rows: Sequence[Row]) -> Page:
-    lines = measured_lines(rows)
-    failed = [row for row in rows if row.get("error")]
-    good = [row for row in rows if not row.get("error")]
-    factors = varying(rows) or [factor for factor in SHOWN_FACTORS if factor in rows[0]]
-    kinds = components(rows) if lines else []
-    times = {column: name for column, name in TIMES.items() if column in rows[0]}
-    summary = {"numbers": list(_numbers(rows, len(failed), lines)), "count": len(good), "lines": lines}
-    sections = [
-        Section("summary", "", summary),
-        *([Section("time", "Error against time", _time(rows, times))] if lines and times else []),
-        *([Section("effects", "What each component does", {"factors": kinds})] if kinds else []),
-        Section("rows", "Combinations", _table(good, factors, lines)),
-        *([Section("failed", "What failed", _failed(failed, factors))] if failed else []),
-        Section("made", "Made with", _made(document, rows)),
-    ]
-    others = [column for column in dict.fromkeys([*TIMES, *OTHERS]) if column in rows[0]]
-    columns = [*factors, *(line + MEDIAN for line in lines), *others]
-    drawn = [{column: row.get(column) for column in columns} for row in good]
-    data = {"factors": factors, "components": kinds, "rows": drawn}
-    title = f"Sweep: {len(rows)} combinations"
-    return Page("sweep", title, _about(document, rows), sections, data, ["errors.js", "sweep.js"])
-
-
-def _about(document: Mapping[str, Any], rows: Sequence[Row]) -> str:
+def _write_about(document: Mapping[str, Any], rows: Sequence[Row]) -> str:
     objects = list(dict.fromkeys(str(row.get("object")) for row in rows))
     touches = {str(row.get("count")) for row in rows} - {"None"}
     count = f"{touches.pop()} simulated touches a combination; " if len(touches) == 1 else ""
@@ -111,8 +110,8 @@ def _about(document: Mapping[str, Any], rows: Sequence[Row]) -> str:
     return f"objects {', '.join(objects)}; {count}{noise}{document.get('created', '')}"
 
 
-def _numbers(rows: Sequence[Row], failed: int, lines: Sequence[str]) -> Iterator[tuple[str, str, str]]:
-    factors = varying(rows)
+def _list_numbers(rows: Sequence[Row], failed: int, lines: Sequence[str]) -> Iterator[tuple[str, str, str]]:
+    factors = find_varying(rows)
     yield "combinations", str(len(rows)), f"that differ in {', '.join(factors) or 'nothing'}"
     yield "failed", str(failed), "combinations that ended with an error"
     if not lines:
@@ -126,28 +125,28 @@ def _numbers(rows: Sequence[Row], failed: int, lines: Sequence[str]) -> Iterator
             yield f"best of {name}", f"{best[column]:.3g} mm", f"median of {lines[0]}: {made}"
 
 
-def _time(rows: Sequence[Row], times: Mapping[str, str]) -> dict[str, Any]:
-    factors = varying(rows) or ["object"]
+def _describe_times(rows: Sequence[Row], times: Mapping[str, str]) -> dict[str, Any]:
+    factors = find_varying(rows) or ["object"]
     return {"times": times, "factors": factors, "first": "refiner" if "refiner" in factors else factors[0]}
 
 
-def _table(rows: Sequence[Row], factors: Sequence[str], lines: Sequence[str]) -> dict[str, Any]:
+def _tabulate_rows(rows: Sequence[Row], factors: Sequence[str], lines: Sequence[str]) -> dict[str, Any]:
     """The headings, (text, whether it is a factor's), and the cells, (text, number to sort by or None, the same)."""
     measures = [line + MEDIAN for line in TABLE_LINES if line in lines]
     columns = [*factors, *measures, *(column for column in OTHERS if rows and column in rows[0])]
     return {
-        "header": [(_heading(column), is_factor(column)) for column in columns],
-        "rows": [[_cell(column, row.get(column)) for column in columns] for row in rows],
+        "header": [(_write_heading(column), is_factor(column)) for column in columns],
+        "rows": [[_format_cell(column, row.get(column)) for column in columns] for row in rows],
     }
 
 
-def _cell(column: str, value: Any) -> tuple[str, str | None, bool]:
+def _format_cell(column: str, value: Any) -> tuple[str, str | None, bool]:
     number = isinstance(value, float)
     text = f"{value:.4g}" if number else "" if value is None else str(value)
     return text, repr(value) if number else None, is_factor(column)
 
 
-def _heading(column: str) -> str:
+def _write_heading(column: str) -> str:
     """A column's name; a measure's with its unit in brackets."""
     if is_factor(column):
         return column
@@ -158,13 +157,13 @@ def _heading(column: str) -> str:
     return name.replace("_", " ")
 
 
-def _failed(rows: Sequence[Row], factors: Sequence[str]) -> dict[str, Any]:
+def _tabulate_failed(rows: Sequence[Row], factors: Sequence[str]) -> dict[str, Any]:
     return {"factors": list(factors), "rows": [[*(row[f] or "" for f in factors), row["error"]] for row in rows]}
 
 
-def _made(document: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
-    factors, first = varying(rows), rows[0]
-    built, plan, versions = (_mapping(document, key) for key in ("built", "plan", "versions"))
+def _describe_settings(document: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
+    factors, first = find_varying(rows), rows[0]
+    built, plan, versions = (_find_mapping(document, key) for key in ("built", "plan", "versions"))
     return {
         "same": [(c, str(first[c])) for c in first if is_factor(c) and c not in factors and first[c] is not None],
         "built": [(stage, count) for stage, count in built.items() if isinstance(count, int)],
@@ -173,6 +172,6 @@ def _made(document: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def _mapping(document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+def _find_mapping(document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     found = document.get(key)
     return found if isinstance(found, Mapping) else {}

@@ -16,7 +16,7 @@ from tactile_loc.core.simulation.noise import noise_level
 from tactile_loc.core.slots.compatibility import require_compatible
 from tactile_loc.core.slots.component import Component
 from tactile_loc.core.slots.registry import SLOTS, registry
-from tactile_loc.evaluation.protocol import PROTOCOL_VERSION, evaluation_key
+from tactile_loc.evaluation.protocol import PROTOCOL_VERSION, make_evaluation_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, TouchConfig
 from tactile_loc.io.meshes import load_object
@@ -56,7 +56,7 @@ def combine(plan: Plan) -> tuple[list[Combination], dict[str, ObjectModel]]:
     components that exclude each other and for a grid that lists no poses.
     """
     objects = _load(plan.objects)
-    described = _Descriptions()
+    described: dict[str, tuple[Component, Any]] = {}
     axes = [objects.items(), *plan.slots.values(), plan.noises, plan.seeds]
     combinations = []
     for places in itertools.product(*(list(enumerate(axis)) for axis in axes)):
@@ -66,12 +66,12 @@ def combine(plan: Plan) -> tuple[list[Combination], dict[str, ObjectModel]]:
             object=obj_config, touch=TouchConfig(noise=noise), seed=seed, **plan.settings,
             **dict(zip(plan.slots, values[1:-2], strict=True)),
         )  # fmt: skip
-        key = combination_key(config, obj, plan.count, described.of(config))
+        key = make_combination_key(config, obj, plan.count, describe_components(config, described))
         combinations.append(Combination(obj.name, config, plan.count, key, place))
     return combinations, {obj.name: obj for _, obj in objects.values()}
 
 
-def in_running_order(combinations: Iterable[Combination]) -> list[Combination]:
+def order_for_running(combinations: Iterable[Combination]) -> list[Combination]:
     """Return combinations in an order in which neighbours share little: first objects differ, then sensors, and so on.
 
     So workers seldom wait for one another's stages, and an interrupted sweep has seen something of everything.
@@ -79,7 +79,7 @@ def in_running_order(combinations: Iterable[Combination]) -> list[Combination]:
     return sorted(combinations, key=lambda combination: combination.place[::-1])
 
 
-def combination_key(config: RunConfig, obj: ObjectModel, count: int, components: Mapping[str, Any]) -> str:
+def make_combination_key(config: RunConfig, obj: ObjectModel, count: int, components: Mapping[str, Any]) -> str:
     """Return a hash of all that decides a row; `components` is what `describe_components` says of its slots."""
     settings = config.model_dump(mode="json", exclude={"object", "top"})
     text = write_canonical_json({
@@ -90,12 +90,33 @@ def combination_key(config: RunConfig, obj: ObjectModel, count: int, components:
     return hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
 
 
-def describe_components(config: RunConfig) -> dict[str, Any]:
-    """Return what identifies the component of each slot, and the sensor's geometry. Raises TactileLocError."""
-    return _Descriptions().of(config)
+def describe_components(config: RunConfig, known: dict[str, tuple[Component, Any]] | None = None) -> dict[str, Any]:
+    """Return what identifies the component of each slot, and the sensor's geometry.
+
+    Each choice is made once and kept in `known`. Raises TactileLocError for one that cannot be made, for components
+    that exclude each other, and for a grid that lists no poses.
+    """
+    known = {} if known is None else known
+    made = {}
+    for slot in SLOTS:
+        chosen: SlotConfig = getattr(config, slot)
+        name = write_canonical_json({"slot": slot, **chosen.model_dump()})
+        if name not in known:
+            component = registry().create(slot, chosen.name, chosen.options)
+            geometry = {"geometry": component.geometry.describe()} if slot == "sensor" else {}
+            known[name] = component, {**component.describe(), **geometry}
+        made[slot] = known[name]
+    components = {slot: component for slot, (component, _) in made.items()}
+    if components["grid"].capabilities.places:
+        raise ConfigError(
+            f"a sweep compares with all poses of a grid, and the grid {config.grid.name!r} lists none; choose a "
+            "grid that lists its poses, such as face"
+        )
+    require_compatible(components, {slot: getattr(config, slot).name for slot in SLOTS})
+    return {slot: described for slot, (_, described) in made.items()}
 
 
-def stages_to_build(
+def find_missing_stages(
     combinations: Iterable[Combination], objects: Mapping[str, ObjectModel], store: Path
 ) -> dict[str, int]:
     """Return how many artifacts of each of STAGES these combinations need that the store lacks; nothing is built.
@@ -105,12 +126,12 @@ def stages_to_build(
     """
     known = StageStore(store)
     missing = {
-        stage for one in combinations for stage in _missing(one, Localizer(one.config, objects[one.object], known))
+        stage for one in combinations for stage in _list_missing(one, Localizer(one.config, objects[one.object], known))
     }
     return {stage: sum(name == stage for name, _ in missing) for stage in STAGES}
 
 
-def model_keys(localizer: Localizer) -> list[StageKey]:
+def list_model_keys(localizer: Localizer) -> list[StageKey]:
     """Return the keys of a localizer's model, in the order of building: the bank at full press comes last."""
     scene, encoder = localizer.coarse_scene, localizer.encoder
     grid = grid_key(scene, localizer.sampler)
@@ -121,9 +142,9 @@ def model_keys(localizer: Localizer) -> list[StageKey]:
     return [grid, shapes, *([] if training is None else [training]), bank]
 
 
-def _missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]]:
+def _list_missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]]:
     """The stages, each with what identifies it, that a combination needs and its localizer's store lacks."""
-    *learned, bank = model_keys(localizer)
+    *learned, bank = list_model_keys(localizer)
     has = localizer.store.get
     missing = {(key.stage, key.digest) for key in (*learned, bank) if has(key) is None}
     whole = all(has(key) is not None for key in learned)  # then asking the localizer for keys builds nothing
@@ -133,36 +154,9 @@ def _missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]]:
     if not fitted:
         missing.add(("temperature", bank.digest))
     touches = SimulatedTouches(one.config.touch.noise, one.config.seed)
-    if not (whole and fitted and has(evaluation_key(localizer, one.count, touches)) is not None):
+    if not (whole and fitted and has(make_evaluation_key(localizer, one.count, touches)) is not None):
         missing.add(("evaluation", one.key))
     return missing
-
-
-class _Descriptions:
-    """Makes every choice of a component once, to see that it can be made and what it says of itself."""
-
-    def __init__(self) -> None:
-        self._known: dict[str, tuple[Component, Any]] = {}
-
-    def of(self, config: RunConfig) -> dict[str, Any]:
-        """What describes the components of all slots, which do not exclude each other, and list poses to compare."""
-        made = {slot: self._one(slot, getattr(config, slot)) for slot in SLOTS}
-        components = {slot: component for slot, (component, _) in made.items()}
-        if components["grid"].capabilities.places:
-            raise ConfigError(
-                f"a sweep compares with all poses of a grid, and the grid {config.grid.name!r} lists none; choose a "
-                "grid that lists its poses, such as face"
-            )
-        require_compatible(components, {slot: getattr(config, slot).name for slot in SLOTS})
-        return {slot: described for slot, (_, described) in made.items()}
-
-    def _one(self, slot: str, chosen: SlotConfig) -> tuple[Component, Any]:
-        name = write_canonical_json({"slot": slot, **chosen.model_dump()})
-        if name not in self._known:
-            component = registry().create(slot, chosen.name, chosen.options)
-            geometry = {"geometry": component.geometry.describe()} if slot == "sensor" else {}
-            self._known[name] = component, {**component.describe(), **geometry}
-        return self._known[name]
 
 
 def _load(configs: Sequence[ObjectConfig]) -> dict[str, tuple[ObjectConfig, ObjectModel]]:

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import mm
 from tactile_loc.core.slots.registry import SLOTS
-from tactile_loc.evaluation.tabular import markdown_table
-from tactile_loc.store.files import write_atomically
+from tactile_loc.evaluation.tabular import format_markdown, write_texts
 from tactile_loc.sweeps.plan import SETTINGS
-from tactile_loc.sweeps.table import IDENTITY
+from tactile_loc.sweeps.sweep import IDENTITY
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -49,18 +48,18 @@ def compare(old: Mapping[str, Any], new: Mapping[str, Any], line: str) -> Compar
     """
     import pandas as pd
 
-    olds, news = _described(old, line), _described(new, line)
+    olds, news = _describe(old, line), _describe(new, line)
     shared = [name for name in olds.columns.intersection(news.columns) if name != ERROR]
-    olds, news = _by_identity(olds, shared), _by_identity(news, shared)
+    olds, news = _index_by_identity(olds, shared), _index_by_identity(news, shared)
     every = olds.index.append(news.index).unique()
-    table = _names(pd.concat([news, olds])).loc[every]
+    table = _name_rows(pd.concat([news, olds])).loc[every]
     table = table.assign(old_mm=olds[ERROR].reindex(every), new_mm=news[ERROR].reindex(every))
     table["ratio"] = (table["new_mm"] / table["old_mm"]).where(table["old_mm"] != 0)
-    table["change"] = _changes(table, every.isin(olds.index), every.isin(news.index))
-    return Comparison(line, table.reset_index(drop=True), _differing(old["versions"], new["versions"]))
+    table["change"] = _name_changes(table, every.isin(olds.index), every.isin(news.index))
+    return Comparison(line, table.reset_index(drop=True), _find_differing(old["versions"], new["versions"]))
 
 
-def summary(comparison: Comparison) -> str:
+def summarise(comparison: Comparison) -> str:
     """Say in one sentence how many combinations changed how."""
     marks = (WORSE, BETTER, FAILED, ONLY_OLD, ONLY_NEW)
     counts = ", ".join(f"{comparison.count(mark)} {mark}" for mark in marks if comparison.count(mark))
@@ -68,30 +67,30 @@ def summary(comparison: Comparison) -> str:
     return f"{len(comparison.table)} combinations, {counts or 'none changed'} (by more than {percent})"
 
 
-def as_text(comparison: Comparison) -> pd.DataFrame:
+def format_texts(comparison: Comparison) -> pd.DataFrame:
     """Return the table as it is written: errors in mm and ratios as texts, empty where there is none."""
-    errors = {name: comparison.table[name].map(_mm) for name in ("old_mm", "new_mm")}
+    errors = {name: comparison.table[name].map(_format_mm) for name in ("old_mm", "new_mm")}
     ratio = comparison.table["ratio"].map(lambda value: "" if np.isnan(value) else f"{value:.3f}")
     return comparison.table.assign(**errors, ratio=ratio)
 
 
 def write_comparison(out: Path, comparison: Comparison) -> list[Path]:
     """Write compare.md and compare.csv into the folder `out` and return their paths. Raises OutputError."""
-    table = as_text(comparison)
-    texts = {"md": "\n".join(_markdown(comparison, table)), "csv": table.to_csv(index=False, lineterminator="\n")}
-    return [_write(out / f"compare.{suffix}", text) for suffix, text in texts.items()]
+    table = format_texts(comparison)
+    markdown, csv = "\n".join(_format_markdown(comparison, table)), str(table.to_csv(index=False, lineterminator="\n"))
+    return write_texts(out, "compare", md=markdown, csv=csv)
 
 
-def _markdown(comparison: Comparison, table: pd.DataFrame) -> Iterator[str]:
+def _format_markdown(comparison: Comparison, table: pd.DataFrame) -> Iterator[str]:
     yield f"# Two sweeps: {comparison.line}\n"
-    yield f"Median error of `{comparison.line}`, mm. {summary(comparison)}.\n"
-    yield markdown_table(list(table.columns), table.to_numpy().tolist())
+    yield f"Median error of `{comparison.line}`, mm. {summarise(comparison)}.\n"
+    yield format_markdown([list(table.columns), *table.to_numpy().tolist()])
     yield "Versions that differ:\n"
     differing = [[name, *both] for name, both in comparison.versions.items()] or [["none", "", ""]]
-    yield markdown_table(["", "old", "new"], differing)
+    yield format_markdown([["", "old", "new"], *differing])
 
 
-def _described(record: Mapping[str, Any], line: str) -> pd.DataFrame:
+def _describe(record: Mapping[str, Any], line: str) -> pd.DataFrame:
     """What each row is, as texts, by IDENTITY, SETTINGS and all options "slot.component.option"; and its error, mm."""
     import pandas as pd
 
@@ -99,12 +98,12 @@ def _described(record: Mapping[str, Any], line: str) -> pd.DataFrame:
     for row in record["rows"]:
         settings = row["configuration"]
         identity = {name: row[name] for name in IDENTITY} | {name: settings.get(name) for name in SETTINGS}
-        texts = {name: str(value) for name, value in {**identity, **_options(settings)}.items()}
+        texts = {name: str(value) for name, value in {**identity, **_list_options(settings)}.items()}
         found.append({**texts, ERROR: row.get(f"{line}_median_mm")})
     return pd.DataFrame(found).astype({ERROR: float})
 
 
-def _options(settings: Mapping[str, Any]) -> dict[str, Any]:
+def _list_options(settings: Mapping[str, Any]) -> dict[str, Any]:
     chosen = {slot: settings[slot] for slot in SLOTS}
     return {
         f"{slot}.{one['name']}.{option}": value
@@ -113,7 +112,7 @@ def _options(settings: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _by_identity(rows: pd.DataFrame, shared: list[str]) -> pd.DataFrame:
+def _index_by_identity(rows: pd.DataFrame, shared: list[str]) -> pd.DataFrame:
     """Rows by what they are; options that the other sweep's components do not have are left out if nothing is lost.
 
     Of rows of one identity the first counts.
@@ -123,7 +122,7 @@ def _by_identity(rows: pd.DataFrame, shared: list[str]) -> pd.DataFrame:
     return named[~named.index.duplicated()]
 
 
-def _names(rows: pd.DataFrame) -> pd.DataFrame:
+def _name_rows(rows: pd.DataFrame) -> pd.DataFrame:
     """What tells rows apart: of IDENTITY what differs, the object always, and options that differ within a component.
 
     An option is called "slot.option", and empty where a component lacks it.
@@ -140,7 +139,7 @@ def _names(rows: pd.DataFrame) -> pd.DataFrame:
     return named.fillna("")
 
 
-def _changes(table: pd.DataFrame, in_old: NDArray[np.bool_], in_new: NDArray[np.bool_]) -> NDArray[np.str_]:
+def _name_changes(table: pd.DataFrame, in_old: NDArray[np.bool_], in_new: NDArray[np.bool_]) -> NDArray[np.str_]:
     old_mm, new_mm = table["old_mm"], table["new_mm"]
     conditions = {
         ONLY_NEW: ~in_old, ONLY_OLD: ~in_new, FAILED: old_mm.isna() | new_mm.isna(),
@@ -149,14 +148,10 @@ def _changes(table: pd.DataFrame, in_old: NDArray[np.bool_], in_new: NDArray[np.
     return np.select(list(conditions.values()), list(conditions), "")
 
 
-def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+def _find_differing(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, tuple[str, str]]:
     both = {name: (old.get(name, "-"), new.get(name, "-")) for name in {**old, **new}}
     return {name: pair for name, pair in both.items() if pair[0] != pair[1]}
 
 
-def _mm(value: float) -> str:
+def _format_mm(value: float) -> str:
     return "" if np.isnan(value) else mm(1e-3 * value)
-
-
-def _write(path: Path, text: str) -> Path:
-    return write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

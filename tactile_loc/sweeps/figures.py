@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.slots.registry import SLOTS
-from tactile_loc.drawing.pictures import make_figure
+from tactile_loc.drawing.pictures import group_nearby, make_figure
 from tactile_loc.evaluation.figures import COLOURS
-from tactile_loc.sweeps.plan import choice_labels, varying
-from tactile_loc.sweeps.sweep import Sweep, mean_of_all
+from tactile_loc.sweeps.plan import find_varying_slots, name_choices
+from tactile_loc.sweeps.sweep import Sweep, average_all
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.transforms import Bbox
 
 MARKERS = "osD^vP*Xh<>"
 FRONT, INK, FAINT = "#c53030", "#1a202c", "#cbd5e0"
@@ -41,20 +42,20 @@ class Point:
     time_ms: float
 
 
-def points(sweep: Sweep, line: str, noise: str) -> list[Point]:
+def list_points(sweep: Sweep, line: str, noise: str) -> list[Point]:
     """Return a point for each combination of components that ended well on all objects, in the plan's order."""
-    medians = sweep.medians(line)
+    medians = sweep.compute_medians(line)
     of_noise = medians[medians["noise"] == noise]
     logs = np.log(of_noise[["error_mm", "time_ms"]].clip(lower=LEAST_MM))
     keys = [of_noise[name] for name in (*SLOTS, "label")]
-    means = np.exp(logs.groupby(keys, sort=False).agg(mean_of_all)).dropna()
+    means = np.exp(logs.groupby(keys, sort=False).agg(average_all)).dropna()
     return [
         Point(str(label), tuple(choices), *row)
         for (*choices, label), row in zip(means.index, means.to_numpy(), strict=True)
     ]
 
 
-def pareto(found: Sequence[Point]) -> list[Point]:
+def find_pareto_front(found: Sequence[Point]) -> list[Point]:
     """Return the points that no other beats in both error and time, by rising time."""
     front: list[Point] = []
     for point in sorted(found, key=lambda p: (p.time_ms, p.error_mm)):
@@ -63,16 +64,16 @@ def pareto(found: Sequence[Point]) -> list[Point]:
     return front
 
 
-def effects(sweep: Sweep, line: str) -> dict[str, dict[str, NDArray[np.float64]]]:
+def compute_effects(sweep: Sweep, line: str) -> dict[str, dict[str, NDArray[np.float64]]]:
     """Return, for each slot that varies and each of its choices, natural logarithms (K,) of error ratios.
 
     A ratio is that of the error with this choice to the geometric mean over all choices of the slot, all else the same;
     K counts what else there is: objects, noises, and the other slots' choices, where no choice failed.
     """
-    medians, labels = sweep.medians(line), choice_labels(sweep.plan)
+    medians, labels = sweep.compute_medians(line), name_choices(sweep.plan)
     logs = medians.assign(log=np.log(medians["error_mm"].clip(lower=LEAST_MM)))
     found = {}
-    for slot in varying(sweep.plan):
+    for slot in find_varying_slots(sweep.plan):
         others = ["object", "noise", *(other for other in SLOTS if other != slot)]
         choices = logs.pivot(index=others, columns=slot, values="log").dropna()
         ratios = choices.sub(choices.mean(axis=1), axis=0)
@@ -86,7 +87,7 @@ def draw_error_time(sweep: Sweep, line: str) -> Figure | None:
     Error and time are geometric means over the objects of medians over touches. The Pareto front is drawn, and its
     names are bold. Returns None when no combination ended well on all objects.
     """
-    panels = {noise: found for noise in sweep.plan.noises if (found := points(sweep, line, noise))}
+    panels = {noise: found for noise in sweep.plan.noises if (found := list_points(sweep, line, noise))}
     if not panels:
         return None
     listed = min(MOST_LISTED, max(map(len, panels.values())))
@@ -96,18 +97,18 @@ def draw_error_time(sweep: Sweep, line: str) -> Figure | None:
     axes: NDArray[Any] = figure.subplots(len(panels), 2, squeeze=False, width_ratios=[PANEL, aside])
     style = _Style(sweep)
     for (noise, found), (left, right) in zip(panels.items(), axes, strict=True):
-        front = pareto(found)
+        front = find_pareto_front(found)
         numbers = {p.choices: i + 1 for i, p in enumerate(sorted(found, key=lambda p: (p.error_mm, p.time_ms)))}
         _draw_points(left, found, front, numbers, style)
         left.set_title(f"noise: {noise}", size=11)
         left.set_ylabel(f"median error of {line} (mm)")
         left.set_xlabel("median time a touch, one pose refined (ms)")
-        _list(right, found, front, numbers)
+        _write_list(right, found, front, numbers)
     objects = [one.path.rpartition("/")[2] for one in sweep.plan.objects]
     among = "" if len(objects) == 1 else "geometric mean over "
     title = f"Error against time: {among}{', '.join(objects)}; {sweep.plan.count} touches each"
     figure.suptitle(textwrap.fill(title, 100), size=13, weight="bold")
-    figure.legend(handles=style.handles(), loc="outside lower left", ncols=6, frameon=False, fontsize=9)
+    figure.legend(handles=style.make_handles(), loc="outside lower left", ncols=6, frameon=False, fontsize=9)
     return figure
 
 
@@ -117,7 +118,7 @@ def draw_effects(sweep: Sweep, line: str) -> Figure | None:
     A dot is one setting of everything else; the line its geometric mean, with its value. Returns None when no slot
     varies, or none has all its choices anywhere.
     """
-    found = {slot: ratios for slot, ratios in effects(sweep, line).items() if min(map(len, ratios.values()))}
+    found = {slot: ratios for slot, ratios in compute_effects(sweep, line).items() if min(map(len, ratios.values()))}
     if not found:
         return None
     heights = [0.62 + 0.42 * len(ratios) for ratios in found.values()]
@@ -137,17 +138,17 @@ class _Style:
     """A colour for each choice of one slot, a marker for each of another."""
 
     def __init__(self, sweep: Sweep) -> None:
-        slots = [slot for slot in BY_COLOUR if slot in varying(sweep.plan)]
-        self._labels = choice_labels(sweep.plan)
+        slots = [slot for slot in BY_COLOUR if slot in find_varying_slots(sweep.plan)]
+        self._labels = name_choices(sweep.plan)
         self._places = {slot: list(sweep.plan.slots).index(slot) for slot in slots}
         self._colour, self._marker = [*slots, None, None][:2]
 
-    def of(self, point: Point) -> dict[str, Any]:
+    def choose(self, point: Point) -> dict[str, Any]:
         """How a point is drawn."""
         colour = COLOURS[self._index(point, self._colour) % len(COLOURS)]
         return {"color": colour, "marker": MARKERS[self._index(point, self._marker) % len(MARKERS)]}
 
-    def handles(self) -> list[Any]:
+    def make_handles(self) -> list[Any]:
         """What explains colours, markers and the front."""
         from matplotlib.lines import Line2D
 
@@ -171,8 +172,8 @@ def _draw_points(
     axes.margins(0.07)
     axes.step([p.time_ms for p in front], [p.error_mm for p in front], where="post", color=FRONT, lw=1.4, zorder=2)
     for point in found:
-        axes.plot(point.time_ms, point.error_mm, ms=7, ls="", mec="white", mew=0.7, zorder=3, **style.of(point))
-    for label in place_labels(_places_pt(axes, found), [numbers[point.choices] for point in found]):
+        axes.plot(point.time_ms, point.error_mm, ms=7, ls="", mec="white", mew=0.7, zorder=3, **style.choose(point))
+    for label in place_labels(_locate_points(axes, found), [numbers[point.choices] for point in found]):
         at, best = found[label.members[0]], any(found[i] in front for i in label.members)
         axes.annotate(
             label.text, (at.time_ms, at.error_mm), label.offset_pt, textcoords="offset points", ha=label.alignment,
@@ -180,14 +181,14 @@ def _draw_points(
         )  # fmt: skip
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(lambda value, _: f"{value:g}")
-        axis.set_minor_formatter(lambda value, _: f"{value:g}" if _leading(value) in (2, 5) else "")
+        axis.set_minor_formatter(lambda value, _: f"{value:g}" if _find_leading_digit(value) in (2, 5) else "")
         axis.set_tick_params(which="both", labelsize=9)
     axes.set_axisbelow(True)
     axes.grid(which="both", color="#edf2f7", lw=0.8)
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _list(
+def _write_list(
     axes: Axes, found: Sequence[Point], front: Sequence[Point], numbers: Mapping[tuple[int, ...], int]
 ) -> None:  # fmt: skip
     """The names of the numbered points, the best first."""
@@ -204,7 +205,7 @@ def _list(
         axes.set_title(f"the front and the best others, {len(rows)} of {len(ordered)}", size=9, loc="left")
 
 
-def _places_pt(axes: Axes, found: Sequence[Point]) -> NDArray[np.float64]:
+def _locate_points(axes: Axes, found: Sequence[Point]) -> NDArray[np.float64]:
     """Where points (N, 2) lie in a panel, in points of 1/72 inch, about: margins are still to be laid out."""
     figure = axes.get_figure()
     height = (figure.get_figheight() if figure else 1.0) / axes.get_gridspec().nrows  # type: ignore[union-attr]
@@ -242,7 +243,7 @@ def _scale_ratios(axes: Axes, values: NDArray[np.float64]) -> None:
     axes.set_xlim(-reach, reach)
 
 
-def _leading(value: float) -> int:
+def _find_leading_digit(value: float) -> int:
     return int(f"{value:e}"[0])
 
 
@@ -268,23 +269,23 @@ def place_labels(places_pt: NDArray[np.float64], numbers: Sequence[int]) -> list
 
     Points that all but coincide share one. The first of OFFSETS where nothing is covered is taken, if there is one.
     """
-    markers = [_box(x, y - MARKER / 2, MARKER, MARKER, 0) for x, y in places_pt]
-    taken: list[NDArray[np.float64]] = []
+    markers = [_make_box(x, y - MARKER / 2, MARKER, MARKER, 0) for x, y in places_pt]
+    taken: list[Bbox] = []
     labels = []
-    for members in _coinciding(places_pt):
-        text = in_ranges([numbers[i] for i in members])
+    for members in map(tuple, group_nearby(places_pt, MARKER / 2, np.inf)):
+        text = write_ranges([numbers[i] for i in members])
         x, y = places_pt[members[0]]
-        boxes = [_box(x + dx, y + dy, DIGIT * len(text), LINE, dx) for dx, dy in OFFSETS]
+        boxes = [_make_box(x + dx, y + dy, DIGIT * len(text), LINE, dx) for dx, dy in OFFSETS]
         own = set(members)
         others = [*taken, *(box for i, box in enumerate(markers) if i not in own)]
-        free = [k for k, box in enumerate(boxes) if not any(_overlap(box, other) for other in others)]
+        free = [k for k, box in enumerate(boxes) if not any(box.fully_overlaps(other) for other in others)]
         chosen = free[0] if free else 0
         taken.append(boxes[chosen])
         labels.append(NumberLabel(text, members, OFFSETS[chosen]))
     return labels
 
 
-def in_ranges(numbers: Sequence[int]) -> str:
+def write_ranges(numbers: Sequence[int]) -> str:
     """Write whole numbers in order: 1, 3-5."""
     runs: list[list[int]] = []
     for number in sorted(numbers):
@@ -296,24 +297,9 @@ def in_ranges(numbers: Sequence[int]) -> str:
     return ", ".join(texts)
 
 
-def _coinciding(places_pt: NDArray[np.float64]) -> list[tuple[int, ...]]:
-    """Points, each with those that are hidden behind it."""
-    groups: list[list[int]] = []
-    for i, place in enumerate(places_pt):
-        near = (group for group in groups if np.abs(places_pt[group[0]] - place).max() < MARKER / 2)
-        group = next(near, None)
-        if group is None:
-            groups.append([i])
-        else:
-            group.append(i)
-    return [tuple(group) for group in groups]
+def _make_box(x: float, y: float, width: float, height: float, side: float) -> Bbox:
+    """A box right of x, left of it or about it, as `side` is positive, negative or zero."""
+    from matplotlib.transforms import Bbox
 
-
-def _box(x: float, y: float, width: float, height: float, side: float) -> NDArray[np.float64]:
-    """A box (left, bottom, right, top) right of x, left of it or about it, as `side` is positive, negative or zero."""
     left = x - width * (0.5 if side == 0 else 0.0 if side > 0 else 1.0)
-    return np.array([left, y, left + width, y + height])
-
-
-def _overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    return bool((a[:2] < b[2:]).all() and (b[:2] < a[2:]).all())
+    return Bbox.from_bounds(left, y, width, height)

@@ -65,12 +65,14 @@ class Plan:
                 raise ConfigError(f"{source} has an unknown entry {key!r}.{near} Known: {', '.join(KEYS)}")
         options = read_options(values.get("option", []), source)
         return cls(
-            objects=_objects(as_list(values.get("object", list(DEMO_OBJECTS)), "object", source), source),
-            slots={slot: _choices(slot, values, options.get(slot, {}), source) for slot in SLOTS},
-            noises=_noises(as_list(values.get("noise", DEFAULT_NOISE), "noise", source)),
-            seeds=whole_numbers(values.get("seed", 0), "seed", source, least=0),
-            count=_one(whole_numbers(values.get("count", DEFAULT_COUNT), "count", source, least=1), source),
-            settings=_settings(values, source),
+            objects=_read_objects(list_values(values.get("object", list(DEMO_OBJECTS)), "object", source), source),
+            slots={slot: _read_choices(slot, values, options.get(slot, {}), source) for slot in SLOTS},
+            noises=_read_noises(list_values(values.get("noise", DEFAULT_NOISE), "noise", source)),
+            seeds=read_whole_numbers(values.get("seed", 0), "seed", source, least=0),
+            count=_require_one(
+                read_whole_numbers(values.get("count", DEFAULT_COUNT), "count", source, least=1), source
+            ),
+            settings=_read_settings(values, source),
         )
 
     def describe(self) -> dict[str, Any]:
@@ -82,7 +84,7 @@ class Plan:
         }  # fmt: skip
 
 
-def _objects(entries: Sequence[Any], source: str) -> tuple[ObjectConfig, ...]:
+def _read_objects(entries: Sequence[Any], source: str) -> tuple[ObjectConfig, ...]:
     """Objects without repetitions; paths are absolute, since workers may run elsewhere."""
     found = []
     for entry in entries:
@@ -96,22 +98,22 @@ def _objects(entries: Sequence[Any], source: str) -> tuple[ObjectConfig, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _choices(slot: str, values: Mapping[str, Any], options: Mapping[str, list[Any]], source: str) -> Any:
+def _read_choices(slot: str, values: Mapping[str, Any], options: Mapping[str, list[Any]], source: str) -> Any:
     default = LISTED.name if slot == "grid" else choose_component(slot, LISTED.name).name
-    named = [_component(slot, entry, source) for entry in as_list(values.get(slot, default), slot, source)]
+    named = [_read_component(slot, entry, source) for entry in list_values(values.get(slot, default), slot, source)]
     return expand(slot, named, options)
 
 
-def _component(slot: str, entry: Any, source: str) -> SlotConfig:
+def _read_component(slot: str, entry: Any, source: str) -> SlotConfig:
     if isinstance(entry, str):
         entry = {"name": entry}
     if not (isinstance(entry, dict) and isinstance(entry.get("name"), str)):
         raise ConfigError(f"{source} has the {slot} {entry!r}; write a name, or a table with name and options")
     chosen = SlotConfig(name=entry["name"], options={k: v for k, v in entry.items() if k != "name"})
-    return _sensor(chosen) if slot == "sensor" else chosen
+    return _resolve_sensor(chosen) if slot == "sensor" else chosen
 
 
-def _sensor(chosen: SlotConfig) -> SlotConfig:
+def _resolve_sensor(chosen: SlotConfig) -> SlotConfig:
     """A sensor by its name, or by the path of its description or calibration, which becomes absolute."""
     path = chosen.options.get("path")
     if kind := find_sensor_kind(chosen.name):
@@ -123,19 +125,19 @@ def _sensor(chosen: SlotConfig) -> SlotConfig:
     return chosen
 
 
-def _noises(values: Sequence[Any]) -> tuple[str, ...]:
+def _read_noises(values: Sequence[Any]) -> tuple[str, ...]:
     for value in values:
         noise_level(str(value))
     return tuple(dict.fromkeys(map(str, values)))
 
 
-def _one(values: tuple[int, ...], source: str) -> int:
+def _require_one(values: tuple[int, ...], source: str) -> int:
     if len(values) > 1:
         raise ConfigError(f"{source} has several counts; give one, so that all combinations are asked about the same")
     return values[0]
 
 
-def _settings(values: Mapping[str, Any], source: str) -> dict[str, Any]:
+def _read_settings(values: Mapping[str, Any], source: str) -> dict[str, Any]:
     """The other settings of a run, as they are after validation."""
     config = RunConfig.from_dict({key: values[key] for key in SETTINGS if key in values}, source)
     return {key: getattr(config, key) for key in SETTINGS}
@@ -149,17 +151,17 @@ def expand(slot: str, named: Sequence[SlotConfig], options: Mapping[str, Sequenc
     known = {chosen.name: set(registry().load(slot, chosen.name).Options.model_fields) for chosen in named}
     foreign = [option for option in options if not any(option in fields for fields in known.values())]
     if foreign:  # of the first component, whose error names the options that it has
-        _resolved(slot, named[0].name, {foreign[0]: options[foreign[0]][0]})
+        _resolve(slot, named[0].name, {foreign[0]: options[foreign[0]][0]})
     found: dict[str, SlotConfig] = {}
     for chosen in named:
         own = {option: values for option, values in options.items() if option in known[chosen.name]}
         for values in itertools.product(*own.values()):
-            choice = _resolved(slot, chosen.name, {**chosen.options, **dict(zip(own, values, strict=True))})
+            choice = _resolve(slot, chosen.name, {**chosen.options, **dict(zip(own, values, strict=True))})
             found.setdefault(write_canonical_json(choice.model_dump()), choice)
     return tuple(found.values())
 
 
-def varied_options(choices: Sequence[SlotConfig]) -> list[str]:
+def find_varied_options(choices: Sequence[SlotConfig]) -> list[str]:
     """Return the options that tell choices of the same component apart, in the order of its options."""
     varied: dict[str, None] = {}
     for chosen in choices:
@@ -170,28 +172,31 @@ def varied_options(choices: Sequence[SlotConfig]) -> list[str]:
     return list(varied)
 
 
-def label(chosen: SlotConfig, varied: Sequence[str]) -> str:
+def name_choice(chosen: SlotConfig, varied: Sequence[str]) -> str:
     """Name a choice: its component, and those of its options that vary."""
-    shown = [f"{option}={_short(chosen.options[option])}" for option in varied if option in chosen.options]
+    shown = [f"{option}={_shorten(chosen.options[option])}" for option in varied if option in chosen.options]
     return " ".join([chosen.name, *shown])
 
 
-def choice_labels(plan: Plan) -> dict[str, list[str]]:
+def name_choices(plan: Plan) -> dict[str, list[str]]:
     """Return the name of each choice of each slot, with those of its options that vary."""
-    return {slot: [label(one, varied_options(choices)) for one in choices] for slot, choices in plan.slots.items()}
+    return {
+        slot: [name_choice(one, find_varied_options(choices)) for one in choices]
+        for slot, choices in plan.slots.items()
+    }
 
 
-def varying(plan: Plan) -> list[str]:
+def find_varying_slots(plan: Plan) -> list[str]:
     """Return the slots that have several choices."""
     return [slot for slot, choices in plan.slots.items() if len(choices) > 1]
 
 
-def _resolved(slot: str, name: str, options: Mapping[str, Any]) -> SlotConfig:
+def _resolve(slot: str, name: str, options: Mapping[str, Any]) -> SlotConfig:
     complete = validate_options(registry().load(slot, name).Options, options, f"{slot} {name!r}")
     return SlotConfig(name=name, options=complete.model_dump(mode="json"))
 
 
-def _short(value: Any) -> str:
+def _shorten(value: Any) -> str:
     if isinstance(value, str):
         return PurePath(value).name if "/" in value else value
     return f"{value:g}" if isinstance(value, float) else json.dumps(value)
@@ -223,7 +228,7 @@ def split_all(words: Iterable[str]) -> list[str]:
     return [value for word in words for value in split_values(word)]
 
 
-def as_list(value: Any, key: str, source: str) -> list[Any]:
+def list_values(value: Any, key: str, source: str) -> list[Any]:
     """Return the values of a key: a list's, or the one that stands alone. Raises ConfigError for an empty list."""
     values = value if isinstance(value, list) else [value]
     if not values:
@@ -231,10 +236,10 @@ def as_list(value: Any, key: str, source: str) -> list[Any]:
     return values
 
 
-def whole_numbers(value: Any, key: str, source: str, least: int) -> tuple[int, ...]:
+def read_whole_numbers(value: Any, key: str, source: str, least: int) -> tuple[int, ...]:
     """Return whole numbers, each once. Raises ConfigError for anything else, or one below `least`."""
     found = []
-    for entry in as_list(value, key, source):
+    for entry in list_values(value, key, source):
         is_number = isinstance(entry, int) and not isinstance(entry, bool)
         if not (is_number or (isinstance(entry, str) and entry.strip().isdecimal())) or int(entry) < least:
             raise ConfigError(f"{source} has {key} = {entry!r}; it must be a whole number, {least} or more")
@@ -248,9 +253,9 @@ def read_options(given: Any, source: str) -> Options:
     Words of the same option add up. Raises ConfigError for another form or an unknown slot.
     """
     if isinstance(given, dict):
-        return _from_table(given, source)
+        return _read_table(given, source)
     found: Options = {}
-    for word in as_list(given, "option", source) if given else []:
+    for word in list_values(given, "option", source) if given else []:
         target, equals, text = str(word).partition("=")
         values = split_values(text) if equals else []
         read = [parse_overrides([f"{target}={value}"]) for value in values] or [parse_overrides([str(word)])]
@@ -265,11 +270,13 @@ def merge_options(first: Options, second: Options) -> Options:
     return {slot: {**first.get(slot, {}), **second.get(slot, {})} for slot in {**first, **second}}
 
 
-def _from_table(table: dict[str, Any], source: str) -> Options:
+def _read_table(table: dict[str, Any], source: str) -> Options:
     found: Options = {}
     for slot, options in table.items():
         if not isinstance(options, dict):
             raise ConfigError(f"{source} has option.{slot} = {options!r}; write it as option.grid.spacing_mm = [3, 4]")
         parse_overrides(f"{slot}.{option}=0" for option in options)  # refuses a slot that is none
-        found[slot] = {option: as_list(values, f"option.{slot}.{option}", source) for option, values in options.items()}
+        found[slot] = {
+            option: list_values(values, f"option.{slot}.{option}", source) for option, values in options.items()
+        }
     return found

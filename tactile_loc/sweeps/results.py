@@ -8,17 +8,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc.core.errors import ConfigError, did_you_mean
+from tactile_loc.core.errors import ConfigError, OutputError, did_you_mean
 from tactile_loc.core.formatting import mm
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION
-from tactile_loc.evaluation.tabular import markdown_table
+from tactile_loc.evaluation.tabular import format_json, format_markdown, write_texts
 from tactile_loc.io.records import read_versions
 from tactile_loc.store.files import read_json, write_atomically
 from tactile_loc.sweeps.figures import draw_effects, draw_error_time
-from tactile_loc.sweeps.sweep import Sweep
-from tactile_loc.sweeps.table import IDENTITY, csv_text, write_parquet
+from tactile_loc.sweeps.sweep import IDENTITY, Sweep
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,12 +39,8 @@ def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
     Pivots and pictures are of the errors of `line`, one of the protocol's LINES; pictures are left out where there is
     nothing to draw. Raises OutputError.
     """
-    texts = {
-        "csv": csv_text(sweep.table),
-        "md": markdown(sweep, line),
-        "json": json.dumps(record(sweep, line), indent=1) + "\n",
-    }
-    written = [_write(out / f"sweep.{suffix}", text) for suffix, text in texts.items()]
+    document, table = format_json(record_sweep(sweep, line)), format_csv(sweep.table)
+    written = write_texts(out, "sweep", csv=table, md=format_summary(sweep, line), json=document)
     written.append(write_parquet(out / "sweep.parquet", sweep.table))
     for name, draw in (("error-time", draw_error_time), ("effects", draw_effects)):
         figure = draw(sweep, line)
@@ -57,7 +52,24 @@ def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
     return written
 
 
-def record(sweep: Sweep, line: str) -> dict[str, Any]:
+def format_csv(table: pd.DataFrame) -> str:
+    """Return a table as CSV; what has no value is empty, truth is written as in JSON."""
+    truths = table.select_dtypes("boolean").columns
+    written = table.assign(**{name: table[name].map({True: "true", False: "false"}) for name in truths})
+    return str(written.to_csv(index=False, lineterminator="\n"))
+
+
+def write_parquet(path: Path, table: pd.DataFrame) -> Path:
+    """Write a table as Parquet, atomically, and return the path. Raises OutputError."""
+    from pyarrow import ArrowException
+
+    try:
+        return write_atomically(path, lambda temporary: table.to_parquet(temporary, engine="pyarrow", index=False))
+    except ArrowException as error:
+        raise OutputError(f"{path} cannot be written ({error})") from error
+
+
+def record_sweep(sweep: Sweep, line: str) -> dict[str, Any]:
     """Return everything as JSON values: plan, versions, builds of each stage, and each row with its settings."""
     configurations = {one.key: one.describe() for one in sweep.combinations}
     return {
@@ -103,7 +115,7 @@ def _require_rows(rows: list[dict[str, Any]]) -> None:
             raise ValueError("an error is no number")
 
 
-def markdown(sweep: Sweep, line: str) -> str:
+def format_summary(sweep: Sweep, line: str) -> str:
     """Return a table for each noise: the median ADD of `line`, mm, the best of each object in bold; then the errors."""
     plan = sweep.plan
     seeds = f", the mean over seeds {', '.join(map(str, plan.seeds))}" if len(plan.seeds) > 1 else ""
@@ -115,37 +127,38 @@ def markdown(sweep: Sweep, line: str) -> str:
     same = [f"{slot} {choices[0].name}" for slot, choices in plan.slots.items() if len(choices) == 1]
     if same:
         parts.append(f"The same everywhere: {', '.join(same)}.")
-    medians = sweep.medians(line)
+    medians = sweep.compute_medians(line)
     for noise in plan.noises:
-        parts.append(f"\n## Noise: {noise}\n\n{_pivot_markdown(pivot(medians, noise))}")
-    parts += _failures(sweep)
+        parts.append(f"\n## Noise: {noise}\n\n{_format_pivot(pivot(medians, noise))}")
+    parts += _list_failures(sweep)
     return "\n".join(parts).rstrip() + "\n"
 
 
 def pivot(medians: pd.DataFrame, noise: str) -> pd.DataFrame:
-    """Return the errors of `Sweep.medians` with one noise, mm: a row for each label, a column for each object."""
+    """Return the errors of `Sweep.compute_medians` with one noise, mm: a row a label, a column an object."""
     found = medians[medians["noise"] == noise]
     wide = found.pivot(index=[*SLOTS, "label"], columns="object", values="error_mm").droplevel(list(SLOTS))
     return wide[list(found["object"].unique())]
 
 
-def _pivot_markdown(errors_mm: pd.DataFrame) -> str:
+def _format_pivot(errors_mm: pd.DataFrame) -> str:
     """A pivot, the best of each column in bold."""
     best = errors_mm.min()
     rows = [
-        [str(label), *(_text(value, best[name]) for name, value in row.items())] for label, row in errors_mm.iterrows()
+        [str(label), *(_format_cell(value, best[name]) for name, value in row.items())]
+        for label, row in errors_mm.iterrows()
     ]
-    return markdown_table(["components", *errors_mm.columns], rows)
+    return format_markdown([["components", *errors_mm.columns], *rows])
 
 
-def _text(error_mm: float, best_mm: float) -> str:
+def _format_cell(error_mm: float, best_mm: float) -> str:
     if error_mm != error_mm:
         return FAILED
     text = mm(1e-3 * error_mm)
     return f"**{text}**" if text == mm(1e-3 * best_mm) else text
 
 
-def _failures(sweep: Sweep) -> Iterator[str]:
+def _list_failures(sweep: Sweep) -> Iterator[str]:
     if sweep.failed:
         yield f"\n## Failed: {sweep.failed} of {len(sweep.combinations)}\n"
     for one in sweep.combinations:
@@ -153,7 +166,3 @@ def _failures(sweep: Sweep) -> Iterator[str]:
         if error:
             names = ", ".join(getattr(one.config, slot).name for slot in sweep.plan.slots)
             yield f"- {one.object}, {names}, noise {one.config.touch.noise}, seed {one.config.seed}: {error}"
-
-
-def _write(path: Path, text: str) -> Path:
-    return write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

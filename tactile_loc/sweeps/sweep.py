@@ -1,28 +1,37 @@
-"""A whole sweep: what is missing is evaluated, and every finished row kept."""
+"""A whole sweep: what is missing is evaluated, every finished row kept; and its table, a row a combination."""
 
 from __future__ import annotations
 
+import json
 import logging
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
+from tactile_loc.core.errors import MissingLibraryError
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.store.files import read_json, remove_abandoned, require_writable, write_atomically, write_json
-from tactile_loc.sweeps.combination import Combination, combine, in_running_order
-from tactile_loc.sweeps.plan import Plan, choice_labels, varying
-from tactile_loc.sweeps.table import Row, require_tables, rows_of, table_of
-from tactile_loc.sweeps.workers import BuildJournal, Job, Outcome, Outcomes
+from tactile_loc.sweeps.combination import Combination, combine, order_for_running
+from tactile_loc.sweeps.plan import Plan, find_varied_options, find_varying_slots, name_choices
+from tactile_loc.sweeps.workers import COVERAGES, ERRORS, TIMES, BuildJournal, Job, Outcome, Outcomes
 
 if TYPE_CHECKING:
     import pandas as pd
 
+Row = dict[str, Any]
+
+IDENTITY = ("object", *SLOTS, "noise", "seed", "count")
+MOMENTARY = (*TIMES, "model_s", "built")
+"""The columns that depend on the machine or the moment; all others are the same wherever a plan is run."""
+MEASURED = (*ERRORS, *COVERAGES, "nll_nats", *TIMES, "model_s")
+WHOLE = ("seed", "count", "grid_poses")
+TEXTS = ("object", *SLOTS, "noise", "error", "key", "built")
 NAMED = ("encoder", "refiner")  # where no slot varies
 
 log = logging.getLogger(__name__)
@@ -31,7 +40,7 @@ log = logging.getLogger(__name__)
 class Workers(Protocol):
     """Whoever does jobs: `LocalWorkers` or `DaskWorkers`."""
 
-    def outcomes(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
+    def run_jobs(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
         """Yield the outcome of every job as it ends; `objects` holds each job's object by the job's key."""
         ...
 
@@ -46,7 +55,7 @@ class FinishedRows:
     def read(self, key: str) -> Outcome | None:
         """Return the outcome of this key; None if there is none, or none that can be read."""
         try:
-            found = read_json(self._row(key))
+            found = read_json(self._locate_row(key))
             return Outcome(found["key"], found["measured"], tuple(found["built"]), found["error"])
         except (OSError, ValueError, KeyError, TypeError):
             return None
@@ -60,14 +69,14 @@ class FinishedRows:
             trace.unlink(missing_ok=True)
         values = {name: value for name, value in asdict(outcome).items() if name != "trace"}
         record = {**values, "object": combination.object, "configuration": combination.describe()}
-        write_json(self._row(outcome.key), record)
+        write_json(self._locate_row(outcome.key), record)
 
     def tidy(self) -> None:
         """Remove what a sweep that was killed was writing here."""
         for name in ("rows", "errors"):
             remove_abandoned(self.out / name)
 
-    def _row(self, key: str) -> Path:
+    def _locate_row(self, key: str) -> Path:
         return self.out / "rows" / f"{key}.json"
 
 
@@ -83,20 +92,20 @@ class Sweep:
     @cached_property
     def rows(self) -> list[Row]:
         """A row of JSON values for each combination."""
-        return rows_of(self.plan, self.combinations, self.outcomes)
+        return make_rows(self.plan, self.combinations, self.outcomes)
 
     @cached_property
     def table(self) -> pd.DataFrame:
         """The rows as a table."""
-        return table_of(self.rows)
+        return make_table(self.rows)
 
-    def medians(self, line: str) -> pd.DataFrame:
+    def compute_medians(self, line: str) -> pd.DataFrame:
         """Return a row for each object, noise and choice of components, in the plan's order: means over seeds.
 
         `error_mm` is the median error of `line`, `time_ms` the median time a touch; NaN where a combination failed. The
         column of a slot holds the place of the component among the slot's choices, `label` names those that vary.
         """
-        labels, named = choice_labels(self.plan), varying(self.plan) or NAMED
+        labels, named = name_choices(self.plan), find_varying_slots(self.plan) or NAMED
         known = {"error_mm": self.table[f"{line}_median_mm"], "time_ms": self.table["total_ms"]}
         found = self.table[["object", "noise"]].assign(**known)
         for position, slot in enumerate(SLOTS, start=1):
@@ -104,7 +113,7 @@ class Sweep:
         names = [found[slot].map(labels[slot].__getitem__) for slot in SLOTS if slot in named]
         found["label"] = names[0].str.cat(names[1:], sep=" + ")
         grouped = found.groupby(["object", "noise", *SLOTS, "label"], sort=False)
-        return grouped.agg(mean_of_all).reset_index()
+        return grouped.agg(average_all).reset_index()
 
     @property
     def failed(self) -> int:
@@ -131,16 +140,16 @@ def run_sweep(
     require_writable(out)
     kept = FinishedRows(out)
     kept.tidy()
-    outcomes = finished(combinations, kept)
+    outcomes = find_finished(combinations, kept)
     for key in outcomes:  # a sweep that was killed may have kept a row and no more
         BuildJournal.forget(store, key)
-    missing = [one for one in in_running_order(combinations) if one.key not in outcomes]
+    missing = [one for one in order_for_running(combinations) if one.key not in outcomes]
     if missing:
         outcomes |= _run(missing, objects, store, workers, kept, progress or Progress(), len(outcomes))
     return Sweep(plan, combinations, outcomes, len(missing))
 
 
-def finished(combinations: Sequence[Combination], kept: FinishedRows) -> dict[str, Outcome]:
+def find_finished(combinations: Sequence[Combination], kept: FinishedRows) -> dict[str, Outcome]:
     """Return the outcomes, by key, of the combinations that were evaluated without an error before."""
     found = {one.key: kept.read(one.key) for one in combinations}
     return {key: outcome for key, outcome in found.items() if outcome is not None and not outcome.error}
@@ -153,7 +162,7 @@ def _run(
     by_key = {one.key: one for one in missing}
     jobs = [Job(one.key, one.config, one.count, store) for one in missing]
     outcomes: dict[str, Outcome] = {}
-    running = workers.outcomes(jobs, {one.key: objects[one.object] for one in missing})
+    running = workers.run_jobs(jobs, {one.key: objects[one.object] for one in missing})
     with progress.task("sweep", before + len(jobs)) as advance, closing(running):
         advance(before)
         for outcome in running:
@@ -176,6 +185,77 @@ def _show(
     advance(1)
 
 
-def mean_of_all(values: pd.Series) -> float:
+def average_all(values: pd.Series) -> float:
     """Return the mean of values; NaN if any is."""
     return float(values.mean(skipna=False))
+
+
+def list_columns(plan: Plan) -> list[str]:
+    """Return the names of a plan's columns, in their order."""
+    results = ("grid_poses", *ERRORS, *COVERAGES, "nll_nats", "error", "key", *MOMENTARY)
+    return [*IDENTITY, *list_varied_columns(plan), *results]
+
+
+def list_varied_columns(plan: Plan) -> list[str]:
+    """Return "slot.option" for each option that tells choices of one component apart."""
+    return [f"{slot}.{option}" for slot, choices in plan.slots.items() for option in find_varied_options(choices)]
+
+
+def make_rows(plan: Plan, combinations: Iterable[Combination], outcomes: Mapping[str, Outcome]) -> list[Row]:
+    """Return a row of all columns for each combination, as JSON values; None where there is no value."""
+    columns, varied = list_columns(plan), list_varied_columns(plan)
+    rows = []
+    for one in combinations:
+        outcome = outcomes[one.key]
+        known = {**_identify(one, varied), **(outcome.measured or {}), "error": outcome.error, "key": one.key}
+        known["built"] = json.dumps(list(outcome.built))
+        rows.append({column: known.get(column) for column in columns})
+    return rows
+
+
+def _identify(one: Combination, varied: Sequence[str]) -> Row:
+    config = one.config
+    slots = {slot: getattr(config, slot) for slot in SLOTS}
+    parted = [(column, *column.split(".", 1)) for column in varied]
+    return {
+        "object": one.object, **{slot: chosen.name for slot, chosen in slots.items()},
+        "noise": config.touch.noise, "seed": config.seed, "count": one.count,
+        **{column: slots[slot].options.get(option) for column, slot, option in parted},
+    }  # fmt: skip
+
+
+def make_table(rows: Sequence[Row]) -> pd.DataFrame:
+    """Return rows as a table whose columns have the types that they always have, even when nothing succeeded.
+
+    A column of an option has the type of its values; lists and mixtures are written as JSON.
+    """
+    import pandas as pd
+
+    return pd.DataFrame({name: _make_column([row[name] for row in rows], name) for name in rows[0]})
+
+
+def _make_column(values: Sequence[Any], name: str) -> pd.Series:
+    import pandas as pd
+
+    if name in TEXTS:
+        return pd.Series(values, dtype=object)
+    if name in WHOLE:
+        return pd.Series(values, dtype="Int64")
+    kind = "floating" if name in MEASURED else pd.api.types.infer_dtype(values, skipna=True)
+    known = {"boolean": "boolean", "integer": "Int64", "floating": float, "mixed-integer-float": float}
+    if kind in known:
+        return pd.Series(values, dtype=known[kind])
+    texts = [value if value is None or isinstance(value, str) else json.dumps(value) for value in values]
+    return pd.Series(texts, dtype=object)
+
+
+def require_tables() -> None:
+    """Raise MissingLibraryError when there is nothing to write tables with."""
+    try:
+        import pandas  # noqa: F401
+        import pyarrow  # noqa: F401
+    except ImportError as error:
+        raise MissingLibraryError(
+            f"a sweep writes its tables with pandas and pyarrow, and {error.name} is not installed: "
+            "pip install 'tactile-loc[sweep]'"
+        ) from error

@@ -3,6 +3,7 @@ that dies had to another one."""
 
 from __future__ import annotations
 
+import itertools
 import logging
 import os
 import re
@@ -22,7 +23,7 @@ import numpy as np
 
 from tactile_loc.core.errors import ConfigError, MissingLibraryError, OutputError, TactileLocError
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.evaluation.posterior_metrics import LEVELS, PosteriorSummary
+from tactile_loc.evaluation.metrics import LEVELS, PosteriorSummary
 from tactile_loc.evaluation.protocol import LINES, STAGES, Evaluation, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.config import RunConfig
@@ -30,7 +31,7 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps import detached
-from tactile_loc.sweeps.combination import combination_key, describe_components
+from tactile_loc.sweeps.combination import describe_components, make_combination_key
 
 ERRORS = tuple(f"{line}_{what}" for line in LINES for what in ("median_mm", "mean_mm", "median_share"))
 COVERAGES = tuple(f"coverage_{100 * level:.0f}" for level in LEVELS)
@@ -84,7 +85,7 @@ class BuildJournal(list[StageKey]):
 
     def __init__(self, store: Path, key: str) -> None:
         super().__init__()
-        self._path = _journal(store, key)
+        self._path = _locate_journal(store, key)
         self._earlier: list[str] = []
         with suppress(OSError, UnicodeDecodeError):
             self._earlier = self._path.read_text(encoding="utf-8").splitlines()
@@ -106,10 +107,10 @@ class BuildJournal(list[StageKey]):
     def forget(store: Path, key: str) -> None:
         """Remove a job's file: its outcome is kept elsewhere, and no worker can take it along by dying."""
         with suppress(OSError):
-            _journal(store, key).unlink(missing_ok=True)
+            _locate_journal(store, key).unlink(missing_ok=True)
 
 
-def _journal(store: Path, key: str) -> Path:
+def _locate_journal(store: Path, key: str) -> Path:
     return store / JOURNALS / f"{key}.txt"
 
 
@@ -120,7 +121,7 @@ def evaluate_job(job: Job, obj: ObjectModel) -> Outcome:
         store.built = built = BuildJournal(job.store, job.key)
         measured, error, trace = None, "", ""
         try:
-            measured = _measured(job, obj, store)
+            measured = _measure(job, obj, store)
         except TactileLocError as raised:
             error = str(raised)
         except Exception as raised:  # noqa: BLE001 - a stranger's component may raise anything
@@ -128,9 +129,9 @@ def evaluate_job(job: Job, obj: ObjectModel) -> Outcome:
         return Outcome(job.key, measured, built.names, " ".join(error.split()), trace)
 
 
-def _measured(job: Job, obj: ObjectModel, store: StageStore) -> dict[str, Any]:
+def _measure(job: Job, obj: ObjectModel, store: StageStore) -> dict[str, Any]:
     config = job.config
-    if combination_key(config, obj, job.count, describe_components(config)) != job.key:
+    if make_combination_key(config, obj, job.count, describe_components(config)) != job.key:
         raise ConfigError(
             "the worker's tactile-loc, its plugins or its sensor file are others than where the sweep was started; "
             "install the same versions there"
@@ -152,8 +153,8 @@ def summarise(evaluation: Evaluation, grid_poses: int) -> dict[str, float | None
     """
     errors = []
     for line in LINES:
-        metres = evaluation.errors(line)
-        errors += [1e3 * np.median(metres), 1e3 * metres.mean(), np.median(evaluation.normalised(line))]
+        metres = evaluation.select_errors(line)
+        errors += [1e3 * np.median(metres), 1e3 * metres.mean(), np.median(evaluation.normalise_errors(line))]
     posterior = PosteriorSummary.of(evaluation.posterior_metrics, grid_poses)
     times = 1e3 * np.median(evaluation.seconds, axis=0)
     values = {
@@ -176,15 +177,15 @@ class LocalWorkers:
     threads: int
     log: Path
 
-    def outcomes(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
+    def run_jobs(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
         """Yield the outcome of every job as it ends; `objects` holds each job's object by the job's key.
 
         However the iteration ends, so do the workers. Raises MissingLibraryError, ClusterError, or OutputError when the
         log cannot be written.
         """
         why = f"its worker died each time; perhaps there is too little memory, see {self.log}"
-        with _local_cluster(self) as address, _connected(address) as client:
-            yield from _with_second_chance(client, jobs, objects, why, at_once=self.workers)
+        with _start_cluster(self) as address, _connect(address) as client:
+            yield from _run_twice(client, jobs, objects, why, at_once=self.workers)
 
 
 @dataclass(frozen=True)
@@ -193,7 +194,7 @@ class DaskWorkers:
 
     address: str
 
-    def outcomes(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
+    def run_jobs(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> Outcomes:
         """Yield the outcome of every job as it ends; `objects` holds each job's object by the job's key.
 
         Raises MissingLibraryError or ClusterError.
@@ -202,36 +203,33 @@ class DaskWorkers:
         if not _ADDRESS.fullmatch(self.address):
             raise ClusterError(f"{self.address!r} is no address of a Dask scheduler; write it as tcp://host:8786")
         why = "its Dask workers died, several times; perhaps they have too little memory, see their logs"
-        with _dask_log(logging.NullHandler()), _connected(self.address) as client:
+        with _redirect_logs(logging.NullHandler()), _connect(self.address) as client:
             if not client.scheduler_info()["workers"]:
                 log.warning("the Dask cluster at %s has no workers yet; waiting for some", self.address)
-            yield from _with_second_chance(client, jobs, objects, why)
+            yield from _run_twice(client, jobs, objects, why)
 
 
 log = logging.getLogger(__name__)
 
 
-def cores() -> int:
+def count_cores() -> int:
     """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _with_second_chance(
+def _run_twice(
     client: Any, jobs: Sequence[Job], objects: Mapping[str, ObjectModel], why: str, at_once: int | None = None
 ) -> Outcomes:
     """Yield the outcome of every job. One that Dask gives up, because workers died while they had it, may have been
     only near the one that kills them: it is tried once more after the others, alone."""
-    given_up = []
-    with closing(_run(client, jobs, objects, at_once)) as running:
-        for job, outcome in running:
-            if outcome is None:
-                given_up.append(job)
-            else:
-                yield outcome
-    for one in given_up:
-        with closing(_run(client, [one], objects, at_once)) as running:
+    given_up: list[Job] = []
+    for some in itertools.chain([jobs], ([job] for job in given_up)):
+        with closing(_run(client, some, objects, at_once)) as running:
             for job, outcome in running:
-                yield outcome or Outcome(job.key, None, error=why)
+                if outcome is not None or some is not jobs:
+                    yield outcome or Outcome(job.key, None, error=why)
+                else:
+                    given_up.append(job)
 
 
 def _run(
@@ -251,7 +249,7 @@ def _run(
             job = waiting.popleft()
             obj = objects[job.key]
             if obj.name not in held:
-                held[obj.name] = client.submit(_itself, obj, key=f"object-{obj.name}-{token}")
+                held[obj.name] = client.submit(_return_object, obj, key=f"object-{obj.name}-{token}")
             name = f"combination-{job.key}-{token}"
             future = client.submit(evaluate_job, job, held[obj.name], key=name, retries=RETRIES)
             futures[future] = job
@@ -261,7 +259,7 @@ def _run(
         submit()
         for future in running:
             job = futures.pop(future)
-            outcome = _outcome(future, job, client.scheduler.address)
+            outcome = _read_outcome(future, job, client.scheduler.address)
             future.release()  # else it would be done again if the worker that holds its result died
             submit()
             yield job, outcome
@@ -269,7 +267,7 @@ def _run(
         client.cancel(list(futures))
 
 
-def _outcome(future: Any, job: Job, address: str) -> Outcome | None:
+def _read_outcome(future: Any, job: Job, address: str) -> Outcome | None:
     from distributed import KilledWorker
 
     if future.status in ("cancelled", "lost"):
@@ -283,12 +281,12 @@ def _outcome(future: Any, job: Job, address: str) -> Outcome | None:
     return outcome
 
 
-def _itself(obj: ObjectModel) -> ObjectModel:
+def _return_object(obj: ObjectModel) -> ObjectModel:
     return obj
 
 
 @contextmanager
-def _connected(address: str) -> Iterator[Any]:
+def _connect(address: str) -> Iterator[Any]:
     """A client, closed at the end."""
     from distributed import Client
 
@@ -305,7 +303,7 @@ def _connected(address: str) -> Iterator[Any]:
 
 
 @contextmanager
-def _local_cluster(local: LocalWorkers) -> Iterator[str]:
+def _start_cluster(local: LocalWorkers) -> Iterator[str]:
     """The address of a scheduler of this process with workers of their own processes, which end with the block.
 
     Dask's limits of memory and of silence are switched off: a worker is killed when the machine says so.
@@ -315,7 +313,12 @@ def _local_cluster(local: LocalWorkers) -> Iterator[str]:
     from distributed import LocalCluster
 
     settings = {"distributed.scheduler.allowed-failures": LOCAL_FAILURES, "distributed.scheduler.worker-ttl": None}
-    with _log_file(local.log) as handler, _dask_log(handler), _environment(local.threads), dask.config.set(settings):
+    with (
+        _open_log(local.log) as handler,
+        _redirect_logs(handler),
+        _set_environment(local.threads),
+        dask.config.set(settings),
+    ):
         try:
             cluster = LocalCluster(
                 n_workers=local.workers, threads_per_worker=1, processes=True, memory_limit=0,
@@ -343,7 +346,7 @@ def _end(cluster: Any) -> None:
 
 
 @contextmanager
-def _environment(threads: int) -> Iterator[None]:
+def _set_environment(threads: int) -> Iterator[None]:
     """The environment in which workers start, also those that replace one that died: how many threads each has."""
     before = dict(os.environ)
     os.environ.update(dict.fromkeys(THREADS, str(threads)), DASK_LOGGING__DISTRIBUTED="warning")
@@ -355,7 +358,7 @@ def _environment(threads: int) -> Iterator[None]:
 
 
 @contextmanager
-def _log_file(path: Path) -> Iterator[logging.Handler]:
+def _open_log(path: Path) -> Iterator[logging.Handler]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handler = logging.FileHandler(path, encoding="utf-8")
@@ -367,7 +370,7 @@ def _log_file(path: Path) -> Iterator[logging.Handler]:
 
 
 @contextmanager
-def _dask_log(handler: logging.Handler) -> Iterator[None]:
+def _redirect_logs(handler: logging.Handler) -> Iterator[None]:
     """Send what Dask logs to a handler: what concerns a sweep's user is said by its errors."""
     loggers = [logging.getLogger(name) for name in LOGS]
     before = [(logger.handlers, logger.propagate) for logger in loggers]

@@ -16,7 +16,7 @@ from tactile_loc.calibration.frames import Frame, choose_frames, read_frames, ta
 from tactile_loc.calibration.presses import read_presses
 from tactile_loc.calibration.unlabelled import FoundPresses, find_presses, write_labels
 from tactile_loc.core.errors import CalibrationError
-from tactile_loc.drawing.labels import draw_labels
+from tactile_loc.drawing.calibration import draw_labels
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.imaging.shading import render_background, render_images
 

@@ -45,7 +45,7 @@ def test_an_interruption_is_one_line_and_resumes(cli, tmp_path, monkeypatch):
 
     line = ["evaluate", "--contacts", "2", "--object", "pin", *FEW, "--seed", 77]
     with monkeypatch.context() as patched:
-        patched.setattr(fusion._Examples, "_example", interrupt)
+        patched.setattr(fusion._Examples, "_locate_example", interrupt)
         stopped = cli(*line)
     assert stopped.exit_code == 130
     assert stopped.stderr.startswith("interrupted: ")

@@ -14,11 +14,9 @@ from tactile_loc.core.errors import OutputError
 from tactile_loc.core.formatting import percent
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.drawing.pictures import (
     MOST_TOUCHES,
     draw_contact_shape,
-    draw_noise,
     draw_result,
     draw_touches,
     save_figure,
@@ -152,12 +150,3 @@ def test_saving(tmp_path, figure):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError):
         save_figure(tmp_path / "file" / "a.png", figure)
-
-
-def test_every_level_of_noise_is_drawn_in_one_scale(localizer):
-    figure = draw_noise(localizer)
-    titles = [text for text in texts(figure) if text.split(",")[0] in NOISE]
-    assert [title.split(",")[0] for title in titles] == [level for level in NOISE for _ in range(5)]
-    assert titles[0] == "none, 2.0 mm"
-    scales = [axes.images[0].get_clim() for axes in figure.axes if axes.images]
-    assert np.array(scales) == pytest.approx(np.tile([0.0, 2.0], (15, 1)))

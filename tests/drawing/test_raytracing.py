@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.drawing.raytracing import LIGHT, Tracer, View, box, shade, shrink
+from tactile_loc.drawing.raytracing import LIGHT, Tracer, View, make_box, shade, shrink
 
 FRONT = View(azimuth_deg=0.0, elevation_deg=0.0)
-BLOCK = box((-2, 2), (-1, 1), (0, 3))
+BLOCK = make_box((-2, 2), (-1, 1), (0, 3))
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0, 0), (35, 30), (-145, 60)])
@@ -31,7 +31,7 @@ def test_a_box_has_its_surface():
 
 
 def test_rays_meet_the_nearest_surface():
-    behind = box((-4, 4), (2, 3), (0, 5))
+    behind = make_box((-4, 4), (2, 3), (0, 5))
     seen = Tracer([BLOCK, behind], FRONT).look((-5, 5, -1, 6), (70, 100))
     share = [(seen.surface == k).mean() * 70 for k in (0, 1)]
     assert share == pytest.approx([4 * 3, 8 * 5 - 4 * 3], abs=0.5)
@@ -43,17 +43,17 @@ def test_rays_meet_the_nearest_surface():
 
 def test_edges_are_outlines_and_creases_and_nothing_else():
     seen = Tracer([BLOCK], FRONT).look((-5, 5, -1, 6), (70, 100))
-    marked = seen.edges(jump=0.1)
+    marked = seen.find_edges(jump=0.1)
     assert marked.sum() == pytest.approx(2 * (40 + 30), abs=6)
     corner = Tracer([BLOCK], View(45.0, 0.0)).look((-5, 5, -1, 6), (70, 100))
-    assert corner.edges(jump=0.5)[35].sum() == 3  # left, the corner between two faces, right
+    assert corner.find_edges(jump=0.5)[35].sum() == 3  # left, the corner between two faces, right
 
 
 def test_a_shadow_lies_opposite_the_light():
-    floor = box((-20, 20), (-20, 20), (-1, 0))
-    tracer = Tracer([box((-1, 1), (-1, 1), (4, 6)), floor], View(0.0, 89.0))
+    floor = make_box((-20, 20), (-20, 20), (-1, 0))
+    tracer = Tracer([make_box((-1, 1), (-1, 1), (4, 6)), floor], View(0.0, 89.0))
     seen = tracer.look((-20, 20, -20, 20), (200, 200))
-    dark = seen.points[(tracer.shadow(seen, 0.01) & (seen.surface == 1))[seen.hit]]
+    dark = seen.points[(tracer.cast_shadow(seen, 0.01) & (seen.surface == 1))[seen.hit]]
     assert dark.mean(axis=0)[:2] == pytest.approx(-5 * LIGHT[:2] / LIGHT[2], abs=0.6)
 
 

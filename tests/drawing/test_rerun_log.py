@@ -12,8 +12,7 @@ from rerun_helpers import read
 
 from tactile_loc.core.errors import MissingLibraryError, OutputError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
-from tactile_loc.drawing.rerun_files import write_localization
-from tactile_loc.drawing.rerun_log import DEVIATIONS, Logged, RerunLog, pose_text, require_rerun
+from tactile_loc.drawing.rerun_log import DEVIATIONS, Logged, RerunLog, describe_pose, require_rerun, write_localization
 from tactile_loc.locate.located_frame import LocatedFrame
 from tactile_loc.locate.verdict import Verdict
 
@@ -87,9 +86,9 @@ def test_the_ellipsoid_is_turned_as_the_covariance_is(rerun, localizer, tmp_path
 
 
 def test_words_without_a_pose_or_its_spread():
-    assert pose_text(Logged(0, 0.0, says="no contact")) == "no contact"
-    assert pose_text(Logged(0, 0.0, located=LocatedFrame(None, says="damaged"))) == "refused\ndamaged"
-    assert "std" not in pose_text(Logged(0, 0.0, located=replace(located(), covariance=None)))
+    assert describe_pose(Logged(0, 0.0, says="no contact")) == "no contact"
+    assert describe_pose(Logged(0, 0.0, located=LocatedFrame(None, says="damaged"))) == "refused\ndamaged"
+    assert "std" not in describe_pose(Logged(0, 0.0, located=replace(located(), covariance=None)))
 
 
 def test_what_cannot_be_written_is_told_before_anything_is_done(rerun, tmp_path, monkeypatch):

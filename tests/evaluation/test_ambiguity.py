@@ -16,10 +16,10 @@ from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.evaluation.ambiguity import (
     DISTANT_M,
     RIVALS,
-    ambiguity_ratios,
-    distinct_rivals,
-    judging_noise,
-    noise_ratio,
+    choose_judging_noise,
+    compute_noise_ratio,
+    find_rivals,
+    measure_ambiguity,
 )
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.localizer import Localizer
@@ -29,7 +29,7 @@ SETTINGS = RunConfig.from_dict({"sensor": "gelsight-mini", "grid": {"name": "fac
 
 
 def ratios(localizer: Localizer, touches: list[Touch], seed: int = 0) -> np.ndarray:
-    return ambiguity_ratios(localizer, touches, MILD, [np.random.default_rng([seed, i]) for i in range(len(touches))])
+    return measure_ambiguity(localizer, touches, MILD, [np.random.default_rng([seed, i]) for i in range(len(touches))])
 
 
 def test_with_gaussian_noise_the_ratio_says_how_often_the_wrong_shape_is_nearer():
@@ -40,15 +40,15 @@ def test_with_gaussian_noise_the_ratio_says_how_often_the_wrong_shape_is_nearer(
     for share in (0.3, 0.7, 1.5):
         rival = true + share * (other - true)
         wrong = np.linalg.norm(measured - rival, axis=1) < np.linalg.norm(measured - true, axis=1)
-        (ratio,) = noise_ratio(true, rival[None], measured[:5000])
+        (ratio,) = compute_noise_ratio(true, rival[None], measured[:5000])
         assert ndtr(-ratio / np.sqrt(2)) == pytest.approx(wrong.mean(), abs=0.01)
-    assert noise_ratio(true, true[None], measured[:20]) == 0
+    assert compute_noise_ratio(true, true[None], measured[:20]) == 0
 
 
 def test_noise_that_is_another_difference_than_the_shapes_hides_nothing():
     true, other = np.zeros(3), np.array([[1.0, 0.0, 0.0]])
     measured = np.array([[0.1, 9.0, -9.0], [-0.1, -9.0, 9.0]])
-    assert noise_ratio(true, other, measured) == pytest.approx([1 / np.hypot(0.2, 0)])
+    assert compute_noise_ratio(true, other, measured) == pytest.approx([1 / np.hypot(0.2, 0)])
 
 
 @pytest.fixture(scope="module")
@@ -88,13 +88,13 @@ def test_the_same_randomness_gives_the_same_ratio_and_more_noise_a_smaller_one(p
     touch = touch_at(plates["notched"], 0.0)
     (mild,) = ratios(plates["notched"], [touch])
     assert mild == ratios(plates["notched"], [touch])[0]
-    assert ambiguity_ratios(plates["notched"], [touch], NOISE["strong"], [np.random.default_rng([0, 0])])[0] < mild
+    assert measure_ambiguity(plates["notched"], [touch], NOISE["strong"], [np.random.default_rng([0, 0])])[0] < mild
 
 
 def test_rivals_are_distant_from_the_truth_and_from_one_another(localizer):
     grid, rng = localizer.model.grid, np.random.default_rng(0)
     truth, apart = grid.T_sensor_object[100], rng.random(len(grid)).astype(np.float32)
-    rivals = distinct_rivals(grid, truth, apart, 0.012)
+    rivals = find_rivals(grid, truth, apart, 0.012)
     assert len(rivals) == RIVALS
     assert (grid.metric.symmetric_distance(np.repeat(truth[None], RIVALS, 0), rivals) > DISTANT_M).all()
     phi = grid.metric.embed(rivals)
@@ -108,11 +108,11 @@ def test_without_a_distant_pose_nothing_is_ambiguous(plates):
     grid = plates["symmetric"].model.grid
     near = grid.distances(touch.T_sensor_object) < DISTANT_M
     few = dataclasses.replace(grid, T_sensor_object=grid.T_sensor_object[near])
-    assert distinct_rivals(few, touch.T_sensor_object, np.zeros(len(few), np.float32), 1e-3).shape == (0, 4, 4)
+    assert find_rivals(few, touch.T_sensor_object, np.zeros(len(few), np.float32), 1e-3).shape == (0, 4, 4)
 
 
 def test_clean_touches_are_judged_against_mild_noise():
-    assert [judging_noise(name) for name in ("none", "mild", "strong")] == ["mild", "mild", "strong"]
+    assert [choose_judging_noise(name) for name in ("none", "mild", "strong")] == ["mild", "mild", "strong"]
 
 
 def test_a_touch_without_a_true_pose_is_refused(plates):

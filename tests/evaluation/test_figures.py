@@ -11,7 +11,7 @@ from test_tables import make_run
 
 from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.figures import DRAWN, FLOOR, draw_fusion, draw_gallery, draw_reliability, draw_violins
-from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
+from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import Evaluation, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.tables import Run
@@ -49,10 +49,10 @@ def test_violins_have_a_panel_for_each_object_and_a_colour_for_each_encoder(runs
 def test_violins_show_the_medians(runs):
     axes = draw_violins(runs[:1], "t").axes[0]
     dots = [line for line in axes.lines if line.get_marker() == "o"]
-    medians = [np.median(runs[0].evaluation.normalised(line)) for line in DRAWN]
+    medians = [np.median(runs[0].evaluation.normalise_errors(line)) for line in DRAWN]
     assert [10 ** dot.get_ydata()[0] for dot in dots] == pytest.approx(medians)
     levels = [10 ** line.get_ydata()[0] for line in axes.lines if line.get_marker() != "o"]
-    expected = [np.median(runs[0].evaluation.normalised(line)) for line in ("random", "closest")]
+    expected = [np.median(runs[0].evaluation.normalise_errors(line)) for line in ("random", "closest")]
     assert levels == pytest.approx(expected)
     low, high = axes.get_ylim()
     assert all(low <= np.log10(m) <= high for m in medians)
@@ -78,7 +78,7 @@ def test_a_gallery_shows_the_best_the_median_and_the_worst_touch(localizer, tmp_
     assert len(titles) == columns
     assert titles[0].startswith("best: ")
     assert all("mm" in title and "touch-" in title for title in titles)
-    errors = evaluation.errors("reg-1")
+    errors = evaluation.select_errors("reg-1")
     assert f"touch-{int(errors.argmin()):04d}" in titles[0]
     assert f"touch-{int(errors.argmax()):04d}" in titles[-1]
     labels = " ".join(axes.get_xlabel() + axes.get_ylabel() for axes in figure.axes)
@@ -98,7 +98,7 @@ def test_the_curve_says_how_many_true_poses_a_set_holds(tmp_path):
     np.testing.assert_allclose(
         dots.get_xdata(), run.evaluation.posterior_metrics[:, POSTERIOR_METRICS.index("entropy")]
     )
-    assert dots.get_ydata().max() == 1e3 * run.evaluation.errors("reg-1").max()
+    assert dots.get_ydata().max() == 1e3 * run.evaluation.select_errors("reg-1").max()
     assert all("(" in text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()))  # units
     assert save_figure(tmp_path / "a.png", figure, dpi=40).exists()
 
@@ -123,7 +123,7 @@ def test_each_object_has_a_panel_with_medians_and_quartiles(tmp_path):
             curve = next(c for c in axes.lines if c.get_label().startswith(label))
             assert tuple(curve.get_xdata()) == CONTACTS
             np.testing.assert_allclose(
-                curve.get_ydata(), [np.median(run.evaluation.normalised(line, n)) for n in CONTACTS]
+                curve.get_ydata(), [np.median(run.evaluation.normalise_errors(line, n)) for n in CONTACTS]
             )
         assert len(axes.collections) == 2
         assert axes.get_yscale() == "log"

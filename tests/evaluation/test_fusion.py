@@ -16,7 +16,7 @@ from tactile_loc.evaluation.fusion import (
     MOST_FUSED,
     FusionEvaluation,
     evaluate_fusion,
-    fusion_key,
+    make_fusion_key,
 )
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.locate.localizer import Localizer
@@ -60,49 +60,50 @@ def test_every_example_has_every_number_of_contacts_and_line(evaluation):
     assert evaluation.errors_m.shape == (COUNT, len(CONTACTS), len(FUSION_LINES))
     assert evaluation.alone.shape == (COUNT, len(CONTACTS), len(FUSED_LINES))
     assert (evaluation.errors_m >= 0).all()
-    shares = [evaluation.normalised("random", n) for n in CONTACTS]
+    shares = [evaluation.normalise_errors("random", n) for n in CONTACTS]
     assert np.mean(shares) == pytest.approx(1)
-    assert evaluation.errors("best-1", 2) == pytest.approx(evaluation.normalised("best-1", 2) * evaluation.scale_m())
+    assert evaluation.select_errors("best-1", 2) == pytest.approx(
+        evaluation.normalise_errors("best-1", 2) * evaluation.compute_scale_m()
+    )
 
 
 def test_one_contact_is_the_single_touch(evaluation, pipe):
-    from tactile_loc.evaluation.metrics import symmetric_add
+    from tactile_loc.evaluation.metrics import compute_adds
 
     points_m = pipe.object.mesh.sample(20_000, np.random.default_rng(9))
     for example in range(COUNT):
-        touch = SOURCE.touch(pipe, MOST_FUSED * example)
+        touch = SOURCE.draw_touch(pipe, MOST_FUSED * example)
         best = int(pipe.posteriors([touch])[0].log_p.argmax())
-        error_m = symmetric_add(
-            pipe.object, points_m, pipe.model.grid.T_sensor_object[best], touch.T_sensor_object
-        )  # fmt: skip
-        assert evaluation.errors("best-1", 1)[example] == pytest.approx(error_m, rel=0.03)
-    assert evaluation.without_common("best-1", 1) == 0
+        T = pipe.model.grid.T_sensor_object[best]
+        error_m = compute_adds(pipe.object, points_m, T[None], touch.T_sensor_object)
+        assert evaluation.select_errors("best-1", 1)[example] == pytest.approx(error_m, rel=0.03)
+    assert evaluation.count_without_common("best-1", 1) == 0
 
 
 def test_several_contacts_are_what_the_fuser_makes_of_them(evaluation, pipe):
-    from tactile_loc.evaluation.metrics import symmetric_add
+    from tactile_loc.evaluation.metrics import compute_adds
 
     points_m = pipe.object.mesh.sample(20_000, np.random.default_rng(9))
-    touches = [SOURCE.touch(pipe, MOST_FUSED * 2 + k) for k in range(4)]
+    touches = [SOURCE.draw_touch(pipe, MOST_FUSED * 2 + k) for k in range(4)]
     fused = pipe.fuser.fuse([pipe.posteriors([t])[0] for t in touches], [invert(t.T_sensor_object) for t in touches])
     T = pipe.model.grid.T_sensor_object[int(fused.log_p.argmax())]
-    error_m = symmetric_add(pipe.object, points_m, T, touches[0].T_sensor_object)
-    assert evaluation.errors("best-1", 4)[2] == pytest.approx(error_m, rel=0.03)
+    error_m = compute_adds(pipe.object, points_m, T[None], touches[0].T_sensor_object)
+    assert evaluation.select_errors("best-1", 4)[2] == pytest.approx(error_m, rel=0.03)
 
 
 def test_more_contacts_are_nearer_and_contact_alone_is_far(pipe):
     found = evaluate_fusion(pipe, (1, 5), 9, SOURCE)
-    assert found.errors("best-1", 5).mean() < found.errors("best-1", 1).mean()
-    assert found.errors("kinematic", 5).mean() > 1.5 * found.errors("best-1", 5).mean()
-    assert found.normalised("kinematic", 1).mean() == pytest.approx(1, abs=0.4)  # one contact excludes nothing
+    assert found.select_errors("best-1", 5).mean() < found.select_errors("best-1", 1).mean()
+    assert found.select_errors("kinematic", 5).mean() > 1.5 * found.select_errors("best-1", 5).mean()
+    assert found.normalise_errors("kinematic", 1).mean() == pytest.approx(1, abs=0.4)  # one contact excludes nothing
 
 
 def test_touches_that_are_certain_find_the_truth(monkeypatch, store):
     monkeypatch.setattr(Localizer, "posteriors", lambda self, touches: [certain(self, touch) for touch in touches])
     localizer = fresh(store, temperature=0.1)  # nobody else's: what is found here is stored
     found = evaluate_fusion(localizer, (1, 3), 4, SOURCE)
-    assert (found.normalised("best-1", 1) < 0.2).all()
-    assert found.errors("best-1", 3).max() <= 2 * localizer.model.grid.spacing_m
+    assert (found.normalise_errors("best-1", 1) < 0.2).all()
+    assert found.select_errors("best-1", 3).max() <= 2 * localizer.model.grid.spacing_m
 
 
 def test_a_first_touch_that_tells_nothing_is_made_up_for(monkeypatch, store):
@@ -114,7 +115,7 @@ def test_a_first_touch_that_tells_nothing_is_made_up_for(monkeypatch, store):
 
     monkeypatch.setattr(Localizer, "posteriors", first_knows_nothing)
     found = evaluate_fusion(localizer, (1, 4), 6, SOURCE)
-    assert np.median(found.normalised("best-1", 4)) < 0.25 < np.median(found.normalised("best-1", 1))
+    assert np.median(found.normalise_errors("best-1", 4)) < 0.25 < np.median(found.normalise_errors("best-1", 1))
 
 
 def test_contacts_without_a_common_pose_are_counted_and_located_from_the_first(
@@ -128,10 +129,10 @@ def test_contacts_without_a_common_pose_are_counted_and_located_from_the_first(
     for fuser in (ProductFuser, KinematicFuser):
         monkeypatch.setattr(fuser, "fuse", lambda *a, f=fuser.fuse, **k: refuse(*a, **k, fuse=f))
     found = evaluate_fusion(pipe, CONTACTS, 3, SOURCE)
-    assert [found.without_common("best-1", n) for n in CONTACTS] == [0, 0, 3]
-    assert found.without_common("kinematic", 4) == 3
-    assert (found.errors("best-1", 4) == evaluation.errors("best-1", 1)[:3]).all()
-    assert (found.errors("best-1", 2) == evaluation.errors("best-1", 2)[:3]).all()
+    assert [found.count_without_common("best-1", n) for n in CONTACTS] == [0, 0, 3]
+    assert found.count_without_common("kinematic", 4) == 3
+    assert (found.select_errors("best-1", 4) == evaluation.select_errors("best-1", 1)[:3]).all()
+    assert (found.select_errors("best-1", 2) == evaluation.select_errors("best-1", 2)[:3]).all()
 
 
 def test_a_seed_always_gives_the_same_and_another_others(evaluation, pipe):
@@ -142,12 +143,12 @@ def test_a_seed_always_gives_the_same_and_another_others(evaluation, pipe):
 
 
 def test_refused_presses_are_counted(pipe, monkeypatch):
-    drawn = SimulatedTouches.drawn
+    drawn = SimulatedTouches.draw_counted
 
     def after_refusals(self, localizer, number):
         return drawn(self, localizer, number)[0], number
 
-    monkeypatch.setattr(SimulatedTouches, "drawn", after_refusals)
+    monkeypatch.setattr(SimulatedTouches, "draw_counted", after_refusals)
     found = evaluate_fusion(pipe, (3,), 2, SOURCE)
     assert found.refused.tolist() == [0 + 1 + 2, 3 * MOST_FUSED + 0 + 1 + 2]
 
@@ -155,14 +156,14 @@ def test_refused_presses_are_counted(pipe, monkeypatch):
 def test_which_numbers_are_asked_for_does_not_change_a_number(evaluation, pipe):
     found = evaluate_fusion(pipe, (2,), 2, SOURCE)
     for line in FUSION_LINES:
-        assert (found.errors(line, 2) == evaluation.errors(line, 2)[:2]).all()
+        assert (found.select_errors(line, 2) == evaluation.select_errors(line, 2)[:2]).all()
 
 
 def test_an_interrupted_evaluation_resumes_and_ends_the_same(evaluation, pipe, monkeypatch):
-    pipe.store.remove(fusion_key(pipe, CONTACTS, COUNT, SOURCE).digest)
+    pipe.store.remove(make_fusion_key(pipe, CONTACTS, COUNT, SOURCE).digest)
     monkeypatch.setattr(fusion, "SHARD", 2)
     located: list[int] = []
-    example = fusion._Examples._example
+    example = fusion._Examples._locate_example
 
     def interrupted(self, number, *others):
         located.append(number)
@@ -170,7 +171,7 @@ def test_an_interrupted_evaluation_resumes_and_ends_the_same(evaluation, pipe, m
             raise KeyboardInterrupt
         return example(self, number, *others)
 
-    monkeypatch.setattr(fusion._Examples, "_example", interrupted)
+    monkeypatch.setattr(fusion._Examples, "_locate_example", interrupted)
     with pytest.raises(KeyboardInterrupt):
         evaluate_fusion(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
     resumed = evaluate_fusion(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
@@ -187,7 +188,7 @@ def test_what_is_finished_is_not_done_again(evaluation, pipe, monkeypatch):
 
 def test_the_key_holds_whatever_changes_the_errors(pipe):
     def digest(local=pipe, contacts=CONTACTS, count=COUNT, source=SOURCE):
-        return fusion_key(local, contacts, count, source).digest
+        return make_fusion_key(local, contacts, count, source).digest
 
     others = [digest(contacts=(1, 2)), digest(count=7), digest(source=SimulatedTouches("mild", 3))]
     for settings in ({"fuser": {"name": "product", "doubt": 0.1}}, {"encoder": {"name": "pixel", "cells": 10}}):

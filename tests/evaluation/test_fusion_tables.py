@@ -13,10 +13,9 @@ from message_helpers import missing
 from tactile_loc.evaluation.fusion import FUSION_LINES, FusionEvaluation
 from tactile_loc.evaluation.fusion_tables import (
     FusionRun,
-    csv_text,
-    markdown,
-    median_header,
-    median_rows,
+    format_csv,
+    format_markdown,
+    tabulate_medians,
     write_fusion_tables,
 )
 
@@ -39,23 +38,23 @@ def run() -> FusionRun:
 
 
 def test_rows_have_the_medians_by_number_of_contacts(run):
-    assert median_header([run]) == ["object", "encoder", "line", "1 contact", "2 contacts", "5 contacts"]
-    best, kinematic = median_rows([run], normalised=False)
+    header, best, kinematic = tabulate_medians([run])
+    assert header == ["object", "encoder", "line", "1 contact", "2 contacts", "5 contacts"]
     assert (best[:3], kinematic[:3]) == (["pin", "pixel", "best-1"], ["pin", "pixel", "kinematic"])
-    medians = [1e3 * np.median(run.evaluation.errors("best-1", n)) for n in CONTACTS]
+    medians = [1e3 * np.median(run.evaluation.select_errors("best-1", n)) for n in CONTACTS]
     assert [float(cell) for cell in best[3:]] == pytest.approx(medians, rel=6e-3)
-    shares = [float(cell) for cell in median_rows([run], normalised=True)[0][3:]]
-    assert shares == pytest.approx([m / (1e3 * run.evaluation.scale_m()) for m in medians], abs=6e-4)
+    shares = [float(cell) for cell in tabulate_medians([run], normalised=True)[1][3:]]
+    assert shares == pytest.approx([m / (1e3 * run.evaluation.compute_scale_m()) for m in medians], abs=6e-4)
 
 
 def test_csv_has_mean_median_and_spread_in_mm_and_normalised(run):
-    rows = list(csv.DictReader(io.StringIO(csv_text([run]))))
+    rows = list(csv.DictReader(io.StringIO(format_csv([run]))))
     assert len(rows) == 2 * len(CONTACTS)
     row = next(r for r in rows if (r["line"], r["contacts"]) == ("kinematic", "5"))
-    errors = run.evaluation.errors("kinematic", 5)
+    errors = run.evaluation.select_errors("kinematic", 5)
     for name, value in (("mean", errors.mean()), ("median", np.median(errors)), ("std", errors.std())):
         assert float(row[f"{name}_mm"]) == pytest.approx(1e3 * value, rel=1e-4)
-        assert float(row[f"{name}_normalised"]) == pytest.approx(value / run.evaluation.scale_m(), rel=1e-4)
+        assert float(row[f"{name}_normalised"]) == pytest.approx(value / run.evaluation.compute_scale_m(), rel=1e-4)
     assert row["without_common"] == "4"
 
 
@@ -70,11 +69,11 @@ def test_files_are_written(run, tmp_path):
     assert (best["contacts"], best["without_common"]) == (5, 4)
     assert first["refused"] == 80
     assert np.median(best["errors_m"]) == pytest.approx(best["metres"]["median"])
-    assert written[2].read_text() == markdown([run, make_contact_run("hook", "pixel", 1)], "Title")
+    assert written[2].read_text() == format_markdown([run, make_contact_run("hook", "pixel", 1)], "Title")
 
 
 def test_markdown_says_what_fell_back(run):
-    text = markdown([run], "Title")
+    text = format_markdown([run], "Title")
     assert text.startswith("# Title\n")
     assert not missing(text, "common", 80)
     assert next(line for line in text.splitlines() if line.startswith("| best-1 | 5 |")).endswith("| 4 |")

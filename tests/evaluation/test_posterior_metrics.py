@@ -9,12 +9,12 @@ import trimesh
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.evaluation.posterior_metrics import (
+from tactile_loc.evaluation.metrics import (
     LEVELS,
     POSTERIOR_METRICS,
     PosteriorSummary,
-    normalised_error_squared,
-    posterior_metrics,
+    compute_nees,
+    measure_posterior,
 )
 
 P = np.array([0.1, 0.4, 0.2, 0.3])
@@ -30,7 +30,7 @@ def posterior(make_object) -> PosePosterior:
 
 
 def asked(posterior: PosePosterior, T: np.ndarray, seed: int = 0) -> dict[str, float]:
-    return dict(zip(POSTERIOR_METRICS, posterior_metrics(posterior, T, np.random.default_rng(seed)), strict=True))
+    return dict(zip(POSTERIOR_METRICS, measure_posterior(posterior, T, np.random.default_rng(seed)), strict=True))
 
 
 def test_numbers_of_a_posterior_that_is_known(posterior):
@@ -64,7 +64,7 @@ def test_levels_of_true_probabilities_are_uniform(posterior):
     rng = np.random.default_rng(5)
     truths = rng.choice(4, size=4000, p=P)
     levels = [
-        posterior_metrics(posterior, posterior.grid.T_sensor_object[i], rng)[POSTERIOR_METRICS.index("credible_level")]
+        measure_posterior(posterior, posterior.grid.T_sensor_object[i], rng)[POSTERIOR_METRICS.index("credible_level")]
         for i in truths
     ]
     held = [(np.array(levels) <= sure).mean() for sure in (0.25, *LEVELS)]
@@ -88,6 +88,6 @@ def test_errors_drawn_from_a_covariance_are_six_on_average(make_object, symmetry
         e = root.T @ rng.normal(size=6)
         turned = rotation_about(e[3:], np.linalg.norm(e[3:])) @ T[:3, :3]
         truth = make_transform(turned, T[:3, 3] + e[:3]) @ part.symmetry.elements()[-1]
-        found.append(normalised_error_squared(metric, T, covariance, truth))
+        found.append(compute_nees(metric, T, covariance, truth))
     assert np.mean(found) == pytest.approx(6.0, abs=0.6)  # three standard deviations of the mean
     assert np.median(found) == pytest.approx(5.35, abs=0.7)

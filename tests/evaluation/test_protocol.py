@@ -8,7 +8,15 @@ from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.evaluation import protocol
-from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation, TouchEvaluator, evaluate, evaluation_key
+from tactile_loc.evaluation.protocol import (
+    LINES,
+    METRICS,
+    STAGES,
+    Evaluation,
+    TouchEvaluator,
+    evaluate,
+    make_evaluation_key,
+)
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
@@ -50,42 +58,44 @@ def test_every_touch_has_every_line_metric_and_stage(evaluation):
      ("random-10", "random"), ("closest", "random-10")],
 )  # fmt: skip
 def test_a_line_with_more_to_choose_from_is_never_farther(evaluation, less, more):
-    assert (evaluation.errors(less) <= evaluation.errors(more)).all()
+    assert (evaluation.select_errors(less) <= evaluation.select_errors(more)).all()
 
 
 def test_lines_differ(evaluation):
     """The touches are hard enough to tell the lines apart."""
-    assert (evaluation.errors("best-50") < evaluation.errors("best-1")).any()
-    assert evaluation.errors("best-50").mean() < evaluation.errors("random").mean()
-    assert len(np.unique(evaluation.errors("random"))) == COUNT
+    assert (evaluation.select_errors("best-50") < evaluation.select_errors("best-1")).any()
+    assert evaluation.select_errors("best-50").mean() < evaluation.select_errors("random").mean()
+    assert len(np.unique(evaluation.select_errors("random"))) == COUNT
 
 
 def test_the_errors_are_those_of_the_poses(evaluation, localizer):
-    from tactile_loc.evaluation.metrics import symmetric_add
+    from tactile_loc.evaluation.metrics import compute_adds
 
     points_m = localizer.object.mesh.sample(20_000, np.random.default_rng(9))
     for number in range(COUNT):
-        truth = SimulatedTouches("strong", 3).touch(localizer, number).T_sensor_object
+        truth = SimulatedTouches("strong", 3).draw_touch(localizer, number).T_sensor_object
         for line in LINES:
-            error_m = symmetric_add(localizer.object, points_m, evaluation.poses(line)[number], truth)
-            assert evaluation.errors(line)[number] == pytest.approx(error_m, rel=0.03, abs=1e-6)
+            error_m = compute_adds(localizer.object, points_m, evaluation.select_poses(line)[number][None], truth)
+            assert evaluation.select_errors(line)[number] == pytest.approx(error_m, rel=0.03, abs=1e-6)
 
 
 def test_closest_is_the_nearest_of_the_whole_grid(evaluation, localizer):
-    from tactile_loc.evaluation.metrics import symmetric_adds
+    from tactile_loc.evaluation.metrics import compute_adds
 
-    points_m = protocol.surface_points(localizer.object)
+    points_m = protocol.sample_surface(localizer.object)
     for number in range(COUNT):
-        touch = SimulatedTouches("strong", 3).touch(localizer, number)
+        touch = SimulatedTouches("strong", 3).draw_touch(localizer, number)
         grid = localizer.listed.grid_of(touch).T_sensor_object
-        every = symmetric_adds(localizer.object, points_m, grid, touch.T_sensor_object)
-        assert evaluation.errors("closest")[number] == pytest.approx(every.min(), rel=1e-6)
+        every = compute_adds(localizer.object, points_m, grid, touch.T_sensor_object)
+        assert evaluation.select_errors("closest")[number] == pytest.approx(every.min(), rel=1e-6)
 
 
 def test_the_random_line_is_one_when_normalised(evaluation):
     for metric in METRICS:
-        assert evaluation.normalised("random", metric).mean() == pytest.approx(1)
-    assert evaluation.normalised("best-1") * evaluation.scale_m() == pytest.approx(evaluation.errors("best-1"))
+        assert evaluation.normalise_errors("random", metric).mean() == pytest.approx(1)
+    assert evaluation.normalise_errors("best-1") * evaluation.compute_scale_m() == pytest.approx(
+        evaluation.select_errors("best-1")
+    )
 
 
 def test_a_seed_always_gives_the_same_and_another_seed_others(plain, localizer, tmp_path):
@@ -105,9 +115,9 @@ def test_encoders_are_asked_about_the_same_touches(plain, localizer):
     settings = {"encoder": {"name": "pixel", "cells": 5}, "refiner": "none"}
     other = evaluate(fresh(localizer.store, **settings), COUNT, SimulatedTouches("strong", 3))
     for line in ("random", "random-10"):
-        assert (other.errors(line) == plain.errors(line)).all()
+        assert (other.select_errors(line) == plain.select_errors(line)).all()
     assert (other.ambiguity == plain.ambiguity).all()
-    assert not (other.errors("best-1") == plain.errors("best-1")).all()
+    assert not (other.select_errors("best-1") == plain.select_errors("best-1")).all()
 
 
 def test_an_interrupted_evaluation_resumes_and_ends_the_same(plain, localizer, tmp_path, monkeypatch):
@@ -140,7 +150,7 @@ def test_what_is_finished_is_not_done_again(evaluation, localizer, monkeypatch):
 
 def test_the_key_holds_whatever_changes_the_errors(localizer):
     def digest(local=localizer, count=COUNT, noise="strong", seed=3):
-        return evaluation_key(local, count, SimulatedTouches(noise, seed)).digest
+        return make_evaluation_key(local, count, SimulatedTouches(noise, seed)).digest
 
     store = localizer.store
     others = [digest(count=7), digest(noise="mild"), digest(seed=4)]
@@ -153,18 +163,18 @@ def test_the_key_holds_whatever_changes_the_errors(localizer):
 def test_a_symmetric_object_may_be_found_at_any_equivalent(localizer):
     """The pin turned by half about its axis looks the same: such an estimate is as good."""
     evaluator = TouchEvaluator(localizer)
-    touch = SimulatedTouches("none", 0).touch(localizer, 0)
+    touch = SimulatedTouches("none", 0).draw_touch(localizer, 0)
     truth = touch.T_sensor_object
     same = localizer.model.grid.metric.equivalents(truth[None], 2e-4)[:, 0]
     assert len(same) == 2
-    errors = evaluator._errors_m(same, truth)
+    errors = evaluator._measure_errors(same, truth)
     assert errors[:, :2] == pytest.approx(0, abs=1e-9)
 
 
 def test_touches_without_a_true_pose_and_unknown_noise_are_refused(localizer):
     import dataclasses
 
-    touch = dataclasses.replace(SimulatedTouches().touch(localizer, 0), T_sensor_object=None)
+    touch = dataclasses.replace(SimulatedTouches().draw_touch(localizer, 0), T_sensor_object=None)
     with pytest.raises(TouchError, match="touch-0000"):
         TouchEvaluator(localizer).measure(touch, np.random.default_rng(0))
     with pytest.raises(ConfigError, match=naming("'loud'", "'mild'")):

@@ -27,7 +27,7 @@ def touches_of(obj, **more) -> RobotTouches:
 
 
 def test_a_ball_is_pressed_in_by_what_the_touch_says(ball):
-    touches, refused = touches_of(ball).example(5, np.random.default_rng(0))
+    touches, refused = touches_of(ball).draw_example(5, np.random.default_rng(0))
     assert (len(touches), refused) == (5, 0)
     for touch in touches:
         assert 0.3 * 0.002 <= touch.press_depth_m <= 0.9 * 0.002
@@ -38,7 +38,7 @@ def test_a_ball_is_pressed_in_by_what_the_touch_says(ball):
 
 def test_the_same_seed_makes_the_same_example(make_box):
     box = make_box(0.020, 0.012, 0.008)
-    a, b, c = (touches_of(box).example(2, np.random.default_rng(seed))[0] for seed in (1, 1, 2))
+    a, b, c = (touches_of(box).draw_example(2, np.random.default_rng(seed))[0] for seed in (1, 1, 2))
     for x, y, z in zip(a, b, c, strict=True):
         assert x.contact_shape.depth_m.tobytes() == y.contact_shape.depth_m.tobytes()
         assert not np.allclose(x.T_sensor_object, z.T_sensor_object)
@@ -47,19 +47,19 @@ def test_the_same_seed_makes_the_same_example(make_box):
 def test_what_shows_no_usable_touch_is_counted(make_box):
     """A plate larger than the sensor, met flat by chance never: the noise hides whole contacts instead."""
     box = make_box(0.020, 0.012, 0.008)
-    example = touches_of(box, noise=NOISE["strong"], press=(0.05, 0.1)).example(20, np.random.default_rng(3))
+    example = touches_of(box, noise=NOISE["strong"], press=(0.05, 0.1)).draw_example(20, np.random.default_rng(3))
     assert len(example[0]) == 20
     assert example[1] > 0
 
 
 def test_an_object_that_can_hardly_be_touched_is_refused(ball):
     with pytest.raises(TouchError, match="ball"):
-        touches_of(ball, least_percent=99.0).example(1, np.random.default_rng(0))
+        touches_of(ball, least_percent=99.0).draw_example(1, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("press_m", [0.0005, 0.002])
 def test_opposed_fingers_are_as_far_apart_as_the_object_is_thick(ball, press_m):
-    first, second = touches_of(ball).opposed(np.random.default_rng(4), press_m)
+    first, second = touches_of(ball).draw_grip(np.random.default_rng(4), press_m)
     T = invert(first.T_base_sensor) @ second.T_base_sensor
     np.testing.assert_allclose(T[:3, :3], np.diag([1, -1, -1]), atol=1e-12)  # face to face
     apart_m = T[2, 3] - 2 * GEOMETRY.standoff_m
@@ -68,7 +68,7 @@ def test_opposed_fingers_are_as_far_apart_as_the_object_is_thick(ball, press_m):
 
 def test_sensors_are_off_by_what_they_are_said_to_be(ball):
     std_m, std_rad = 5e-4, np.radians(0.5)
-    touches, _ = touches_of(ball, sensor_std_m=std_m, sensor_std_rad=std_rad).example(60, np.random.default_rng(5))
+    touches, _ = touches_of(ball, sensor_std_m=std_m, sensor_std_rad=std_rad).draw_example(60, np.random.default_rng(5))
     off = [touch.T_base_sensor @ touch.T_sensor_object for touch in touches]  # the identity, if they were right
     turned = np.array([rotation_angle(T[:3, :3]) for T in off])
     assert np.sqrt((turned**2).mean() / 3) == pytest.approx(std_rad, rel=0.2)
@@ -79,5 +79,5 @@ def test_sensors_are_off_by_what_they_are_said_to_be(ball):
     shifts = np.array([(T @ [0, 0, GEOMETRY.standoff_m, 1] - [0, 0, GEOMETRY.standoff_m, 1])[:3] for T in gels])
     assert shifts.std() == pytest.approx(std_m, rel=0.2)
     assert {(t.T_base_sensor_std_m, t.T_base_sensor_std_rad) for t in touches} == {(std_m, std_rad)}
-    (touch,), _ = touches_of(ball).example(1, np.random.default_rng(6))
+    (touch,), _ = touches_of(ball).draw_example(1, np.random.default_rng(6))
     assert touch.T_base_sensor_std_m == Touch.T_base_sensor_std_m

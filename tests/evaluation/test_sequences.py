@@ -10,7 +10,7 @@ from tactile_loc.core.sensing.contact import lowest_points
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.evaluation.sequences import MOST_RISE_M, SlidingTouches, Slip, correlated_normal, smooth_random
+from tactile_loc.evaluation.sequences import MOST_RISE_M, SlidingTouches, Slip, draw_correlated, draw_smooth
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 
 GEOMETRY = SensorGeometry("orthographic", 80, 60, 4000.0, 4000.0, 40.0, 30.0, 0.01, 1e-3)
@@ -28,7 +28,7 @@ def box(make_box):
 
 @pytest.fixture(scope="module")
 def frames(box):
-    return SlidingTouches(source(box)).example(COUNT, np.random.default_rng(2), jump_at=JUMP)
+    return SlidingTouches(source(box)).draw_example(COUNT, np.random.default_rng(2), jump_at=JUMP)
 
 
 def test_the_sensor_stays_in_contact_as_deep_as_the_touch_says(frames, box):
@@ -57,7 +57,7 @@ def test_it_moves_smoothly_and_says_where_it_was(frames):
 
 def test_a_slip_is_as_far_as_asked_for(box):
     slip = Slip(2e-3, 0.1)
-    frames = SlidingTouches(source(box)).example(3, np.random.default_rng(4), jump_at=1, slip=slip)
+    frames = SlidingTouches(source(box)).draw_example(3, np.random.default_rng(4), jump_at=1, slip=slip)
     before, after = (frames[k].T_sensor_object for k in (0, 1))
     T = after @ invert(before)
     gel = np.array([0.0, 0.0, GEOMETRY.standoff_m])
@@ -69,7 +69,7 @@ def test_a_slip_is_as_far_as_asked_for(box):
 
 def test_the_same_seed_is_the_same_sequence_and_noise_stays_on_the_gel(box):
     sliding = SlidingTouches(source(box, noise=NOISE["mild"]))
-    first, again = (sliding.example(3, np.random.default_rng(3)) for _ in range(2))
+    first, again = (sliding.draw_example(3, np.random.default_rng(3)) for _ in range(2))
     for a, b in zip(first, again, strict=True):
         assert np.array_equal(a.touch.contact_shape.depth_m, b.touch.contact_shape.depth_m)
     np.testing.assert_array_equal(first[0].touch.T_base_sensor, first[0].T_base_sensor)
@@ -78,7 +78,7 @@ def test_the_same_seed_is_the_same_sequence_and_noise_stays_on_the_gel(box):
 def test_sensor_poses_are_off_by_as_much_as_told(box):
     std_m, std_rad = 3e-4, 5e-3
     sliding = SlidingTouches(source(box, sensor_std_m=std_m, sensor_std_rad=std_rad), noise_s=0.01)
-    frames = sliding.example(150, np.random.default_rng(4))
+    frames = sliding.draw_example(150, np.random.default_rng(4))
     off = np.array([frame.T_base_sensor @ frame.T_sensor_object for frame in frames])
     turned = rotation_angle(off[:, :3, :3])
     assert np.sqrt((turned**2).mean() / 3) == pytest.approx(std_rad, rel=0.15)
@@ -87,9 +87,9 @@ def test_sensor_poses_are_off_by_as_much_as_told(box):
 
 def test_random_numbers_have_unit_size_and_the_correlation_asked_for():
     rng = np.random.default_rng(5)
-    smooth = smooth_random(3000, 0.01, 40, rng)
+    smooth = draw_smooth(3000, 0.01, 40, rng)
     assert np.sqrt((smooth**2).mean()) == pytest.approx(1.0, abs=0.03)
     assert np.abs(np.diff(smooth, axis=0)).max() < 0.1
-    errors = correlated_normal(4000, 0.1, 20, rng)
+    errors = draw_correlated(4000, 0.1, 20, rng)
     assert errors.std() == pytest.approx(1.0, abs=0.05)
     assert (errors[1:] * errors[:-1]).mean() == pytest.approx(0.9, abs=0.05)

@@ -16,7 +16,7 @@ from tactile_loc.calibration.folder import read_calibration, write_calibration
 from tactile_loc.calibration.simulated import calibrate_simulated
 from tactile_loc.core.errors import CalibrationError, ConfigError, TouchError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.evaluation.protocol import evaluate, evaluation_key
+from tactile_loc.evaluation.protocol import evaluate, make_evaluation_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.locate.localizer import Localizer
@@ -49,7 +49,7 @@ def localizer(folder, store) -> Localizer:
 def test_an_image_shows_the_touch_of_that_number(localizer):
     overlaps = []
     for number in range(6):
-        shape, image = (SimulatedTouches(seed=3, images=i).touch(localizer, number) for i in (False, True))
+        shape, image = (SimulatedTouches(seed=3, images=i).draw_touch(localizer, number) for i in (False, True))
         assert (shape.T_sensor_object == image.T_sensor_object).all()
         assert shape.name == image.name == f"touch-{number:04d}"
         assert (shape.image, image.image.shape) == (None, (96, 96, 3))
@@ -59,9 +59,9 @@ def test_an_image_shows_the_touch_of_that_number(localizer):
 
 
 def test_a_touch_is_always_the_same_and_another_seeds_is_not(localizer):
-    first, again = (IMAGES.touch(localizer, 2) for _ in range(2))
+    first, again = (IMAGES.draw_touch(localizer, 2) for _ in range(2))
     assert (first.image == again.image).all()
-    other = dataclasses.replace(IMAGES, seed=4).touch(localizer, 2)
+    other = dataclasses.replace(IMAGES, seed=4).draw_touch(localizer, 2)
     assert not np.allclose(first.T_sensor_object, other.T_sensor_object)
 
 
@@ -76,30 +76,30 @@ def test_an_image_without_contact_is_drawn_anew_and_said(localizer, monkeypatch,
 
     monkeypatch.setattr(type(localizer.sensor), "contact_shape", sees_nothing_first)
     with caplog.at_level(logging.WARNING):
-        touch = IMAGES.touch(localizer, 1)
+        touch = IMAGES.draw_touch(localizer, 1)
     assert not missing(caplog.text, "touch-0001", "pin", "no contact")
-    drawn_first = SimulatedTouches(seed=3).touch(localizer, 1)
+    drawn_first = SimulatedTouches(seed=3).draw_touch(localizer, 1)
     assert not np.allclose(touch.T_sensor_object, drawn_first.T_sensor_object)
     monkeypatch.setattr(
         type(localizer.sensor), "contact_shape", lambda *_: (_ for _ in ()).throw(TouchError("no contact"))
     )
     with pytest.raises(TouchError, match="pin"):
-        IMAGES.touch(localizer, 1)
+        IMAGES.draw_touch(localizer, 1)
 
 
 def test_evaluating_images_is_another_evaluation_with_the_same_truth(localizer):
     shapes = evaluate(localizer, 3, SimulatedTouches(seed=3))
     images = evaluate(localizer, 3, IMAGES)
     # how deep a photo was pressed is measured: its grid is as deep as that
-    np.testing.assert_allclose(shapes.errors("random"), images.errors("random"), atol=2e-4)
-    assert evaluation_key(localizer, 3, IMAGES) != evaluation_key(localizer, 3, SimulatedTouches(seed=3))
-    assert np.median(images.errors("best-1")) < np.median(images.errors("random"))
+    np.testing.assert_allclose(shapes.select_errors("random"), images.select_errors("random"), atol=2e-4)
+    assert make_evaluation_key(localizer, 3, IMAGES) != make_evaluation_key(localizer, 3, SimulatedTouches(seed=3))
+    assert np.median(images.select_errors("best-1")) < np.median(images.select_errors("random"))
 
 
 def test_the_key_holds_the_calibration(localizer, folder, store, tmp_path):
     other = write_altered(folder, tmp_path / "other")
-    keys = {evaluation_key(located(f, store), 3, IMAGES).digest for f in (folder, other)}
-    assert len({evaluation_key(localizer, 3, IMAGES).digest, *keys}) == 2
+    keys = {make_evaluation_key(located(f, store), 3, IMAGES).digest for f in (folder, other)}
+    assert len({make_evaluation_key(localizer, 3, IMAGES).digest, *keys}) == 2
 
 
 def write_altered(folder: Path, to: Path) -> Path:

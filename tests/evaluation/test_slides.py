@@ -10,7 +10,7 @@ from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.sensing.contact import lowest_points
 from tactile_loc.core.sensing.touch import contact_shape_from_array
 from tactile_loc.core.simulation.noise import NOISE
-from tactile_loc.evaluation.slides import FLANGE, GEL, Photos, Slide, slide, write_slide
+from tactile_loc.evaluation.slides import FLANGE, GEL, Photos, Slide, draw_slide, write_slide
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.io.recordings import Recording
 from tactile_loc.io.ros_messages import image_array
@@ -21,7 +21,7 @@ IMAGES = 25
 
 @pytest.fixture(scope="module")
 def over_a_box(make_scene, box, flat_camera) -> Slide:
-    return slide(make_scene(box, flat_camera), START, IMAGES)
+    return draw_slide(make_scene(box, flat_camera), START, IMAGES)
 
 
 def test_the_object_is_pressed_as_deep_as_is_said(over_a_box, box, flat_camera):
@@ -32,7 +32,7 @@ def test_the_object_is_pressed_as_deep_as_is_said(over_a_box, box, flat_camera):
 
 def test_its_images_show_contact_but_for_the_first_and_the_last(over_a_box, flat_camera):
     for k, number in enumerate(over_a_box.frames):
-        depth, press_m = over_a_box.depths_m(number), over_a_box.press_m[number]
+        depth, press_m = over_a_box.draw_depths_m(number), over_a_box.press_m[number]
         shape = contact_shape_from_array(depth, flat_camera.max_depth_m)
         assert shape.contact.any() == (0 < k < IMAGES - 1)
         if press_m > 0:
@@ -40,10 +40,12 @@ def test_its_images_show_contact_but_for_the_first_and_the_last(over_a_box, flat
 
 
 def test_noise_is_that_of_a_seed_and_an_image(make_scene, box, flat_camera, over_a_box):
-    noisy, same, other = (slide(make_scene(box, flat_camera), START, IMAGES, NOISE["mild"], seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(noisy.depths_m(20), same.depths_m(20))
-    assert (noisy.depths_m(20) != other.depths_m(20)).any()
-    assert (noisy.depths_m(20) != over_a_box.depths_m(20)).any()
+    noisy, same, other = (
+        draw_slide(make_scene(box, flat_camera), START, IMAGES, NOISE["mild"], seed) for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(noisy.draw_depths_m(20), same.draw_depths_m(20))
+    assert (noisy.draw_depths_m(20) != other.draw_depths_m(20)).any()
+    assert (noisy.draw_depths_m(20) != over_a_box.draw_depths_m(20)).any()
     np.testing.assert_array_equal(noisy.T_sensor_object, over_a_box.T_sensor_object)
 
 
@@ -61,4 +63,4 @@ def test_an_object_that_slides_off_is_refused(make_scene, box, flat_camera):
     beside = START.copy()
     beside[0, 3] = 0.03
     with pytest.raises(TouchError, match="box"):
-        slide(make_scene(box, flat_camera), beside, IMAGES)
+        draw_slide(make_scene(box, flat_camera), beside, IMAGES)

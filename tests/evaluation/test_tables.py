@@ -12,21 +12,17 @@ import pytest
 
 from tactile_loc.core.errors import OutputError
 from tactile_loc.core.formatting import mm
-from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
+from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.evaluation.tables import (
     Run,
-    ambiguity_header,
-    ambiguity_rows,
-    area_header,
-    area_rows,
-    csv_text,
-    markdown,
-    posterior_header,
-    posterior_rows,
-    record,
-    summary_header,
-    summary_rows,
+    format_csv,
+    format_markdown,
+    record_runs,
+    tabulate_ambiguity,
+    tabulate_areas,
+    tabulate_medians,
+    tabulate_posteriors,
     write_tables,
 )
 
@@ -51,34 +47,34 @@ def make_run(name: str, encoder: str, seed: int) -> Run:
 
 
 def test_trust_is_said_in_table_json_and_mm(runs):
-    trust, (row, *_) = runs[0].posterior_summary(), posterior_rows(runs)
+    trust, (header, row, *_) = runs[0].summarise_posteriors(), tabulate_posteriors(runs)
     held = runs[0].evaluation.posterior_metrics[:, POSTERIOR_METRICS.index("credible_level")] <= 0.8
     assert trust.coverage[1] == held.mean()
     assert row[3] == f"{100 * held.mean():.0f} %"
     assert float(row[-1]) == pytest.approx(1e3 * trust.spread_m, rel=0.01)
-    assert dict(zip(posterior_header(), row, strict=True))["uniform"] == f"{np.log(500):.2f}"
-    found = record(runs, PROTOCOL)["runs"][0]
+    assert dict(zip(header, row, strict=True))["uniform"] == f"{np.log(500):.2f}"
+    found = record_runs(runs, PROTOCOL)["runs"][0]
     assert found["posterior"]["coverage"] == trust.coverage
     assert found["posterior_metrics"]["nll"] == runs[0].evaluation.posterior_metrics[:, 0].tolist()
-    assert " | ".join(row) in markdown(runs, "title")
+    assert " | ".join(row) in format_markdown(runs, "title")
 
 
 def test_ambiguous_touches_are_counted_and_left_out(runs):
-    run, found = runs[0], record(runs, PROTOCOL)["runs"][0]
+    run, found = runs[0], record_runs(runs, PROTOCOL)["runs"][0]
     ratios = np.array(found["ambiguity_ratios"])
     clear = np.array(found["errors_m"]["chosen"]["add"])[ratios >= 1]
     assert 0 < len(clear) < len(ratios)
     assert found["ambiguity"]["ambiguous"] == (ratios < 1).mean()
     assert found["ambiguity"]["unambiguous"]["chosen"]["median"] == np.median(clear)
-    row = dict(zip(ambiguity_header(), ambiguity_rows(runs)[0], strict=True))
+    row = dict(zip(*tabulate_ambiguity(runs)[:2], strict=True))
     assert row["ambiguous"] == f"{100 * (ratios < 1).mean():.0f} %"
-    assert row["chosen, all"] == mm(run.statistics("chosen").median)
+    assert row["chosen, all"] == mm(run.summarise("chosen").median)
     assert row["chosen, unambiguous"] == mm(np.median(clear))
-    assert " | ".join(row.values()) in markdown(runs, "title")
+    assert " | ".join(row.values()) in format_markdown(runs, "title")
 
 
 def test_errors_are_told_by_the_contact_s_area(runs):
-    (found, *_) = record(runs, PROTOCOL)["runs"]
+    (found, *_) = record_runs(runs, PROTOCOL)["runs"]
     shares, errors = np.array(found["contact_shares"]), np.array(found["errors_m"]["chosen"]["add"])
     assert sum(area["touches"] for area in found["contact_areas"]) == len(shares)
     assert found["refused"] == sum(range(12))
@@ -87,28 +83,28 @@ def test_errors_are_told_by_the_contact_s_area(runs):
     assert (few["from"], few["to"], few["touches"]) == (0.05, 0.15, len(some))
     assert few["median_m"] == np.median(some)
     assert few["within_1_mm"] == (some < 1e-3).mean()
-    row = dict(zip(area_header(), area_rows(runs)[0], strict=True))
+    row = dict(zip(*tabulate_areas(runs)[:2], strict=True))
     assert row["5 to 15 %"] == f"{mm(np.median(some))}, {100 * few['within_1_mm']:.0f} % ({len(some)})"
     assert row["refused"] == "66"
-    assert " | ".join(row.values()) in markdown(runs, "title")
+    assert " | ".join(row.values()) in format_markdown(runs, "title")
 
 
 def test_a_sensor_all_in_contact_is_the_last_area_and_none_is_a_dash():
     run = make_run("pin", "pixel", 0)
     full = dataclasses.replace(run, evaluation=dataclasses.replace(run.evaluation, contact_share=np.ones(12)))
-    *others, last = area_rows([full])[0][3:]
+    *others, last = tabulate_areas([full])[1][3:]
     assert set(others) == {"-"}
     assert last.endswith("(12)")
-    assert json.loads(json.dumps(record([full], PROTOCOL)))["runs"][0]["contact_areas"][0]["median_m"] is None
+    assert json.loads(json.dumps(record_runs([full], PROTOCOL)))["runs"][0]["contact_areas"][0]["median_m"] is None
 
 
 def test_nothing_is_said_of_no_touches_and_infinity_is_no_number():
     run = make_run("pin", "pixel", 0)
-    for ratio, shown in ((0.0, "-"), (np.inf, mm(run.statistics("chosen").median))):
+    for ratio, shown in ((0.0, "-"), (np.inf, mm(run.summarise("chosen").median))):
         evaluation = dataclasses.replace(run.evaluation, ambiguity=np.full(12, ratio))
         one = dataclasses.replace(run, evaluation=evaluation)
-        assert ambiguity_rows([one])[0][-1] == shown
-        found = json.loads(json.dumps(record([one], PROTOCOL), allow_nan=False))["runs"][0]
+        assert tabulate_ambiguity([one])[1][-1] == shown
+        found = json.loads(json.dumps(record_runs([one], PROTOCOL), allow_nan=False))["runs"][0]
         assert (found["ambiguity"]["unambiguous"]["chosen"] is None) == (ratio == 0)
         assert (found["ambiguity_ratios"][0] is None) == (ratio > 0)
 
@@ -119,11 +115,11 @@ def runs() -> list[Run]:
 
 
 def test_csv_json_and_markdown_agree(runs):
-    rows = list(csv.DictReader(io.StringIO(csv_text(runs))))
+    rows = list(csv.DictReader(io.StringIO(format_csv(runs))))
     assert len(rows) == len(runs) * len(LINES) * len(METRICS)
-    found = json.loads(json.dumps(record(runs, PROTOCOL)))["runs"]
+    found = json.loads(json.dumps(record_runs(runs, PROTOCOL)))["runs"]
     by_name = {(run["object"], run["encoder"]): run for run in found}
-    sections = {part.split("\n")[0]: part for part in markdown(runs, "title").split("\n## ")[1:]}
+    sections = {part.split("\n")[0]: part for part in format_markdown(runs, "title").split("\n## ")[1:]}
     for row in rows:
         entry = by_name[row["object"], row["encoder"]]["lines"][row["line"]][row["metric"]]
         for statistic in ("mean", "median", "std", "q25", "q75", "p90"):
@@ -139,7 +135,7 @@ def test_csv_json_and_markdown_agree(runs):
 
 
 def test_the_statistics_are_those_of_the_touches(runs):
-    (run, *_) = record(runs, PROTOCOL)["runs"]
+    (run, *_) = record_runs(runs, PROTOCOL)["runs"]
     for line in LINES:
         for metric in METRICS:
             errors = np.array(run["errors_m"][line][metric])
@@ -151,18 +147,19 @@ def test_the_statistics_are_those_of_the_touches(runs):
 
 
 def test_the_summary_has_a_cell_for_each_column(runs):
-    header, rows = summary_header(), summary_rows(runs)
+    header, *rows = tabulate_medians(runs)
     assert [row[:2] for row in rows] == [[run.object, run.encoder] for run in runs]
     assert {len(row) for row in rows} == {len(header)}
-    assert rows[0][2].startswith(mm(runs[0].statistics("best-1").median))
+    assert rows[0][2] == mm(runs[0].summarise("best-1").median)
+    assert f"{rows[0][2]} ({tabulate_medians(runs, normalised=True)[1][2]})" in format_markdown(runs, "title")
 
 
 def test_files_are_written_whole_or_refused(runs, tmp_path):
     written = write_tables(tmp_path / "out", runs, PROTOCOL, "title")
     assert [path.name for path in written] == ["results.json", "results.csv", "results.md"]
     assert json.loads(written[0].read_text())["protocol"]["noise"] == "mild"
-    assert written[1].read_text() == csv_text(runs)
-    assert written[2].read_text() == markdown(runs, "title")
+    assert written[1].read_text() == format_csv(runs)
+    assert written[2].read_text() == format_markdown(runs, "title")
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="--out"):
         write_tables(tmp_path / "file", runs, PROTOCOL, "title")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.evaluation.tabular import Statistics, bracketed, columns, csv_table, markdown_table
+from tactile_loc.evaluation.tabular import Statistics, bracket_shares, format_csv, format_markdown, list_columns
 
 
 def test_statistics_of_known_values():
@@ -15,13 +15,14 @@ def test_statistics_of_known_values():
 
 
 def test_columns_are_in_mm_and_as_they_are():
-    found = columns(Statistics(1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3), Statistics(0.1, 0.2, 0.3, 0.4, 0.5, 0.6))
+    found = list_columns(Statistics(1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3), Statistics(0.1, 0.2, 0.3, 0.4, 0.5, 0.6))
     assert (found["mean_mm"], found["p90_mm"], found["median_normalised"]) == ("1", "6", "0.2")
     assert len(found) == 12
 
 
 def test_tables_as_text():
-    rows = bracketed([["a", "1", "2"], ["b", "3", "4"]], [["a", "x", "y"], ["b", "z", "w"]], names=1)
-    assert rows == [["a", "1 (x)", "2 (y)"], ["b", "3 (z)", "4 (w)"]]
-    assert markdown_table(["n", "p", "q"], rows[:1]) == "| n | p | q |\n| --- | --- | --- |\n| a | 1 (x) | 2 (y) |\n"
-    assert csv_table([{"n": "a", "p": 1}, {"n": "b", "p": 2}]) == "n,p\na,1\nb,2\n"
+    heads = ["n", "p", "q"]
+    rows = bracket_shares([heads, ["a", "1", "2"], ["b", "3", "4"]], [heads, ["a", "x", "y"], ["b", "z", "w"]], names=1)
+    assert rows == [heads, ["a", "1 (x)", "2 (y)"], ["b", "3 (z)", "4 (w)"]]
+    assert format_markdown(rows[:2]) == "| n | p | q |\n| --- | --- | --- |\n| a | 1 (x) | 2 (y) |\n"
+    assert format_csv([{"n": "a", "p": 1}, {"n": "b", "p": 2}]) == "n,p\na,1\nb,2\n"

@@ -23,7 +23,7 @@ def localizer(store) -> Localizer:
 @pytest.fixture(scope="module")
 def examples(localizer) -> list[list[Touch]]:
     source = RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
-    return [source.example(3, np.random.default_rng([7, k]))[0] for k in range(6)]
+    return [source.draw_example(3, np.random.default_rng([7, k]))[0] for k in range(6)]
 
 
 def off_mm(localizer: Localizer, T: np.ndarray, touch: Touch) -> float:

@@ -12,7 +12,7 @@ from tactile_loc.core.geometry.rigid import make_transform, rotation_about, tran
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.component import Capabilities
-from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
+from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.io.meshes import load_object
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
@@ -364,7 +364,7 @@ def test_what_was_refined_has_a_covariance(pin, touches):
                 assert (np.linalg.eigvalsh(covariance) > 0).all()
     metric = PoseMetric(pin.object)
     squared = [
-        normalised_error_squared(metric, one.best.T_sensor_object, one.best.refined.covariance, touch.T_sensor_object)
+        compute_nees(metric, one.best.T_sensor_object, one.best.refined.covariance, touch.T_sensor_object)
         for one, touch in zip(found, touches, strict=False)
     ]
     assert np.median(squared) < 40

@@ -43,7 +43,7 @@ def search(localizer) -> PlaceSearch:
 def examples(localizer) -> list[list[Touch]]:
     """Three touches each, of an object at rest, pressed from anywhere and drawn by ray casting."""
     source = RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
-    return [source.example(3, np.random.default_rng([21, k]))[0] for k in range(8)]
+    return [source.draw_example(3, np.random.default_rng([21, k]))[0] for k in range(8)]
 
 
 def off_mm(localizer: Localizer, poses: np.ndarray, touch: Touch) -> np.ndarray:
@@ -234,7 +234,7 @@ def common(first: np.ndarray, second: np.ndarray) -> set:
 def noisy(localizer) -> list[Touch]:
     raycast = registry().create("renderer", "raycast", {})
     source = RobotTouches(localizer.object, localizer.scene.geometry, raycast, noise=noise_level("mild"))
-    return [source.example(1, np.random.default_rng([31, k]))[0][0] for k in range(16)]
+    return [source.draw_example(1, np.random.default_rng([31, k]))[0][0] for k in range(16)]
 
 
 def near(touch: Touch, rng: np.random.Generator) -> GaussianPrior:

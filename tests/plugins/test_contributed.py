@@ -102,7 +102,7 @@ def test_only_the_public_api_is_imported(name):
         "def f():\n    from tactile_loc.plugins.grids import lattice",
         "from tactile_loc import plugins",
         "importlib.import_module('tactile_loc.plugins.encoders.pixel')",
-        "from tactile_loc.evaluation.metrics import add_s",
+        "from tactile_loc.evaluation.metrics import compute_add_s",
         "from tactile_loc.core.slots.scene import Scene",
     ],
 )

@@ -17,7 +17,7 @@ from tactile_loc.io.frame_sources import SourceFrame
 from tactile_loc.locate.located_frame import LocatedFrame
 from tactile_loc.locate.verdict import Verdict
 from tactile_loc.reports.live_server import Board, LiveServer
-from tactile_loc.reports.live_view import live_page, live_state, shape_made
+from tactile_loc.reports.live_view import describe_frame, make_live_page, render_shape
 from tactile_loc.reports.page import JSON_OPTIONS, render
 from tactile_loc.tasks.live import LiveResult
 
@@ -34,7 +34,7 @@ def events(response: HTTPResponse) -> list[str]:
 
 
 def test_the_page_comes_from_this_machine_alone_and_asks_only_its_own_server(localizer):
-    with LiveServer(render(live_page(localizer, "<b>camera</b> 0")), 0) as server:
+    with LiveServer(render(make_live_page(localizer, "<b>camera</b> 0")), 0) as server:
         assert server.url.startswith("http://127.0.0.1:")
         answer = ask(server, "/")
         text = answer.read().decode()
@@ -71,13 +71,13 @@ def test_what_nobody_asks_for_is_not_made_and_what_two_ask_for_is_made_once():
 
     board.show(make)
     assert made == []
-    threads = [threading.Thread(target=board.newer, args=(0, 10.0)) for _ in range(2)]
+    threads = [threading.Thread(target=board.wait_for_newer, args=(0, 10.0)) for _ in range(2)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
     assert made == [1]
-    assert board.newer(1, 0.01) == (1, "")
+    assert board.wait_for_newer(1, 0.01) == (1, "")
 
 
 def test_a_port_that_is_taken_is_told():
@@ -92,7 +92,7 @@ def test_a_port_that_is_taken_is_told():
 
 
 def state_of(localizer, located: LocatedFrame) -> dict:
-    return live_state(LiveResult(SourceFrame(9, 1.0, "9.png"), located, None, 3, 12.34), None, localizer)
+    return describe_frame(LiveResult(SourceFrame(9, 1.0, "9.png"), located, None, 3, 12.34), None, localizer)
 
 
 def test_numbers_are_in_millimetres_and_degrees(localizer):
@@ -119,9 +119,9 @@ def test_a_frame_is_shown_with_its_outline_and_the_one_that_the_true_pose_makes(
     touch = localizer.simulate(1, seed=1)[0]
     located = LocatedFrame(Verdict.CERTAIN, touch.T_sensor_object[None], np.ones(1), None, 1.0, 0.1)
     result = LiveResult(SourceFrame(0, 0.0, "0"), located, touch, 0, 0.0)
-    made = shape_made(result, localizer)
+    made = render_shape(result, localizer)
     assert made.contact_iou(touch.contact_shape, touch.geometry.observed_mask) > 0.97
-    state = live_state(result, made, localizer)
+    state = describe_frame(result, made, localizer)
     assert state["outline"].startswith("M")
     assert state["made"].startswith("M")
     assert state["pictures"][0] is None

@@ -24,9 +24,9 @@ from tactile_loc.locate.located_frame import LocatedFrame
 from tactile_loc.locate.verdict import Verdict
 from tactile_loc.reports import find_source, write_report
 from tactile_loc.reports.live_server import LiveServer
-from tactile_loc.reports.live_view import live_page, live_state, shape_made
+from tactile_loc.reports.live_view import describe_frame, make_live_page, render_shape
 from tactile_loc.reports.page import render
-from tactile_loc.reports.scene import rows_mm
+from tactile_loc.reports.scene import list_rows_mm
 from tactile_loc.tasks.live import LiveResult
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
@@ -254,13 +254,13 @@ def test_a_live_run_is_drawn_as_it_goes(browser, localizer: Localizer):
     body = localizer.object.mesh.vertices_m
     for kind in ("browser", "performance"):
         browser.get_log(kind)
-    with LiveServer(render(live_page(localizer, "camera 0")), 0) as server:
+    with LiveServer(render(make_live_page(localizer, "camera 0")), 0) as server:
         browser.get(server.url)
         assert "waiting" in find(browser, "#says").text
         for number, touch in enumerate((first, second, None)):
             result = live_result(number, touch)
-            made = shape_made(result, localizer)
-            server.board.show(lambda result=result, made=made: live_state(result, made, localizer))
+            made = render_shape(result, localizer)
+            server.board.show(lambda result=result, made=made: describe_frame(result, made, localizer))
             WebDriverWait(browser, 120).until(
                 lambda _, n=str(number): browser.execute_script("return document.documentElement.dataset.number") == n
             )
@@ -269,7 +269,7 @@ def test_a_live_run_is_drawn_as_it_goes(browser, localizer: Localizer):
             assert image.get_attribute("href").startswith("data:image/png")
             assert drawn == (touch is not None)
             if touch is not None:
-                rows = np.reshape(rows_mm(touch.T_sensor_object), (3, 4))
+                rows = np.reshape(list_rows_mm(touch.T_sensor_object), (3, 4))
                 expected = 1e3 * body @ rows[:, :3].T + rows[:, 3]
                 assert np.abs(object_points(browser) - expected).max() < 0.01
                 texts = [find(browser, f"#{name}").text for name in ("verdict", "probability", "place-more", "rate")]

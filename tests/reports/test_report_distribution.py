@@ -10,14 +10,14 @@ from tactile_loc.core.geometry.rigid import align_to_z, make_transform, random_r
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.reports.distribution import (
     SideMap,
-    refined,
-    side_map,
-    surface_distribution,
-    touched_points,
-    vertex_areas,
-    vertex_normals,
-    yaw_histogram,
-    yaw_rad,
+    compute_vertex_areas,
+    compute_vertex_normals,
+    compute_yaw_rad,
+    count_yaws,
+    find_touched_vertices,
+    map_sides,
+    split_long_edges,
+    spread_over_surface,
 )
 
 Z = [0, 0, 1]
@@ -34,7 +34,7 @@ def rod() -> TriangleMesh:
 
 
 def test_a_refined_surface_is_the_same_surface_closed_and_without_long_edges(rod):
-    fine = refined(rod, 0.002)
+    fine = split_long_edges(rod, 0.002)
     a, b, c = np.moveaxis(fine.triangles_m, 1, 0)
     assert max(np.linalg.norm(u - v, axis=1).max() for u, v in ((a, b), (b, c), (c, a))) <= 0.002
     assert fine.face_areas.sum() == pytest.approx(rod.face_areas.sum(), rel=1e-9)
@@ -43,15 +43,15 @@ def test_a_refined_surface_is_the_same_surface_closed_and_without_long_edges(rod
 
 
 def test_a_surface_of_short_edges_stays_as_it_is(rod):
-    fine = refined(rod, 1.0)
+    fine = split_long_edges(rod, 1.0)
     assert (fine.vertices_m.shape, fine.faces.shape) == (rod.vertices_m.shape, rod.faces.shape)
 
 
 def test_areas_and_normals_of_vertices_are_those_of_a_ball():
     ball = surface(trimesh.creation.icosphere(3, 0.01))
-    assert vertex_areas(ball).sum() == pytest.approx(ball.face_areas.sum())
+    assert compute_vertex_areas(ball).sum() == pytest.approx(ball.face_areas.sum())
     outwards = ball.vertices_m / 0.01
-    assert (vertex_normals(ball) * outwards).sum(axis=1).min() > 0.999
+    assert (compute_vertex_normals(ball) * outwards).sum(axis=1).min() > 0.999
 
 
 def test_it_sums_to_one_and_lies_where_the_sensor_is(rod, flat_camera):
@@ -62,7 +62,7 @@ def test_it_sums_to_one_and_lies_where_the_sensor_is(rod, flat_camera):
     R = random_rotations(50, np.random.default_rng(0))
     T = make_transform(R, centre - R @ touched)
     weights = np.random.default_rng(1).dirichlet(np.ones(50))
-    found = surface_distribution(rod, T, weights, flat_camera, 0.001)
+    found = spread_over_surface(rod, T, weights, flat_camera, 0.001)
     assert found.mass.sum() == pytest.approx(1.0, abs=1e-12)
     assert (found.mass >= 0).all()
     away = np.linalg.norm(found.mesh.vertices_m - touched, axis=1)
@@ -75,7 +75,7 @@ def test_two_places_share_the_probability_as_their_weights_say(rod, flat_camera)
     centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
     places = np.array([[0.004, 0.0, 0.02], [0.004, 0.0, -0.02]])
     T = make_transform(np.broadcast_to(np.eye(3), (2, 3, 3)), centre - places)
-    found = surface_distribution(rod, T, np.array([0.8, 0.2]), flat_camera, 0.001)
+    found = spread_over_surface(rod, T, np.array([0.8, 0.2]), flat_camera, 0.001)
     assert found.mass[found.mesh.vertices_m[:, 2] > 0].sum() == pytest.approx(0.8)
 
 
@@ -84,7 +84,7 @@ def test_the_back_of_a_thin_wall_gets_nothing(flat_camera):
     x0, x1, y0, y1 = flat_camera.rectangle
     centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
     T = make_transform(np.eye(3), centre - [0.001, 0.002, -0.00025])[None]  # on its lower side
-    found = surface_distribution(plate, T, np.ones(1), flat_camera, 0.002)
+    found = spread_over_surface(plate, T, np.ones(1), flat_camera, 0.002)
     assert found.mass.sum() == pytest.approx(1.0)
     assert found.mass[found.mesh.vertices_m[:, 2] > 0].sum() == pytest.approx(0.0, abs=1e-12)
 
@@ -95,7 +95,7 @@ def test_the_density_is_even_where_the_weights_are(flat_camera):
     centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
     x, y = (v.ravel() for v in np.meshgrid(*[np.linspace(-0.019, 0.019, 39)] * 2))
     T = make_transform(np.eye(3), centre - np.column_stack([x, y, np.full(len(x), -0.005)]))
-    found = surface_distribution(plate, T, np.full(len(x), 1 / len(x)), flat_camera, 0.002)
+    found = spread_over_surface(plate, T, np.full(len(x), 1 / len(x)), flat_camera, 0.002)
     inside = (np.abs(found.mesh.vertices_m[:, :2]).max(axis=1) < 0.012) & (found.mesh.vertices_m[:, 2] < 0)
     assert found.density[inside] == pytest.approx(1 / 0.04**2, rel=0.25)
 
@@ -106,26 +106,26 @@ def test_the_nearest_point_is_looked_for_in_the_object_s_frame(rod, flat_camera)
     (R,) = random_rotations(1, np.random.default_rng(5))
     for vertex in (0, 7, 30):
         T = make_transform(R, centre - R @ (rod.vertices_m[vertex] * 1.0))
-        assert touched_points(rod, T[None], flat_camera).tolist() == [vertex]
+        assert find_touched_vertices(rod, T[None], flat_camera).tolist() == [vertex]
 
 
 @pytest.mark.parametrize("normal", [[0, 0, -1], [0, 0, 1], [1, 0, 0], [0.3, -0.5, 0.2]])
 def test_yaw_is_the_turn_of_a_face_that_lies_on_the_sensor(normal):
     yaw = np.linspace(-3, 3, 25)
     R = rotation_about(Z, yaw) @ align_to_z(-np.array(normal, float))
-    assert yaw_rad(R) == pytest.approx(yaw)
+    assert compute_yaw_rad(R) == pytest.approx(yaw)
 
 
 def test_yaw_and_side_make_the_rotation():
     R = random_rotations(40, np.random.default_rng(0))
-    again = np.stack([rotation_about(Z, yaw) @ align_to_z(r[2]) for yaw, r in zip(yaw_rad(R), R, strict=True)])
+    again = np.stack([rotation_about(Z, yaw) @ align_to_z(r[2]) for yaw, r in zip(compute_yaw_rad(R), R, strict=True)])
     assert again == pytest.approx(R)
 
 
 def test_a_lattice_has_a_bar_for_each_yaw():
     yaw_deg = np.repeat(np.arange(0, 360, 15.0), 3)
     weights = np.random.default_rng(0).dirichlet(np.ones(len(yaw_deg)))
-    found = yaw_histogram(rotation_about(Z, np.radians(yaw_deg)) @ align_to_z([0, 1, 0]), weights)
+    found = count_yaws(rotation_about(Z, np.radians(yaw_deg)) @ align_to_z([0, 1, 0]), weights)
     assert found.yaw_deg == pytest.approx(np.arange(0, 360, 15.0), abs=0.01)
     assert found.mass == pytest.approx(weights.reshape(-1, 3).sum(axis=1))
     assert found.width_deg == pytest.approx(15.0)
@@ -133,14 +133,14 @@ def test_a_lattice_has_a_bar_for_each_yaw():
 
 def test_scattered_yaws_are_counted_in_bins():
     weights = np.full(500, 1 / 500)
-    found = yaw_histogram(random_rotations(500, np.random.default_rng(0)), weights)
+    found = count_yaws(random_rotations(500, np.random.default_rng(0)), weights)
     assert len(found.mass) == 36
     assert found.mass.sum() == pytest.approx(1.0)
 
 
 def test_one_face_is_one_side():
     R = rotation_about(Z, np.linspace(0, 6, 20)) @ align_to_z([0, -1, 0])
-    found = side_map(R, np.full(20, 0.05))
+    found = map_sides(R, np.full(20, 0.05))
     assert found.kind == "one"
     assert found.normal == pytest.approx([0, 1, 0])
 
@@ -148,7 +148,7 @@ def test_one_face_is_one_side():
 def test_small_tilts_are_leans_in_the_sensor_s_frame():
     tilt = np.radians([-10.0, 0.0, 10.0])
     R = rotation_about([1, 0, 0], tilt) @ rotation_about(Z, np.array(0.7)) @ align_to_z([1, 0, 0])
-    found = side_map(R, np.array([0.2, 0.3, 0.5]))
+    found = map_sides(R, np.array([0.2, 0.3, 0.5]))
     assert found.kind == "lean"
     assert found.mass.sum() == pytest.approx(1.0)
     y = 0.5 * (found.y[1:] + found.y[:-1])
@@ -170,7 +170,7 @@ def test_all_sides_are_a_globe_of_equal_areas():
     weights = np.full(len(R), 0.5 / len(R))
     side = np.array([np.cos(np.radians(40)), np.sin(np.radians(40)), 0.0])
     R = np.concatenate([R, align_to_z(-side)[None]])
-    found = side_map(R, np.append(weights, 0.5))
+    found = map_sides(R, np.append(weights, 0.5))
     assert found.kind == "globe"
     assert found.mass.sum() == pytest.approx(1.0)
     azimuth, elevation = peak(found)

@@ -11,7 +11,7 @@ from report_helpers import UNFRIENDLY, Elements, html_of, write_evaluation, writ
 
 from tactile_loc.core.errors import OutputError
 from tactile_loc.reports import find_source, write_report
-from tactile_loc.reports.page import Page, Section, render, templates
+from tactile_loc.reports.page import Page, Section, load_templates, render
 
 
 @pytest.fixture(params=["run_folder", "evaluation_folder", "contacts_folder", "sweep_folder"])
@@ -69,7 +69,7 @@ def test_data_cannot_end_its_script():
 
 
 def test_tables_and_tiles_are_text():
-    macros = templates().get_template("macros.html.j2").module
+    macros = load_templates().get_template("macros.html.j2").module
     assert "&lt;b&gt;" in macros.table(["<b>"], [["<b>"]])
     assert "<b>" not in macros.table(["<b>"], [["<b>"]], label='"<b>') + macros.tiles([("<b>", "<b>", "<b>")])
 

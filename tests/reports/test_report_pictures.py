@@ -12,8 +12,8 @@ from PIL import Image
 from report_helpers import UNFRIENDLY
 
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.reports.page import templates
-from tactile_loc.reports.pictures import Frame, difference_png, outline_path, shape_png
+from tactile_loc.reports.page import load_templates
+from tactile_loc.reports.pictures import Frame, draw_difference, draw_shape, trace_outline
 
 
 def pixels(uri: str) -> np.ndarray:
@@ -35,7 +35,7 @@ def shapes(flat_camera) -> tuple[ContactShape, ContactShape]:
 
 
 def test_a_shape_s_picture_shows_contact_only(shapes, flat_camera):
-    image = pixels(shape_png(shapes[0], flat_camera))
+    image = pixels(draw_shape(shapes[0], flat_camera))
     assert image.shape[:2] == flat_camera.shape
     assert (image[..., 3] > 0).sum() == 20 * 20
     assert image[15, 25, :3].astype(int) == pytest.approx([33, 145, 140], abs=3)  # the middle of viridis
@@ -43,17 +43,17 @@ def test_a_shape_s_picture_shows_contact_only(shapes, flat_camera):
 
 def test_a_difference_is_red_where_pressed_deeper_and_blue_where_less(shapes, flat_camera):
     observed, made = shapes
-    image = pixels(difference_png(made, observed, flat_camera)).astype(int)
+    image = pixels(draw_difference(made, observed, flat_camera)).astype(int)
     (r0, _, b0), (r1, _, b1), (r2, _, b2) = (image[15, column, :3] for column in (22, 30, 42))
     assert b0 > r0  # only observed
     assert r1 > b1  # deeper than observed
     assert r2 > b2  # not observed
     assert image[5, 5, 3] == 0
-    assert not pixels(difference_png(observed, observed, flat_camera))[..., 3].any()
+    assert not pixels(draw_difference(observed, observed, flat_camera))[..., 3].any()
 
 
 def test_an_outline_encloses_the_contact_in_mm(shapes, flat_camera):
-    path = outline_path(shapes[0], flat_camera)
+    path = trace_outline(shapes[0], flat_camera)
     x, y = np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", path), float).T
     sx, sy = flat_camera.scale_at_surface
     expected = [1e3 * (20 - flat_camera.cx) / sx, 1e3 * (40 - flat_camera.cx) / sx]
@@ -63,13 +63,13 @@ def test_an_outline_encloses_the_contact_in_mm(shapes, flat_camera):
 
 def test_an_outline_at_the_border_is_closed(flat_camera):
     shape = ContactShape(np.zeros(flat_camera.shape, np.float32), 0.002)
-    path = outline_path(shape, flat_camera)
+    path = trace_outline(shape, flat_camera)
     points = re.findall(r"(-?[\d.]+) (-?[\d.]+)", path)
     assert points[0] == points[-1]
 
 
 def test_pictures_name_what_they_show_and_nothing_of_it_is_markup(shapes, flat_camera):
-    shape, frame = templates().get_template("shapes.html.j2").module.shape, Frame.of(flat_camera)
+    shape, frame = load_templates().get_template("shapes.html.j2").module.shape, Frame.of(flat_camera)
     svg = shape("data:image/png;base64,", frame, "", UNFRIENDLY)
     assert "<script" not in svg
     assert "10 mm" in shape("", frame, "", "x") or "5 mm" in shape("", frame, "", "x")

@@ -7,21 +7,22 @@ import pytest
 from report_helpers import floats
 
 from tactile_loc.core.geometry.rigid import make_transform
+from tactile_loc.drawing.pose_panel import list_round_values
 from tactile_loc.drawing.raytracing import View
 from tactile_loc.reports import scene
 
 
 def test_a_box_has_twelve_creases(box):
-    pairs = scene.creases(box.mesh)
+    pairs = scene.find_creases(box.mesh)
     lengths = np.linalg.norm(np.diff(box.mesh.vertices_m[np.array(pairs)], axis=1)[:, 0], axis=1)
     assert sorted(lengths.round(4)) == sorted([0.030, 0.020, 0.012] * 4)
 
 
 def test_meshes_and_poses_are_in_mm(box):
-    packed = scene.packed_mesh(box.mesh)
+    packed = scene.pack_mesh(box.mesh)
     assert floats(packed["vertices_mm"]).reshape(-1, 3) == pytest.approx(1e3 * box.mesh.vertices_m)
     T = make_transform(np.eye(3), [0.001, -0.002, 0.025])
-    assert scene.rows_mm(T) == [1, 0, 0, 1.0, 0, 1, 0, -2.0, 0, 0, 1, 25.0]
+    assert scene.list_rows_mm(T) == [1, 0, 0, 1.0, 0, 1, 0, -2.0, 0, 0, 1, 25.0]
 
 
 def test_the_camera_sees_every_point():
@@ -30,7 +31,7 @@ def test_the_camera_sees_every_point():
     points = rng.uniform([-60, -10, 20], [30, 40, 60], (200, 3))
     bounds = [[-80.0, 50.0], [-30.0, 60.0], [0.0, 70.0]]
     view = View(35.0, 28.0)
-    camera = scene.camera_on(points, bounds, view)
+    camera = scene.place_camera(points, bounds, view)
     unit, middle = np.prod(np.ptp(bounds, axis=1)) ** (1 / 3), np.mean(bounds, axis=1)
     eye, centre = ([camera[name][k] for k in "xyz"] for name in ("eye", "center"))
     seen = ((points - middle) / unit - eye) @ view.axes.T
@@ -42,7 +43,7 @@ def test_the_camera_sees_every_point():
 
 
 def test_the_numbers_around_the_pad_are_its_coordinates(flat_camera):
-    ticks = scene.pad_ticks(flat_camera, View(35.0, 28.0))
+    ticks = scene.list_pad_ticks(flat_camera, View(35.0, 28.0))
     x0, x1, y0, y1 = (1e3 * v for v in flat_camera.rectangle)
     for x, y, text in zip(ticks["x"], ticks["y"], ticks["text"], strict=True):
         if "mm" in text:
@@ -55,6 +56,6 @@ def test_the_numbers_around_the_pad_are_its_coordinates(flat_camera):
 
 @pytest.mark.parametrize(("low", "high", "first", "last"), [(-20, 20, -20, 20), (-11.6, 12.4, -10, 10), (0, 3, 0, 3)])
 def test_round_values_lie_within(low, high, first, last):
-    values = scene.round_values(low, high)
+    values = list_round_values(low, high)
     assert (values[0], values[-1]) == (first, last)
     assert len(values) <= 7

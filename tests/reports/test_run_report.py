@@ -16,7 +16,7 @@ from tactile_loc.core.geometry.rigid import rotation_about
 from tactile_loc.locate.result_arrays import read_arrays
 from tactile_loc.locate.result_json import read_record
 from tactile_loc.reports.page import render
-from tactile_loc.reports.run import make_page, surface_of
+from tactile_loc.reports.run import find_surface, make_result_page
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_scripts_draw_the_poses_of_the_result(result, data):
 
 def test_the_marginals_sum_to_one(run_folder, data):
     record = read_record(run_folder / "result.json")
-    found = surface_of(record, read_arrays(run_folder / "result.npz", record))
+    found = find_surface(record, read_arrays(run_folder / "result.npz", record))
     assert found.mass.sum() == pytest.approx(1.0, abs=1e-9)
     assert (found.density * found.area_m2).sum() == pytest.approx(1.0, abs=1e-9)
     assert sum(data["yaw"]["percent"]) == pytest.approx(100)
@@ -134,7 +134,7 @@ def test_a_touch_from_an_image_shows_the_image(run_folder):
     arrays = read_arrays(run_folder / "result.npz", record)
     photo = np.full((30, 40, 3), 200, np.uint8)
     seen = dataclasses.replace(arrays, touches=(dataclasses.replace(arrays.touches[0], image=photo),))
-    plain, found = (Elements(render(make_page(record, one))) for one in (arrays, seen))
+    plain, found = (Elements(render(make_result_page(record, one))) for one in (arrays, seen))
     assert len(found.named("image")) == len(plain.named("image")) + 1
     assert found.text != plain.text, "it has a caption"
 

@@ -10,14 +10,14 @@ from report_helpers import Elements, html_of, page_in, sweep_rows, write_sweep
 
 from tactile_loc.core.errors import ResultError
 from tactile_loc.reports import find_source, write_report
-from tactile_loc.reports.sweep import components, is_factor, measured_lines, rows_of, varying
+from tactile_loc.reports.sweep import find_components, find_measured_lines, find_varying, is_factor, read_rows
 
 
 def test_what_varies_is_found():
-    rows = rows_of({"rows": sweep_rows()})
-    assert varying(rows) == ["object", "refiner", "grid.spacing_mm"]
-    assert components(rows) == ["refiner", "grid.spacing_mm"]
-    assert measured_lines(rows) == ["chosen", "best-1"]
+    rows = read_rows({"rows": sweep_rows()})
+    assert find_varying(rows) == ["object", "refiner", "grid.spacing_mm"]
+    assert find_components(rows) == ["refiner", "grid.spacing_mm"]
+    assert find_measured_lines(rows) == ["chosen", "best-1"]
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_a_sweep_without_rows_or_readable_text_is_one_sentence(tmp_path):
 def test_options_are_texts_and_what_is_not_finite_is_missing():
     row = {"object": "pin", "count": 5, "grid.spacing_mm": 4.0, "refiner.steps": [1, 2], "refiner.robust": True,
            "chosen_median_mm": float("nan"), "grid_poses": 7, "error": ""}  # fmt: skip
-    assert rows_of({"rows": [row]}) == [
+    assert read_rows({"rows": [row]}) == [
         {"object": "pin", "count": "5", "grid.spacing_mm": "4.0", "refiner.steps": "[1, 2]", "refiner.robust": "true",
          "chosen_median_mm": None, "grid_poses": 7.0, "error": None}
     ]  # fmt: skip

@@ -10,8 +10,7 @@ import pytest
 
 from tactile_loc.sweeps.combination import Combination, combine
 from tactile_loc.sweeps.plan import Plan
-from tactile_loc.sweeps.sweep import Sweep
-from tactile_loc.sweeps.table import MEASURED
+from tactile_loc.sweeps.sweep import MEASURED, Sweep
 from tactile_loc.sweeps.workers import Outcome
 
 SENSOR = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'

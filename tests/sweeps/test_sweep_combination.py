@@ -12,7 +12,7 @@ from tactile_loc.core.slots import compatibility
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps import combination as module
-from tactile_loc.sweeps.combination import STAGES, combine, in_running_order, model_keys, stages_to_build
+from tactile_loc.sweeps.combination import STAGES, combine, find_missing_stages, list_model_keys, order_for_running
 from tactile_loc.sweeps.plan import Plan
 from tactile_loc.sweeps.workers import Job, evaluate_job
 
@@ -39,7 +39,7 @@ def test_neighbours_share_little_in_the_order_of_running():
         "refiner": ["none", "icp"],
         "option": ["encoder.cells=9,12"],
     }
-    found = in_running_order(combine(Plan.from_values(values))[0])
+    found = order_for_running(combine(Plan.from_values(values))[0])
     told = [(one.config.refiner.name, one.config.encoder.options["cells"], one.object) for one in found]
     assert told == [(r, c, o) for r in ("none", "icp") for c in (9, 12) for o in ("pin", "head")]
 
@@ -113,24 +113,24 @@ def test_the_planned_keys_are_those_that_are_built(tmp_path, tiny, encoder, temp
         Plan.from_values({**plain, **VALUES, "encoder": encoder, "refiner": "none", **temperature})
     )
     (one,) = combinations
-    before = stages_to_build(combinations, objects, tmp_path)
+    before = find_missing_stages(combinations, objects, tmp_path)
     outcome = evaluate_job(Job(one.key, one.config, one.count, tmp_path), objects["pin"])
     assert not outcome.error
     built = Counter(name.split()[0] for name in outcome.built)
     assert {**built, "bank": 1} == {stage: count for stage, count in before.items() if count}
-    planned = model_keys(Localizer(one.config, objects["pin"], StageStore(tmp_path / "empty")))
+    planned = list_model_keys(Localizer(one.config, objects["pin"], StageStore(tmp_path / "empty")))
     assert [key.stage for key in planned] == [stage for stage in STAGES[:4] if before[stage]]
     assert {str(key) for key in planned} <= set(outcome.built)
     others = {name for name in outcome.built if name.split()[0] not in ("temperature", "evaluation", "bank")}
     assert others <= {str(key) for key in planned}
     assert not (tmp_path / "empty").exists() or StageStore(tmp_path / "empty").entries() == []
-    assert stages_to_build(combinations, objects, tmp_path) == dict.fromkeys(STAGES, 0)
+    assert find_missing_stages(combinations, objects, tmp_path) == dict.fromkeys(STAGES, 0)
 
 
 def test_stages_that_combinations_share_count_once(tmp_path, tiny):
     values = {**tiny, "object": ["pin", "head"], "renderer": ["raycast", "heightmap"], "refiner": ["none", "icp"]}
     combinations, objects = combine(Plan.from_values({**values, "temperature": 0.1}))
-    assert stages_to_build(combinations, objects, tmp_path) == {
+    assert find_missing_stages(combinations, objects, tmp_path) == {
         "grid": 2, "shapes": 4, "encoder": 0, "bank": 4, "temperature": 0, "evaluation": 8,
     }  # fmt: skip
 

@@ -10,8 +10,8 @@ import pytest
 from message_helpers import missing, naming
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.sweeps.comparison import as_text, compare, summary, write_comparison
-from tactile_loc.sweeps.results import read_sweep, record
+from tactile_loc.sweeps.comparison import compare, format_texts, summarise, write_comparison
+from tactile_loc.sweeps.results import read_sweep, record_sweep
 
 MM = {"none": 4.0, "icp": 1.0, "filterreg": 0.5}
 
@@ -22,7 +22,7 @@ def recorded(made_up):
 
     def make(**mm: float | str):
         values = {"object": ["pin"], "refiner": list(mm), "option": ["grid.spacing_mm=3,4"]}
-        return record(made_up(values, lambda one: _measured(mm[one.config.refiner.name])), "chosen")
+        return record_sweep(made_up(values, lambda one: _measured(mm[one.config.refiner.name])), "chosen")
 
     return make
 
@@ -40,7 +40,7 @@ def test_ratios_and_marks(recorded):
         ["pin", "icp", "3.0", pytest.approx(1.2), "worse"],
         ["pin", "filterreg", "3.0", pytest.approx(0.5), "better"],
     ]
-    assert not missing(summary(found), 6, "2 worse", "2 better", "10 %")
+    assert not missing(summarise(found), 6, "2 worse", "2 better", "10 %")
     assert found.versions == {}
 
 
@@ -70,7 +70,7 @@ def test_rows_that_differ_by_what_the_other_version_lacks_have_no_counterpart(re
         row["configuration"]["refiner"]["options"]["brand_new"] = 8
     found = compare(old, new, "chosen")
     assert (found.count("only in old"), found.count("only in new")) == (2, 4)
-    assert "refiner.brand_new" in as_text(found)
+    assert "refiner.brand_new" in format_texts(found)
     assert set(found.table["refiner.brand_new"]) == {"7", "8", ""}
 
 

@@ -11,13 +11,13 @@ from tactile_loc.sweeps.figures import (
     DIGIT,
     LINE,
     Point,
+    compute_effects,
     draw_effects,
     draw_error_time,
-    effects,
-    in_ranges,
-    pareto,
+    find_pareto_front,
+    list_points,
     place_labels,
-    points,
+    write_ranges,
 )
 from tactile_loc.sweeps.results import require_line
 
@@ -76,7 +76,7 @@ def test_nothing_is_drawn_of_nothing(made_up):
     ("numbers", "text"), [([3], "3"), ([2, 1], "1, 2"), ([5, 3, 4, 9], "3-5, 9"), ([1, 3], "1, 3")]
 )
 def test_numbers_are_written_in_ranges(numbers, text):
-    assert in_ranges(numbers) == text
+    assert write_ranges(numbers) == text
 
 
 def test_points_that_coincide_share_a_label():
@@ -117,7 +117,7 @@ def product(one) -> dict[str, float]:
 
 
 def test_effects_are_the_factors_wherever_the_model_is_a_product(made_up):
-    found = effects(made_up(FACTORS, product), "chosen")
+    found = compute_effects(made_up(FACTORS, product), "chosen")
     assert set(found) == {"encoder", "refiner"}
     refiners = {name: np.exp(logs) for name, logs in found["refiner"].items()}
     mean = 2.0 ** (1 / 3)  # of 4, 1 and 0.5
@@ -130,32 +130,32 @@ def test_a_failure_takes_its_group_out_of_the_effect(made_up):
     def failing(one):
         return "bad" if one.object == "head" and one.config.refiner.name == "icp" else product(one)
 
-    found = effects(made_up(FACTORS, failing), "chosen")
+    found = compute_effects(made_up(FACTORS, failing), "chosen")
     assert {len(logs) for logs in found["refiner"].values()} == {4}
     assert {len(logs) for logs in found["encoder"].values()} == {10}
 
 
 def test_points_are_geometric_means_over_objects(made_up):
     sweep = made_up(FACTORS, product)
-    first = points(sweep, "chosen", "mild")[0]
+    first = list_points(sweep, "chosen", "mild")[0]
     assert first.label == "pixel cells=12 + none"
     assert first.error_mm == pytest.approx(4 * 2 * 3 * 3)
     assert first.time_ms == pytest.approx(20)
-    assert len(points(sweep, "chosen", "none")) == 6
+    assert len(list_points(sweep, "chosen", "none")) == 6
 
 
 def test_a_point_needs_all_objects(made_up):
     sweep = made_up(
         FACTORS, lambda one: "bad" if one.place[0] == 1 and one.config.refiner.name == "icp" else product(one)
     )
-    assert [p.label.split()[-1] for p in points(sweep, "chosen", "none")] == ["none", "filterreg"] * 2
+    assert [p.label.split()[-1] for p in list_points(sweep, "chosen", "none")] == ["none", "filterreg"] * 2
 
 
 def test_cells_are_means_over_seeds(made_up):
     sweep = made_up(
         {**FACTORS, "seed": [0, 1, 2]}, lambda one: {**product(one), "chosen_median_mm": float(one.config.seed)}
     )
-    found = sweep.medians("chosen")
+    found = sweep.compute_medians("chosen")
     assert set(zip(found["error_mm"], found["time_ms"], strict=True)) == {(1.0, 20.0), (1.0, 80.0)}
 
 
@@ -163,10 +163,10 @@ def test_the_front_holds_what_nothing_beats():
     found = [Point(str(i), (i,), error, time) for i, (time, error) in enumerate(
         [(1, 9), (2, 5), (2, 6), (3, 5), (4, 2), (9, 3), (9, 1)]
     )]  # fmt: skip
-    assert [p.label for p in pareto(found)] == ["0", "1", "4", "6"]
+    assert [p.label for p in find_pareto_front(found)] == ["0", "1", "4", "6"]
     for p in found:
         beaten = any(q.error_mm <= p.error_mm and q.time_ms <= p.time_ms and q != p for q in found)
-        assert (p in pareto(found)) != beaten
+        assert (p in find_pareto_front(found)) != beaten
 
 
 def test_lines_are_the_protocols():

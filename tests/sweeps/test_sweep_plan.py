@@ -10,7 +10,15 @@ from message_helpers import naming
 from tactile_loc.core.errors import ConfigError, UnknownPluginError
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.config import SlotConfig
-from tactile_loc.sweeps.plan import Plan, label, merge_options, read_options, split_all, split_values, varied_options
+from tactile_loc.sweeps.plan import (
+    Plan,
+    find_varied_options,
+    merge_options,
+    name_choice,
+    read_options,
+    split_all,
+    split_values,
+)
 
 
 def names(plan: Plan, slot: str) -> list[str]:
@@ -141,16 +149,19 @@ def choice(name: str, **options: object) -> SlotConfig:
 
 def test_an_option_varies_only_within_a_component():
     choices = [choice("icp", rounds=3, points=9), choice("icp", rounds=5, points=9), choice("render", rounds=7)]
-    assert varied_options(choices) == ["rounds"]
-    assert varied_options(choices[::2]) == []
+    assert find_varied_options(choices) == ["rounds"]
+    assert find_varied_options(choices[::2]) == []
 
 
 def test_a_label_says_what_varies():
-    assert label(choice("icp", rounds=3, points=9), ["rounds"]) == "icp rounds=3"
-    assert label(choice("face", spacing_mm=4.0, face="auto"), ["spacing_mm", "face"]) == "face spacing_mm=4 face=auto"
-    assert label(choice("none"), ["rounds"]) == "none"
+    assert name_choice(choice("icp", rounds=3, points=9), ["rounds"]) == "icp rounds=3"
     assert (
-        label(choice("file", path="/far/away/mine.toml", flat=True), ["path", "flat"])
+        name_choice(choice("face", spacing_mm=4.0, face="auto"), ["spacing_mm", "face"])
+        == "face spacing_mm=4 face=auto"
+    )
+    assert name_choice(choice("none"), ["rounds"]) == "none"
+    assert (
+        name_choice(choice("file", path="/far/away/mine.toml", flat=True), ["path", "flat"])
         == "file path=mine.toml flat=true"
     )
 

@@ -8,7 +8,7 @@ import pytest
 from message_helpers import missing, naming
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.sweeps.results import markdown, read_sweep
+from tactile_loc.sweeps.results import format_summary, read_sweep
 
 MM = {("pin", "none"): 4.0, ("pin", "icp"): 0.5, ("head", "none"): 2.0, ("head", "icp"): 2.0001}
 
@@ -19,7 +19,7 @@ def measure(one):
 
 
 def test_a_table_for_each_noise_with_the_best_of_each_column_in_bold(made_up):
-    text = markdown(
+    text = format_summary(
         made_up({"object": ["pin", "head"], "refiner": ["none", "icp"], "noise": ["none", "mild"]}, measure), "chosen"
     )
     first, second = text.split("## Noise: ")[1:]
@@ -38,7 +38,7 @@ def test_failures_are_shown_with_their_errors(made_up):
             "TypeError: no" if one.object == "head" and one.config.refiner.name == "icp" else {"reg-1_median_mm": 1.0}
         ),
     )
-    text = markdown(sweep, "reg-1")
+    text = format_summary(sweep, "reg-1")
     assert "| icp | **1.00** | failed |" in text
     assert "1 of 4" in text
     assert text.endswith(
@@ -47,7 +47,7 @@ def test_failures_are_shown_with_their_errors(made_up):
 
 
 def test_where_nothing_varies_the_components_are_named(made_up):
-    assert "| pixel + joint | **1.00** |" in markdown(
+    assert "| pixel + joint | **1.00** |" in format_summary(
         made_up({"object": "pin"}, lambda one: {"chosen_median_mm": 1.0}), "chosen"
     )
 

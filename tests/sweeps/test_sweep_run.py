@@ -25,8 +25,7 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.combination import combine
 from tactile_loc.sweeps.plan import Plan
 from tactile_loc.sweeps.results import read_sweep, write_sweep
-from tactile_loc.sweeps.sweep import FinishedRows, Sweep, run_sweep
-from tactile_loc.sweeps.table import MOMENTARY, Row, table_of
+from tactile_loc.sweeps.sweep import MOMENTARY, FinishedRows, Row, Sweep, make_table, run_sweep
 from tactile_loc.sweeps.workers import JOURNALS, ClusterError, DaskWorkers, LocalWorkers, Outcome
 
 distributed = pytest.importorskip("distributed")
@@ -45,7 +44,7 @@ class Watched(Progress):
 class Nobody:
     """Workers that must not be asked for anything."""
 
-    def outcomes(self, jobs, objects):
+    def run_jobs(self, jobs, objects):
         raise AssertionError(f"{len(jobs)} jobs are done again")
 
 
@@ -111,8 +110,8 @@ def test_a_row_is_what_the_protocol_says(locally, tmp_path):
     one, row = locally.combinations[3], locally.rows[3]
     localizer = Localizer(one.config, load_object("head"), StageStore(tmp_path))
     found = evaluate(localizer, 4, SimulatedTouches("strong", 0, False))
-    assert row["reg-1_median_mm"] == pytest.approx(1e3 * np.median(found.errors("reg-1")), rel=1e-4)
-    assert row["best-1_mean_mm"] == pytest.approx(1e3 * found.errors("best-1").mean(), rel=1e-4)
+    assert row["reg-1_median_mm"] == pytest.approx(1e3 * np.median(found.select_errors("reg-1")), rel=1e-4)
+    assert row["best-1_mean_mm"] == pytest.approx(1e3 * found.select_errors("best-1").mean(), rel=1e-4)
     assert row["closest_median_share"] == pytest.approx(row["closest_median_mm"] / row["random_mean_mm"], rel=1e-4)
     assert (row["object"], row["refiner"], row["grid_poses"]) == ("head", "filterreg", localizer.model.size)
     assert row["total_ms"] >= row["match_ms"] > 0
@@ -161,7 +160,7 @@ def test_what_is_written(locally, folder):
     ]  # fmt: skip
     rows = [{k: v for k, v in row.items() if k != "configuration"} for row in read_sweep(folder / "written")["rows"]]
     assert rows == locally.rows
-    assert_frame_equal(table_of(rows), locally.table)
+    assert_frame_equal(make_table(rows), locally.table)
     assert_frame_equal(
         pd.read_csv(written[0], keep_default_na=False)[["object", "key"]],
         locally.table[["object", "key"]],

@@ -13,14 +13,8 @@ from message_helpers import naming
 from tactile_loc.core.errors import MissingLibraryError
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.evaluation.protocol import LINES
-from tactile_loc.sweeps.table import (
-    MOMENTARY,
-    columns_of,
-    csv_text,
-    require_tables,
-    table_of,
-    write_parquet,
-)
+from tactile_loc.sweeps.results import format_csv, write_parquet
+from tactile_loc.sweeps.sweep import MOMENTARY, list_columns, make_table, require_tables
 
 VALUES = {
     "object": ["pin", "head"],
@@ -39,7 +33,7 @@ def rows(made_up):
         return {"chosen_median_mm": 0.1 + 1 / 3, "nll_nats": 1e-17, "total_ms": 3.0}
 
     sweep = made_up(VALUES, measure)
-    assert list(sweep.rows[0]) == columns_of(sweep.plan)
+    assert list(sweep.rows[0]) == list_columns(sweep.plan)
     return sweep.rows
 
 
@@ -69,14 +63,14 @@ def test_rows_stand_in_the_plans_order_and_lack_what_does_not_apply(rows):
 
 
 def test_the_table_says_what_the_rows_say(rows):
-    table = table_of(rows)
+    table = make_table(rows)
     assert list(table) == list(rows[0])
     assert [{k: None if pd.isna(v) else v for k, v in row.items()} for row in table.to_dict("records")] == rows
 
 
 def test_csv_holds_all_digits_and_nothing_where_there_is_nothing(rows, tmp_path):
     path = tmp_path / "sweep.csv"
-    path.write_text(csv_text(table_of(rows)), encoding="utf-8")
+    path.write_text(format_csv(make_table(rows)), encoding="utf-8")
     with path.open(encoding="utf-8", newline="") as file:
         read = list(csv.DictReader(file))
     assert len(read) == len(rows)
@@ -93,7 +87,7 @@ def test_csv_holds_all_digits_and_nothing_where_there_is_nothing(rows, tmp_path)
 def test_parquet_round_trip_and_types(rows, tmp_path):
     from pyarrow import parquet
 
-    path = write_parquet(tmp_path / "sweep.parquet", table_of(rows))
+    path = write_parquet(tmp_path / "sweep.parquet", make_table(rows))
     table = parquet.read_table(path)
     assert table.to_pylist() == rows
     types = {field.name: str(field.type) for field in table.schema}
@@ -104,7 +98,7 @@ def test_parquet_round_trip_and_types(rows, tmp_path):
 
 def test_types_do_not_depend_on_whether_anything_succeeded(rows):
     failed = [row for row in rows if row["error"]]
-    table = table_of(failed)
+    table = make_table(failed)
     assert (table["best-1_median_mm"].dtype, table["grid_poses"].dtype) == ("float64", "Int64")
 
 

@@ -17,7 +17,7 @@ from message_helpers import naming
 
 from tactile_loc.core.errors import UnknownPluginError
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
+from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.sweeps.combination import combine
 from tactile_loc.sweeps.plan import Plan

@@ -47,7 +47,7 @@ def touches(models) -> dict[str, list]:
     """Two touches of each object, drawn by another renderer."""
     raycast, rng = RaycastRenderer(), np.random.default_rng(3)
     return {
-        model.object.name: RobotTouches(model.object, model.scene.geometry, raycast, (0.7, 0.9)).example(2, rng)[0]
+        model.object.name: RobotTouches(model.object, model.scene.geometry, raycast, (0.7, 0.9)).draw_example(2, rng)[0]
         for model in models
     }
 
@@ -104,7 +104,7 @@ def test_noisy_touches_are_explained_best_by_their_own_object(library, name):
     own = library.names.index(name)
     model = library.models[own]
     source = RobotTouches(model.object, model.scene.geometry, RaycastRenderer(), (0.7, 0.9), noise=NOISE["mild"])
-    noisy, _ = source.example(2, np.random.default_rng(8))
+    noisy, _ = source.draw_example(2, np.random.default_rng(8))
     glances = [library.glance(touch) for touch in noisy]
     rough = [library.look_into(k, glances) for k in range(len(library))]
     assert int(np.argmax(rough)) == own

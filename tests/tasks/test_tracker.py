@@ -13,7 +13,7 @@ from tactile_loc.core.geometry.hand_eye import moved, pose_errors
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about, translation
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.simulation.noise import NOISE
-from tactile_loc.evaluation.posterior_metrics import normalised_error_squared
+from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import SlidingTouches
 from tactile_loc.locate.localizer import Localizer
@@ -51,7 +51,7 @@ def slide(pin):
     source = RobotTouches(
         pin.object, pin.sensor.geometry, ZBufferRenderer(), noise=NOISE["mild"], sensor_std_m=1e-4, sensor_std_rad=2e-3
     )
-    return SlidingTouches(source).example(80, np.random.default_rng(3))
+    return SlidingTouches(source).draw_example(80, np.random.default_rng(3))
 
 
 def started(localizer: Localizer, frames, seed: int = 0) -> Tracker:
@@ -73,7 +73,7 @@ def test_a_slide_is_tracked_and_the_truth_is_where_the_covariance_says(pin, slid
     assert np.median(errors) < 0.3
     assert errors[-1] < 0.5
     nees = [
-        normalised_error_squared(PoseMetric(pin.object), one.T_sensor_object, one.covariance, f.T_sensor_object)
+        compute_nees(PoseMetric(pin.object), one.T_sensor_object, one.covariance, f.T_sensor_object)
         for one, f in zip(found, slide, strict=True)
     ]
     assert np.median(nees) < 16.8  # 99 % of chi-squared; the frames of one slide err alike
@@ -121,7 +121,7 @@ def test_an_object_that_slips_is_found_nearby(pin, slide):
     for k in range(3):
         tracker.update(0.01 * k, frame.touch, frame.T_base_sensor)
     slipped = translation([2e-3, 1e-3, 0.0]) @ frame.T_sensor_object
-    touch = source.shown(slipped, frame.touch.indentation_m, "slipped", np.random.default_rng(0))
+    touch = source.draw_touch(slipped, frame.touch.indentation_m, "slipped", np.random.default_rng(0))
     found = tracker.update(0.03, touch, frame.T_base_sensor)
     assert found.searched
     assert off_mm(pin, found.T_sensor_object, slipped) < 1.0

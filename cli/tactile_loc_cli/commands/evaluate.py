@@ -158,7 +158,7 @@ class _Plan:
 
     def _describe(self) -> str:
         touches = f"{self.count} simulated {'touch' if self.count == 1 else 'touches'}"
-        return f"{touches} ({self.touches.in_words()})"
+        return f"{touches} ({self.touches.describe_kind()})"
 
 
 def _list_jobs(
@@ -242,16 +242,11 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
     from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.evaluation.figures import draw_reliability, draw_violins
     from tactile_loc.evaluation.tables import (
-        ambiguity_header,
-        ambiguity_rows,
-        area_header,
-        area_rows,
-        medians_mm,
-        medians_normalised,
-        posterior_header,
-        posterior_rows,
-        record,
-        summary_header,
+        record_runs,
+        tabulate_ambiguity,
+        tabulate_areas,
+        tabulate_medians,
+        tabulate_posteriors,
         write_tables,
     )
 
@@ -261,17 +256,17 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
     written.append(save_figure(plan.out / "reliability.png", draw_reliability(runs, plan.make_heading())))
     written += [plan.out / _name_gallery(run.object, run.encoder) for run in runs]
     say("median ADD, mm")
-    say_table([summary_header(), *medians_mm(runs)])
+    say_table(tabulate_medians(runs))
     say("\nmedian ADD as a share of a random pose's mean")
-    say_table([summary_header(), *medians_normalised(runs)])
+    say_table(tabulate_medians(runs, normalised=True))
     say("\nambiguous touches, and median ADD over all touches and over those that are not, mm")
-    say_table([ambiguity_header(), *ambiguity_rows(runs)])
+    say_table(tabulate_ambiguity(runs))
     say("\nby the share of the sensor in contact: median ADD of chosen, mm, and touches within 1 mm")
-    say_table([area_header(), *area_rows(runs)])
+    say_table(tabulate_areas(runs))
     say("\ncoverage: true poses in the sets that hold so much of the probability, and means")
-    say_table([posterior_header(), *posterior_rows(runs)])
+    say_table(tabulate_posteriors(runs))
     say()
-    return _summarise(record(runs, protocol), written)
+    return _summarise(record_runs(runs, protocol), written)
 
 
 def _summarise(document: dict[str, Any], written: Sequence[Path]) -> dict[str, Any]:
@@ -321,28 +316,32 @@ def _evaluate_fusion(
 def _report_fusion(runs: Sequence[FusionRun], plan: _Plan) -> dict[str, Any]:
     from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.evaluation.figures import draw_fusion
-    from tactile_loc.evaluation.fusion_tables import median_header, median_rows, record, write_fusion_tables
+    from tactile_loc.evaluation.fusion_tables import record_runs, tabulate_medians, write_fusion_tables
 
-    examples = f"{plan.count} simulated {'example' if plan.count == 1 else 'examples'} ({plan.touches.in_words()})"
+    examples = f"{plan.count} simulated {'example' if plan.count == 1 else 'examples'} ({plan.touches.describe_kind()})"
     heading = f"Localisation from several contacts: {examples} for each object, seed {plan.touches.seed}"
     protocol = {"examples": plan.count, **dataclasses.asdict(plan.touches)}
     written = write_fusion_tables(plan.out, runs, protocol, heading)
     written.append(save_figure(plan.out / "contacts.png", draw_fusion(runs, heading)))
-    header = [head.split()[0] for head in median_header(runs)]
     say("median ADD by number of contacts, mm")
-    say_table([header, *median_rows(runs, normalised=False)], left=3)
+    say_table(_shorten_heads(tabulate_medians(runs)), left=3)
     say("\nmedian ADD as a share of a random pose's mean")
-    say_table([header, *median_rows(runs, normalised=True)], left=3)
+    say_table(_shorten_heads(tabulate_medians(runs, normalised=True)), left=3)
     for run in runs:
         _say_left_out(run)
     say()
-    return _summarise(record(runs, protocol), written)
+    return _summarise(record_runs(runs, protocol), written)
+
+
+def _shorten_heads(table: list[list[str]]) -> list[list[str]]:
+    """A table whose heads are the first words of what they were."""
+    return [[head.split()[0] for head in table[0]], *table[1:]]
 
 
 def _say_left_out(run: FusionRun) -> None:
     """Say how often no pose touched all sensors, and how many presses showed no touch, if it happened."""
     found = run.evaluation
-    counts = {n: found.without_common("best-1", n) for n in found.contacts}
+    counts = {n: found.count_without_common("best-1", n) for n in found.contacts}
     if any(counts.values()):
         listed = ", ".join(f"{count} with {n}" for n, count in counts.items() if count)
         say(

@@ -170,15 +170,15 @@ def _log_results(localizer: Localizer, path: Path) -> Iterator[Show]:
 def _show_results(localizer: Localizer, about: str, port: int) -> Iterator[Show]:
     """Results on a page that browsers of this machine see."""
     from tactile_loc.reports.live_server import LiveServer
-    from tactile_loc.reports.live_view import live_page, live_state, shape_made
+    from tactile_loc.reports.live_view import describe_frame, make_live_page, render_shape
     from tactile_loc.reports.page import render
 
-    with LiveServer(render(live_page(localizer, about)), port) as server:
+    with LiveServer(render(make_live_page(localizer, about)), port) as server:
         say(f"view: {server.url}")
         sys.stdout.flush()
 
         def show(result: LiveResult) -> None:
-            server.board.show(partial(live_state, result, shape_made(result, localizer), localizer))
+            server.board.show(partial(describe_frame, result, render_shape(result, localizer), localizer))
 
         yield show
 

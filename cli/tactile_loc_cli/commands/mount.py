@@ -42,8 +42,8 @@ def mount(
     more. Touches that contradict the others are left out, and named. A list of touches uses the result: mount =
     "mount.toml", and T_base_flange for each touch.
     """
-    from tactile_loc.drawing.mount import draw_mount
     from tactile_loc.drawing.pictures import save_figure
+    from tactile_loc.drawing.tasks import draw_mount
     from tactile_loc.io.mount_files import read_mount, write_mount
     from tactile_loc.tasks.mount import find_mount, mount_record, read_flange_touches
     from tactile_loc_cli.results import say_mount

@@ -31,8 +31,8 @@ def next_touch(result: Result, candidates: Candidates, top: Top = 10, out: Out =
     would see then. Approaches are ranked by the information that is expected of them for what they cost. Poses that
     none of them tells apart are named.
     """
-    from tactile_loc.drawing.next_touch import draw_next_touch
     from tactile_loc.drawing.pictures import save_figure
+    from tactile_loc.drawing.tasks import draw_next_touch
     from tactile_loc.io.approach_files import read_approaches
     from tactile_loc.io.records import write_record
     from tactile_loc.tasks.next_touch import next_touch as choose

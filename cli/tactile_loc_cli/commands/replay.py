@@ -98,7 +98,7 @@ def replay(
     asked = Replay(recorded, topic, localizer, frame, base_frame, tree, settings.touch.press_depth_m)
     found = replay_to(out, asked, contents.counts[topic], pose_topic, poses_only)
     if rerun is not None:
-        from tactile_loc.drawing.rerun_files import write_replay
+        from tactile_loc.drawing.rerun_log import write_replay
 
         found = replace(found, written=(*found.written, write_replay(rerun, asked, found.records)))
     _report(found, topic.name)

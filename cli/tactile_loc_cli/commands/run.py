@@ -165,11 +165,11 @@ def _report(
         ]
         if page:
             from tactile_loc.reports.report import DEFAULT_NAME, write_page
-            from tactile_loc.reports.run import make_page
+            from tactile_loc.reports.run import make_result_page
 
-            written.append(write_page(make_page(record, arrays), out / DEFAULT_NAME))
+            written.append(write_page(make_result_page(record, arrays), out / DEFAULT_NAME))
     if rerun is not None:
-        from tactile_loc.drawing.rerun_files import write_localization
+        from tactile_loc.drawing.rerun_log import write_localization
 
         written.append(write_localization(rerun, localization, localizer.scene))
     return {**record.model_dump(mode="json"), "written": say_written(written)}

@@ -95,13 +95,20 @@ def simulate(
 def _write_recording(path: Path, localizer: Localizer, images: int, optics: Optics | None) -> dict[str, Any]:
     """Write a slide over the object as a recording."""
     from tactile_loc.core.simulation.noise import noise_level
-    from tactile_loc.evaluation.slides import IMAGE_TOPIC, TRUTH_TOPIC, Photos, as_depths, random_slide, write_slide
+    from tactile_loc.evaluation.slides import (
+        IMAGE_TOPIC,
+        TRUTH_TOPIC,
+        Photos,
+        draw_random_slide,
+        show_depths,
+        write_slide,
+    )
 
     if path.suffix.lower() != ".mcap":
         raise OutputError(f"a recording is written as .mcap, not as {path.name}; choose another name")
     config = localizer.config
-    slide = random_slide(localizer, images, config.seed, noise_level(config.touch.noise))
-    show = as_depths if optics is None else Photos(localizer.scene.geometry, optics, config.seed)
+    slide = draw_random_slide(localizer, images, config.seed, noise_level(config.touch.noise))
+    show = show_depths if optics is None else Photos(localizer.scene.geometry, optics, config.seed)
     write_slide(path, slide, show)
     say(f"written: {images} images on {IMAGE_TOPIC}, TF, and true poses on {TRUTH_TOPIC}, in {path}")
     return {"recording": str(path), "images": images, "image_topic": IMAGE_TOPIC, "truth_topic": TRUTH_TOPIC}

@@ -155,10 +155,10 @@ def _make_plan(path: Path | None, given: dict[str, Any], units: options.Units | 
 
 
 def _choose_workers(workers: int | None, threads: int | None, scheduler: str | None, out: Path) -> Workers:
-    from tactile_loc.sweeps.workers import DaskWorkers, LocalWorkers, cores
+    from tactile_loc.sweeps.workers import DaskWorkers, LocalWorkers, count_cores
 
     if scheduler is None:
-        return LocalWorkers(workers or cores(), threads or 1, out / "workers.log")
+        return LocalWorkers(workers or count_cores(), threads or 1, out / "workers.log")
     if workers is not None or threads is not None:
         raise ConfigError(
             "--workers and --threads are of local processes; with --scheduler the cluster decides, see docs/sweeps.md"
@@ -168,15 +168,15 @@ def _choose_workers(workers: int | None, threads: int | None, scheduler: str | N
 
 def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
     """List what would be done, and return it."""
-    from tactile_loc.sweeps.combination import combine, stages_to_build
-    from tactile_loc.sweeps.plan import choice_labels
-    from tactile_loc.sweeps.sweep import FinishedRows, finished
+    from tactile_loc.sweeps.combination import combine, find_missing_stages
+    from tactile_loc.sweeps.plan import name_choices
+    from tactile_loc.sweeps.sweep import FinishedRows, find_finished
 
     combinations, objects = combine(plan)
-    done = finished(combinations, FinishedRows(out))
+    done = find_finished(combinations, FinishedRows(out))
     missing = [one for one in combinations if one.key not in done]
-    stages = stages_to_build(missing, objects, store)
-    labels = choice_labels(plan)
+    stages = find_missing_stages(missing, objects, store)
+    labels = name_choices(plan)
     rows = [
         [one.object, *(labels[slot][i] for slot, i in zip(SLOTS, one.place[1:-2], strict=True)), one.config.touch.noise,
          str(one.config.seed), "done" if one.key in done else "to do"]
@@ -210,7 +210,7 @@ def _say_medians(found: Sweep, line: str) -> None:
     """Show the median errors, best first."""
     from tactile_loc.sweeps.results import FAILED, pivot
 
-    medians = found.medians(line)
+    medians = found.compute_medians(line)
     for noise in found.plan.noises:
         errors_mm = pivot(medians, noise)
         rows = [
@@ -225,18 +225,18 @@ def _say_medians(found: Sweep, line: str) -> None:
 
 def _compare(old: Path | None, new: Path, line: str) -> dict[str, Any]:
     """Compare two finished sweeps, show what changed, and return it. Raises ConfigError."""
-    from tactile_loc.sweeps.comparison import as_text, compare, summary, write_comparison
+    from tactile_loc.sweeps.comparison import compare, format_texts, summarise, write_comparison
     from tactile_loc.sweeps.results import read_sweep
 
     if old is None:
         raise ConfigError("there is nothing to sweep; give a plan (sweep.toml), or options such as --refiner none,icp")
     comparison = compare(read_sweep(old), read_sweep(new), line)
-    table = as_text(comparison)
+    table = format_texts(comparison)
     files = write_comparison(new, comparison)
     changed = table[table["change"] != ""].to_numpy().tolist()
     if changed:
         say_table([list(table.columns), *changed[:MOST_SHOWN]], left=len(table.columns) - 4)
-    say(summary(comparison))
+    say(summarise(comparison))
     for name, (before, after) in comparison.versions.items():
         say(f"{name}: {before} -> {after}")
     marks = {mark: comparison.count(mark) for mark in sorted({*table["change"]} - {""})}

@@ -122,7 +122,7 @@ def compile_kernels() -> Facts:
         localizer.localize(localizer.simulate()[0])
         heightmap = registry().create("renderer", "heightmap", {})
         source = RobotTouches(localizer.object, localizer.scene.geometry, heightmap)
-        touches, _ = source.example(2, np.random.default_rng(0))
+        touches, _ = source.draw_example(2, np.random.default_rng(0))
         localize_together([(localizer, touch) for touch in touches])
     seconds = time.perf_counter() - start
     return {"says": f"compiled and tried in {seconds:.0f} s, and kept for the next time", "seconds": seconds}

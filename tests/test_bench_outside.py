@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
@@ -9,7 +12,10 @@ from trimesh.triangles import closest_point
 
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.evaluation.outside import UnseenNoise, decimated, scanned, split_edges
+
+with pytest.MonkeyPatch.context() as patch:
+    patch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
+    outside = importlib.import_module("outside")
 
 GEOMETRY = SensorGeometry("orthographic", 64, 48, 3200.0, 3200.0, 32.0, 24.0, 0.010, 0.002)
 
@@ -33,7 +39,7 @@ def box() -> TriangleMesh:
 @pytest.mark.parametrize("rms_m", [5e-5, 1e-4])
 def test_a_scan_is_as_far_off_as_was_asked(box, rms_m):
     rng = np.random.default_rng(0)
-    found = scanned(box, rms_m, 2e-3, rng)
+    found = outside.simulate_scan(box, rms_m, 2e-3, rng)
     off_m = distances_m(found.sample(600, rng), box)
     assert np.sqrt(np.mean(off_m**2)) == pytest.approx(rms_m, rel=0.15)
     assert off_m.max() < 4.5 * rms_m
@@ -43,7 +49,7 @@ def test_a_scan_s_errors_are_alike_nearby_and_not_farther_away(box):
     """On the top, with their sign: after one correlation length exp(-1/2), after four next to nothing."""
     covariances = np.zeros(3)
     for seed in range(6):
-        found = scanned(box, 1e-4, 2e-3, np.random.default_rng(seed))
+        found = outside.simulate_scan(box, 1e-4, 2e-3, np.random.default_rng(seed))
         top = found.vertices_m[
             (found.vertices_m[:, 2] > 0.0035) & (np.abs(found.vertices_m[:, :2]) < [0.009, 0.005]).all(1)
         ]
@@ -56,7 +62,7 @@ def test_a_scan_s_errors_are_alike_nearby_and_not_farther_away(box):
 
 
 def test_split_edges_leave_the_surface_and_no_gap(box):
-    fine = split_edges(box, 1e-3)
+    fine = outside.split_edges(box, 1e-3)
     edges = fine.vertices_m[fine.faces] - np.roll(fine.vertices_m[fine.faces], -1, axis=1)
     assert np.linalg.norm(edges, axis=-1).max() <= 1e-3
     assert fine.face_areas.sum() == pytest.approx(box.face_areas.sum())
@@ -68,13 +74,13 @@ def test_split_edges_leave_the_surface_and_no_gap(box):
 
 def test_a_surface_of_separate_triangles_stays_whole(box):
     apart = TriangleMesh(box.triangles_m.reshape(-1, 3), np.arange(36).reshape(-1, 3))
-    found = scanned(apart, 1e-4, 2e-3, np.random.default_rng(1))
+    found = outside.simulate_scan(apart, 1e-4, 2e-3, np.random.default_rng(1))
     assert trimesh.Trimesh(found.vertices_m, found.faces, process=False).is_watertight
 
 
 def test_a_decimated_surface_is_nearly_as_far_off_as_it_may_be():
     ball = meshed(trimesh.creation.icosphere(4, 0.010))
-    found = decimated(ball, 1e-4, np.random.default_rng(0))
+    found = outside.decimate(ball, 1e-4, np.random.default_rng(0))
     assert len(found.faces) < len(ball.faces) / 4
     off_m = distances_m(ball.sample(500, np.random.default_rng(1)), found)
     assert 0.6e-4 < np.sqrt(np.mean(off_m**2)) < 1.1e-4
@@ -84,7 +90,7 @@ def test_unseen_noise_is_what_it_says():
     rng = np.random.default_rng(0)
     clean = np.full((30, *GEOMETRY.shape), 2e-3, np.float32)
     clean[:, 10:40, 10:50] = 5e-4
-    noisy = UnseenNoise().corrupt(clean, np.full(30, 1e-3), GEOMETRY, rng)
+    noisy = outside.UnseenNoise().corrupt(clean, np.full(30, 1e-3), GEOMETRY, rng)
     contact, inside = noisy < np.float32(1e-3), clean < 1e-3
     assert contact[inside].mean() == pytest.approx(0.95, abs=0.01)
     assert contact[~inside].mean() == pytest.approx(0.001, abs=0.0005)

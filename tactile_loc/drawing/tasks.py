@@ -1,4 +1,4 @@
-"""What each mode would show if a touch were made next, as a picture."""
+"""Pictures of tasks: what a next touch would show, and the residuals of a mount."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import percent
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.drawing.pictures import draw_contact_shape, make_figure
+from tactile_loc.drawing.pictures import add_panels, draw_contact_shape, make_figure
+from tactile_loc.tasks.mount import FoundMount
 from tactile_loc.tasks.next_touch import NextTouch, RatedApproach
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+FIRST, LAST, LEFT_OUT = "#a0aec0", "#2b6cb0", "#e03131"
 SHOWN, COLUMNS = 12, 4
 BEST, OTHERS = "#2b6cb0", "#a0aec0"
 
@@ -29,9 +31,7 @@ def draw_next_touch(found: NextTouch, title: str) -> Figure:
     figure.suptitle(title, size=12, weight="bold")
     parts: Any = figure.subfigures(1, 2, width_ratios=[2.6 * columns, 4.6])
     left, right = parts
-    panels: NDArray[Any] = left.subplots(rows, columns, squeeze=False)
-    for axes in panels.flat[count:]:
-        axes.set_axis_off()
+    panels = add_panels(left, count, columns)
     for k, axes in enumerate(panels.flat[:count]):
         _draw_mode(axes, found, depths[k], k)
     left.supxlabel(f"what each mode would show at {found.best.approach.name or 'the best approach'}", size=9)
@@ -60,3 +60,33 @@ def _draw_doubt(axes: Any, ranked: tuple[RatedApproach, ...], before: float) -> 
     axes.set_xlabel("approach, by rank", size=9)
     axes.set_ylabel("doubt that is expected to be left (nats)", size=9)
     axes.tick_params(labelsize=8)
+
+
+def draw_mount(found: FoundMount, title: str) -> Figure:
+    """Draw the residual of each touch, in mm and in degrees, at the first guess and at the mount that was found."""
+    names = [touch.name for touch in found.given.touches]
+    figure = make_figure(max(7.0, 0.45 * len(names) + 2.5), 6.4, constrained=True)
+    figure.suptitle(title, size=12, weight="bold")
+    panels: Any = figure.subplots(2, 1, sharex=True)
+    kinds = (("residual (mm)", 1e3), ("residual (degrees)", float(np.degrees(1.0))))
+    for k, (axes, (label, unit)) in enumerate(zip(panels, kinds, strict=True)):
+        _draw_residuals(axes, unit * found.first_residuals[:, k], unit * found.residuals[:, k], found.kept)
+        axes.set_ylabel(label)
+    panels[0].legend(frameon=False, fontsize=8, ncols=3, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    panels[1].set_xticks(range(len(names)), names, rotation=60, ha="right", size=8)
+    panels[1].set_xlabel("touch")
+    return figure
+
+
+def _draw_residuals(axes: Any, first: NDArray[np.float64], last: NDArray[np.float64], kept: NDArray[np.bool_]) -> None:
+    """Residuals (N,) of touches as points, on an axis that shows small and large ones."""
+    numbers = np.arange(len(kept))
+    axes.vlines(numbers, np.minimum(first, last), np.maximum(first, last), color=FIRST, lw=0.8, zorder=1)
+    axes.scatter(numbers, first, s=22, color=FIRST, label="first guess")
+    axes.scatter(numbers[kept], last[kept], s=30, color=LAST, label="found mount")
+    if not kept.all():
+        axes.scatter(numbers[~kept], last[~kept], s=34, color=LEFT_OUT, marker="x", label="left out")
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter("")
+    axes.grid(axis="y", which="both", lw=0.3)

@@ -1,15 +1,27 @@
-"""The picture of a track: errors as they are, up to symmetry, and what was not certain shaded."""
+"""The pictures of the guide: of a track, errors as they are up to symmetry; of noise, each level in one scale."""
 
 from __future__ import annotations
 
+import importlib.util
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 from tactile_loc.core.geometry.hand_eye import moved
 from tactile_loc.core.geometry.rigid import make_transform, random_rotations, rotation_about
-from tactile_loc.drawing.track import draw_track, track_errors
+from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.locate.verdict import Verdict
 from tactile_loc.tasks.tracker import TrackedPose
+
+spec = importlib.util.spec_from_file_location("guide", Path(__file__).parents[1] / "docs" / "pictures.py")
+assert spec is not None
+assert spec.loader is not None
+guide = importlib.util.module_from_spec(spec)
+sys.modules[spec.name] = guide  # dataclasses look their module up
+spec.loader.exec_module(guide)
 
 COUNT = 12
 GEL = np.array([0.0, 0.0, 0.01])
@@ -29,7 +41,7 @@ def truth():
 
 def test_errors_are_the_centroids_shift_and_the_turn(box, truth):
     found = [tracked(k, moved(T, np.array([3e-4, 0, 4e-4, 0, 0.01, 0]))) for k, T in enumerate(truth)]
-    errors = track_errors(found, truth, box)  # the box's centroid is its frame's origin
+    errors = guide.measure_track(found, truth, box)  # the box's centroid is its frame's origin
     assert np.allclose(errors.shift_m, 5e-4)
     assert np.allclose(errors.turn_rad, 0.01)
     assert np.allclose(errors.shift_std_m, np.sqrt(3) * 1e-4)
@@ -45,7 +57,7 @@ def test_the_picture_regards_symmetry_and_shades_what_is_not_certain(make_box, t
         tracked(k, None if k == 0 else T @ half_turn, verdict)
         for k, (T, verdict) in enumerate(zip(truth, verdicts, strict=True))
     ]
-    figure = draw_track(found, truth, obj, GEL, "a box")
+    figure = guide.draw_track(found, truth, obj, GEL, "a box")
     path, above, below = (axes for sub in figure.subfigs for axes in sub.axes)
     for axes in (above, below):
         (error,) = [line for line in axes.get_lines() if line.get_label() == "error"]
@@ -53,3 +65,13 @@ def test_the_picture_regards_symmetry_and_shades_what_is_not_certain(make_box, t
         assert np.abs(error.get_ydata()).max() < 1e-4
         assert len(axes.patches) == 4
     assert len(path.get_lines()) == 2
+
+
+def test_every_level_of_noise_is_drawn_in_one_scale(localizer):
+    figure = guide.draw_noise(localizer)
+    texts = [text.get_text() for text in figure.findobj(plt.Text)]
+    titles = [text for text in texts if text.split(",")[0] in NOISE]
+    assert [title.split(",")[0] for title in titles] == [level for level in NOISE for _ in range(5)]
+    assert titles[0] == "none, 2.0 mm"
+    scales = [axes.images[0].get_clim() for axes in figure.axes if axes.images]
+    assert np.array(scales) == pytest.approx(np.tile([0.0, 2.0], (15, 1)))
