@@ -49,7 +49,7 @@ def decoded(path: Path, topic: str) -> list[Any]:
         return [found.decoded_message for found in reader.iter_decoded_messages(topics=[topic])]
 
 
-def replayed(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, float, float]:
+def replay_slide(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, float, float]:
     """Replay a recording into the base's frame; also the seconds that took, and of these what locating did."""
     locating_s = 0.0
 
@@ -86,7 +86,7 @@ def row(localizer: Localizer, slide: Slide, level: str, folder: Path) -> str:
     """One row of the table."""
     source, out = folder / "slide.mcap", folder / "poses.mcap"
     write_slide(source, slide)
-    found, seconds, locating_s = replayed(localizer, source, out)
+    found, seconds, locating_s = replay_slide(localizer, source, out)
     poses = decoded(out, POSE_TOPIC)
     lifted = {int(slide.stamps_ns[number]) for number in slide.frames if slide.press_m[number] <= 0}
     imagined = sum(read_stamp_ns(message.header) in lifted for message in poses)

@@ -68,7 +68,7 @@ def sliding(localizer: Localizer) -> SlidingTouches:
     ))  # fmt: skip
 
 
-def started(localizer: Localizer, frames: Sequence[Frame], rng: np.random.Generator) -> Tracker:
+def start_tracker(localizer: Localizer, frames: Sequence[Frame], rng: np.random.Generator) -> Tracker:
     """A tracker that begins near the truth."""
     tracker = Tracker(localizer)
     truth = frames[0].T_base_sensor @ frames[0].T_sensor_object
@@ -76,7 +76,7 @@ def started(localizer: Localizer, frames: Sequence[Frame], rng: np.random.Genera
     return tracker
 
 
-def tracked(tracker: Tracker, frames: Sequence[Frame]) -> tuple[list[TrackedPose], np.ndarray]:
+def track_frames(tracker: Tracker, frames: Sequence[Frame]) -> tuple[list[TrackedPose], np.ndarray]:
     """What is tracked at each frame, and seconds."""
     found, seconds = [], []
     for frame in frames:
@@ -144,7 +144,7 @@ def slides(localizer: Localizer, count: int, seed: int) -> list[str]:
     rng = np.random.default_rng([seed, 0])
     frames = sliding(localizer).example(count, rng)
     truth = np.array([frame.T_sensor_object for frame in frames])
-    found, seconds = tracked(started(localizer, frames, rng), frames)
+    found, seconds = track_frames(start_tracker(localizer, frames, rng), frames)
     local, metric = np.array([not one.searched for one in found]), PoseMetric(localizer.object)
     inside = np.mean([
         normalised_error_squared(metric, one.T_sensor_object, one.covariance, T) < chi2.ppf(0.95, 6)
@@ -180,7 +180,7 @@ def jumps(localizer: Localizer, examples: int, seed: int, slip: Slip | None) -> 
     for number in range(examples):
         rng = np.random.default_rng([seed, 1, number])
         frames = sliding(localizer).example(BEFORE + LATE + 1, rng, BEFORE, slip)
-        found, seconds = tracked(started(localizer, frames, rng), frames)
+        found, seconds = track_frames(start_tracker(localizer, frames, rng), frames)
         searching += [s for one, s in zip(found, seconds, strict=True) if one.searched]
         alone = localizer.localize(frames[BEFORE].touch).best.T_sensor_object
         near = [is_near(metric, alone[None], frames[BEFORE], near_m)[0]]
@@ -213,7 +213,7 @@ def main() -> None:
     for localizer in localizers:
         touch = localizer.simulate(1)[0]
         localizer.localize(touch)  # builds the model
-        tracked(Tracker(localizer), [Frame(0.0, touch, np.eye(4), np.eye(4))] * 2)  # compiles
+        track_frames(Tracker(localizer), [Frame(0.0, touch, np.eye(4), np.eye(4))] * 2)  # compiles
         print("\n".join(slides(localizer, arguments.frames, arguments.seed)), flush=True)
     for slip in (None, SLIP):
         print(

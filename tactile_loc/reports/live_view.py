@@ -15,6 +15,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result_files import drawn_mesh
+from tactile_loc.locate.verdict import explain_verdict
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.tasks.live import LiveRecord, LiveResult
@@ -81,6 +82,7 @@ def _texts(record: LiveRecord, rate_hz: float) -> dict[str, str]:
     shares = {"probability": record.probability, "imprint": record.imprint_iou}
     return {
         "says": record.says or record.name, "verdict": record.word,
+        "verdict-more": explain_verdict(record.verdict),
         **{name: NOTHING if share is None else percent(share) for name, share in shares.items()},
         **_pose(record), "rate": f"{rate_hz:.1f} Hz" if rate_hz else NOTHING,
         "rate-more": f"{record.number + 1} frames, {record.dropped} dropped as newer ones had come",

@@ -15,7 +15,7 @@ COUNT = 12
 GEL = np.array([0.0, 0.0, 0.01])
 
 
-def tracked(k: int, T: np.ndarray | None, verdict: Verdict = Verdict.CERTAIN) -> TrackedPose:
+def make_tracked(k: int, T: np.ndarray | None, verdict: Verdict = Verdict.CERTAIN) -> TrackedPose:
     T = np.empty((0, 4, 4)) if T is None else T[None]
     C = np.repeat(np.diag([1e-8] * 3 + [1e-6] * 3)[None], len(T), axis=0)
     return TrackedPose(0.1 * k, verdict, T, C, np.ones(len(T)), 0.9, False)
@@ -28,7 +28,7 @@ def truth():
 
 
 def test_errors_are_the_centroids_shift_and_the_turn(box, truth):
-    found = [tracked(k, moved(T, np.array([3e-4, 0, 4e-4, 0, 0.01, 0]))) for k, T in enumerate(truth)]
+    found = [make_tracked(k, moved(T, np.array([3e-4, 0, 4e-4, 0, 0.01, 0]))) for k, T in enumerate(truth)]
     errors = track_errors(found, truth, box)  # the box's centroid is its frame's origin
     assert np.allclose(errors.shift_m, 5e-4)
     assert np.allclose(errors.turn_rad, 0.01)
@@ -42,7 +42,7 @@ def test_the_picture_regards_symmetry_and_shades_what_is_not_certain(make_box, t
     doubtful = [Verdict.NO_CONTACT, Verdict.AMBIGUOUS, Verdict.POOR_FIT, Verdict.NOT_FOUND]
     verdicts = [*doubtful, *[Verdict.CERTAIN] * (COUNT - 4)]
     found = [
-        tracked(k, None if k == 0 else T @ half_turn, verdict)
+        make_tracked(k, None if k == 0 else T @ half_turn, verdict)
         for k, (T, verdict) in enumerate(zip(truth, verdicts, strict=True))
     ]
     figure = draw_track(found, truth, obj, GEL, "a box")

@@ -11,7 +11,15 @@ from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.io.options import CERTAIN, TrackerOptions
 from tactile_loc.locate.result import Agreement
 from tactile_loc.locate.result_json import ResultRecord, result_record
-from tactile_loc.locate.verdict import LEAST_IOU, MEANINGS, MOSTLY_ELSEWHERE, Verdict, judge
+from tactile_loc.locate.verdict import (
+    LEAST_IOU,
+    MEANINGS,
+    MOSTLY_ELSEWHERE,
+    Verdict,
+    explain_verdict,
+    judge,
+    name_verdict,
+)
 
 
 @pytest.mark.parametrize(
@@ -42,7 +50,9 @@ def test_thresholds_are_the_callers():
     assert TrackerOptions().certain == CERTAIN
 
 
-def test_every_verdict_has_a_meaning():
+def test_every_verdict_has_a_meaning_and_so_has_none():
+    assert name_verdict(Verdict.POOR_FIT) == "poor fit"
+    assert (name_verdict(None), explain_verdict(None)) == ("refused", "the frame cannot be read")
     assert set(MEANINGS) == set(Verdict)
     assert {str(one) for one in Verdict} == {"certain", "ambiguous", "poor fit", "not found", "no contact"}
 

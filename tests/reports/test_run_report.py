@@ -14,6 +14,7 @@ from report_helpers import Elements, floats, html_of, numbers_in, page_in
 from tactile_loc.core.errors import ResultError
 from tactile_loc.core.geometry.rigid import rotation_about
 from tactile_loc.locate.result_files import read_arrays, read_record
+from tactile_loc.locate.verdict import MEANINGS
 from tactile_loc.reports.page import render
 from tactile_loc.reports.run import page_of_result, surface_of
 
@@ -54,6 +55,7 @@ def test_the_head_says_who_where_how_sure_and_how_far_off(result, page):
     assert f"{x:.2f}, {y:.2f}, {z:.2f} mm" in page.text
     assert not missing(page.text, f"{result['grid_poses']} poses")
     assert "error" in page.text
+    assert not missing(page.text, result["verdict"], MEANINGS[result["verdict"]])
 
 
 def test_every_candidate_has_its_shape_and_its_difference(result, page):
