@@ -13,7 +13,7 @@ from random import Random
 from typing import Any
 
 NOUNS, CURVED = "tests/test_nouns.py", "tests/core/sensing/test_curved_contact.py"
-STORE = ("artifact", "files", "keys", "line_files", "packed", "store", "workspace")
+STORE = ("artifact", "files", "keys", "line_files", "store", "workspace")
 SLOW = "imprint or first_use or dense or sizes"  # without a compiler, or of renderers and sensors
 PROCESSES = "any_step or two_processes or killed_build"  # several, started one after the other
 LOGGERS = {"log", "logger", "logging", "warnings"}

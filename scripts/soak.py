@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc_cli.console import progress
+from tactile_loc_cli.console import make_progress
 
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE
@@ -82,7 +82,7 @@ class Soaked(NamedTuple):
 def soaked(name: str, count: int, once: Callable[[int], bool]) -> Soaked:
     """Do a work `count` times, each with its number, and say what is held; it returns whether its answer changed."""
     start, warm, changed = time.monotonic(), Held.now(), 0
-    with progress().task(name, count) as advance:
+    with make_progress().task(name, count) as advance:
         for number in range(count):
             if number == max(1, count // WARM):
                 warm = Held.now()

@@ -18,9 +18,10 @@ from tactile_loc.evaluation.fusion_tables import FusionRun, write_fusion_tables
 from tactile_loc.evaluation.posterior_metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.evaluation.tables import Run, write_tables
+from tactile_loc.io.records import write_record
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result_files import gather, write_arrays
-from tactile_loc.locate.result_json import result_record, write_result
+from tactile_loc.locate.result_arrays import gather_arrays, write_arrays
+from tactile_loc.locate.result_json import make_record
 from tactile_loc.reports import find_source
 from tactile_loc.reports.page import Page, render
 from tactile_loc.reports.report import page_of
@@ -35,9 +36,9 @@ def write_run(folder: Path, localizer: Localizer, touch_name: str | None = None)
     touch = localizer.simulate(1, seed=0)[0]
     touch = dataclasses.replace(touch, name=touch_name or touch.name)
     localization = localizer.localize(touch)
-    record = result_record(localizer, localization, {"model": 1.5})
-    write_arrays(folder / "result.npz", gather([(localizer, touch)], localization), record)
-    write_result(folder / "result.json", record)
+    record = make_record(localizer, localization, {"model": 1.5})
+    write_arrays(folder / "result.npz", gather_arrays([(localizer, touch)], localization), record)
+    write_record(folder / "result.json", record)
     return folder
 
 

@@ -11,7 +11,7 @@ import pytest
 from typer.main import get_command
 
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result_files import MOST_FACES, MOST_POSES, as_arrays, gather
+from tactile_loc.locate.result_arrays import MOST_FACES, MOST_POSES, gather_arrays, pack_arrays
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "reports.md").read_text()
@@ -45,7 +45,11 @@ def test_pictures_and_links_are_there():
 def test_the_table_of_arrays_is_the_file_s(store):
     localizer = Localizer.create("pin", store=store, grid={"name": "face", "spacing_mm": 8})
     touch = localizer.simulate(1)[0]
-    written = {"schema_version", "result_sha256", *as_arrays(gather([(localizer, touch)], localizer.localize(touch)))}
+    written = {
+        "schema_version",
+        "result_sha256",
+        *pack_arrays(gather_arrays([(localizer, touch)], localizer.localize(touch))),
+    }
     rows = re.findall(r"^\| (`[^|]*) \| ([^|]*) \|", PAGE, re.MULTILINE)
     named = {name: meaning for names, meaning in rows for name in re.findall(r"`(\w+)`", names)}
     assert written == {name for name, meaning in named.items() if "optional" not in meaning}

@@ -11,7 +11,7 @@ import sys
 import textwrap
 import time
 import warnings
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,14 @@ def say(text: str = "") -> None:
     """Write a line of results as it is, never wrapped; of processes that work together, the first does."""
     if rank() == 0:
         sys.stdout.write(text + "\n")
+
+
+def say_written(paths: Iterable[Path]) -> list[str]:
+    """Write which files were written, if any, and return their paths as JSON values."""
+    written = [str(path) for path in paths]
+    if written:
+        say(f"written: {', '.join(written)}")
+    return written
 
 
 def say_reasons(reasons: Sequence[tuple[str, int]]) -> int:
@@ -53,11 +61,11 @@ def say_table(rows: Sequence[Sequence[str]], left: int | Container[int] = 2, gap
         if len(row) < len(widths):
             cells[-1] = row[-1]
         line = (" " * gap).join(cells).rstrip()
-        for part in _folded(line, indent) if fold else [line]:
+        for part in _fold_line(line, indent) if fold else [line]:
             say(part)
 
 
-def _folded(line: str, indent: int) -> list[str]:
+def _fold_line(line: str, indent: int) -> list[str]:
     """A line, broken between words after the column where its last cell begins, if it is wider than the window."""
     width = shutil.get_terminal_size((UNKNOWN_WIDTH, 1)).columns if sys.stdout.isatty() else UNKNOWN_WIDTH
     parts = textwrap.wrap(line[indent:], max(width - indent, NARROWEST)) or [""]
@@ -90,7 +98,7 @@ class OneLineHandler(logging.Handler):
 
 
 @contextmanager
-def log_shown(verbosity: int = 0) -> Iterator[None]:
+def show_log(verbosity: int = 0) -> Iterator[None]:
     """Show the library's log, and hush what other libraries say to their developers.
 
     `verbosity` -1 shows errors, 0 warnings, 1 what is being done, 2 all details.
@@ -118,7 +126,7 @@ def is_shown(level: int) -> bool:
 
 
 @contextmanager
-def results_hidden() -> Iterator[None]:
+def hide_results() -> Iterator[None]:
     """Let nothing that the block writes reach stdout, whoever writes it."""
     with Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere):
         yield
@@ -126,23 +134,23 @@ def results_hidden() -> Iterator[None]:
 
 def say_json(value: Mapping[str, Any]) -> None:
     """Write a value as the one JSON document of a command; numbers that are not finite are null."""
-    say(json.dumps(_plain(value), indent=1, allow_nan=False))
+    say(json.dumps(_make_plain(value), indent=1, allow_nan=False))
 
 
-def _plain(value: Any) -> Any:
+def _make_plain(value: Any) -> Any:
     """A deep copy made of JSON's own types; what it does not know, such as a path, as text."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _make_plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [_make_plain(item) for item in value]
     if hasattr(value, "tolist"):  # numpy's numbers and arrays
-        return _plain(value.tolist())
+        return _make_plain(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value if value is None or isinstance(value, str | int) else str(value)
 
 
-def _unseen(text: str) -> None:
+def _ignore_note(text: str) -> None:
     """Take a note that no bar can show."""
 
 
@@ -150,7 +158,7 @@ class Bars(Progress):
     """Progress bars on stderr that vanish when their task ends."""
 
     def __init__(self) -> None:
-        self._note: Callable[[str], None] = _unseen
+        self._note: Callable[[str], None] = _ignore_note
 
     @contextmanager
     def task(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
@@ -166,13 +174,13 @@ class Bars(Progress):
             try:
                 yield lambda steps: bars.advance(number, steps)
             finally:
-                self._note = _unseen
+                self._note = _ignore_note
 
     def note(self, text: str) -> None:
         """Show a line beside the bar that is open."""
         self._note(text)
 
 
-def progress() -> Progress:
+def make_progress() -> Progress:
     """Return progress bars where somebody watches and did not ask for quiet, and the null watcher otherwise."""
     return Bars() if sys.stderr.isatty() and rank() == 0 and is_shown(logging.WARNING) else Progress()

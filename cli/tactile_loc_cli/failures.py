@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 import typer
 
 from tactile_loc.core.errors import TactileLocError
+from tactile_loc.core.slots.registry import registry
 from tactile_loc_cli.console import complain, is_shown, say_json
 
 UNEXPECTED, USAGE_ERROR, INTERRUPTED = 1, 2, 130
@@ -31,7 +32,7 @@ class Finding(typer.Exit):
 
 
 @contextmanager
-def failures_told(command: str, as_json: bool) -> Iterator[None]:
+def report_failures(command: str, as_json: bool) -> Iterator[None]:
     """End the program with one line when the block fails. Raises typer.Exit."""
     try:
         yield
@@ -45,8 +46,8 @@ def failures_told(command: str, as_json: bool) -> Iterator[None]:
     except Exception as error:  # noqa: BLE001 - a component may raise anything
         _show_traceback()
         if isinstance(error, OSError) and error.errno in DISK_FULL:
-            end(USAGE_ERROR, type(error).__name__, _disk_full(error), as_json)
-        end(UNEXPECTED, type(error).__name__, _unexpected(error, command), as_json)
+            end(USAGE_ERROR, type(error).__name__, _describe_full_disk(error), as_json)
+        end(UNEXPECTED, type(error).__name__, _describe_unexpected(error, command), as_json)
 
 
 def end(code: int, kind: str, text: str, as_json: bool, prefix: str = "error") -> NoReturn:
@@ -68,33 +69,31 @@ def _show_traceback() -> None:
         sys.stderr.write(traceback.format_exc())
 
 
-def _disk_full(error: OSError) -> str:
+def _describe_full_disk(error: OSError) -> str:
     """What becomes of caches and temporary files; for results and the store more is said, and in their own place."""
     where = f" for {error.filename}" if error.filename else ""
     return f"no space is left on the disk{where}; free some, `tactile-loc store prune` may help, then run this again"
 
 
-def _unexpected(error: Exception, command: str) -> str:
-    where = _component(error.__traceback__) or command
+def _describe_unexpected(error: Exception, command: str) -> str:
+    where = _find_component(error.__traceback__) or command
     text = f"unexpected {type(error).__name__} in {where}" + (f": {error}" if str(error) else "")
     return text if is_shown(logging.DEBUG) else f"{text}; run with -vv for the traceback"
 
 
-def _component(trace: TracebackType | None) -> str | None:
+def _find_component(trace: TracebackType | None) -> str | None:
     """The component whose method raised, the innermost; None if it was none's."""
     from tactile_loc.core.slots.component import Component
 
     for frame, _ in reversed(list(traceback.walk_tb(trace))):
         owner = frame.f_locals.get("self")
         if isinstance(owner, Component):
-            return f"the {owner.slot} {_name(owner)!r}"
+            return f"the {owner.slot} {_find_name(owner)!r}"
     return None
 
 
-def _name(component: Any) -> str:
+def _find_name(component: Any) -> str:
     """The name a component is chosen by; that of its class if it is registered by none."""
-    from tactile_loc.core.slots.registry import registry
-
     kind = type(component)
     target = f"{kind.__module__}:{kind.__qualname__}"
     names = (c.spec.name for c in registry().components if c.spec.target == target)

@@ -7,7 +7,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc_cli.console import progress, say
+from tactile_loc.core.errors import CalibrationError, ConfigError, SensorError
+from tactile_loc_cli.console import make_progress, say
 
 if TYPE_CHECKING:
     from tactile_loc.calibration.unlabelled import FoundPresses
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 SAME_SCALE = 1e-6
 
 
-def labelled(
+def label_presses(
     source: Path, sensor: str | None, ball_radius_mm: float | None, mm_per_px: float | None
 ) -> tuple[Path, Path, dict[str, Any]]:
     """Return the folder whose `presses.csv` lists the presses, the sensor's file, and what was found, for the result.
@@ -25,14 +26,13 @@ def labelled(
     """
     from tactile_loc.calibration.frames import name_frames_folder, read_frames
     from tactile_loc.calibration.presses import TABLE
-    from tactile_loc.core.errors import CalibrationError
 
     _require_lengths(ball_radius_mm, mm_per_px)
     folder = name_frames_folder(source) if os.path.isfile(source) else source
     if os.path.exists(folder / TABLE) or not os.path.exists(source):
         if ball_radius_mm is not None and os.path.exists(source):
             _use_table(folder, ball_radius_mm)
-        return folder, sensor_file(folder, sensor, mm_per_px, None), {}
+        return folder, find_sensor_file(folder, sensor, mm_per_px, None), {}
     if ball_radius_mm is None:
         raise CalibrationError(
             f"there is no table {folder / TABLE}; give --ball-radius and it is written from what the images show, "
@@ -46,15 +46,14 @@ def labelled(
             f"pixels, and give that as --mm-per-px, or describe the sensor in {folder / 'sensor.toml'}"
         )
     folder, frames = read_frames(source)
-    found = _find(folder, frames, _scale(folder, sensor, mm_per_px), ball_radius_mm)
-    return folder, sensor_file(folder, sensor, mm_per_px, frames[0].image.shape[:2]), found
+    found = _find_labels(folder, frames, _find_scale(folder, sensor, mm_per_px), ball_radius_mm)
+    return folder, find_sensor_file(folder, sensor, mm_per_px, frames[0].image.shape[:2]), found
 
 
 def _use_table(folder: Path, ball_radius_mm: float) -> None:
     """Say that the table is used, and what it lacks. Raises ConfigError when it is of balls of another radius."""
     from tactile_loc.calibration.frames import list_pictures
     from tactile_loc.calibration.presses import TABLE, summarize_table
-    from tactile_loc.core.errors import ConfigError
 
     names, radii_mm = summarize_table(folder)
     other = next((mm for mm in radii_mm if not math.isclose(mm, ball_radius_mm, rel_tol=SAME_SCALE)), None)
@@ -68,23 +67,20 @@ def _use_table(folder: Path, ball_radius_mm: float) -> None:
     say(f"the labels in {folder / TABLE} are used as they are{more}")
 
 
-def _scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> float:
+def _find_scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> float:
     """The size of a pixel, mm, given or of the sensor's file. Raises ConfigError, SensorError; writes nothing."""
     from tactile_loc.calibration.presses import SENSOR
-    from tactile_loc.core.errors import SensorError
-    from tactile_loc.io.sensor_files import read_sensor_file
 
     file = folder / SENSOR if sensor is None else Path(sensor)
-    if file.exists() or mm_per_px is None or sensor is not None:
-        if not file.is_file():
-            raise SensorError(f"there is no {file}; describe the sensor in it (docs/sensors.md), or give --mm-per-px")
-        _require_same_scale(file, mm_per_px)
-        return 1e3 * read_sensor_file(file).pixel_pitch_m
-    return mm_per_px
+    if mm_per_px is not None and sensor is None and not file.exists():
+        return mm_per_px
+    if not file.is_file():
+        raise SensorError(f"there is no {file}; describe the sensor in it (docs/sensors.md), or give --mm-per-px")
+    return _read_scale(file, mm_per_px)
 
 
-def _require_same_scale(file: Path, mm_per_px: float | None) -> None:
-    from tactile_loc.core.errors import ConfigError
+def _read_scale(file: Path, mm_per_px: float | None) -> float:
+    """The size of a pixel of the sensor's file, mm. Raises ConfigError when another is given."""
     from tactile_loc.io.sensor_files import read_sensor_file
 
     scale = 1e3 * read_sensor_file(file).pixel_pitch_m
@@ -93,9 +89,10 @@ def _require_same_scale(file: Path, mm_per_px: float | None) -> None:
             f"--mm-per-px is {mm_per_px:g}, but {file} says {scale:.6g}; correct one, or remove the file to have it "
             "written anew"
         )
+    return scale
 
 
-def sensor_file(folder: Path, sensor: str | None, mm_per_px: float | None, shape: tuple[int, int] | None) -> Path:
+def find_sensor_file(folder: Path, sensor: str | None, mm_per_px: float | None, shape: tuple[int, int] | None) -> Path:
     """Return the file that describes the sensor: the one given, the folder's, or one written to it from the scale.
 
     `shape` is the images' (rows, columns); it is read from the table's first image when it is None. Raises ConfigError
@@ -108,7 +105,7 @@ def sensor_file(folder: Path, sensor: str | None, mm_per_px: float | None, shape
     if mm_per_px is None:
         return file
     if file.exists():
-        _require_same_scale(file, mm_per_px)
+        _read_scale(file, mm_per_px)
         return file
     if sensor is not None or not folder.is_dir():
         return file
@@ -116,8 +113,6 @@ def sensor_file(folder: Path, sensor: str | None, mm_per_px: float | None, shape
 
 
 def _require_lengths(ball_radius_mm: float | None, mm_per_px: float | None) -> None:
-    from tactile_loc.core.errors import ConfigError
-
     for flag, value in (("--ball-radius", ball_radius_mm), ("--mm-per-px", mm_per_px)):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise ConfigError(f"{flag} is {value:g}; it must be a positive number of mm")
@@ -129,13 +124,13 @@ def _has_scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> boo
     return mm_per_px is not None or sensor is not None or (folder / SENSOR).exists()
 
 
-def _find(folder: Path, frames: list[Any], mm_per_px: float, ball_radius_mm: float) -> dict[str, Any]:
+def _find_labels(folder: Path, frames: list[Any], mm_per_px: float, ball_radius_mm: float) -> dict[str, Any]:
     from tactile_loc.calibration.frames import SHEET
     from tactile_loc.calibration.unlabelled import estimate_depths_mm, find_presses, write_labels
     from tactile_loc.drawing.labels import draw_labels
     from tactile_loc.drawing.pictures import save_figure
 
-    found = find_presses(frames, ball_radius_mm / mm_per_px, progress())
+    found = find_presses(frames, ball_radius_mm / mm_per_px, make_progress())
     least_mm, most_mm = estimate_depths_mm(found, ball_radius_mm, mm_per_px)
     table = write_labels(folder, found, ball_radius_mm, mm_per_px)
     title = f"{len(found.used)} of {len(found.presses)} presses are used"

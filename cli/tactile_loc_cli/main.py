@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from tactile_loc_cli.command import Quiet, Verbose, as_command
+from tactile_loc_cli.command import Quiet, Verbose, make_command
 from tactile_loc_cli.commands import store as store_commands
 from tactile_loc_cli.commands.build import build
 from tactile_loc_cli.commands.calibrate import calibrate
@@ -30,7 +30,7 @@ from tactile_loc_cli.failures import INTERRUPTED, TO_BE_RESUMED, USAGE_ERROR, Us
 
 
 class PlainErrors(TyperGroup):
-    """Turns a wrong command line into one line on stderr and an exit code; as_command does so for all else."""
+    """Turns a wrong command line into one line on stderr and an exit code; make_command does so for all else."""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Run the command line and end the process."""
@@ -50,7 +50,7 @@ class PlainErrors(TyperGroup):
         sys.exit(code if isinstance(code, int) else 0)
 
 
-def _app(**settings: Any) -> typer.Typer:
+def _make_app(**settings: Any) -> typer.Typer:
     return typer.Typer(
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
@@ -59,11 +59,11 @@ def _app(**settings: Any) -> typer.Typer:
     )
 
 
-app = _app(cls=PlainErrors, invoke_without_command=True)
-store = _app(help="List, measure or prune what was built and kept.")
+app = _make_app(cls=PlainErrors, invoke_without_command=True)
+store = _make_app(help="List, measure or prune what was built and kept.")
 
 
-def _version(asked: bool) -> None:
+def _show_version(asked: bool) -> None:
     if asked:
         from tactile_loc import __version__
 
@@ -72,10 +72,10 @@ def _version(asked: bool) -> None:
 
 
 @app.callback()
-def tactile_loc(
+def begin(
     context: typer.Context,
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
     ] = False,
     verbose: Verbose = 0,
     quiet: Quiet = False,
@@ -93,11 +93,11 @@ for command in (
     run, build, simulate, evaluate, sweep, report, live, replay, calibrate, mount, next_touch, identify, objects,
     plugins, new_plugin,
 ):  # fmt: skip
-    app.command()(as_command(command))
+    app.command()(make_command(command))
 for name, command in store_commands.COMMANDS.items():
-    store.command(name)(as_command(command))
+    store.command(name)(make_command(command))
 app.add_typer(store, name="store")
-app.command()(as_command(doctor))
+app.command()(make_command(doctor))
 
 
 def main() -> None:

@@ -9,10 +9,6 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-COMMANDS = (
-    "run", "build", "simulate", "evaluate", "sweep", "report", "live", "replay", "calibrate", "mount", "next-touch",
-    "identify", "objects", "plugins", "new-plugin", "store", "store list", "store size", "store prune", "doctor",
-)  # fmt: skip
 WIDTH = "100"
 
 INTRODUCTION = """\
@@ -82,20 +78,31 @@ what can fill them, `tactile-loc plugins grid face` the options of one.
 """
 
 
-def reference() -> str:
+def make_reference() -> str:
     """Return the text of docs/cli.md."""
-    return "\n".join([INTRODUCTION, *_helps(), *_schema()])
+    return "\n".join([INTRODUCTION, *_list_helps(), *_describe_schema()])
 
 
-def _helps() -> Iterator[str]:
+def _list_helps() -> Iterator[str]:
     yield "## Commands\n"
-    yield _block([])
-    for command in COMMANDS:
-        yield f"### {command}\n"
-        yield _block(command.split())
+    yield _show_help([])
+    for words in _list_commands():
+        yield f"### {' '.join(words)}\n"
+        yield _show_help(words)
 
 
-def _block(arguments: list[str]) -> str:
+def _list_commands() -> Iterator[list[str]]:
+    """The words of every command, those of a group after it."""
+    from typer.main import get_command
+
+    from tactile_loc_cli.main import app
+
+    for name, command in getattr(get_command(app), "commands", {}).items():
+        yield [name]
+        yield from ([name, one] for one in getattr(command, "commands", {}))
+
+
+def _show_help(arguments: list[str]) -> str:
     from typer.testing import CliRunner
 
     from tactile_loc_cli.main import app
@@ -104,7 +111,7 @@ def _block(arguments: list[str]) -> str:
     return f"```text\n{shown.stdout.rstrip()}\n```\n"
 
 
-def _schema() -> Iterator[str]:
+def _describe_schema() -> Iterator[str]:
     from tactile_loc.locate import result_json as results
 
     yield (
@@ -118,21 +125,22 @@ def _schema() -> Iterator[str]:
     ):  # fmt: skip
         if key:
             yield f"### {key}\n\n{model.__doc__}\n"
-        yield _table(model)
+        yield _describe_record(model)
 
 
-def _table(model: type[BaseModel]) -> str:
+def _describe_record(model: type[BaseModel]) -> str:
     rows = [
-        f"| `{name}` | {_type(field.annotation)} | {field.description} |" for name, field in model.model_fields.items()
+        f"| `{name}` | {_name_type(field.annotation)} | {field.description} |"
+        for name, field in model.model_fields.items()
     ]
     return "\n".join(["| key | type | meaning |", "|---|---|---|", *rows, ""])
 
 
-def _type(annotation: Any) -> str:
+def _name_type(annotation: Any) -> str:
     """Name a type as JSON would."""
     arms = get_args(annotation)
     if type(None) in arms:
-        return f"{_type(next(a for a in arms if a is not type(None)))} or null"
+        return f"{_name_type(next(a for a in arms if a is not type(None)))} or null"
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return "object"
     if isinstance(annotation, type) and issubclass(annotation, StrEnum):
@@ -147,7 +155,7 @@ def _type(annotation: Any) -> str:
 def main() -> None:
     """Write docs/cli.md of the source tree that this module lies in."""
     page = Path(__file__).parents[2] / "docs" / "cli.md"
-    page.write_text(reference(), encoding="utf-8")
+    page.write_text(make_reference(), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import duration, millimetres, mm
-from tactile_loc.core.geometry.rigid import axis_angle
+from tactile_loc.core.geometry.rigid import format_pose
 from tactile_loc_cli.console import say, say_table
 
 if TYPE_CHECKING:
@@ -24,9 +22,9 @@ IMPRINT = "imprint IoU %"
 POSE = ("x mm", "y mm", "z mm", "turn deg", "about axis")
 
 
-def title(record: ResultRecord) -> str:
+def make_title(record: ResultRecord) -> str:
     """Return the picture's title: object, sensor, normalised entropy, error."""
-    text = f"{record.object.name} on {_sensor(record)}: normalised entropy {record.normalised_entropy:.2f}"
+    text = f"{record.object.name} on {record.sensor_name}: normalised entropy {record.normalised_entropy:.2f}"
     return text if record.errors is None else f"{text}, error {millimetres(record.errors.best_m)}"
 
 
@@ -34,13 +32,13 @@ def say_result(record: ResultRecord) -> None:
     """Write the hypotheses, the object's pose in the sensor frame, and what else is to be said of a result."""
     touch = "simulated touch" if record.touch.path is None else record.touch.name
     header = ["rank", "prob. %", *POSE, IMPRINT, *([] if record.errors is None else ["error mm"])]
-    say(f"{record.object.name} in the frame of {_sensor(record)}, {touch}")
-    say_table([header, *map(_cells, record.hypotheses)], left=0, gap=2)
-    for line in _summary(record):
+    say(f"{record.object.name} in the frame of {record.sensor_name}, {touch}")
+    say_table([header, *map(_list_cells, record.hypotheses)], left=0, gap=2)
+    for line in _summarise(record):
         say(line)
 
 
-def _summary(record: ResultRecord) -> Iterator[str]:
+def _summarise(record: ResultRecord) -> Iterator[str]:
     """The lines below the table."""
     if record.verdict is not None:
         yield f"verdict: {record.verdict}"
@@ -60,7 +58,10 @@ def _summary(record: ResultRecord) -> Iterator[str]:
             "--grid face -o grid.face=+z"
         )
     if (grid["name"], grid["options"].get("face")) == ("face", "auto"):
-        yield f"side searched: {_side(record)}, on which it rests lowest; another: -o grid.face=+z, all: --grid whole"
+        yield (
+            f"side searched: {_describe_side(record)}, on which it rests lowest; another: -o grid.face=+z, "
+            "all: --grid whole"
+        )
     errors = record.errors
     if errors is not None:
         yield (
@@ -70,31 +71,20 @@ def _summary(record: ResultRecord) -> Iterator[str]:
     yield "time: " + ", ".join(f"{stage} {duration(s)}" for stage, s in record.seconds.items())
 
 
-def _side(record: ResultRecord) -> str:
+def _describe_side(record: ResultRecord) -> str:
     """The object's side that touches, as the outward direction in its own frame that points into the sensor."""
     x, y, z = -np.array(record.hypotheses[0].T_sensor_object_grid)[2, :3] + 0.0
     return f"the object's side ({x:.2f}, {y:.2f}, {z:.2f})"
 
 
-def _sensor(record: ResultRecord) -> str:
-    sensor = record.configuration["sensor"]
-    return Path(path).stem if (path := sensor["options"].get("path")) else str(sensor["name"])
-
-
-def _cells(h: HypothesisRecord) -> list[str]:
+def _list_cells(h: HypothesisRecord) -> list[str]:
     cells = [
         str(h.rank),
         f"{100 * h.probability:.1f}",
-        *_pose(np.array(h.T_sensor_object)),
+        *format_pose(np.array(h.T_sensor_object)),
         f"{100 * h.imprint_iou:.0f}",
     ]
     return cells if h.error_m is None else [*cells, mm(h.error_m)]
-
-
-def _pose(T: NDArray[np.float64]) -> list[str]:
-    """A pose (4, 4), metres, as the cells of POSE."""
-    angle_deg, axis = axis_angle(T[:3, :3])
-    return [*(f"{1e3 * v:.2f}" for v in T[:3, 3]), f"{angle_deg:.1f}", "({:.3f}, {:.3f}, {:.3f})".format(*axis)]
 
 
 def say_mount(record: MountRecord) -> None:
@@ -102,16 +92,16 @@ def say_mount(record: MountRecord) -> None:
     T, C = np.array(record.T_flange_sensor), np.array(record.covariance)
     std = np.sqrt(np.diag(C))
     say(f"{record.sensor} in the frame of the flange, from {len(record.touch)} touches of {record.object}")
-    say_table([list(POSE), _pose(T)], left=0, gap=2)
+    say_table([list(POSE), format_pose(T)], left=0, gap=2)
     along, about = (", ".join(f"{v:.2f}" for v in part) for part in (1e3 * std[:3], np.degrees(std[3:])))
     say(f"standard deviation: {along} mm along, {about} degrees about the flange's x, y, z")
-    say_table([["touch", "residual mm", "deg", IMPRINT], *map(_mount_cells, record.touch)], left=1, gap=2)
+    say_table([["touch", "residual mm", "deg", IMPRINT], *map(_list_mount_cells, record.touch)], left=1, gap=2)
     for one in record.touch:
         if one.left_out:
             say(f"{one.name} was left out: {one.left_out}")
 
 
-def _mount_cells(touch: MountTouchRecord) -> list[str]:
+def _list_mount_cells(touch: MountTouchRecord) -> list[str]:
     off = (1e3 * (touch.residual_m or 0.0), np.degrees(touch.residual_rad or 0.0))
     return [touch.name, *(f"{v:.2f}" for v in off), f"{100 * (touch.imprint_iou or 0.0):.0f}"]
 
@@ -120,7 +110,7 @@ def say_next_touch(record: NextTouchRecord, top: int) -> None:
     """Write the best approaches, what cannot be reached, and which poses none of them tells apart."""
     say(f"{record.object}: {len(record.modes)} possible poses, doubt {record.entropy_nats:.2f} nats")
     header = ["rank", "approach", "information nats", "doubt left nats", "meets %", "travel mm", "cost"]
-    say_table([header, *map(_rated_cells, record.ranked[:top])], left=2, gap=2)
+    say_table([header, *map(_list_rated_cells, record.ranked[:top])], left=2, gap=2)
     for one in record.out_of_reach:
         say(f"out of reach: {one.name} {one.reason}")
     if record.unlisted > 0.01:
@@ -133,7 +123,7 @@ def say_next_touch(record: NextTouchRecord, top: int) -> None:
         say(f"so a doubt of {record.doubt_left:.0%} remains whichever is made")
 
 
-def _rated_cells(one: RatedRecord) -> list[str]:
+def _list_rated_cells(one: RatedRecord) -> list[str]:
     travel_m = [m for m in one.travel_m if m is not None]
     travel = f"{1e3 * min(travel_m):.1f} to {1e3 * max(travel_m):.1f}" if travel_m else "-"
     numbers = [f"{one.information_nats:.2f}", f"{one.entropy_nats:.2f}", f"{100 * one.meets:.0f}"]
@@ -144,26 +134,26 @@ def say_identification(record: IdentificationRecord) -> None:
     """Write the objects that were located, the most probable first, and what was touched."""
     header = ["object", "prob. %", "shortfall nats", IMPRINT, *POSE]
     located = [one for one in record.objects if one.poses]
-    say_table([header, *map(_known_cells, located), ["none of these", f"{100 * record.none:.1f}"]], left=1, gap=2)
+    say_table([header, *map(_list_known_cells, located), ["none of these", f"{100 * record.none:.1f}"]], left=1, gap=2)
     if others := len(record.objects) - len(located):
         say(f"not located, because others explain more, or nowhere: {others} more")
     say(f"touched: {record.identified or 'none of these'}, as {len(record.touches)} touches say")
 
 
-def _known_cells(one: KnownObjectRecord) -> list[str]:
+def _list_known_cells(one: KnownObjectRecord) -> list[str]:
     best = one.poses[0]
     numbers = [f"{100 * one.probability:.1f}", f"{one.shortfall_nats or 0.0:.1f}", f"{100 * best.imprint_iou:.0f}"]
-    return [one.name, *numbers, *_pose(np.array(best.T_sensor_object))]
+    return [one.name, *numbers, *format_pose(np.array(best.T_sensor_object))]
 
 
 def say_located(files: Sequence[LocatedFile]) -> None:
     """Write a line for each of many touches: its best pose, or what is wrong with it."""
     header = ["touch", "verdict", "prob. %", IMPRINT, *POSE]
-    say_table([header, *([one.path.name, *_best(one)] for one in files)], left=2, gap=2)
+    say_table([header, *([one.path.name, *_list_best_cells(one)] for one in files)], left=2, gap=2)
 
 
-def _best(located: LocatedFile) -> list[str]:
+def _list_best_cells(located: LocatedFile) -> list[str]:
     if (best := located.best) is None:
         return [located.problem]
     numbers = [f"{100 * best.probability:.1f}", f"{100 * best.imprint_iou:.0f}"]
-    return [str(located.verdict), *numbers, *_pose(best.T_sensor_object)]
+    return [str(located.verdict), *numbers, *format_pose(best.T_sensor_object)]

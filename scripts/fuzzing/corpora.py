@@ -96,7 +96,7 @@ def weights(folder: Path) -> None:
 
     from tactile_loc.plugins.encoders.moco.encoder import MocoEncoder
 
-    network = MocoEncoder(MocoEncoder.Options(channels=8))._fresh_network(0)
+    network = MocoEncoder(MocoEncoder.Options(channels=8))._make_network(0, partly_seen=False)
     save_file(network.state_dict(), folder / "encoder.safetensors")
 
 

@@ -10,70 +10,44 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
-from pathlib import Path
+from threading import RLock
 from typing import Any
 
 from numba import config
 from numba import njit as numba_njit
 
+from tactile_loc.core.code_cache import open_code_folder
+
 PARTS = 4  # a thread: whoever ends early takes another
 
 FASTMATH = {"nsz", "arcp", "contract"}  # what `fast` allows: all but to forget about infinities and NaN
+
+_one_folder = RLock()  # numba's setting of the folder for compiled code is the process's
 
 
 def njit(function: Callable[..., Any] | None = None, *, fast: bool = False) -> Any:
     """Compile a function with numba, keep it on disk, and let other threads run meanwhile.
 
     `fast` allows products and sums to be contracted and quotients to be multiplied; infinities and NaN keep their
-    meaning.
+    meaning. Code on disk is used while no file changes that it is compiled from (`code_cache`). Import the compiled
+    functions and constants of other files before the first function of a file.
     """
     if function is None:
         return lambda f: njit(f, fast=fast)
-    compiled = numba_njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH if fast else False)(function)
-    _require_fresh(compiled)
-    return compiled
-
-
-def _require_fresh(compiled: Any) -> None:
-    """Let compiled code on disk be used only if it is of all the source that is in it, and can be read.
-
-    numba looks at the file of the function itself, not at those of the functions that it calls and that are compiled
-    into it: after an upgrade old code would go on working with new. And an index that names a class which is gone, or
-    was cut off, would end the program.
-    """
-    file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
-    if file is None:  # nothing is kept: numba is told not to compile
-        return
-    load_index, load_data = file._load_index, file._load_data
-
-    def index() -> dict[Any, str]:
-        file._source_stamp = _stamps(compiled)  # only now are all names of the functions it calls there
+    decorate = partial(numba_njit, nogil=True, error_model="numpy", fastmath=FASTMATH if fast else False)
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return decorate(function)
+    with _one_folder:
+        chosen: str = config.CACHE_DIR  # type: ignore[attr-defined]
+        folder = open_code_folder(function, chosen)
         try:
-            return dict(load_index())
-        except Exception:  # noqa: BLE001 - whatever a damaged or foreign file makes of unpickling
-            return {}
-
-    def data(name: str) -> Any:
-        try:
-            return load_data(name)
-        except Exception as error:
-            raise OSError(f"{name} cannot be read") from error  # then numba compiles
-
-    file._load_index, file._load_data = index, data
-
-
-def _stamps(compiled: Any) -> list[tuple[str, int, int]]:
-    """The files of a compiled function and of those that it calls: name, time and size."""
-    functions, files = [compiled], set()
-    for function in functions:  # grows while it is walked
-        python = function.py_func
-        files.add(python.__code__.co_filename)
-        called = (python.__globals__.get(name) for name in python.__code__.co_names)
-        functions += [other for other in called if isinstance(other, type(compiled)) and other not in functions]
-    stats = [(Path(file).name, os.stat(file)) for file in sorted(files)]
-    return [(name, stat.st_mtime_ns, stat.st_size) for name, stat in stats]
+            if folder:
+                config.CACHE_DIR = str(folder)  # type: ignore[attr-defined] # numba looks at it once, here
+            return decorate(function, cache=folder is not None)
+        finally:
+            config.CACHE_DIR = chosen  # type: ignore[attr-defined]
 
 
 def in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> None:

@@ -34,7 +34,7 @@ LAYOUT: LayoutEngine | Literal["constrained"] = "constrained"  # that keeps the 
 
 
 def draw_result(
-    localization: Localization, scene: Scene, title: str, errors_m: NDArray[np.float64] | None = None
+    localization: Localization, scene: Scene, title: str, errors_m: Sequence[float] | None = None
 ) -> Figure:
     """Draw the touch, the contact shapes of the best hypotheses with the touch's outline, and the object on the sensor.
 
@@ -151,7 +151,7 @@ def _draw_photo(panel: SubFigure, localization: Localization, scene: Scene) -> N
 
 
 def _draw_candidates(
-    panel: SubFigure, localization: Localization, scene: Scene, errors_m: NDArray[np.float64] | None, columns: int
+    panel: SubFigure, localization: Localization, scene: Scene, errors_m: Sequence[float] | None, columns: int
 ) -> None:
     touch = localization.touch
     width, top = 0.92 / columns, 0.475 if len(localization.hypotheses) > 1 else 0.28
@@ -171,7 +171,7 @@ def _heading(panel: SubFigure, text: str) -> None:
     panel.text(0.5, 0.893, text, size=11, ha="center", va="bottom")
 
 
-def _caption(i: int, probability: float, imprint_iou: float, errors_m: NDArray[np.float64] | None) -> str:
+def _caption(i: int, probability: float, imprint_iou: float, errors_m: Sequence[float] | None) -> str:
     text = f"{i + 1}:  {percent(probability)},  IoU {100 * imprint_iou:.0f} %"
     return text if errors_m is None else f"{text},  {millimetres(errors_m[i])} off"
 

@@ -20,7 +20,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.locate.located_frame import LocatedFrame
-from tactile_loc.locate.result_files import drawn_mesh, most_probable
+from tactile_loc.locate.result_arrays import find_most_probable, reduce_mesh
 from tactile_loc.store.files import require_writable
 
 SENSOR = "base/sensor"
@@ -83,7 +83,7 @@ class RerunLog:
         self._stream.set_log_time_enabled(False)
         self._stream.set_log_tick_enabled(False)
         self._shown: dict[str, bool] = {}
-        self._begin(drawn_mesh(scene.object.mesh), scene.geometry)
+        self._begin(reduce_mesh(scene.object.mesh), scene.geometry)
 
     def __enter__(self) -> RerunLog:
         return self
@@ -179,7 +179,7 @@ class RerunLog:
 
     def _add_posterior(self, posterior: PosePosterior) -> None:
         """The posterior's most probable poses: where the object's origin is, larger marks the likelier."""
-        kept = most_probable(posterior)
+        kept = find_most_probable(posterior)
         poses, p = posterior.grid.T_sensor_object[kept], posterior.probabilities[kept]
         self._log(POSTERIOR, self._rr.Points3D(poses[:, :3, 3], radii=MARK_M * np.sqrt(p / p.max())))
         self._log(POSTERIOR, self._rr.AnyValues(T_sensor_object=poses.reshape(-1), probability=p))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.locate.result_json import versions
+from tactile_loc.io.records import read_versions
 from tactile_loc.store.files import write_atomically
 
 Rows = Sequence[Sequence[str]]
@@ -89,7 +89,7 @@ def document(schema_version: int, protocol: Mapping[str, Any], runs: Sequence[Ma
     return {
         "schema_version": schema_version,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": versions(),
+        "versions": read_versions(),
         "protocol": dict(protocol),
         "runs": list(runs),
     }

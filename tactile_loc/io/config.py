@@ -61,6 +61,11 @@ class TouchConfig(_Strict):
     press_depth_mm: float | None = None
     noise: NoiseLevel = "none"
 
+    @property
+    def press_depth_m(self) -> float | None:
+        """How deep the press was, metres; None where the file is to say it."""
+        return None if self.press_depth_mm is None else 1e-3 * self.press_depth_mm
+
 
 WHOLE = SlotConfig(name="whole")
 LISTED = SlotConfig(name="face")  # of what needs poses that are listed, as the paper's protocol and sweeps do
@@ -133,6 +138,19 @@ class RunConfig(_Strict):
             raise ConfigError(f"{source} has an unknown entry {key!r}.{near} Known: {', '.join(cls.model_fields)}")
         result: RunConfig = validate_options(cls, values, f"configuration {source!r}")
         return result
+
+    def resolve(self) -> dict[str, Any]:
+        """Return every setting as JSON values, each component's options complete with their defaults.
+
+        Raises ConfigError when a component refuses its options.
+        """
+        settings = self.model_dump(mode="json")
+        for slot in SLOTS:
+            chosen = getattr(self, slot)
+            options = registry().load(slot, chosen.name).Options
+            complete = validate_options(options, chosen.options, f"{slot} {chosen.name!r}")
+            settings[slot] = {"name": chosen.name, "options": complete.model_dump(mode="json")}
+        return settings
 
 
 def find_sensor_kind(name: str) -> str | None:

@@ -27,7 +27,7 @@ from tactile_loc.core.errors import TouchError
 FORMATS = ".npz, .npy or 16-bit grey .png"  # of contact shapes
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
-MOST_PIXELS = 2**26  # of an image: 8192 x 8192, more than any camera behind a gel has
+MOST_PIXELS, MOST_SIDE_PX = 2**26, 2**14  # of an image, and of a side of it: more than any camera behind a gel has
 MOST_BYTES = 2**30  # of all arrays of one .npz
 HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 DAMAGES = (
@@ -71,8 +71,8 @@ def load_image(path: Path | IO[bytes], mode: str | None = None) -> tuple[str, ND
             file = BytesIO(path.read_bytes()) if isinstance(path, Path) else path  # beyond whose end no length leads
             with Image.open(file) as image:
                 width, height = image.size
-                if width * height > MOST_PIXELS:
-                    most = f"more than the {MOST_PIXELS / 1e6:.0f} million of any sensor"
+                if width * height > MOST_PIXELS or max(width, height) > MOST_SIDE_PX:
+                    most = f"more than any sensor has ({MOST_PIXELS / 1e6:.0f} million, {MOST_SIDE_PX} along a side)"
                     raise ValueError(f"{width} x {height} pixels are {most}")
                 wanted = image if mode is None else image.convert(mode)
                 return wanted.mode, np.asarray(wanted)

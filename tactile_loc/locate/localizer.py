@@ -35,6 +35,7 @@ from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.fitted_probabilities import FittedProbabilities
 from tactile_loc.locate.hypotheses import find_hypotheses, keep_likeliest
 from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel
+from tactile_loc.locate.place_banks import PlaceBanks
 from tactile_loc.locate.result import Agreement, Hypothesis, Localization
 from tactile_loc.locate.scoring import NewMatcher
 from tactile_loc.locate.search import PlaceSearch, build_places, search_together
@@ -135,8 +136,11 @@ class Localizer:
                 config.hypotheses, self.mode_radius_m,
             )  # fmt: skip
         places, key = build_places(self.sampler, self.scene, self.store, self.progress)
-        search = PlaceSearch(places, key, self.scene, self.encoder, new_matcher, self.sampler.options, config.search)
-        return PlaceSource(search, config.hypotheses, self.mode_radius_m)
+        banks = PlaceBanks(places, key, self.scene, self.sampler, self.encoder, self.store, self.progress)
+        search = PlaceSearch(
+            places, key, self.scene, self.encoder, new_matcher, self.sampler.options, config.search, banks.bank
+        )
+        return PlaceSource(search, banks, config.hypotheses, self.mode_radius_m)
 
     @property
     def search(self) -> PlaceSearch | None:
@@ -257,14 +261,15 @@ class Localizer:
     @property
     def other_refinement(self) -> str:
         """Which parts of locating the joint registration does instead of the chosen refiner, and why; "" if none."""
-        refiner = self.refiner.capabilities
+        if self.refiner.capabilities.covariances:
+            return ""
         parts = [
             "the rough search" if self.sampler.capabilities.places else "",
             "touches together" if self.refines_jointly else "",
-            "covariances" if refiner.refines and not refiner.covariances else "",
+            "covariances" if self.refiner.capabilities.refines else "",
         ]
         named = ", ".join(part for part in parts if part)
-        if refiner.covariances or not named:
+        if not named:
             return ""
         return (
             f"the joint registration does {named}; the refiner {self.config.refiner.name} refines one touch's "

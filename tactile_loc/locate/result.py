@@ -9,6 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.refiner import RefinedPose
@@ -104,6 +106,14 @@ class Localization:
             return Verdict.POOR_FIT
         iou = self.best.imprint_iou if self.best.is_refined else math.nan
         return judge(self.best.probability, iou, self.posterior.elsewhere)
+
+    def measure_errors_m(self, obj: ObjectModel) -> NDArray[np.float64] | None:
+        """Return each hypothesis's surface distance (K,) in metres to the true pose; None where that is not known."""
+        T_true = self.touch.T_sensor_object
+        if T_true is None:
+            return None
+        T = np.stack([h.T_sensor_object for h in self.hypotheses])
+        return PoseMetric(obj).symmetric_distance(T, np.broadcast_to(T_true, T.shape))
 
     @cached_property
     def normalised_entropy(self) -> float:

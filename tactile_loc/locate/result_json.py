@@ -2,41 +2,32 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field, ValidationError
 
+from tactile_loc.core.errors import ResultError
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
-from tactile_loc.io.config import RunConfig, TouchConfig
+from tactile_loc.core.slots.registry import SLOTS, registry
+from tactile_loc.io.config import TouchConfig
 from tactile_loc.io.mount_files import Covariance
+from tactile_loc.io.records import Record, read_document, read_versions
 from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result import Localization
-from tactile_loc.locate.verdict import LEAST_IOU, Verdict
-from tactile_loc.store.files import write_atomically
+from tactile_loc.locate.verdict import Verdict
 
 SCHEMA_VERSION = 2
-LIBRARIES = (
-    "faiss-cpu", "numba", "numpy", "open3d", "open3d-cpu", "pluggy", "pydantic", "pyrender", "scipy", "torch", "trimesh"
-)  # fmt: skip
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class ObjectRecord(_Record):
+class ObjectRecord(Record):
     """The object that was located."""
 
     name: str = Field(description="the object's name")
@@ -47,7 +38,7 @@ class ObjectRecord(_Record):
     notes: list[str] = Field(description="what was guessed or looked doubtful on reading")
 
 
-class TouchRecord(_Record):
+class TouchRecord(Record):
     """The touch that was explained."""
 
     name: str = Field(description="the touch's name")
@@ -64,7 +55,7 @@ class TouchRecord(_Record):
     outlier: bool = Field(default=False, description="whether it contradicts the other touches, which agree")
 
 
-class HypothesisRecord(_Record):
+class HypothesisRecord(Record):
     """One distinct explanation of the touch."""
 
     rank: int = Field(description="1 is the most probable one")
@@ -94,7 +85,7 @@ class HypothesisRecord(_Record):
     error_m: float | None = Field(description="surface distance to the true pose, m; null when that is not known")
 
 
-class PoseSetRecord(_Record):
+class PoseSetRecord(Record):
     """Grid poses that hold the one nearest to the truth as often as asked for, by split conformal prediction."""
 
     coverage: float = Field(description="how probable it is that the set holds it, 0 to 1, as asked for")
@@ -106,7 +97,7 @@ class PoseSetRecord(_Record):
     )
 
 
-class ErrorRecord(_Record):
+class ErrorRecord(Record):
     """How far off the answer is: root mean square distance of surface, the least over the object's symmetry."""
 
     best_m: float = Field(description="of the first hypothesis, m")
@@ -114,7 +105,7 @@ class ErrorRecord(_Record):
     closest_in_grid_m: float = Field(description="of the grid pose nearest to the truth, m")
 
 
-class ResultRecord(_Record):
+class ResultRecord(Record):
     """The whole file."""
 
     schema_version: int = Field(
@@ -158,6 +149,18 @@ class ResultRecord(_Record):
     seconds: dict[str, float] = Field(description="duration of each stage, s")
 
     @property
+    def sensor_name(self) -> str:
+        """The sensor's name, or that of its file."""
+        sensor = self.configuration.get("sensor", {})
+        path = sensor.get("options", {}).get("path")
+        return Path(path).stem if path else str(sensor.get("name", "a sensor"))
+
+    @property
+    def errors_m(self) -> list[float] | None:
+        """Each hypothesis's surface distance (K,) in metres to the true pose; None where that is not known."""
+        return [h.error_m for h in self.hypotheses if h.error_m is not None] or None
+
+    @property
     def searched(self) -> str:
         """How many poses the probabilities are of, in words, and how likely the object is at none of them."""
         if not self.elsewhere:
@@ -165,134 +168,76 @@ class ResultRecord(_Record):
         return f"{self.grid_poses} poses found likely, {self.elsewhere:.0%} that it is at none of them"
 
 
-def result_record(
+def read_record(path: Path) -> ResultRecord:
+    """Read result.json. Raises ResultError, in one sentence, when it cannot be used."""
+    document = read_document(path)
+    version = document.get("schema_version")
+    if version != SCHEMA_VERSION:
+        reads = f"this tactile-loc reads version {SCHEMA_VERSION}"
+        raise ResultError(f"{path} is of version {version}, and {reads}; run it again")
+    try:
+        return ResultRecord.model_validate(document)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise ResultError(f"{path} is damaged: {where}: {first['msg']}; run tactile-loc again") from error
+
+
+def make_record(
     localizer: Localizer, localization: Localization, seconds: Mapping[str, float] | None = None
 ) -> ResultRecord:
     """Gather what a localisation found. `seconds` adds durations of other stages to those of the localisation."""
     config, posterior = localizer.config, localization.posterior
-    touches = _touches(localization, config.touch)
-    errors_m = pose_errors_m(localizer.object, localization)
+    touches = _record_touches(localization, config.touch)
+    errors_m = localization.measure_errors_m(localizer.object)
     return ResultRecord(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
-        versions=versions(),
-        configuration=resolved(config),
+        versions=read_versions(),
+        configuration=config.resolve(),
         distributions={slot: registry().find(slot, getattr(config, slot).name).distribution for slot in SLOTS},
-        object=_object(localizer.object),
+        object=_record_object(localizer.object),
         touch=touches[0],
         other_touches=touches[1:],
         contradictory=localization.agreement.contradictory,
-        left_out=[_touch(touch, config.touch) for touch in localization.left_out],
+        left_out=[_record_touch(touch, config.touch) for touch in localization.left_out],
         verdict=localization.verdict,
         grid_poses=len(posterior.grid),
         elsewhere=posterior.elsewhere,
         normalised_entropy=localization.normalised_entropy,
         entropy_nats=posterior.entropy,
-        hypotheses=_hypotheses(localization, errors_m),
-        pose_set=_pose_set(localization.pose_set),
-        errors=_errors(localization, errors_m),
+        hypotheses=_record_hypotheses(localization, errors_m),
+        pose_set=_record_pose_set(localization.pose_set),
+        errors=_record_errors(localization, errors_m),
         seconds={**(seconds or {}), **localization.seconds},
     )
 
 
-def doubts(record: ResultRecord) -> list[str]:
-    """Return what is to be said of an answer that is hardly to be believed, a sentence each."""
-    return [*_contradictions(record), *_little_explained(record)]
-
-
-def _little_explained(record: ResultRecord) -> list[str]:
-    best = record.hypotheses[0]
-    refined = best.T_sensor_object != best.T_sensor_object_grid
-    if record.other_touches or not refined or best.imprint_iou >= LEAST_IOU:
-        return []
-    return [
-        f"the best pose explains {100 * best.imprint_iou:.0f} % of what {record.touch.name} shows (imprint IoU), and "
-        f"below {100 * LEAST_IOU:.0f} % hardly one is right: check the object, the sensor, the unit, and the prior if "
-        "there is one"
-    ]
-
-
-def _contradictions(record: ResultRecord) -> list[str]:
-    touches = [record.touch, *record.other_touches]
-    fits = [
-        f"{touch.name} to {100 * iou:.0f} % (another pose to {100 * (touch.best_imprint_iou or iou):.0f} %)"
-        for touch, iou in zip(touches, record.hypotheses[0].imprint_ious, strict=False)
-    ]
-    outliers = [fit for touch, fit in zip(touches, fits, strict=False) if touch.outlier]
-    said = [f"{touch.name} contradicted the other touches and was left out" for touch in record.left_out]
-    if outliers:
-        said.append(
-            f"the pose on which {len(touches) - len(outliers)} of {len(touches)} touches agree explains "
-            f"{', '.join(outliers)}; was that sensor where T_base_sensor says, and did it touch this object?"
-        )
-    elif record.contradictory:
-        who = "which of two is wrong nobody can say" if len(touches) == 2 else "which is wrong does not show"
-        said.append(f"no pose was found that explains all touches: the best explains {', '.join(fits)}; {who}")
-    return said
-
-
-def write_result(path: str | Path, record: ResultRecord) -> Path:
-    """Write a record as JSON, atomically, and return the path. Raises OutputError when that is impossible."""
-    text = record.model_dump_json(indent=1) + "\n"
-    return write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def resolved(config: RunConfig) -> dict[str, Any]:
-    """Return every setting of a run as JSON values, each component's options complete with their defaults."""
-    settings = config.model_dump(mode="json")
-    for slot in SLOTS:
-        chosen = getattr(config, slot)
-        options = registry().load(slot, chosen.name).Options
-        complete = validate_options(options, chosen.options, f"{slot} {chosen.name!r}")
-        settings[slot] = {"name": chosen.name, "options": complete.model_dump(mode="json")}
-    return settings
-
-
-def pose_errors_m(obj: ObjectModel, localization: Localization) -> NDArray[np.float64] | None:
-    """Return each hypothesis's surface distance (K,) in metres to the true pose; None where that is not known."""
-    T_true = localization.touch.T_sensor_object
-    if T_true is None:
-        return None
-    T = np.stack([h.T_sensor_object for h in localization.hypotheses])
-    return PoseMetric(obj).symmetric_distance(T, np.broadcast_to(T_true, T.shape))
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of tactile-loc, python and those of its libraries that are installed."""
-    found = {"tactile-loc": metadata.version("tactile-loc"), "python": platform.python_version()}
-    for name in LIBRARIES:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return found
-
-
-def _object(obj: ObjectModel) -> ObjectRecord:
+def _record_object(obj: ObjectModel) -> ObjectRecord:
     return ObjectRecord(
         name=obj.name, source=obj.source, size_m=obj.mesh.extents_m.tolist(), triangles=len(obj.mesh.faces),
         symmetry=str(obj.symmetry), notes=list(obj.notes),
     )  # fmt: skip
 
 
-def _touch(touch: Touch, source: TouchConfig) -> TouchRecord:
+def _record_touch(touch: Touch, source: TouchConfig) -> TouchRecord:
     return TouchRecord(
         name=touch.name, path=source.path, noise=source.noise if source.path is None else None,
         image_px=list(touch.geometry.shape), press_depth_m=touch.press_depth_m, indentation_m=touch.indentation_m,
-        T_base_sensor=_matrix(touch.T_base_sensor), T_sensor_object=_matrix(touch.T_sensor_object),
+        T_base_sensor=_list_rows(touch.T_base_sensor), T_sensor_object=_list_rows(touch.T_sensor_object),
     )  # fmt: skip
 
 
-def _touches(localization: Localization, source: TouchConfig) -> list[TouchRecord]:
+def _record_touches(localization: Localization, source: TouchConfig) -> list[TouchRecord]:
     """The touches that were localised, with how they agree."""
     agreement = localization.agreement
-    records = [_touch(touch, source) for touch in localization.touches]
+    records = [_record_touch(touch, source) for touch in localization.touches]
     return [
         record.model_copy(update={"best_imprint_iou": best, "outlier": number in agreement.outliers})
         for number, (record, best) in enumerate(zip(records, agreement.best_ious or [None] * len(records), strict=True))
     ]
 
 
-def _hypotheses(localization: Localization, errors_m: NDArray[np.float64] | None) -> list[HypothesisRecord]:
+def _record_hypotheses(localization: Localization, errors_m: NDArray[np.float64] | None) -> list[HypothesisRecord]:
     return [
         HypothesisRecord(
             rank=i + 1, probability=h.probability, grid_poses=h.grid_poses,
@@ -306,7 +251,7 @@ def _hypotheses(localization: Localization, errors_m: NDArray[np.float64] | None
     ]  # fmt: skip
 
 
-def _pose_set(found: PoseSet | None) -> PoseSetRecord | None:
+def _record_pose_set(found: PoseSet | None) -> PoseSetRecord | None:
     if found is None:
         return None
     return PoseSetRecord(
@@ -315,7 +260,7 @@ def _pose_set(found: PoseSet | None) -> PoseSetRecord | None:
     )  # fmt: skip
 
 
-def _errors(localization: Localization, errors_m: NDArray[np.float64] | None) -> ErrorRecord | None:
+def _record_errors(localization: Localization, errors_m: NDArray[np.float64] | None) -> ErrorRecord | None:
     T_true = localization.touch.T_sensor_object
     if errors_m is None or T_true is None:
         return None
@@ -325,5 +270,5 @@ def _errors(localization: Localization, errors_m: NDArray[np.float64] | None) ->
     )
 
 
-def _matrix(T: NDArray[np.float64] | None) -> Matrix | None:
+def _list_rows(T: NDArray[np.float64] | None) -> Matrix | None:
     return None if T is None else np.asarray(T, float).tolist()

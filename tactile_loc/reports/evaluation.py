@@ -12,8 +12,8 @@ from tactile_loc.core.errors import ResultError
 from tactile_loc.core.formatting import mm
 from tactile_loc.evaluation import fusion_tables, tables
 from tactile_loc.evaluation.posterior_metrics import LEVELS
+from tactile_loc.io.records import read_document
 from tactile_loc.io.toml import format_toml
-from tactile_loc.locate.result_files import read_document
 from tactile_loc.reports.page import Page, Section, damage_named, require_finite
 from tactile_loc.reports.pictures import gallery_picture
 

@@ -14,7 +14,7 @@ from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result_files import drawn_mesh
+from tactile_loc.locate.result_arrays import reduce_mesh
 from tactile_loc.locate.verdict import explain_verdict
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.page import Page, Section
@@ -35,7 +35,7 @@ NOTHING = "-"
 
 def live_page(localizer: Localizer, about: str) -> Page:
     """Return the page that shows frames as they come; `about` says of what."""
-    geometry, mesh = localizer.sensor.geometry, drawn_mesh(localizer.object.mesh)
+    geometry, mesh = localizer.sensor.geometry, reduce_mesh(localizer.object.mesh)
     frame = pictures.Frame.of(geometry)
     numbers = {"numbers": NUMBERS, "frame": frame}
     data = {

@@ -47,7 +47,7 @@ def page_of(source: Source) -> Page:
     from tactile_loc.reports import evaluation, run, sweep
 
     kinds = {
-        "run": run.run_page, "evaluation": evaluation.evaluation_page, "contacts": evaluation.contacts_page,
+        "run": run.read_page, "evaluation": evaluation.evaluation_page, "contacts": evaluation.contacts_page,
         "sweep": sweep.sweep_page,
     }  # fmt: skip
     return kinds[source.kind](source.path)
@@ -62,8 +62,13 @@ def write_report(source: Source, out: Path | None = None) -> Path:
     if path.suffix.lower() not in (".html", ".htm"):
         raise OutputError(f"a report is written as .html, not as {path.name}; choose another --out")
     with damage_named(source.path):
-        html = render(page_of(source))
-    return write_atomically(path, lambda temporary: temporary.write_bytes(html.encode(errors="backslashreplace")))
+        return write_page(page_of(source), path)
+
+
+def write_page(page: Page, path: Path) -> Path:
+    """Write a page as one HTML file, atomically, and return its path. Raises OutputError."""
+    html = render(page).encode(errors="backslashreplace")
+    return write_atomically(path, lambda temporary: temporary.write_bytes(html))
 
 
 def _in_folder(folder: Path) -> Source:

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.formatting import millimetres, percent
-from tactile_loc.core.geometry.rigid import axis_angle
+from tactile_loc.core.geometry.rigid import format_pose
 from tactile_loc.io.toml import format_toml
-from tactile_loc.locate.result_files import NAME, ResultArrays, TouchArrays, read_arrays, read_record
-from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord, TouchRecord, doubts
+from tactile_loc.locate.doubts import list_doubts
+from tactile_loc.locate.result_arrays import NAME, ResultArrays, TouchArrays, read_arrays
+from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord, TouchRecord, read_record
 from tactile_loc.locate.verdict import explain_verdict, name_verdict
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.distribution import SurfaceDistribution, side_map, surface_distribution, yaw_histogram
@@ -27,17 +28,17 @@ LEAST_SPREAD_MM = 0.5
 BEFORE = ("model",)  # stages that are no part of a localisation
 
 
-def run_page(path: Path) -> Page:
+def read_page(path: Path) -> Page:
     """Return the page of a result, given its result.json. Raises ResultError when its files cannot be used."""
     record = read_record(path)
-    return page_of_result(record, read_arrays(path.with_name(NAME), record))
+    return make_page(record, read_arrays(path.with_name(NAME), record))
 
 
-def page_of_result(record: ResultRecord, arrays: ResultArrays) -> Page:
+def make_page(record: ResultRecord, arrays: ResultArrays) -> Page:
     """Return the page of a result that has been read."""
     data = run_data(record, arrays)
     truth = record.touch.T_sensor_object is not None
-    notes = [*record.object.notes, *doubts(record)]
+    notes = [*record.object.notes, *list_doubts(record)]
     sections = [
         Section("summary", "", {"numbers": list(_numbers(record)), "notes": notes}),
         Section("candidates", "Candidates", {"header": _header(record), "rows": _rows(record), "truth": truth}),
@@ -46,7 +47,7 @@ def page_of_result(record: ResultRecord, arrays: ResultArrays) -> Page:
         Section("times", "Times", {"built": _built(record)}),
         Section("made", "Made with", _made(record)),
     ]
-    title = f"{record.object.name} on {_sensor_name(record)}"
+    title = f"{record.object.name} on {record.sensor_name}"
     return Page("run", title, _about(record), sections, data, ["solids.js", "run.js"])
 
 
@@ -94,13 +95,6 @@ def _rotations(arrays: ResultArrays) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _sensor_name(record: ResultRecord) -> str:
-    """The sensor's name, or that of its file."""
-    sensor = record.configuration.get("sensor", {})
-    path = sensor.get("options", {}).get("path")
-    return Path(path).stem if path else str(sensor.get("name", "a sensor"))
-
-
 def _about(record: ResultRecord) -> str:
     touch = record.touch
     what = f"touch {touch.name}" if touch.path is not None else f"simulated touch, noise {touch.noise}"
@@ -112,7 +106,7 @@ def _about(record: ResultRecord) -> str:
 
 def _numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
     best = record.hypotheses[0]
-    x, y, z, angle_deg, axis = _pose(best)
+    x, y, z, angle_deg, axis = format_pose(np.array(best.T_sensor_object))
     turned = f"of the object in the sensor's frame, turned {angle_deg}° about {axis}"
     yield "best pose: x, y, z", f"{x}, {y}, {z} mm", turned
     if record.verdict is not None:
@@ -132,13 +126,6 @@ def _numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
         yield "error", millimetres(errors.best_m), closest
 
 
-def _pose(h: HypothesisRecord) -> list[str]:
-    """The refined pose: x, y, z in mm, the turn in degrees, and about which axis."""
-    T = np.array(h.T_sensor_object)
-    angle_deg, axis = axis_angle(T[:3, :3])
-    return [*(f"{1e3 * v:.2f}" for v in T[:3, 3]), f"{angle_deg:.1f}", "({:.3f}, {:.3f}, {:.3f})".format(*axis)]
-
-
 def _header(record: ResultRecord) -> list[str]:
     return [*COLUMNS, *([] if record.errors is None else ["error (mm)"])]
 
@@ -146,8 +133,8 @@ def _header(record: ResultRecord) -> list[str]:
 def _rows(record: ResultRecord) -> list[list[str]]:
     return [
         [
-            str(h.rank), f"{100 * h.probability:.1f}", f"{100 * h.imprint_iou:.0f}", *_pose(h),
-            *([] if h.error_m is None else [f"{1e3 * h.error_m:.2f}"]),
+            str(h.rank), f"{100 * h.probability:.1f}", f"{100 * h.imprint_iou:.0f}",
+            *format_pose(np.array(h.T_sensor_object)), *([] if h.error_m is None else [f"{1e3 * h.error_m:.2f}"]),
         ]
         for h in record.hypotheses
     ]  # fmt: skip

@@ -19,7 +19,7 @@ from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.drawing.pictures import extent_mm
 from tactile_loc.drawing.pose_panel import GEL_MM, RIM_MM
 from tactile_loc.drawing.raytracing import CREASE_DEG, View, box
-from tactile_loc.locate.result_files import ResultArrays, TouchArrays
+from tactile_loc.locate.result_arrays import ResultArrays, TouchArrays
 from tactile_loc.reports.distribution import SurfaceDistribution, touched_points, vertex_normals
 
 Array = NDArray[np.float64]

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from tactile_loc.core.slots.registry import SLOTS
+from tactile_loc.io.records import read_document
 from tactile_loc.io.toml import format_toml
-from tactile_loc.locate.result_files import read_document
 from tactile_loc.reports.page import Page, Section, damage_named, require_finite
 
 FACTORS = ("object", *SLOTS, "noise", "seed", "count")  # and every "slot.option": what a combination is made of

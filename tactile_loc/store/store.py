@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tactile_loc.core.errors import StoreError
+from tactile_loc.core.user_cache import find_user_cache
 from tactile_loc.store.artifact import MANIFEST, Artifact, DamagedError, read_artifact
 from tactile_loc.store.files import delete, sync_folder
 from tactile_loc.store.keys import StageKey
@@ -197,8 +198,7 @@ def find_root() -> Path:
     """Return the store's place: `$TACTILE_LOC_STORE`, else `tactile-loc` in `$XDG_CACHE_HOME` or in `~/.cache`."""
     if chosen := os.environ.get("TACTILE_LOC_STORE"):
         return Path(chosen).expanduser().absolute()
-    cache = Path(os.environ.get("XDG_CACHE_HOME", ""))  # to be ignored unless absolute, says its specification
-    return (cache if cache.is_absolute() else Path.home() / ".cache") / "tactile-loc"
+    return find_user_cache() / "tactile-loc"
 
 
 def _make_lock(folder: Path) -> FileLock:

@@ -14,7 +14,7 @@ from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION
 from tactile_loc.evaluation.tabular import markdown_table
-from tactile_loc.locate.result_json import versions
+from tactile_loc.io.records import read_versions
 from tactile_loc.store.files import read_json, write_atomically
 from tactile_loc.sweeps.figures import draw_effects, draw_error_time
 from tactile_loc.sweeps.sweep import Sweep
@@ -63,7 +63,7 @@ def record(sweep: Sweep, line: str) -> dict[str, Any]:
     return {
         "schema_version": SCHEMA_VERSION,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": versions(),
+        "versions": read_versions(),
         "protocol_version": PROTOCOL_VERSION,
         "line": line,
         "plan": sweep.plan.describe(),

@@ -7,15 +7,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from tactile_loc.core.errors import ObjectError
 from tactile_loc.core.progress import Progress
 from tactile_loc.io.config import RunConfig
+from tactile_loc.io.records import Record
 from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.stored_object import SELF_CONTAINED, stored_object
-from tactile_loc.store.files import write_json
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.identify import Identification
 from tactile_loc.tasks.library import Library
@@ -23,11 +23,7 @@ from tactile_loc.tasks.library import Library
 SCHEMA_VERSION = 1
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class PoseRecord(_Record):
+class PoseRecord(Record):
     """A pose of an object, if it is the one."""
 
     probability: float = Field(description="of this pose, given that it is this object, 0 to 1")
@@ -35,7 +31,7 @@ class PoseRecord(_Record):
     imprint_iou: float = Field(description="how well it explains the touches, 0 to 1")
 
 
-class KnownObjectRecord(_Record):
+class KnownObjectRecord(Record):
     """One object of the library."""
 
     name: str = Field(description="the object's name")
@@ -50,7 +46,7 @@ class KnownObjectRecord(_Record):
     poses: list[PoseRecord] = Field(description="where it would be, the most probable first")
 
 
-class IdentificationRecord(_Record):
+class IdentificationRecord(Record):
     """The whole file."""
 
     schema_version: int = Field(
@@ -100,8 +96,3 @@ def identification_record(found: Identification, touches: list[str]) -> Identifi
             for one in found.objects
         ],
     )  # fmt: skip
-
-
-def write_identification(path: str | Path, record: IdentificationRecord) -> Path:
-    """Write a record as JSON, atomically, and return the path. Raises OutputError when that is impossible."""
-    return write_json(Path(path), record.model_dump(mode="json"))

@@ -8,24 +8,21 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.io.records import Record
 from tactile_loc.io.toml import Matrix
-from tactile_loc.locate.result_files import NAME, read_arrays, read_record
-from tactile_loc.store.files import write_json
+from tactile_loc.locate.result_arrays import NAME, read_arrays
+from tactile_loc.locate.result_json import read_record
 from tactile_loc.tasks.next_touch import NextTouch, RatedApproach
 from tactile_loc.tasks.pose_modes import PoseModes, distinct_modes, sharpness_of
 
 SCHEMA_VERSION = 1
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class RatedRecord(_Record):
+class RatedRecord(Record):
     """An approach, and what is to be expected of it."""
 
     rank: int = Field(description="1 is the best")
@@ -41,21 +38,21 @@ class RatedRecord(_Record):
     cost: float = Field(description="what it costs")
 
 
-class OutOfReachRecord(_Record):
+class OutOfReachRecord(Record):
     """An approach that cannot be made."""
 
     name: str = Field(description="its name in the list")
     reason: str = Field(description="why not")
 
 
-class ModeRecord(_Record):
+class ModeRecord(Record):
     """A pose that is still possible."""
 
     probability: float = Field(description="0 to 1; those of all modes sum to one")
     T_base_object: Matrix = Field(description="(4, 4), m; in the frame in which the approaches are given")
 
 
-class NextTouchRecord(_Record):
+class NextTouchRecord(Record):
     """The whole file."""
 
     schema_version: int = Field(
@@ -107,11 +104,6 @@ def next_touch_record(found: NextTouch) -> NextTouchRecord:
         out_of_reach=[OutOfReachRecord(name=one.name, reason=reason) for one, reason in found.out_of_reach],
         alike=[[number + 1 for number in group] for group in found.alike], doubt_left=found.doubt_left,
     )  # fmt: skip
-
-
-def write_next_touch(path: str | Path, record: NextTouchRecord) -> Path:
-    """Write a record as JSON, atomically, and return the path. Raises OutputError when that is impossible."""
-    return write_json(Path(path), record.model_dump(mode="json"))
 
 
 def _rated(rank: int, one: RatedApproach) -> RatedRecord:

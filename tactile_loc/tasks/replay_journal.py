@@ -10,7 +10,6 @@ from typing import IO, Any
 
 from pydantic import ValidationError
 
-from tactile_loc.locate.result_json import resolved
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.line_files import add_line, open_locked
 from tactile_loc.tasks.replay import FrameRecord, Replay
@@ -62,7 +61,7 @@ def replay_key(replay: Replay) -> str:
     return StageKey("replay", VERSION, {
         "recording": _identity(replay.recording.path), "topic": replay.topic.name, "frame": replay.frame,
         "base_frame": replay.base_frame, "press_depth_m": replay.press_depth_m, "object": localizer.object.describe(),
-        "sensor": localizer.sensor.describe(), "configuration": resolved(localizer.config),
+        "sensor": localizer.sensor.describe(), "configuration": localizer.config.resolve(),
     }).digest  # fmt: skip
 
 

@@ -38,7 +38,7 @@ def checks_for(component: Component) -> list[Check]:
 
     Raises TypeError for anything that is no component, such as a class instead of an instance.
     """
-    of_slot = _of_slot(component)
+    of_slot = _find_slot_module(component)
     common = contract.checks(component.capabilities)
     return common if of_slot is None else [*common, *of_slot.checks(component.capabilities)]
 
@@ -48,7 +48,7 @@ def properties_for(component: Component) -> list[Check]:
 
     A property raises MissingLibraryError without hypothesis. Raises TypeError for anything that is no component.
     """
-    of_slot = _of_slot(component)
+    of_slot = _find_slot_module(component)
     return [] if of_slot is None else list(of_slot.properties(component.capabilities))
 
 
@@ -62,7 +62,7 @@ def parametrize_with_properties(components: Iterable[Component]) -> Any:
     return _parametrize(components, properties_for)
 
 
-def _of_slot(component: Component) -> Any:
+def _find_slot_module(component: Component) -> Any:
     """The module of the component's slot, None for a slot that there is not."""
     if not isinstance(component, Component):
         raise TypeError(f"checks are for an instance of a component, not {component!r}")

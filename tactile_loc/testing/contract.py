@@ -123,7 +123,7 @@ def _changed_options(options: Any) -> Iterator[tuple[str, Any]]:
     for name, field in type(options).model_fields.items():
         if name in options.neutral():
             continue
-        for value in _other_values(field, getattr(options, name)):
+        for value in _list_other_values(field, getattr(options, name)):
             try:
                 changed = type(options).model_validate({**options.model_dump(), name: value})
             except ValidationError:
@@ -132,7 +132,7 @@ def _changed_options(options: Any) -> Iterator[tuple[str, Any]]:
             break
 
 
-def _other_values(field: FieldInfo, value: Any) -> list[Any]:
+def _list_other_values(field: FieldInfo, value: Any) -> list[Any]:
     if isinstance(value, bool):
         return [not value]
     if isinstance(value, str):  # a choice between names; free text, a path for instance, has no other value known

@@ -20,6 +20,7 @@ from tactile_loc.testing.problems import (
     block_scene,
     contact_poses,
     mirrored,
+    place_training_problem,
     stepped_block,
 )
 from tactile_loc.testing.properties import Place, hold, one_of, orders, places
@@ -36,7 +37,9 @@ def checks(capabilities: Capabilities) -> list[Check]:
                            check_press_depth_marks_no_contact, check_light_press_finds_its_pose,
                            check_image_size, check_ignores_masked_pixels, check_unseen_pixels,
                            check_seen_output, check_seen_part_finds_its_pose]  # fmt: skip
-    return [*chosen, check_deterministic] if capabilities.deterministic else chosen
+    if capabilities.deterministic:
+        chosen.append(check_deterministic)
+    return [*chosen, check_learns_places] if capabilities.needs_training else chosen
 
 
 def properties(capabilities: Capabilities) -> list[Check]:
@@ -46,7 +49,7 @@ def properties(capabilities: Capabilities) -> list[Check]:
 
 def check_output(encoder: Encoder) -> None:
     """`encode` returns (N, D) float32, finite, with one D for any N, also for no shape and for one without contact."""
-    shapes = _shapes()
+    shapes = _draw_shapes()
     vectors = encoder.encode(shapes, PRESS_M, CAMERA)
     form = isinstance(vectors, np.ndarray) and vectors.ndim == 2 and len(vectors) == len(shapes)
     require(form, f"the embeddings of {len(shapes)} shapes must be an array ({len(shapes)}, D)")
@@ -61,7 +64,7 @@ def check_output(encoder: Encoder) -> None:
 
 def check_batch_is_singles(encoder: Encoder) -> None:
     """Encoding shapes together gives what encoding each alone gives."""
-    shapes = _shapes()
+    shapes = _draw_shapes()
     together = encoder.encode(shapes, PRESS_M, CAMERA)
     singly = np.concatenate([encoder.encode(s[None], PRESS_M, CAMERA) for s in shapes])
     require_close(together, singly, 1e-3 * _spread(together), "a batch must be encoded as its shapes one by one")
@@ -69,7 +72,7 @@ def check_batch_is_singles(encoder: Encoder) -> None:
 
 def check_shapes_untouched(encoder: Encoder) -> None:
     """The contact shapes are not written to."""
-    shapes = _shapes()
+    shapes = _draw_shapes()
     before = Untouched(depth_m=shapes)
     encoder.encode(shapes, PRESS_M, CAMERA)
     before.require()
@@ -80,18 +83,18 @@ def check_distances_order_poses(encoder: Encoder) -> None:
     poses = contact_poses(block_scene())
     here, moved = _render(poses), _render(translation([0.0004, 0.0003, 0.0]) @ poses)
     bank = encoder.encode(here, PRESS_M, CAMERA)
-    found = _nearest(encoder.encode(here.copy(), PRESS_M, CAMERA), bank)
+    found = _find_nearest(encoder.encode(here.copy(), PRESS_M, CAMERA), bank)
     require(_is_order(found), f"every shape must be nearest to itself; the nearest rows are {found.tolist()}")
-    found = _nearest(encoder.encode(moved, PRESS_M, CAMERA), bank)
+    found = _find_nearest(encoder.encode(moved, PRESS_M, CAMERA), bank)
     require(_is_order(found), f"a shape 0.5 mm away must be nearer than other poses; the nearest are {found.tolist()}")
 
 
 def check_press_depth_marks_no_contact(encoder: Encoder) -> None:
     """A pixel at the press depth is not in contact, whatever the press: flat imprints look the same at any."""
-    imprint = np.stack([s < PRESS_M for s in _shapes()])
+    imprint = np.stack([s < PRESS_M for s in _draw_shapes()])
     light, deep = (np.where(imprint, np.float32(0), np.float32(p)) for p in (0.6 * PRESS_M, PRESS_M))
     bank = encoder.encode(deep, PRESS_M, CAMERA)
-    found = _nearest(encoder.encode(light, 0.6 * PRESS_M, CAMERA), bank)
+    found = _find_nearest(encoder.encode(light, 0.6 * PRESS_M, CAMERA), bank)
     require(_is_order(found), "pixels at the press depth are not in contact: the same flat imprint must look alike at "
             f"60 % and at full press, but the nearest rows are {found.tolist()}")  # fmt: skip
 
@@ -100,21 +103,21 @@ def check_light_press_finds_its_pose(encoder: Encoder) -> None:
     """A light press finds its pose: in a bank cut at the same press if the encoder follows it, else in the full one."""
     light = 0.75 * PRESS_M
     press = light if encoder.capabilities.follows_press_depth else PRESS_M
-    bank = encoder.encode(np.minimum(_shapes(), np.float32(press)), press, CAMERA)
-    found = _nearest(encoder.encode(np.minimum(_shapes(), np.float32(light)), light, CAMERA), bank)
+    bank = encoder.encode(np.minimum(_draw_shapes(), np.float32(press)), press, CAMERA)
+    found = _find_nearest(encoder.encode(np.minimum(_draw_shapes(), np.float32(light)), light, CAMERA), bank)
     require(_is_order(found), f"a light press must be nearest to its own pose; the nearest rows are {found.tolist()}")
 
 
 def check_image_size(encoder: Encoder) -> None:
     """Shapes of another image size of the same sensor have embeddings of the same D, and find their pose."""
     fine = CAMERA.resized(2 * CAMERA.width_px, 2 * CAMERA.height_px)
-    bank = encoder.encode(_shapes(), PRESS_M, CAMERA)
-    queries = encoder.encode(_shapes(fine), PRESS_M, fine)
+    bank = encoder.encode(_draw_shapes(), PRESS_M, CAMERA)
+    queries = encoder.encode(_draw_shapes(fine), PRESS_M, fine)
     same = queries.shape == bank.shape
     require(
         same, f"D must not depend on the image size (banks are coarser than touches): {queries.shape}, {bank.shape}"
     )
-    found = _nearest(queries, bank)
+    found = _find_nearest(queries, bank)
     require(_is_order(found), f"twice the image must find its pose in the bank; the nearest rows are {found.tolist()}")
 
 
@@ -123,7 +126,7 @@ def check_ignores_masked_pixels(encoder: Encoder) -> None:
     observed = np.ones(CAMERA.shape, bool)
     observed[:, : CAMERA.width_px // 4] = False
     masked = dataclasses.replace(CAMERA, observed=observed)
-    shapes = _shapes()
+    shapes = _draw_shapes()
     garbage = np.where(observed, shapes, np.float32(0.1 * PRESS_M))
     a, b = (encoder.encode(s, PRESS_M, masked) for s in (shapes, garbage))
     require_close(a, b, 1e-4 * _spread(a), "pixels outside geometry.observed_mask carry no information")
@@ -131,12 +134,12 @@ def check_ignores_masked_pixels(encoder: Encoder) -> None:
 
 def check_unseen_pixels(encoder: Encoder) -> None:
     """What is not seen of a shape changes nothing; where all is seen, embeddings are the plain ones, of weight one."""
-    shapes = _shapes()
+    shapes = _draw_shapes()
     plain = encoder.encode(shapes, PRESS_M, CAMERA)
     whole, weights = encoder.encode_seen(shapes, np.ones(shapes.shape, bool), PRESS_M, CAMERA)
     require_close(whole, plain, 1e-3 * _spread(plain), "of shapes that are all seen embeddings must be the plain ones")
     require_close(weights, np.ones_like(plain), 1e-6, "what is all seen must have weights of one")
-    seen = _partly_seen(shapes)
+    seen = _mask_left(shapes)
     other = np.where(seen, shapes, np.float32(0.3 * PRESS_M))
     (one, ones), (two, twos) = (encoder.encode_seen(some, seen, PRESS_M, CAMERA) for some in (shapes, other))
     require_close(one * ones, two * twos, 1e-3 * _spread(plain), "pixels that are not seen must change nothing")
@@ -145,9 +148,9 @@ def check_unseen_pixels(encoder: Encoder) -> None:
 
 def check_seen_output(encoder: Encoder) -> None:
     """`encode_seen` returns embeddings and weights, both as embeddings are, weights from 0 to 1; inputs stay."""
-    shapes = _shapes()
+    shapes = _draw_shapes()
     form = encoder.encode(shapes, PRESS_M, CAMERA).shape
-    for seen in (_partly_seen(shapes), np.zeros(shapes.shape, bool)):
+    for seen in (_mask_left(shapes), np.zeros(shapes.shape, bool)):
         before = Untouched(depth_m=shapes, seen=seen)
         answer = encoder.encode_seen(shapes, seen, PRESS_M, CAMERA)
         before.require()
@@ -161,14 +164,14 @@ def check_seen_output(encoder: Encoder) -> None:
 
 def check_seen_part_finds_its_pose(encoder: Encoder) -> None:
     """Of a shape of which a part is not seen, its own pose has the best weighted score: a touch at the field's edge."""
-    shapes = _shapes()
+    shapes = _draw_shapes()
     bank = encoder.encode(shapes, PRESS_M, CAMERA)
-    queries, weights = encoder.encode_seen(shapes, _partly_seen(shapes), PRESS_M, CAMERA)
+    queries, weights = encoder.encode_seen(shapes, _mask_left(shapes), PRESS_M, CAMERA)
     found = (weights[:, None] * (queries[:, None] - bank[None]) ** 2).sum(axis=-1).argmin(axis=1)
     require(_is_order(found), f"a partly seen shape must find its own pose; the nearest rows are {found.tolist()}")
 
 
-def _partly_seen(shapes: Float32) -> NDArray[np.bool_]:
+def _mask_left(shapes: Float32) -> NDArray[np.bool_]:
     """Which pixels (N, H, W) are seen: all but the left sixth."""
     seen = np.ones(shapes.shape, bool)
     seen[:, :, : shapes.shape[2] // 6] = False
@@ -177,14 +180,32 @@ def _partly_seen(shapes: Float32) -> NDArray[np.bool_]:
 
 def check_deterministic(encoder: Encoder) -> None:
     """The same shapes have the same embeddings, to the bit."""
-    first, again = (encoder.encode(_shapes(), PRESS_M, CAMERA) for _ in range(2))
+    first, again = (encoder.encode(_draw_shapes(), PRESS_M, CAMERA) for _ in range(2))
     same = np.array_equal(first, again)
     require(same, "the same shapes must have the same embeddings, or deterministic=False be declared")
 
 
+def check_learns_places(encoder: Encoder) -> None:
+    """Trained on the places of a whole object, which touches show in part, it embeds what is seen of them."""
+    problem, learner = place_training_problem(), type(encoder)(encoder.options)  # the one given stays as trained
+    learner.fit(problem)
+    press_m = float(problem.key_presses_m[-1])
+    keys = np.concatenate(list(problem.clean_keys(press_m)))[:8]
+    whole, weights = learner.encode_seen(keys, np.ones(keys.shape, bool), press_m, problem.geometry)
+    require(whole.shape == weights.shape, f"embeddings {whole.shape} and weights {weights.shape} must have one shape")
+    require(np.isfinite(whole).all(), "embeddings of places must be finite")
+    plain = learner.encode(keys, press_m, problem.geometry)
+    require_close(whole, plain, 1e-3 * _spread(plain), "places that are all seen must have the plain embeddings")
+    seen = np.ones(keys.shape, bool)
+    seen[:, :, : keys.shape[2] // 2] = False
+    other = np.where(seen, keys, np.float32(0.5 * press_m))
+    (one, ones), (two, twos) = (learner.encode_seen(some, seen, press_m, problem.geometry) for some in (keys, other))
+    require_close(one * ones, two * twos, 1e-3 * _spread(plain), "pixels that are not seen must change nothing")
+
+
 def property_shape_order(encoder: Encoder) -> None:
     """Shapes in another order have their embeddings in that order, to a thousandth of what sets them apart."""
-    shapes = _shapes()
+    shapes = _draw_shapes()
     plain = encoder.encode(shapes, PRESS_M, CAMERA)
 
     def claim(order: list[int]) -> None:
@@ -202,7 +223,7 @@ def property_image_size(encoder: Encoder) -> None:
         fine = CAMERA.resized(times * CAMERA.width_px, times * CAMERA.height_px)
         poses = place.pose @ contact_poses(block_scene(), count=4)
         bank = encoder.encode(_render(poses), PRESS_M, CAMERA)
-        found = _nearest(encoder.encode(_render(poses, fine), PRESS_M, fine), bank)
+        found = _find_nearest(encoder.encode(_render(poses, fine), PRESS_M, fine), bank)
         require(_is_order(found), f"an image of another size must find its pose; the nearest rows are {found.tolist()}")
 
     hold(claim, examples=3, times=one_of([2, 3]), place=places(most_tenths_mm=15))
@@ -231,7 +252,7 @@ def _encode_light(encoder: Encoder, depth_m: Float32) -> Float32:
     return encoder.encode(np.minimum(depth_m, np.float32(LIGHT_M)), LIGHT_M, CAMERA)
 
 
-def _shapes(camera: SensorGeometry = CAMERA) -> Float32:
+def _draw_shapes(camera: SensorGeometry = CAMERA) -> Float32:
     return _render(contact_poses(block_scene()), camera)
 
 
@@ -242,7 +263,7 @@ def _render(poses: np.ndarray, camera: SensorGeometry = CAMERA, mesh: TriangleMe
     return contact_depth(drawn, camera, camera.max_depth_m)
 
 
-def _nearest(queries: Float32, bank: Float32) -> np.ndarray:
+def _find_nearest(queries: Float32, bank: Float32) -> np.ndarray:
     return np.linalg.norm(queries[:, None] - bank[None], axis=-1).argmin(axis=1)
 
 

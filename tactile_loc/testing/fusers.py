@@ -40,7 +40,7 @@ def properties(capabilities: Capabilities) -> list[Check]:
 
 def check_contact_alone(fuser: Fuser) -> None:
     """A fuser that asks for contact only makes all poses of one touch's grid alike, however probable they are."""
-    posterior = _posterior(small_grid())
+    posterior = _draw_posterior(small_grid())
     fused = fuser.fuse([posterior], [None])
     uniform = np.full(len(posterior.grid), 1 / len(posterior.grid))
     _require_equal(fused, uniform, "with contact_only=True, the poses of one touch must be equally probable")
@@ -48,7 +48,7 @@ def check_contact_alone(fuser: Fuser) -> None:
 
 def check_one_touch(fuser: Fuser) -> None:
     """One touch without a prior is returned as it is: normalised, over the same grid."""
-    posterior = _posterior(small_grid())
+    posterior = _draw_posterior(small_grid())
     fused = fuser.fuse([posterior], [None])
     require(isinstance(fused, PosePosterior), f"fuse must return a PosePosterior, not {type(fused).__name__}")
     same = np.array_equal(fused.grid.T_sensor_object, posterior.grid.T_sensor_object)
@@ -59,14 +59,14 @@ def check_one_touch(fuser: Fuser) -> None:
 
 def check_flat_prior(fuser: Fuser) -> None:
     """A prior that weighs all poses alike changes nothing, whatever the weight."""
-    posterior = _posterior(small_grid())
+    posterior = _draw_posterior(small_grid())
     fused = fuser.fuse([posterior], [None], lambda poses: np.full(len(poses), -3.0))
     _require_equal(fused, fuser.fuse([posterior], [None]).probabilities, "a flat prior must change nothing")
 
 
 def check_prior_multiplies(fuser: Fuser) -> None:
     """A prior gives log-weights of poses (N, 4, 4), and counts once."""
-    posterior = _posterior(small_grid())
+    posterior = _draw_posterior(small_grid())
 
     def prior(poses: Poses) -> NDArray[np.float64]:
         return -((poses[:, 0, 3] / 0.002) ** 2)
@@ -80,7 +80,7 @@ def check_prior_multiplies(fuser: Fuser) -> None:
 
 def check_certain_prior(fuser: Fuser) -> None:
     """A prior that allows one pose alone makes it certain."""
-    posterior = _posterior(small_grid())
+    posterior = _draw_posterior(small_grid())
     fused = fuser.fuse([posterior], [None], lambda poses: np.where(np.arange(len(poses)) == 7, 0.0, -np.inf))
     _require_equal(fused, np.arange(len(posterior.grid)) == 7, "the only pose that the prior allows must be certain")
 
@@ -88,7 +88,7 @@ def check_certain_prior(fuser: Fuser) -> None:
 def check_impossible_prior(fuser: Fuser) -> None:
     """A prior that allows no pose raises a TactileLocError, rather than return NaN."""
     try:
-        fuser.fuse([_posterior(small_grid())], [None], lambda poses: np.full(len(poses), -np.inf))
+        fuser.fuse([_draw_posterior(small_grid())], [None], lambda poses: np.full(len(poses), -np.inf))
     except TactileLocError:
         return
     require(False, "a prior that allows no pose must raise a TactileLocError, as PosePosterior does")
@@ -97,17 +97,17 @@ def check_impossible_prior(fuser: Fuser) -> None:
 def check_order(fuser: Fuser) -> None:
     """Two touches at one sensor pose say the same in either order."""
     grid = small_grid()
-    first, second = _posterior(grid, seed=1), _posterior(grid, seed=2)
-    one, other = (_several(fuser, pair, [np.eye(4)] * 2) for pair in ([first, second], [second, first]))
+    first, second = _draw_posterior(grid, seed=1), _draw_posterior(grid, seed=2)
+    one, other = (_fuse_several(fuser, pair, [np.eye(4)] * 2) for pair in ([first, second], [second, first]))
     _require_both(one, other, "the order of touches must not matter")
 
 
 def check_sensor_poses(fuser: Fuser) -> None:
     """Touches are compared in the base frame: what one leaves open, another from elsewhere decides."""
-    here, there = small_grid(), _seen_from_second(small_grid())
+    here, there = small_grid(), _move_to_second(small_grid())
     open_ = PosePosterior(here, np.where(np.isin(np.arange(len(here)), [3, 11]), 0.0, -30.0))
     decides = PosePosterior(there, np.where(np.arange(len(here)) == 11, 0.0, -8.0))
-    fused = _several(fuser, [open_, decides], [T_BASE_FIRST, T_BASE_SECOND])
+    fused = _fuse_several(fuser, [open_, decides], [T_BASE_FIRST, T_BASE_SECOND])
     if fused is not None:
         p = fused.probabilities
         require(p[11] > 10 * p[3], "touches must be compared by T_base_sensor @ T_sensor_object, pose by pose")
@@ -118,8 +118,8 @@ def check_no_contact_is_dropped(fuser: Fuser) -> None:
     here = small_grid()
     side = here.T_sensor_object[:, 0, 3] > 0.002
     far = here.metric.distance(here.T_sensor_object[:, None], here.T_sensor_object[side][None]).min(axis=1) > 0.0065
-    there = _seen_from_second(PoseGrid(here.T_sensor_object[side], here.metric))
-    fused = _several(fuser, [_posterior(here), _posterior(there)], [T_BASE_FIRST, T_BASE_SECOND])
+    there = _move_to_second(PoseGrid(here.T_sensor_object[side], here.metric))
+    fused = _fuse_several(fuser, [_draw_posterior(here), _draw_posterior(there)], [T_BASE_FIRST, T_BASE_SECOND])
     if fused is not None:
         p = fused.probabilities
         require(bool((p[far] == 0).all()), "poses that do not touch a sensor must have no probability")
@@ -131,7 +131,7 @@ def check_no_common_pose(fuser: Fuser) -> None:
     grid = small_grid()
     T_base_far = make_transform(np.eye(3), [5.0, 0.0, 0.0])
     try:
-        fuser.fuse([_posterior(grid, seed=1), _posterior(grid, seed=2)], [np.eye(4), T_base_far])
+        fuser.fuse([_draw_posterior(grid, seed=1), _draw_posterior(grid, seed=2)], [np.eye(4), T_base_far])
     except TactileLocError:
         return
     require(False, "sensors metres apart touch no common pose, which must raise a TactileLocError")
@@ -144,7 +144,7 @@ def check_base_frame(fuser: Fuser) -> None:
 
 def check_posteriors_untouched(fuser: Fuser) -> None:
     """Neither posteriors nor grids are written to."""
-    posterior = _posterior(small_grid())
+    posterior = _draw_posterior(small_grid())
     before = Untouched(log_p=posterior.log_p, T_sensor_object=posterior.grid.T_sensor_object)
     fuser.fuse([posterior], [np.eye(4)], lambda poses: -poses[:, 0, 3])
     before.require()
@@ -153,7 +153,7 @@ def check_posteriors_untouched(fuser: Fuser) -> None:
 def check_deterministic(fuser: Fuser) -> None:
     """The same posteriors and prior give the same posterior."""
     prior: Prior = lambda poses: 100 * poses[:, 0, 3]  # noqa: E731
-    first, again = (fuser.fuse([_posterior(small_grid())], [None], prior) for _ in range(2))
+    first, again = (fuser.fuse([_draw_posterior(small_grid())], [None], prior) for _ in range(2))
     same = np.array_equal(first.log_p, again.log_p)
     require(same, "the same posteriors must give the same answer, or deterministic=False be declared")
 
@@ -161,13 +161,15 @@ def check_deterministic(fuser: Fuser) -> None:
 def property_object_frame(fuser: Fuser) -> None:
     """The object moved by X in its own frame, poses T @ inv(X) in every grid: the same probabilities, to TOLERANCE."""
     here = small_grid()
-    sensors, grids = [T_BASE_FIRST, T_BASE_SECOND], [here, _seen_from_second(here)]
-    plain = _several(fuser, _posteriors(grids), sensors)
+    sensors, grids = [T_BASE_FIRST, T_BASE_SECOND], [here, _move_to_second(here)]
+    plain = _fuse_several(fuser, _draw_posteriors(grids), sensors)
 
     def claim(motion: RigidMotion) -> None:
         metric = PoseMetric(plain_object("moved block", transformed(here.metric.object.mesh, motion.T)))
         moved = [PoseGrid(grid.T_sensor_object @ invert(motion.T), metric) for grid in grids]
-        _require_both(_several(fuser, _posteriors(moved), sensors), plain, "the object's own frame must not matter")
+        _require_both(
+            _fuse_several(fuser, _draw_posteriors(moved), sensors), plain, "the object's own frame must not matter"
+        )
 
     hold(claim, motion=motions())
 
@@ -187,8 +189,10 @@ def property_touch_order(fuser: Fuser) -> None:
 
     def claim(order: list[int], second: RigidMotion, third: RigidMotion) -> None:
         sensors = [np.eye(4), second.T, third.T]
-        touches = _posteriors([PoseGrid(invert(T) @ grid.T_sensor_object, grid.metric) for T in sensors])
-        plain, other = (_several(fuser, [touches[k] for k in o], [sensors[k] for k in o]) for o in ([0, 1, 2], order))
+        touches = _draw_posteriors([PoseGrid(invert(T) @ grid.T_sensor_object, grid.metric) for T in sensors])
+        plain, other = (
+            _fuse_several(fuser, [touches[k] for k in o], [sensors[k] for k in o]) for o in ([0, 1, 2], order)
+        )
         _require_both(other, plain, "the order of touches must not matter")
 
     hold(claim, order=orders(3), second=motions(), third=motions())
@@ -201,13 +205,13 @@ def property_symmetric_copies(fuser: Fuser) -> None:
     """
     grid = small_grid(scene=Scene(prism(), CAMERAS["orthographic"], ReferenceRenderer()))
     elements, sensors = prism().symmetry.elements(), [T_BASE_FIRST, T_BASE_SECOND]
-    there = _seen_from_second(grid)
-    plain = _several(fuser, _posteriors([grid, there]), sensors)
+    there = _move_to_second(grid)
+    plain = _fuse_several(fuser, _draw_posteriors([grid, there]), sensors)
 
     def claim(seed: int) -> None:
         S = elements[np.random.default_rng(seed).integers(1, len(elements), len(grid))]
         copies = PoseGrid(there.T_sensor_object @ S, grid.metric)
-        fused = _several(fuser, _posteriors([grid, copies]), sensors)
+        fused = _fuse_several(fuser, _draw_posteriors([grid, copies]), sensors)
         _require_both(fused, plain, "poses that symmetry makes alike must count as one")
 
     hold(claim, seed=whole(0, 999))
@@ -216,27 +220,27 @@ def property_symmetric_copies(fuser: Fuser) -> None:
 def _require_any_base(fuser: Fuser, T: Poses) -> None:
     """Raise ContractError unless sensors that are all moved by T (4, 4), metres, have the same answer."""
     here = small_grid()
-    touches = [_posterior(here, seed=1), _posterior(_seen_from_second(here), seed=2)]
-    one = _several(fuser, touches, [T_BASE_FIRST, T_BASE_SECOND])
-    other = _several(fuser, touches, [T @ T_BASE_FIRST, T @ T_BASE_SECOND])
+    touches = [_draw_posterior(here, seed=1), _draw_posterior(_move_to_second(here), seed=2)]
+    one = _fuse_several(fuser, touches, [T_BASE_FIRST, T_BASE_SECOND])
+    other = _fuse_several(fuser, touches, [T @ T_BASE_FIRST, T @ T_BASE_SECOND])
     _require_both(one, other, "moving the base frame must not matter")
 
 
-def _posteriors(grids: Sequence[PoseGrid]) -> list[PosePosterior]:
+def _draw_posteriors(grids: Sequence[PoseGrid]) -> list[PosePosterior]:
     """A posterior over each grid, each another."""
-    return [_posterior(grid, seed) for seed, grid in enumerate(grids)]
+    return [_draw_posterior(grid, seed) for seed, grid in enumerate(grids)]
 
 
-def _posterior(grid: PoseGrid, seed: int = 0) -> PosePosterior:
+def _draw_posterior(grid: PoseGrid, seed: int = 0) -> PosePosterior:
     return PosePosterior(grid, np.random.default_rng(seed).normal(scale=2.0, size=len(grid)))
 
 
-def _seen_from_second(grid: PoseGrid) -> PoseGrid:
+def _move_to_second(grid: PoseGrid) -> PoseGrid:
     """The same poses of the object as those of `grid` in the first sensor's frame, in the second's."""
     return PoseGrid(invert(T_BASE_SECOND) @ T_BASE_FIRST @ grid.T_sensor_object, grid.metric)
 
 
-def _several(
+def _fuse_several(
     fuser: Fuser, posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None]
 ) -> PosePosterior | None:
     """Fuse several touches; None when the fuser is for one touch alone and says so."""

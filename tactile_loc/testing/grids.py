@@ -66,16 +66,16 @@ def properties(capabilities: Capabilities) -> list[Check]:
 
 def check_poses_are_rigid(sampler: GridSampler) -> None:
     """`sample` and `random` return (N, 4, 4) float64 transforms with proper rotations and finite metres."""
-    for what, poses in _kinds(sampler, 20):
+    for what, poses in _list_kinds(sampler, 20):
         require(len(poses) > 0, f"{what} must return poses for an object of the sensor's size")
         require_array(poses, (len(poses), 4, 4), np.float64, f"the poses of {what}")
         require(is_rigid(poses), f"the poses of {what} must be rigid: proper rotations, finite, last row 0 0 0 1")
-    require(len(_random(sampler, 20)) == 20, "random must return as many poses as were asked for")
+    require(len(_draw_random(sampler, 20)) == 20, "random must return as many poses as were asked for")
 
 
 def check_spacing(sampler: GridSampler) -> None:
     """Neighbours of the sample, brought to contact, are about as far apart as was asked: core corrects the rest."""
-    spacing_m = float(_touching(_sample(sampler)).neighbour_spacing().mean())
+    spacing_m = float(_bring_to_contact(_sample(sampler)).neighbour_spacing().mean())
     right = 0.4 * SPACING_M <= spacing_m <= 2 * SPACING_M
     require(right, f"asked for a spacing of {SPACING_M * 1e3:g} mm, the mean over the grid is {spacing_m * 1e3:.2g} mm")
 
@@ -88,15 +88,15 @@ def check_denser_grid_has_more_poses(sampler: GridSampler) -> None:
 
 def check_poses_reach_contact(sampler: GridSampler) -> None:
     """Moved along z alone, a good share of the poses touches the sensing rectangle."""
-    for what, poses in _kinds(sampler, 200):
+    for what, poses in _list_kinds(sampler, 200):
         share = float(bring_to_contact(block().mesh, poses, CAMERAS["orthographic"])[1].mean())
         require(share >= LEAST_TOUCHING, f"only {100 * share:.0f} % of the poses of {what} can touch the sensor")
 
 
 def check_covers_random_poses(sampler: GridSampler) -> None:
     """The grid covers the set that `random` draws from: no drawn pose is far from its nearest grid pose."""
-    grid = _touching(_sample(sampler))
-    drawn = _touching(_random(sampler, 200)).T_sensor_object
+    grid = _bring_to_contact(_sample(sampler))
+    drawn = _bring_to_contact(_draw_random(sampler, 200)).T_sensor_object
     spacings = np.quantile(grid.nearest(drawn)[0], [0.5, 0.95]) / SPACING_M
     covered = spacings[0] <= 1.0 and spacings[1] <= 2.0
     require(covered, "sample must cover what random draws from; the nearest grid pose is "
@@ -106,8 +106,8 @@ def check_covers_random_poses(sampler: GridSampler) -> None:
 def check_random_is_uniform_over_the_grid(sampler: GridSampler) -> None:
     """Of a rod's drawn poses, as many are near the half of the grid in which it spans more as that half has poses."""
     obj, camera = rod(), CAMERAS["orthographic"]
-    grid = _touching(sampler.sample(obj, camera, SPACING_M), obj)
-    drawn = _touching(sampler.random(obj, camera, DRAWN, np.random.default_rng(0)), obj).T_sensor_object
+    grid = _bring_to_contact(sampler.sample(obj, camera, SPACING_M), obj)
+    drawn = _bring_to_contact(sampler.random(obj, camera, DRAWN, np.random.default_rng(0)), obj).T_sensor_object
     turned = obj.mesh.vertices_m @ np.swapaxes(grid.T_sensor_object[:, :3, :3], -1, -2)
     spanned = np.ptp(turned[..., :2], axis=1).sum(axis=-1)
     half = spanned > np.median(spanned)
@@ -120,16 +120,18 @@ def check_random_is_uniform_over_the_grid(sampler: GridSampler) -> None:
 
 def check_random_follows_the_seed(sampler: GridSampler) -> None:
     """A generator of the same seed draws the same poses; all randomness comes from it."""
-    same = np.array_equal(_random(sampler, 20), _random(sampler, 20))
+    same = np.array_equal(_draw_random(sampler, 20), _draw_random(sampler, 20))
     require(same, "random must draw from the generator it is given, and from nothing else")
 
 
 def check_random_poses_differ(sampler: GridSampler) -> None:
     """Drawn poses differ from one another and from those of another seed."""
-    poses = _random(sampler, 20)
+    poses = _draw_random(sampler, 20)
     distances = PoseMetric(block()).distance(poses[:, None], poses[None]) + np.eye(20)
     require((distances > 0).all(), "random must draw different poses: it samples a continuous set")
-    require(not np.array_equal(poses, _random(sampler, 20, seed=1)), "random must draw other poses for another seed")
+    require(
+        not np.array_equal(poses, _draw_random(sampler, 20, seed=1)), "random must draw other poses for another seed"
+    )
 
 
 def check_object_untouched(sampler: GridSampler) -> None:
@@ -176,7 +178,7 @@ def check_places_are_in_random_poses(sampler: GridSampler) -> None:
     obj = block()
     places = sampler.places(obj, Progress()).T_place_object
     where, along = -np.einsum("nji,nj->ni", places[:, :3, :3], places[:, :3, 3]), places[:, 2, :3]
-    T = _touching(_random(sampler, 60)).T_sensor_object
+    T = _bring_to_contact(_draw_random(sampler, 60)).T_sensor_object
     corners = obj.mesh.vertices_m @ np.swapaxes(T[:, :3, :3], -1, -2) + T[:, None, :3, 3]
     lowest = obj.mesh.vertices_m[corners[..., 2].argmin(axis=1)]
     near = np.linalg.norm(where - lowest[:, None], axis=-1) < NEAR_M
@@ -194,12 +196,12 @@ def property_object_origin(sampler: GridSampler) -> None:
 
     Shifted, not turned: the axes of an object's frame may be what names the face that touches.
     """
-    plain = _touching(_sample(sampler)).T_sensor_object
+    plain = _bring_to_contact(_sample(sampler)).T_sensor_object
 
     def claim(shift_mm: tuple[int, int, int]) -> None:
         x = translation(1e-3 * np.array(shift_mm))
         other = plain_object("shifted block", transformed(block().mesh, x))
-        found = _touching(sampler.sample(other, CAMERAS["orthographic"], SPACING_M), other).T_sensor_object @ x
+        found = _bring_to_contact(sampler.sample(other, CAMERAS["orthographic"], SPACING_M), other).T_sensor_object @ x
         require_close(found, plain, SAME_M, "poses must be the same wherever the origin of the object's frame is")
 
     hold(claim, shift_mm=shifts())
@@ -212,8 +214,8 @@ def property_symmetric_copies(sampler: GridSampler) -> None:
     """
 
     def claim(symmetry: str, spacing_tenths_mm: int) -> None:
-        spacing_m, obj = 1e-4 * spacing_tenths_mm, _declared(symmetry)
-        poses = _touching(sampler.sample(obj, CAMERAS["orthographic"], spacing_m), obj).T_sensor_object
+        spacing_m, obj = 1e-4 * spacing_tenths_mm, _declare_symmetry(symmetry)
+        poses = _bring_to_contact(sampler.sample(obj, CAMERAS["orthographic"], spacing_m), obj).T_sensor_object
         orbits = PoseMetric(obj).embed_orbits(poses)
         apart_m = np.min([distances_between(orbit, orbits[0]) for orbit in orbits], axis=0)
         apart_m[(apart_m < ROUNDED_M) | np.eye(len(poses), dtype=bool)] = np.inf
@@ -244,10 +246,10 @@ def property_place_origin(sampler: GridSampler) -> None:
 
 def property_symmetric_places(sampler: GridSampler) -> None:
     """A part of n rotations has about an n-th of the places that it has if none are declared: LEAST to MOST_PLACES."""
-    count = len(sampler.places(_declared("none"), Progress()))
+    count = len(sampler.places(_declare_symmetry("none"), Progress()))
 
     def claim(symmetry: str) -> None:
-        obj = _declared(symmetry)
+        obj = _declare_symmetry(symmetry)
         wanted, found = count / obj.symmetry.order, len(sampler.places(obj, Progress()))
         right = LEAST_PLACES * wanted <= found <= MOST_PLACES * wanted
         require(right, f"places that symmetry makes alike must be one; there are {found} instead of {wanted:.0f}")
@@ -262,26 +264,26 @@ def _require_any_scale(sampler: GridSampler, scale: float) -> None:
     require(alike, f"everything made larger must have as many poses; there are {len(large)} instead of {len(small)}")
 
 
-def _declared(symmetry: str) -> ObjectModel:
+def _declare_symmetry(symmetry: str) -> ObjectModel:
     """The prism, with some of its rotations declared."""
     return dataclasses.replace(prism(), symmetry=SymmetryGroup.parse(symmetry, prism().mesh.centroid_m))
 
 
-def _kinds(sampler: GridSampler, count: int) -> list[tuple[str, Poses]]:
+def _list_kinds(sampler: GridSampler, count: int) -> list[tuple[str, Poses]]:
     """The poses that a sampler lists, if it does, and `count` that it draws."""
     listed = [] if sampler.capabilities.places else [("sample", _sample(sampler))]
-    return [*listed, ("random", _random(sampler, count))]
+    return [*listed, ("random", _draw_random(sampler, count))]
 
 
 def _sample(sampler: GridSampler, spacing_m: float = SPACING_M) -> Poses:
     return sampler.sample(block(), CAMERAS["orthographic"], spacing_m)
 
 
-def _random(sampler: GridSampler, count: int, seed: int = 0) -> Poses:
+def _draw_random(sampler: GridSampler, count: int, seed: int = 0) -> Poses:
     return sampler.random(block(), CAMERAS["orthographic"], count, np.random.default_rng(seed))
 
 
-def _touching(poses: Poses, obj: ObjectModel | None = None) -> PoseGrid:
+def _bring_to_contact(poses: Poses, obj: ObjectModel | None = None) -> PoseGrid:
     """Bring poses of an object (by default the block) to contact and keep those that have any."""
     obj = block() if obj is None else obj
     contact, touching = bring_to_contact(obj.mesh, poses, CAMERAS["orthographic"])

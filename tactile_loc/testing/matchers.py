@@ -40,7 +40,7 @@ def properties(capabilities: Capabilities) -> list[Check]:
 
 def check_output(matcher: Matcher) -> None:
     """`scores` returns (M, N) float32 without NaN; all are finite unless the matcher is declared top_k_only."""
-    scores = _scores(matcher, _bank(), _queries())
+    scores = _score(matcher, _draw_bank(), _draw_queries())
     require_array(scores, (QUERIES, ROWS), np.float32, "the scores")
     require(
         not (np.isnan(scores) | np.isposinf(scores)).any(), "a score must be a number, or -inf where it did not look"
@@ -53,29 +53,32 @@ def check_output(matcher: Matcher) -> None:
 
 def check_definition(matcher: Matcher) -> None:
     """A score is -1/2 ||query - row||^2: the posterior's temperature relies on it."""
-    scores, truth = _scores(matcher, _bank(), _queries()), _truth(_bank(), _queries())
+    scores, truth = _score(matcher, _draw_bank(), _draw_queries()), _compute_truth(_draw_bank(), _draw_queries())
     looked = np.isfinite(scores)
     require_close(scores[looked], truth[looked], TOLERANCE, "a score must be -1/2 ||query - row||^2")
 
 
 def check_best_row_is_found(matcher: Matcher) -> None:
     """The most alike row has the highest score, also when the matcher looks at only some."""
-    found = _scores(matcher, _bank(), _queries()).argmax(axis=1)
-    truth = _truth(_bank(), _queries()).argmax(axis=1)
+    found = _score(matcher, _draw_bank(), _draw_queries()).argmax(axis=1)
+    truth = _compute_truth(_draw_bank(), _draw_queries()).argmax(axis=1)
     require((found == truth).all(), f"the best rows are {truth.tolist()}, but {found.tolist()} have the highest scores")
 
 
 def check_row_order(matcher: Matcher) -> None:
     """Column i belongs to row i: another order of the rows is the same order of the columns."""
     order = np.random.default_rng(3).permutation(ROWS)
-    plain, shuffled = _scores(matcher, _bank(), _queries()), _scores(matcher, _bank()[order], _queries())
+    plain, shuffled = (
+        _score(matcher, _draw_bank(), _draw_queries()),
+        _score(matcher, _draw_bank()[order], _draw_queries()),
+    )
     _require_alike(shuffled, plain[:, order], "scores must be in the bank's order")
 
 
 def check_query_order(matcher: Matcher) -> None:
     """Row j of the scores belongs to query j, and one query's scores do not depend on the others."""
-    together = _scores(matcher, _bank(), _queries())
-    singly = np.concatenate([matcher.scores(q[None]) for q in _queries()[::-1]])[::-1]
+    together = _score(matcher, _draw_bank(), _draw_queries())
+    singly = np.concatenate([matcher.scores(q[None]) for q in _draw_queries()[::-1]])[::-1]
     same = np.array_equal(np.isfinite(together), np.isfinite(singly))
     require(same, "one query's scores must not depend on the others")
     looked = np.isfinite(together)
@@ -84,21 +87,21 @@ def check_query_order(matcher: Matcher) -> None:
 
 def check_index_replaces(matcher: Matcher) -> None:
     """A second `index` replaces the bank of the first."""
-    matcher.index(_bank(seed=7))
-    matcher.scores(_queries())
-    again = _scores(matcher, _bank()[:50], _queries())
+    matcher.index(_draw_bank(seed=7))
+    matcher.scores(_draw_queries())
+    again = _score(matcher, _draw_bank()[:50], _draw_queries())
     require(
         again.shape == (QUERIES, 50), f"a new bank of 50 rows must replace the old one, but scores are {again.shape}"
     )
-    truth = _truth(_bank()[:50], _queries())
+    truth = _compute_truth(_draw_bank()[:50], _draw_queries())
     looked = np.isfinite(again)
     require_close(again[looked], truth[looked], TOLERANCE, "a new bank must replace the old one")
 
 
 def check_single_row(matcher: Matcher) -> None:
     """A bank of one row works, and the row itself scores zero."""
-    row = _bank()[:1]
-    scores = _scores(matcher, row, row)
+    row = _draw_bank()[:1]
+    scores = _score(matcher, row, row)
     require_array(scores, (1, 1), np.float32, "the score of one query with one row")
     require_close(scores, [[0.0]], TOLERANCE, "a row's score with itself must be zero")
 
@@ -106,14 +109,16 @@ def check_single_row(matcher: Matcher) -> None:
 def check_weights(matcher: Matcher) -> None:
     """With weights a score is -1/2 sum w (query - row)^2, and the best row is found; weights of one change nothing."""
     require(takes_weights(matcher), f"scores takes no weights; {WEIGHTS_CHANGE}, or declare weights=False")
-    bank, queries = _bank(), _queries()
-    plain = _weighted(matcher, bank, queries, np.ones_like(queries))
+    bank, queries = _draw_bank(), _draw_queries()
+    plain = _score_weighted(matcher, bank, queries, np.ones_like(queries))
     looked = np.isfinite(plain)
-    require_close(plain[looked], _truth(bank, queries)[looked], TOLERANCE, "weights of one must give the plain scores")
-    weights = _weights()
+    require_close(
+        plain[looked], _compute_truth(bank, queries)[looked], TOLERANCE, "weights of one must give the plain scores"
+    )
+    weights = _draw_weights()
     queries[weights == 0] += 3  # what is not known may be anything
     before = Untouched(queries=queries, weights=weights)
-    found, truth = _weighted(matcher, bank, queries, weights), _truth(bank, queries, weights)
+    found, truth = _score_weighted(matcher, bank, queries, weights), _compute_truth(bank, queries, weights)
     before.require()
     looked = np.isfinite(found)
     require_close(found[looked], truth[looked], TOLERANCE, "a weighted score must be -1/2 sum w (query - row)^2")
@@ -124,26 +129,26 @@ def check_weights(matcher: Matcher) -> None:
 
 def check_bank_and_queries_untouched(matcher: Matcher) -> None:
     """Neither the bank nor the queries are written to."""
-    bank, queries = _bank(), _queries()
+    bank, queries = _draw_bank(), _draw_queries()
     before = Untouched(bank=bank, queries=queries)
-    _scores(matcher, bank, queries)
+    _score(matcher, bank, queries)
     before.require()
 
 
 def check_deterministic(matcher: Matcher) -> None:
     """The same bank and queries give the same scores, also when the index is built anew."""
-    first, again = (_scores(matcher, _bank(), _queries()) for _ in range(2))
+    first, again = (_score(matcher, _draw_bank(), _draw_queries()) for _ in range(2))
     same = np.array_equal(first, again)
     require(same, "the same bank and queries must give the same scores, or deterministic=False be declared")
 
 
 def property_row_order(matcher: Matcher) -> None:
     """A bank in another order has scores in that order, where a matcher that looks at some rows looked both times."""
-    plain = _scores(matcher, _some(), _queries())
+    plain = _score(matcher, _make_dense(), _draw_queries())
 
     def claim(seed: int) -> None:
         order = np.random.default_rng(seed).permutation(FEWER_ROWS)
-        shuffled = _scores(matcher, _some()[order], _queries())
+        shuffled = _score(matcher, _make_dense()[order], _draw_queries())
         _require_alike(shuffled, plain[:, order], "scores must be in the bank's order")
 
     hold(claim, seed=whole(0, 999))
@@ -151,10 +156,10 @@ def property_row_order(matcher: Matcher) -> None:
 
 def property_query_order(matcher: Matcher) -> None:
     """Queries in another order have scores in that order, to rounding."""
-    plain = _scores(matcher, _some(), _queries())
+    plain = _score(matcher, _make_dense(), _draw_queries())
 
     def claim(order: list[int]) -> None:
-        _require_alike(matcher.scores(_queries()[order]), plain[order], "scores must be in the queries' order")
+        _require_alike(matcher.scores(_draw_queries()[order]), plain[order], "scores must be in the queries' order")
 
     hold(claim, order=orders(QUERIES))
 
@@ -163,9 +168,9 @@ def property_equal_rows(matcher: Matcher) -> None:
     """Equal rows, as symmetric poses have, score the same, to rounding: the order of the bank favours none."""
 
     def claim(row: int, twin: int) -> None:
-        bank = _some()
+        bank = _make_dense()
         bank[twin] = bank[row]
-        scores = _scores(matcher, bank, bank[row : row + 1])
+        scores = _score(matcher, bank, bank[row : row + 1])
         _require_alike(scores[:, twin], scores[:, row], "equal rows must have equal scores")
 
     half = FEWER_ROWS // 2
@@ -174,23 +179,23 @@ def property_equal_rows(matcher: Matcher) -> None:
 
 def property_turned_space(matcher: Matcher) -> None:
     """Bank and queries turned together score the same, to rounding: a distance has no directions."""
-    plain = _scores(matcher, _some(), _queries())
+    plain = _score(matcher, _make_dense(), _draw_queries())
 
     def claim(seed: int) -> None:
         Q = np.linalg.qr(np.random.default_rng(seed).normal(size=(DIMENSION, DIMENSION)))[0]
-        bank, queries = ((rows @ Q).astype(np.float32) for rows in (_some(), _queries()))
-        _require_alike(_scores(matcher, bank, queries), plain, "a turned space must have the same scores")
+        bank, queries = ((rows @ Q).astype(np.float32) for rows in (_make_dense(), _draw_queries()))
+        _require_alike(_score(matcher, bank, queries), plain, "a turned space must have the same scores")
 
     hold(claim, seed=whole(0, 999))
 
 
 def property_scale(matcher: Matcher) -> None:
     """Bank and queries 2**k times as large score 4**k times as high, to rounding: no length is built in."""
-    plain = _scores(matcher, _some(), _queries())
+    plain = _score(matcher, _make_dense(), _draw_queries())
 
     def claim(k: int) -> None:
         scale = np.float32(2.0**k)
-        scores = _scores(matcher, _some() * scale, _queries() * scale) / scale**2
+        scores = _score(matcher, _make_dense() * scale, _draw_queries() * scale) / scale**2
         _require_alike(scores, plain, "scores must scale with the square of the embeddings' unit")
 
     hold(claim, k=signed(6).filter(bool))
@@ -198,19 +203,19 @@ def property_scale(matcher: Matcher) -> None:
 
 def property_unknown_numbers(matcher: Matcher) -> None:
     """What a query says where its weight is zero changes no score, to rounding, however wrong it is."""
-    weights = _weights()
-    plain = _weighted(matcher, _some(), _queries(), weights)
+    weights = _draw_weights()
+    plain = _score_weighted(matcher, _make_dense(), _draw_queries(), weights)
 
     def claim(seed: int) -> None:
         wrong = np.random.default_rng(seed).normal(size=weights.shape).astype(np.float32)
-        queries = np.where(weights > 0, _queries(), wrong)
+        queries = np.where(weights > 0, _draw_queries(), wrong)
         _require_alike(matcher.scores(queries, weights), plain, "numbers of weight zero must change nothing")
 
     hold(claim, seed=whole(0, 999))
 
 
-def _some() -> Float32:
-    return _bank()[:FEWER_ROWS]
+def _make_dense() -> Float32:
+    return _draw_bank()[:FEWER_ROWS]
 
 
 def _require_alike(scores: Float32, truth: Float32, sentence: str) -> None:
@@ -220,30 +225,30 @@ def _require_alike(scores: Float32, truth: Float32, sentence: str) -> None:
     require_close(scores[both], truth[both], TOLERANCE, sentence)
 
 
-def _scores(matcher: Matcher, bank: Float32, queries: Float32) -> Float32:
+def _score(matcher: Matcher, bank: Float32, queries: Float32) -> Float32:
     matcher.index(bank)
     return matcher.scores(queries)
 
 
-def _bank(seed: int = 0) -> Float32:
+def _draw_bank(seed: int = 0) -> Float32:
     """Rows (N, D) of different lengths near one."""
     rng = np.random.default_rng(seed)
     return (rng.normal(size=(ROWS, DIMENSION)) / np.sqrt(DIMENSION)).astype(np.float32)
 
 
-def _queries() -> Float32:
+def _draw_queries() -> Float32:
     """Queries (M, D), each near a row of the bank."""
     noise = np.random.default_rng(1).normal(scale=0.02, size=(QUERIES, DIMENSION))
-    return (_bank()[[5, 700, 23, 1100]] + noise).astype(np.float32)
+    return (_draw_bank()[[5, 700, 23, 1100]] + noise).astype(np.float32)
 
 
-def _weights() -> Float32:
+def _draw_weights() -> Float32:
     """Weights (M, D) of the queries: a third are zero, a third one, the rest between."""
     drawn = np.random.default_rng(5).uniform(-1, 2, size=(QUERIES, DIMENSION))
     return np.clip(drawn, 0, 1).astype(np.float32)
 
 
-def _weighted(matcher: Matcher, bank: Float32, queries: Float32, weights: Float32) -> Float32:
+def _score_weighted(matcher: Matcher, bank: Float32, queries: Float32, weights: Float32) -> Float32:
     matcher.index(bank)
     try:
         scores = matcher.scores(queries, weights)
@@ -253,6 +258,6 @@ def _weighted(matcher: Matcher, bank: Float32, queries: Float32, weights: Float3
     return scores
 
 
-def _truth(bank: Float32, queries: Float32, weights: Float32 | None = None) -> np.ndarray:
+def _compute_truth(bank: Float32, queries: Float32, weights: Float32 | None = None) -> np.ndarray:
     difference = queries[:, None].astype(float) - bank[None].astype(float)
     return -0.5 * np.einsum("md,mnd->mn", np.ones_like(queries) if weights is None else weights, difference**2)

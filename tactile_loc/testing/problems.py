@@ -15,8 +15,11 @@ from tactile_loc.core.geometry.rigid import Poses, make_transform, rotation_abou
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.simulation.listed_training import ListedProblem
+from tactile_loc.core.simulation.place_training import PlaceProblem
 from tactile_loc.core.slots.component import Float32
 from tactile_loc.core.slots.encoder import TrainingProblem
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose
@@ -46,22 +49,22 @@ class ReferenceRenderer(Renderer):
         for picture, T in zip(depth, T_sensor_object, strict=True):
             triangles = mesh.triangles_m @ T[:3, :3].T + T[:3, 3]
             in_band = triangles[..., 2].min(axis=1) <= geometry.standoff_m + geometry.max_depth_m
-            picture[:] = _first_hits(triangles[in_band], geometry).reshape(geometry.shape)
+            picture[:] = _find_first_hits(triangles[in_band], geometry).reshape(geometry.shape)
         return depth
 
 
-def _first_hits(triangles_m: Array, geometry: SensorGeometry) -> Array:
+def _find_first_hits(triangles_m: Array, geometry: SensorGeometry) -> Array:
     """Depths (H * W,) of the nearest triangles; rays are taken in parts whose products stay in the cache."""
     rays = np.stack([s.ravel() for s in np.meshgrid(*geometry.pixel_slopes)], axis=-1)
-    low, high = _outlines(triangles_m, geometry.is_pinhole)
+    low, high = _measure_outlines(triangles_m, geometry.is_pinhole)
     depths = []
     for part in np.split(rays, range(RAYS, len(rays), RAYS)):
         before = ((low <= part.max(axis=0) + _ROUNDING) & (high >= part.min(axis=0) - _ROUNDING)).all(axis=1)
-        depths.append(_first_hits_of(part, triangles_m[before], geometry.is_pinhole))
+        depths.append(_intersect(part, triangles_m[before], geometry.is_pinhole))
     return np.concatenate(depths)
 
 
-def _outlines(triangles_m: Array, is_pinhole: bool) -> tuple[Array, Array]:
+def _measure_outlines(triangles_m: Array, is_pinhole: bool) -> tuple[Array, Array]:
     """Least and greatest (F, 2) of what rays can meet a triangle; one that reaches behind a pinhole is everywhere."""
     seen, z = triangles_m[..., :2], triangles_m[..., 2:]
     if is_pinhole:
@@ -71,7 +74,7 @@ def _outlines(triangles_m: Array, is_pinhole: bool) -> tuple[Array, Array]:
     return np.where(everywhere, -np.inf, seen.min(axis=1)), np.where(everywhere, np.inf, seen.max(axis=1))
 
 
-def _first_hits_of(rays: Array, triangles_m: Array, is_pinhole: bool) -> Array:
+def _intersect(rays: Array, triangles_m: Array, is_pinhole: bool) -> Array:
     """Depths (K,) of rays (K, 2) by Cramer's rule (Moeller and Trumbore): u, v and z are quotients of triple products.
 
     A ray is x/z, y/z of a pinhole's, or x, y of a parallel one.
@@ -154,10 +157,10 @@ def stepped_block() -> TriangleMesh:
     body = box((-0.008, -0.005, 0.0012), (0.008, 0.005, 0.006))
     boss = box((-0.007, -0.004, 0.0), (-0.002, 0.001, 0.002))
     post = moved(cylinder(0.0015, (0.0005, 0.003)), (0.004, -0.0025, 0.0))
-    return joined(body, boss, _ramp(), post)
+    return joined(body, boss, _make_ramp(), post)
 
 
-def _ramp() -> TriangleMesh:
+def _make_ramp() -> TriangleMesh:
     wedge = box((0.001, 0.001, 0.0002), (0.007, 0.004, 0.002))
     x, y, z = wedge.vertices_m.T
     sloping = np.where(z < 0.001, z + (x - 0.001) / 6, z)
@@ -273,15 +276,15 @@ def block_scene(camera: str = "orthographic", scale: float = 1.0) -> Scene:
 def pressed_block(camera: str = "orthographic", scale: float = 1.0, press: float = 1.0) -> PressedBlock:
     """Return the block pressed at POSE; `press` is the share (0 to 1) of the deepest press."""
     x, y, yaw = POSE
-    return _pressed(block_scene(camera, scale), planar_pose(x * scale, y * scale, yaw), press)
+    return _press(block_scene(camera, scale), planar_pose(x * scale, y * scale, yaw), press)
 
 
 def pressed_prism(camera: str = "orthographic") -> PressedBlock:
     """Return the prism, an end of it, pressed at POSE: twelve poses explain the touch alike."""
-    return _pressed(Scene(prism(), CAMERAS[camera], ReferenceRenderer()), planar_pose(*POSE), 1.0)
+    return _press(Scene(prism(), CAMERAS[camera], ReferenceRenderer()), planar_pose(*POSE), 1.0)
 
 
-def _pressed(scene: Scene, T_sensor_object: NDArray[np.float64], press: float) -> PressedBlock:
+def _press(scene: Scene, T_sensor_object: NDArray[np.float64], press: float) -> PressedBlock:
     scene = scene.pressed(press * scene.geometry.max_depth_m)
     truth = scene.in_contact(T_sensor_object[None])[0][0]
     return PressedBlock(scene, touch_at(scene, truth, scene.geometry.indentation_m), truth)
@@ -327,4 +330,16 @@ def training_problem(seed: int = 0) -> TrainingProblem:
     grid = small_grid(seed=seed, scene=scene)
     shapes = scene.grid_depths(grid.T_sensor_object)
     sampler = registry().create("grid", "face", {"spacing_mm": 4.0, "face": "-z"})
-    return TrainingProblem(grid, scene, sampler, lambda: iter([shapes]))
+    return ListedProblem(grid, scene, sampler, lambda: iter([shapes]))
+
+
+def place_training_problem(symmetry: str = "none") -> PlaceProblem:
+    """Return a tiny problem of an object's places, for an encoder that learns: the checks' object and camera.
+
+    The object is said to have a symmetry, which it need not have.
+    """
+    obj = block()
+    obj = dataclasses.replace(obj, symmetry=SymmetryGroup.parse(symmetry, obj.mesh.centroid_m))
+    scene = Scene(obj, LOPSIDED_CAMERAS["orthographic"], ReferenceRenderer())
+    sampler = registry().create("grid", "whole", {"directions": 100})
+    return PlaceProblem(sampler.places(obj, Progress()), scene, sampler)

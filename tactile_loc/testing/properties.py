@@ -73,7 +73,7 @@ def hold(claim: Callable[..., None], examples: int = EXAMPLES, **drawn: Strategy
         try:
             claim(**values)
         except ContractError as error:
-            raise ContractError(f"{error} (with {_words(values)})") from None
+            raise ContractError(f"{error} (with {_describe_motion(values)})") from None
 
     phases = {hypothesis.Phase.generate, hypothesis.Phase.shrink} & set(hypothesis.settings.default.phases)
     settings = hypothesis.settings(
@@ -153,7 +153,7 @@ def slides() -> Strategy:
     return require_hypothesis().strategies.builds(Place, x_tenths_mm=x, y_tenths_mm=y, yaw_deg=signed(5))
 
 
-def _words(values: dict[str, Any]) -> str:
+def _describe_motion(values: dict[str, Any]) -> str:
     return ", ".join(f"{name}={value!r}" for name, value in values.items())
 
 

@@ -60,14 +60,14 @@ def properties(capabilities: Capabilities) -> list[Check]:
 
 def check_output(refiner: Refiner) -> None:
     """`refine` returns a RefinedPose: rigid float64, contact_iou 0 to 1, converged a bool, iterations a whole one."""
-    for problem in _problems():
+    for problem in _list_problems():
         for offset in OFFSETS:
             _require_sound(_refine(refiner, problem, offset))
 
 
 def check_truth_stays(refiner: Refiner) -> None:
     """A candidate that is the truth stays where it is."""
-    for problem in _problems():
+    for problem in _list_problems():
         error_px = problem.error_m(_refine(refiner, problem)) / problem.touch.geometry.pixel_pitch_m
         require(error_px <= TOLERANCE_PX, f"the true pose must stay; it moved by {error_px:.2g} pixels")
 
@@ -90,7 +90,7 @@ def check_touch_and_candidate_untouched(refiner: Refiner) -> None:
 def check_quarter_turn(refiner: Refiner) -> None:
     """Turning the sensor under touch and candidate turns the answer: no direction of the image is special."""
     turn = make_transform(rotation_about([0, 0, 1], np.pi / 2), np.zeros(3))
-    for problem in _problems():
+    for problem in _list_problems():
         turned = with_depth(problem.touch, np.ascontiguousarray(np.rot90(problem.touch.contact_shape.depth_m, -1)))
         for offset in OFFSETS:
             candidate = problem.candidate(offset)
@@ -112,7 +112,7 @@ def check_scale(refiner: Refiner) -> None:
 
 def check_object_frame(refiner: Refiner) -> None:
     """The object's own frame is arbitrary: mesh and candidate given in another have the same answer at the sensor."""
-    for problem in _problems():
+    for problem in _list_problems():
         for offset in OFFSETS:
             _require_any_frame(refiner, problem, offset, OTHER_FRAME)
 
@@ -163,7 +163,7 @@ def check_degenerate_contact(refiner: Refiner) -> None:
 def check_candidate_without_contact(refiner: Refiner) -> None:
     """A candidate that is nowhere near the sensor is answered by a sound result that does not claim to explain it."""
     problem = pressed_block()
-    result = _survives(refiner, problem, _away(problem), "a candidate without contact")
+    result = _survives(refiner, problem, _move_candidate(problem), "a candidate without contact")
     _require_sound(result)
     claims = result.contact_iou > 0 and problem.error_m(result) > 0.1
     require(not claims, f"a pose without contact explains nothing, but its contact_iou is {result.contact_iou:.2g}")
@@ -172,15 +172,15 @@ def check_candidate_without_contact(refiner: Refiner) -> None:
 def check_failure_is_said(refiner: Refiner) -> None:
     """A candidate that is nowhere near the sensor, and left there, has not converged."""
     problem = pressed_block()
-    result = _survives(refiner, problem, _away(problem), "a candidate without contact")
+    result = _survives(refiner, problem, _move_candidate(problem), "a candidate without contact")
     claims = result.converged and result.contact_iou == 0
     require(not claims, "a refiner that found nothing must say so by converged=False; the contacts do not even overlap")
 
 
 def check_many_are_one_by_one(refiner: Refiner) -> None:
     """`refine_many` returns what `refine` does, candidate by candidate in their order; nothing for no candidates."""
-    for problem in _problems():
-        candidates = [*(problem.candidate(offset) for offset in OFFSETS), _away(problem), problem.candidate()]
+    for problem in _list_problems():
+        candidates = [*(problem.candidate(offset) for offset in OFFSETS), _move_candidate(problem), problem.candidate()]
         many = refiner.refine_many(problem.touch, candidates, problem.scene)
         require(len(many) == len(candidates), f"{len(candidates)} candidates must give as many poses, not {len(many)}")
         for candidate, result in zip(candidates, many, strict=True):
@@ -210,7 +210,7 @@ def check_deterministic(refiner: Refiner) -> None:
 
 def check_offsets_shrink(refiner: Refiner) -> None:
     """Candidates 0.7 to 1 mm off, at a full press, end nearer to the truth on average."""
-    _require_shrinking(refiner, _problems(), "a full press")
+    _require_shrinking(refiner, _list_problems(), "a full press")
 
 
 def check_offsets_shrink_after_a_light_press(refiner: Refiner) -> None:
@@ -224,7 +224,7 @@ def property_object_frame(refiner: Refiner) -> None:
     def claim(motion: RigidMotion, off: Place, camera: str) -> None:
         _require_any_frame(refiner, pressed_block(camera), off.slide, motion.T)
 
-    hold(claim, motion=motions(), off=slides(), camera=_cameras())
+    hold(claim, motion=motions(), off=slides(), camera=_draw_cameras())
 
 
 def property_symmetric_copies(refiner: Refiner) -> None:
@@ -238,7 +238,7 @@ def property_symmetric_copies(refiner: Refiner) -> None:
         sentence = "poses that symmetry makes alike must have alike answers"
         _require_same(plain.T_sensor_object @ S, other, problem, sentence)
 
-    hold(claim, element=whole(1, len(prism().symmetry.rotations) - 1), off=slides(), camera=_cameras())
+    hold(claim, element=whole(1, len(prism().symmetry.rotations) - 1), off=slides(), camera=_draw_cameras())
 
 
 def property_mirrored_part(refiner: Refiner) -> None:
@@ -259,10 +259,10 @@ def property_mirrored_part(refiner: Refiner) -> None:
         require(right - wrong >= LEAST_CHIRAL, "a part must explain its touch better than its mirror image does; "
                 f"imprint IoUs are {right:.2f} and {wrong:.2f}")  # fmt: skip
 
-    hold(claim, yaw_deg=whole(0, 359), camera=_cameras())
+    hold(claim, yaw_deg=whole(0, 359), camera=_draw_cameras())
 
 
-def _cameras() -> Strategy:
+def _draw_cameras() -> Strategy:
     return one_of(list(CAMERAS))
 
 
@@ -286,11 +286,11 @@ def _refine_turned(refiner: Refiner, problem: PressedBlock, scene: Scene, yaw_ra
     return refiner.refine(problem.touch, Candidate(scene.in_contact(start[None])[0][0], 0, 0.0), scene)
 
 
-def _problems() -> list[PressedBlock]:
+def _list_problems() -> list[PressedBlock]:
     return [pressed_block(camera) for camera in CAMERAS]
 
 
-def _away(problem: PressedBlock) -> Candidate:
+def _move_candidate(problem: PressedBlock) -> Candidate:
     """A candidate 0.2 m beside the sensor in both directions."""
     away = problem.truth.copy()
     away[:2, 3] += 0.2

@@ -46,14 +46,14 @@ def iter_checks(component: Component, properties: bool = False) -> Iterator[Chec
     """Yield what `run_checks` returns, each as soon as it is known."""
     if properties:
         require_hypothesis()
-    chosen = _checks(component, properties)
+    chosen = _select_checks(component, properties)
     if isinstance(component, Encoder) and component.capabilities.needs_training:
-        trained = _result(train, partial(train, component))
+        trained = _run_check(train, partial(train, component))
         if not trained.passed:
             yield trained
             return
     for check in chosen:
-        yield _result(check, partial(check, component))
+        yield _run_check(check, partial(check, component))
 
 
 def train(encoder: Encoder) -> None:
@@ -63,32 +63,32 @@ def train(encoder: Encoder) -> None:
     encoder.fit(training_problem())
 
 
-def _checks(component: Component, properties: bool) -> list[Check]:
+def _select_checks(component: Component, properties: bool) -> list[Check]:
     """The checks that apply; those of every slot alone where the capabilities cannot tell more."""
     if isinstance(component, Component) and not isinstance(component.capabilities, Capabilities):
         return contract.checks(Capabilities())
     return [*checks_for(component), *(properties_for(component) if properties else [])]
 
 
-def _result(check: Callable[..., None], run: Callable[[], None]) -> CheckResult:
+def _run_check(check: Callable[..., None], run: Callable[[], None]) -> CheckResult:
     demands = (check.__doc__ or "").strip().partition("\n")[0]
     start = time.perf_counter()
-    problem = _problem(run)
+    problem = _describe_problem(run)
     return CheckResult(check.__name__, demands, problem, time.perf_counter() - start)
 
 
-def _problem(run: Callable[[], None]) -> str:
+def _describe_problem(run: Callable[[], None]) -> str:
     """What is wrong, as one line; nothing if nothing is."""
     try:
         run()
     except ContractError as error:
         return " ".join(str(error).split()) or "the contract is broken"
     except Exception as error:  # noqa: BLE001 - a stranger's component may raise anything
-        return " ".join(f"{type(error).__name__}: {error} ({_place(error)})".split())
+        return " ".join(f"{type(error).__name__}: {error} ({_locate_error(error)})".split())
     return ""
 
 
-def _place(error: Exception) -> str:
+def _locate_error(error: Exception) -> str:
     """Where an exception was raised: "refiner.py, line 33"."""
     last = traceback.extract_tb(error.__traceback__)[-1]
     return f"{Path(last.filename).name}, line {last.lineno}"

@@ -88,8 +88,8 @@ def check_refuses_nonsense(sensor: SensorModel) -> None:
         except TouchError:
             continue
         except Exception as error:
-            raise _not_refused(what, f"raised {type(error).__name__}") from error
-        raise _not_refused(what, "was accepted")
+            raise _make_error(what, f"raised {type(error).__name__}") from error
+        raise _make_error(what, "was accepted")
 
 
 def check_deterministic(sensor: SensorModel) -> None:
@@ -170,5 +170,5 @@ def _require_kept(sensor: SensorModel, depth_m: NDArray[np.float64]) -> None:
     require(shape.contact.any(), "a pixel nearer than the press depth is in contact")
 
 
-def _not_refused(what: str, outcome: str) -> ContractError:
+def _make_error(what: str, outcome: str) -> ContractError:
     return ContractError(f"{what} must raise TouchError, which the command line shows as one sentence; it {outcome}")

@@ -147,7 +147,7 @@ def test_a_probe_that_fails_is_a_finding(error):
     def look():
         raise error
 
-    (check,) = Probe("a thing", look, required=True).checks()
+    (check,) = Probe("a thing", look, required=True).run()
     assert (check.name, check.state, check.is_fatal) == ("a thing", State.BROKEN, True)
     assert "no" in check.says
 
@@ -156,7 +156,14 @@ def test_nothing_that_is_broken_brings_it_down(monkeypatch):
     def fail(*_, **__):
         raise RuntimeError("broken")
 
-    for name in ("_versions", "_machine", "_plugins", "_store", "attempt", "shared_libraries"):
+    for name in (
+        "_check_versions",
+        "_check_machine",
+        "_check_plugins",
+        "_check_store",
+        "attempt",
+        "check_shared_libraries",
+    ):
         monkeypatch.setattr(checks, name, fail)
     found = examine(None)
     assert {check.state for check in found} == {State.BROKEN}
@@ -194,7 +201,7 @@ def test_a_store_that_cannot_be_written(cli, libraries):
 def test_missing_shared_libraries_are_named_with_their_debian_packages(monkeypatch):
     monkeypatch.setattr(checks, "PACKAGES", {"libabsent.so.7": "libabsent7", "libc.so.6": "libc6"})
     monkeypatch.setattr(checks.shutil, "which", lambda _: None)
-    (check,) = [check for check in checks.shared_libraries() if check.name.startswith("lib")]
+    (check,) = [check for check in checks.check_shared_libraries() if check.name.startswith("lib")]
     assert (check.name, check.state) == ("libabsent.so.7", State.MISSING)
     assert "libabsent7" in check.remedy
     assert not check.is_fatal

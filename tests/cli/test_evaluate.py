@@ -96,19 +96,19 @@ def test_a_configuration_file_gives_object_noise_and_encoder(cli, tmp_path):
 
 
 def test_by_default_all_demo_objects_are_evaluated():
-    from tactile_loc_cli.commands.evaluate import TouchKind, _jobs, _touches
+    from tactile_loc_cli.commands.evaluate import TouchKind, _choose_touches, _list_jobs
     from tactile_loc_cli.options import RunOptions
 
-    touches = _touches(RunOptions(), TouchKind.SHAPES, 5)
+    touches = _choose_touches(RunOptions(), TouchKind.SHAPES, 5)
     assert touches == SimulatedTouches("strong", 5)
-    jobs = _jobs(RunOptions(), None, None, touches)
+    jobs = _list_jobs(RunOptions(), None, None, touches)
     assert [obj.name for _, obj in jobs] == list(DEMO_OBJECTS)
     assert {settings.encoder.name for settings, _ in jobs} == {"pixel"}
     assert {settings.touch.noise for settings, _ in jobs} == {"strong"}
 
 
 def test_an_encoders_option_goes_to_the_encoders_that_have_it(monkeypatch):
-    from tactile_loc_cli.commands.evaluate import _options_of
+    from tactile_loc_cli.commands.evaluate import _choose_options
 
     from tactile_loc.core.slots.component import ComponentOptions
     from tactile_loc.core.slots.registry import Registry
@@ -124,9 +124,9 @@ def test_an_encoders_option_goes_to_the_encoders_that_have_it(monkeypatch):
     words = ["grid.spacing_mm=8", "encoder.epochs=1", "encoder.cells=9", "encoder.nonsense=1"]
     overrides = {"epochs": 1, "cells": 9, "nonsense": 1}
     both = ["pixel", "learned"]
-    assert _options_of("pixel", both, words, overrides) == [words[0], *words[2:]]
-    assert _options_of("learned", both, words, overrides) == [*words[:2], words[3]]
-    assert _options_of("pixel", ["pixel"], words, overrides) == words
+    assert _choose_options("pixel", both, words, overrides) == [words[0], *words[2:]]
+    assert _choose_options("learned", both, words, overrides) == [*words[:2], words[3]]
+    assert _choose_options("pixel", ["pixel"], words, overrides) == words
 
 
 @pytest.mark.parametrize(

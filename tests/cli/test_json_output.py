@@ -12,7 +12,7 @@ import rich
 import typer
 from cli_helpers import TINY
 from tactile_loc_cli import console
-from tactile_loc_cli.command import as_command
+from tactile_loc_cli.command import make_command
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
@@ -179,7 +179,7 @@ def test_what_nobody_expected_and_an_interruption_are_documents(cli, monkeypatch
 
 @pytest.fixture
 def made_up():
-    """A program of two commands, both of the same function, one of them with what as_command adds."""
+    """A program of two commands, both of the same function, one of them with what make_command adds."""
     made = typer.Typer()
 
     def talk() -> dict:
@@ -190,8 +190,8 @@ def made_up():
         sys.stderr.write("on stderr\n")
         return {"path": Path("a"), "nan": float("nan"), "array": np.arange(2), "one": np.float32(1), "nested": ((), {})}
 
-    made.command("talk")(as_command(talk))
-    made.command("quiet")(as_command(lambda: None))
+    made.command("talk")(make_command(talk))
+    made.command("quiet")(make_command(lambda: None))
     return made
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tactile_loc_cli.reference import INTRODUCTION, reference
+from tactile_loc_cli.reference import INTRODUCTION, make_reference
 
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.toml import read_toml
@@ -12,7 +12,7 @@ from tactile_loc.io.toml import read_toml
 
 def test_the_page_is_up_to_date():
     page = Path(__file__).parents[2] / "docs" / "cli.md"
-    assert page.read_text() == reference(), "run python -m tactile_loc_cli.reference"
+    assert page.read_text() == make_reference(), "run python -m tactile_loc_cli.reference"
 
 
 def test_the_configuration_on_the_page_is_valid(tmp_path):

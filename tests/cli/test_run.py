@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.io.meshes import load_object
-from tactile_loc.locate import result_files
+from tactile_loc.locate import result_arrays
 from tactile_loc.plugins.grids.face import resting_normal
 
 ROOT = Path(__file__).parents[2]
@@ -39,11 +39,11 @@ def is_locked(folder: Path) -> bool:
 @pytest.fixture(scope="module")
 def result(store: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
     """What `run` finds on a tiny grid, and what it says and writes."""
-    folder, write, alone = tmp_path_factory.mktemp("run"), result_files.write_arrays, []
+    folder, write, alone = tmp_path_factory.mktemp("run"), result_arrays.write_arrays, []
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr(
-            result_files, "write_arrays", lambda *given: alone.append(is_locked(given[0].parent)) or write(*given)
+            result_arrays, "write_arrays", lambda *given: alone.append(is_locked(given[0].parent)) or write(*given)
         )
         done = CliRunner().invoke(app, ["run", *TINY, "--out", "out", "--store", str(store)])
     assert done.exit_code == 0, done.stderr

@@ -13,8 +13,8 @@ import pytest
 from cli_helpers import assert_refused
 from filelock import FileLock
 from message_helpers import missing, naming
+from tactile_loc_cli.commands.store import parse_age, write_age
 from tactile_loc_cli.main import app
-from tactile_loc_cli.stored import age_in_words, parse_age
 from typer.testing import CliRunner
 
 from tactile_loc.core.errors import ConfigError
@@ -117,9 +117,9 @@ def test_a_damaged_manifest_is_listed_as_such(ask, place):
 
 
 def test_what_refers_to_itself_ends(ask, place, monkeypatch):
-    from tactile_loc_cli import stored
+    from tactile_loc_cli.commands import store
 
-    monkeypatch.setattr(stored, "_inputs", lambda entry: {"itself": GRID.digest, "other": SHAPES.digest})
+    monkeypatch.setattr(store, "_read_inputs", lambda entry: {"itself": GRID.digest, "other": SHAPES.digest})
     assert ask("list").exit_code == 0
 
 
@@ -246,6 +246,6 @@ def test_ages_and_sizes_in_words():
     for text in ("", "d", "3", "3y", "-1d", "nan d"):
         with pytest.raises(ConfigError, match=naming(repr(text), "--older-than", "30d")):
             parse_age(text)
-    assert [age_in_words(s) for s in (-1, 0, 119, 120, 3 * 3600, 47 * 3600, 49 * 3600)] == [
+    assert [write_age(s) for s in (-1, 0, 119, 120, 3 * 3600, 47 * 3600, 49 * 3600)] == [
         "0 s", "0 s", "119 s", "2 min", "3 h", "47 h", "2 d",
     ]  # fmt: skip

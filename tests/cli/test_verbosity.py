@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from cli_helpers import TINY
 from message_helpers import missing
-from tactile_loc_cli.console import Bars, log_shown, progress
+from tactile_loc_cli.console import Bars, make_progress, show_log
 
 from tactile_loc.plugins.refiners.none import NoRefiner
 
@@ -83,7 +83,7 @@ def test_a_sensor_without_such_a_folder_is_no_reason_to_warn(cli):
 
 
 def test_a_warning_is_given_once(capsys):
-    with log_shown():
+    with show_log():
         for text in ("a", "b", "a"):
             logging.getLogger("tactile_loc.core").warning(text)
     assert capsys.readouterr().err == "warning: a\nwarning: b\n"
@@ -92,9 +92,9 @@ def test_a_warning_is_given_once(capsys):
 def test_the_levels_of_the_loggers_are_put_back(capsys):
     logger = logging.getLogger("tactile_loc")
     before = (logger.level, list(logger.handlers))
-    with log_shown(5):
+    with show_log(5):
         assert logger.level == logging.DEBUG
-        with log_shown(-5):
+        with show_log(-5):
             assert logger.level == logging.ERROR
         assert logger.level == logging.DEBUG
     assert (logger.level, logger.handlers) == before
@@ -102,10 +102,10 @@ def test_the_levels_of_the_loggers_are_put_back(capsys):
 
 def test_quiet_shows_no_bars(monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with log_shown():
-        assert isinstance(progress(), Bars)
-    with log_shown(-1):
-        assert not isinstance(progress(), Bars)
+    with show_log():
+        assert isinstance(make_progress(), Bars)
+    with show_log(-1):
+        assert not isinstance(make_progress(), Bars)
 
 
 @pytest.fixture

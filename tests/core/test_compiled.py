@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from numba import config
 
-from tactile_loc.core.compiled import in_threads
+from tactile_loc.core.compiled import in_threads, njit
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -71,20 +72,27 @@ def test_it_may_be_called_from_within(monkeypatch):
     assert (done == 1).all()
 
 
-CALLED = """
+FILES = {
+    "pairs": """
 from typing import NamedTuple
-from tactile_loc.core.compiled import njit
 
 class {pair}(NamedTuple):
     a: float
     b: float
+""",
+    "constants": """
+OFFSET = {offset}.0
+""",
+    "called": """
+from constants import OFFSET
+from tactile_loc.core.compiled import njit
 
 @njit
 def helper(pair):
-    return pair.a * {factor}.0 + pair.b
-"""
-CALLING = """
-from called import {pair}, helper
+    return pair.a * {factor}.0 + pair.b + OFFSET
+""",
+    "calling": """
+from called import helper
 from tactile_loc.core.compiled import njit
 
 @njit
@@ -94,33 +102,107 @@ def kernel(pair):
 @njit
 def later(pair):
     return helper(pair)
-"""
+""",
+    "main": """
+import calling, pairs
+value = calling.kernel(pairs.{pair}(3.0, 1.0))
+hits = sum(calling.kernel.stats.cache_hits.values()) if hasattr(calling.kernel, "stats") else None
+print(value, hits)
+""",
+}
 
 
-def run(folder, **values):
-    """Run a kernel of one file that calls one of another; return what it says, and how often it was found on disk."""
-    for name, text in (("called", CALLED), ("calling", CALLING)):
+def start(folder, environment=None, **values):
+    """Run a kernel of one file that calls one of another, which uses a third file's constant, on a fourth's pair."""
+    for name, text in FILES.items():
         path = folder / f"{name}.py"
-        if not path.exists() or path.read_text() != text.format(**values):
-            path.write_text(text.format(**values))
-    main = "from calling import *; print(kernel({pair}(3.0, 1.0)), sum(kernel.stats.cache_hits.values()))"
-    done = subprocess.run(
-        [sys.executable, "-c", main.format(**values)], cwd=folder, capture_output=True, text=True, check=True
+        text = text.format(**{"pair": "Pair", "factor": 2, "offset": 0, **values})
+        if not path.exists() or path.read_text() != text:
+            path.write_text(text)
+    command = [sys.executable, "main.py"]
+    environment = {**os.environ, **(environment or {})}
+    return subprocess.Popen(
+        command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    return done.stdout.split()
+
+
+def finish(process):
+    """Return what the kernel says, and how often it was found on disk."""
+    out, err = process.communicate()
+    assert process.returncode == 0, err
+    return out.split()
+
+
+def run(folder, environment=None, **values):
+    return finish(start(folder, environment, **values))
+
+
+def folders(root):
+    """The folders of compiled code of calling.py."""
+    return [path for path in root.rglob("calling.*") if path.is_dir()]
 
 
 def test_compiled_code_is_kept_until_any_source_of_it_changes(tmp_path):
-    assert run(tmp_path, pair="Pair", factor=2) == ["7.0", "0"]
-    assert run(tmp_path, pair="Pair", factor=2) == ["7.0", "1"]
-    assert run(tmp_path, pair="Pair", factor=4) == ["13.0", "0"]  # a function in another file, called by one it calls
-    assert run(tmp_path, pair="Two", factor=4) == ["13.0", "0"]  # an index that names a class which is gone
+    assert run(tmp_path) == ["7.0", "0"]
+    assert run(tmp_path) == ["7.0", "1"]
+    assert run(tmp_path, factor=4) == ["13.0", "0"]  # a function in another file, called by one it calls
+    assert run(tmp_path, factor=4, offset=1) == ["14.0", "0"]  # a constant that it uses, of a third
+    assert len(folders(tmp_path)) == 2  # of three states
+    assert run(tmp_path, factor=4) == ["13.0", "1"]  # as it was before
+
+
+def test_an_index_that_names_a_class_which_is_gone_is_not_read(tmp_path):
+    assert run(tmp_path, pair="Pair") == ["7.0", "0"]
+    assert run(tmp_path, pair="Two") == ["7.0", "0"]
+    assert run(tmp_path, pair="Two") == ["7.0", "1"]
+
+
+def test_a_class_whose_fields_changed_places_is_another(tmp_path):
+    assert run(tmp_path) == ["7.0", "0"]
+    swapped = "from typing import NamedTuple\nclass Pair(NamedTuple):\n    b: float\n    a: float\n"
+    (tmp_path / "pairs.py").write_text(swapped)
+    done = subprocess.run([sys.executable, "main.py"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["5.0", "0"]
 
 
 def test_compiled_code_that_was_cut_off_is_compiled_again(tmp_path):
-    assert run(tmp_path, pair="Pair", factor=2) == ["7.0", "0"]
-    for suffix in ("nbi", "nbc"):
+    assert run(tmp_path) == ["7.0", "0"]
+    for suffix, left in (("nbi", -5), ("nbi", 0), ("nbc", -5)):
         for path in tmp_path.rglob(f"*.{suffix}"):
-            path.write_bytes(path.read_bytes()[:-5])
-        assert run(tmp_path, pair="Pair", factor=2) == ["7.0", "0"]
-        assert run(tmp_path, pair="Pair", factor=2) == ["7.0", "1"]
+            path.write_bytes(path.read_bytes()[:left])
+        assert run(tmp_path) == ["7.0", "0"]
+    assert run(tmp_path) == ["7.0", "1"]
+
+
+def test_several_processes_may_compile_at_once(tmp_path):
+    assert [finish(one)[0] for one in [start(tmp_path) for _ in range(3)]] == ["7.0"] * 3
+    assert run(tmp_path) == ["7.0", "1"]
+
+
+def test_code_is_kept_in_the_cache_of_the_user_where_the_source_cannot_be_written_to(tmp_path):
+    (source := tmp_path / "source").mkdir()
+    (source / "__pycache__").touch()  # no folder can be made there, not even by root
+    environment = {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    assert run(source, environment) == ["7.0", "0"]
+    assert run(source, environment) == ["7.0", "1"]
+    assert len(folders(tmp_path / "cache")) == 1
+    (tmp_path / "file").touch()
+    process = start(source, {"XDG_CACHE_HOME": str(tmp_path / "file")})
+    assert process.communicate()[1].count("set NUMBA_CACHE_DIR to a folder") == 2, "one warning a file"
+    assert process.returncode == 0
+
+
+def test_the_settings_of_numba_are_obeyed(tmp_path):
+    (source := tmp_path / "source").mkdir()
+    assert run(source, {"NUMBA_DISABLE_JIT": "1", "NUMBA_CACHE_DIR": str(tmp_path / "chosen")}) == ["7.0", "None"]
+    assert not (tmp_path / "chosen").exists()
+    assert run(source, {"NUMBA_CACHE_DIR": str(tmp_path / "chosen")}) == ["7.0", "0"]
+    assert run(source, {"NUMBA_CACHE_DIR": str(tmp_path / "chosen")}) == ["7.0", "1"]
+    assert folders(tmp_path / "chosen")
+    assert not folders(source)
+
+
+def test_the_folder_of_other_compiled_functions_is_left_alone():
+    before = config.CACHE_DIR
+    njit(lambda x: x + 1)
+    assert before == config.CACHE_DIR

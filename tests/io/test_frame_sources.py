@@ -159,7 +159,7 @@ def test_a_video_that_breaks_off_is_told_after_its_frames(film, tmp_path, monkey
         assert found[-1].number == 49
         assert not missing(says, "film.mp4", "50", "80")
     monkeypatch.setattr(frame_sources, "read_video_facts", lambda _: VideoFacts(1000.0, 51))  # containers miscount
-    assert len(list(Video(tmp_path / "film.mp4", every=True).frames())) == 50
+    assert len(list(Video(tmp_path / "film.mp4", every=True).read_frames())) == 50
 
 
 def test_a_film_cut_short_is_told(tmp_path):

@@ -186,10 +186,10 @@ def test_of_a_recording_that_breaks_off_the_beginning_is_read(tmp_path, compress
     for share in (0.3, 0.6, 0.9):
         (cut := tmp_path / "cut.mcap").write_bytes(whole[: int(share * len(whole))])
         recording = Recording(cut)
-        contents = recording.contents()
+        contents = recording.read_contents()
         counts.append(sum(contents.counts.values()))
         assert not missing(contents.damage, counts[-1])
-        for k, message in enumerate(recording.messages()):
+        for k, message in enumerate(recording.read_messages()):
             np.testing.assert_array_equal(image_array(message.decode()), IMAGES[k])
     assert counts[0] >= 1
     assert counts[0] < counts[1] < counts[2] <= 6
@@ -225,7 +225,7 @@ def test_what_is_no_recording_is_one_sentence(tmp_path):
 
 
 def test_topics_that_lack_are_answered_by_those_there_are(recorded, tmp_path):
-    contents = Recording(recorded).contents()
+    contents = Recording(recorded).read_contents()
     with pytest.raises(RecordingError, match=naming("drive.mcap", "'/gel/image'") + r".*/gel/imag\b"):
         choose_image_topic(contents, recorded, "/gel/imag")
 

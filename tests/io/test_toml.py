@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.toml import PoseKeys, format_toml, parse_value, read_pose, read_toml
-from tactile_loc.locate.result_json import resolved
 
 
 def test_angles_turn_about_fixed_axes_roll_first():
@@ -63,9 +62,9 @@ def test_it_is_read_as_the_same_configuration():
     config = RunConfig.from_dict(
         {"object": {"path": 'a "b"\\é.stl'}, "grid": {"name": "face", "tilt_deg": 3.5}, "top": 4, "seed": 9}
     )
-    text = format_toml(resolved(config))
+    text = format_toml(config.resolve())
     again = RunConfig.from_dict(tomllib.loads(text))
-    assert resolved(again) == resolved(config)
+    assert again.resolve() == config.resolve()
 
 
 @pytest.mark.parametrize(

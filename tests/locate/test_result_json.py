@@ -13,21 +13,14 @@ from tactile_loc.core.errors import ConfigError, OutputError
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.io.config import RunConfig
-from tactile_loc.locate.result_json import (
-    SCHEMA_VERSION,
-    ResultRecord,
-    doubts,
-    pose_errors_m,
-    resolved,
-    result_record,
-    versions,
-    write_result,
-)
+from tactile_loc.io.records import read_versions, write_record
+from tactile_loc.locate.doubts import list_doubts
+from tactile_loc.locate.result_json import SCHEMA_VERSION, ResultRecord, make_record
 
 
 @pytest.fixture(scope="module")
 def record(localizer, localization):
-    return result_record(localizer, localization, {"model": 1.5})
+    return make_record(localizer, localization, {"model": 1.5})
 
 
 def with_truth(localization, T):
@@ -35,7 +28,7 @@ def with_truth(localization, T):
 
 
 def test_the_file_is_the_record(record, tmp_path):
-    path = write_result(tmp_path / "deep" / "result.json", record)
+    path = write_record(tmp_path / "deep" / "result.json", record)
     assert ResultRecord.model_validate_json(path.read_text()) == record
     assert json.loads(path.read_text())["schema_version"] == SCHEMA_VERSION
 
@@ -80,16 +73,16 @@ def test_errors_are_the_distances_to_the_truth(record, localizer, localization):
 def test_a_symmetric_twin_of_the_truth_is_no_error(localizer, localization):
     T = localization.best.T_sensor_object
     half_turn = localizer.object.symmetry.elements()[1]
-    assert pose_errors_m(localizer.object, with_truth(localization, T @ half_turn))[0] == pytest.approx(0, abs=1e-9)
+    assert with_truth(localization, T @ half_turn).measure_errors_m(localizer.object)[0] == pytest.approx(0, abs=1e-9)
     shifted = T.copy()
     shifted[0, 3] += 0.003
-    assert pose_errors_m(localizer.object, with_truth(localization, shifted))[0] == pytest.approx(0.003)
+    assert with_truth(localization, shifted).measure_errors_m(localizer.object)[0] == pytest.approx(0.003)
 
 
 def test_without_a_true_pose_there_are_no_errors(localizer, localization):
     unknown = with_truth(localization, None)
-    assert pose_errors_m(localizer.object, unknown) is None
-    record = result_record(localizer, unknown)
+    assert unknown.measure_errors_m(localizer.object) is None
+    record = make_record(localizer, unknown)
     assert record.errors is None
     assert record.touch.T_sensor_object is None
     assert {h.error_m for h in record.hypotheses} == {None}
@@ -97,7 +90,7 @@ def test_without_a_true_pose_there_are_no_errors(localizer, localization):
 
 def test_settings_are_complete_and_can_be_read_back(record):
     again = RunConfig.from_dict(record.configuration)
-    assert resolved(again) == record.configuration
+    assert again.resolve() == record.configuration
     assert record.configuration["grid"]["options"]["spacing_mm"] == 8
     assert record.configuration["grid"]["options"]["face"] == "auto"
     assert record.distributions == dict.fromkeys(SLOTS, "tactile-loc")
@@ -105,11 +98,11 @@ def test_settings_are_complete_and_can_be_read_back(record):
 
 def test_settings_that_a_component_refuses():
     with pytest.raises(ConfigError, match="spacing_mm"):
-        resolved(RunConfig.from_dict({"grid": {"name": "face", "spacing_mm": -1}}))
+        RunConfig.from_dict({"grid": {"name": "face", "spacing_mm": -1}}).resolve()
 
 
 def test_versions_and_time(record):
-    assert versions() == record.versions
+    assert read_versions() == record.versions
     assert record.versions["tactile-loc"] == __version__
     assert record.versions["numpy"] == np.__version__
     assert any(name.startswith("open3d") for name in record.versions)
@@ -123,14 +116,14 @@ def test_object(record, localizer):
 
 @pytest.mark.parametrize(("iou", "doubted"), [(0.49, True), (0.5, False)])
 def test_one_touch_of_which_little_is_explained_is_doubted(record, iou, doubted):
-    said = doubts(explained_by(record, iou))
+    said = list_doubts(explained_by(record, iou))
     assert len(said) == doubted
     assert all("49 %" in sentence and record.touch.name in sentence for sentence in said)
 
 
 def test_a_pose_that_was_not_refined_is_not_doubted(record):
     grid_pose = record.hypotheses[0].T_sensor_object_grid
-    assert doubts(explained_by(record, 0.1, T_sensor_object=grid_pose)) == []
+    assert list_doubts(explained_by(record, 0.1, T_sensor_object=grid_pose)) == []
 
 
 def explained_by(record, iou, **changes):
@@ -141,4 +134,4 @@ def explained_by(record, iou, **changes):
 def test_no_place_to_write(record, tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError):
-        write_result(tmp_path / "file" / "result.json", record)
+        write_record(tmp_path / "file" / "result.json", record)

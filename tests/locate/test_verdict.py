@@ -10,7 +10,7 @@ import pytest
 from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.io.options import CERTAIN, TrackerOptions
 from tactile_loc.locate.result import Agreement
-from tactile_loc.locate.result_json import ResultRecord, result_record
+from tactile_loc.locate.result_json import ResultRecord, make_record
 from tactile_loc.locate.verdict import (
     LEAST_IOU,
     MEANINGS,
@@ -94,7 +94,7 @@ def test_touches_that_contradict_one_another_are_a_poor_fit_unless_the_wrong_one
 
 
 def test_the_file_has_the_verdict_and_older_files_have_none(localizer, localization):
-    record = result_record(localizer, localization)
+    record = make_record(localizer, localization)
     assert record.verdict is localization.verdict
     older = record.model_dump(mode="json")
     del older["verdict"]

@@ -103,7 +103,7 @@ def test_only_the_public_api_is_imported(name):
         "from tactile_loc import plugins",
         "importlib.import_module('tactile_loc.plugins.encoders.pixel')",
         "from tactile_loc.evaluation.metrics import add_s",
-        "from tactile_loc.plugin import Scene",
+        "from tactile_loc.core.slots.scene import Scene",
     ],
 )
 def test_a_private_import_is_noticed(text):

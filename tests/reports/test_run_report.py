@@ -13,10 +13,11 @@ from report_helpers import Elements, floats, html_of, numbers_in, page_in
 
 from tactile_loc.core.errors import ResultError
 from tactile_loc.core.geometry.rigid import rotation_about
-from tactile_loc.locate.result_files import read_arrays, read_record
+from tactile_loc.locate.result_arrays import read_arrays
+from tactile_loc.locate.result_json import read_record
 from tactile_loc.locate.verdict import MEANINGS
 from tactile_loc.reports.page import render
-from tactile_loc.reports.run import page_of_result, surface_of
+from tactile_loc.reports.run import make_page, surface_of
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +118,7 @@ def test_without_the_truth_no_error_is_claimed(run_folder, tmp_path, monkeypatch
     for h in document["hypotheses"]:
         h["error_m"] = None
     (folder / "result.json").write_text(json.dumps(document))
-    monkeypatch.setattr("tactile_loc.locate.result_files.fingerprint", lambda record: "same")
+    monkeypatch.setattr("tactile_loc.locate.result_arrays.hash_record", lambda record: "same")
     with np.load(folder / "result.npz") as file:
         arrays = {name: file[name] for name in file.files} | {"result_sha256": np.array("same")}
     np.savez(folder / "result.npz", **arrays)
@@ -135,7 +136,7 @@ def test_a_touch_from_an_image_shows_the_image(run_folder):
     arrays = read_arrays(run_folder / "result.npz", record)
     photo = np.full((30, 40, 3), 200, np.uint8)
     seen = dataclasses.replace(arrays, touches=(dataclasses.replace(arrays.touches[0], image=photo),))
-    plain, found = (Elements(render(page_of_result(record, one))) for one in (arrays, seen))
+    plain, found = (Elements(render(make_page(record, one))) for one in (arrays, seen))
     assert len(found.named("image")) == len(plain.named("image")) + 1
     assert found.text != plain.text, "it has a caption"
 

@@ -53,13 +53,16 @@ def test_a_full_disk_leaves_whole_lines(tmp_path, monkeypatch):
     with open_json_lines(path) as add_line, monkeypatch.context() as patch:
         patch.setattr(os, "write", full)
         with pytest.raises(OutputError, match=naming("a.jsonl", "No space left", "--out")):
-            add_line.append('{"n": 2}')
+            add_line('{"n": 2}')
     assert values(path) == [1]
 
 
 def test_two_writers_and_impossible_places_are_refused(tmp_path):
-    with open_json_lines(tmp_path / "a.jsonl"), pytest.raises(OutputError, match=naming("a.jsonl", "process", "--out")):
-        open_json_lines(tmp_path / "a.jsonl")
+    path = tmp_path / "a.jsonl"
+    refused = pytest.raises(OutputError, match=naming("a.jsonl", "process", "--out"))
+    with open_json_lines(path), refused, open_json_lines(path):
+        pass
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match=naming("file/a.jsonl", "--out")):
-        open_json_lines(tmp_path / "file" / "a.jsonl")
+    refused = pytest.raises(OutputError, match=naming("file/a.jsonl", "--out"))
+    with refused, open_json_lines(tmp_path / "file" / "a.jsonl"):
+        pass

@@ -98,7 +98,7 @@ def test_asking_for_what_is_not_there(store: StageStore) -> None:
     with pytest.raises(StoreError, match=naming("bank", "'nothing.npy'", "piece0.npy", "sum.npy")):
         artifact.load_array("nothing")
     with pytest.raises(StoreError, match=naming("bank", "'manifest.json'", "piece0.npy")):
-        artifact.json("manifest")
+        artifact.load_json("manifest")
 
 
 @pytest.mark.parametrize("name", ["../up", "a/b", ".hidden", "", "manifest"])

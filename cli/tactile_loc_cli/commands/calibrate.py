@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc_cli.console import progress, say
-from tactile_loc_cli.labelling import labelled
+from tactile_loc.core.errors import CalibrationError, ConfigError, SensorError
+from tactile_loc.store.files import require_writable
+from tactile_loc_cli.console import make_progress, say
+from tactile_loc_cli.labelling import label_presses
 from tactile_loc_cli.options import Store, declare, set_option
 
 if TYPE_CHECKING:
@@ -129,22 +131,21 @@ def calibrate(
     run --sensor FOLDER --touch photo.png
     """
     from tactile_loc.calibration.folder import require_replaceable
-    from tactile_loc.store.files import require_writable
 
     require_writable(out)
     require_replaceable(out.absolute())
-    options = _options(option or [])
+    chosen = _parse_options(option or [])
     _require_one_source(folder, format, background, image_size, curved, simulated, optics, presses)
     if folder is None:
-        return _calibrate_simulated(sensor, optics, presses, estimator, options, seed, out, store)
+        return _calibrate_simulated(sensor, optics, presses, estimator, chosen, seed, out, store)
     labels: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as temporary:
         if format is not None:
             folder = _convert(folder, Path(temporary), format, ball_radius, mm_per_px)
             file = folder / "sensor.toml" if sensor is None else Path(sensor)
         else:
-            folder, file, labels = labelled(folder, sensor, ball_radius, mm_per_px)
-        done = _calibrate(folder, file, estimator, background, image_size, curved, options, seed, out, store)
+            folder, file, labels = label_presses(folder, sensor, ball_radius, mm_per_px)
+        done = _calibrate(folder, file, estimator, background, image_size, curved, chosen, seed, out, store)
         return {**done, **labels}
 
 
@@ -152,8 +153,6 @@ def _require_one_source(
     folder: Path | None, format: Format | None, background: Background, image_size: tuple[int, int] | None,
     curved: bool, simulated: bool, optics: str | None, presses: int | None,
 ) -> None:  # fmt: skip
-    from tactile_loc.core.errors import ConfigError
-
     of_folder = folder, format, image_size
     if simulated and (any(given is not None for given in of_folder) or background is not Background.TABLE or curved):
         raise ConfigError(
@@ -167,7 +166,6 @@ def _require_one_source(
 
 def _convert(source: Path, folder: Path, format: Format, ball_radius: float | None, mm_per_px: float | None) -> Path:
     from tactile_loc.calibration.presses import convert, write_sensor
-    from tactile_loc.core.errors import ConfigError
 
     if not (ball_radius and ball_radius > 0 and mm_per_px and mm_per_px > 0):
         raise ConfigError(f"--format {format} needs --ball-radius and --mm-per-px, positive numbers in mm")
@@ -176,8 +174,7 @@ def _convert(source: Path, folder: Path, format: Format, ball_radius: float | No
     return folder
 
 
-def _options(words: list[str]) -> dict[str, Any]:
-    from tactile_loc.core.errors import ConfigError
+def _parse_options(words: list[str]) -> dict[str, Any]:
     from tactile_loc.io.config import parse_overrides
 
     for word in words:
@@ -193,24 +190,23 @@ def _calibrate(
 ) -> dict[str, Any]:  # fmt: skip
     from tactile_loc.calibration.calibrate import calibrate_stage
     from tactile_loc.calibration.presses import choose_size_px, read_presses
-    from tactile_loc.core.errors import CalibrationError
     from tactile_loc.store.store import StageStore
 
     if not os.path.isdir(folder):
         raise CalibrationError(f"there is no folder {folder}; give one with images of presses and presses.csv")
-    camera = _geometry(sensor)
+    camera = _read_geometry(sensor)
     size_px = image_size or choose_size_px(camera)
     presses = read_presses(folder, camera, background is Background.MEDIAN, size_px)
     if curved:
-        presses = _on_curved_gel(presses, seed)
-    made, record = calibrate_stage(presses, folder, estimator, options, seed, StageStore(store), progress())
+        presses = _curve_gel(presses, seed)
+    made, record = calibrate_stage(presses, folder, estimator, options, seed, StageStore(store), make_progress())
     return _finish(presses, made, {**record, "camera_px": list(presses.camera.shape)}, out)
 
 
-def _on_curved_gel(presses: PressFolder, seed: int) -> PressFolder:
+def _curve_gel(presses: PressFolder, seed: int) -> PressFolder:
     from tactile_loc.calibration.relief import learn_relief
 
-    relief_m = learn_relief(presses, seed, progress())
+    relief_m = learn_relief(presses, seed, make_progress())
     say(f"the gel is curved: its rim is up to {-1e3 * relief_m.min():.2f} mm lower than its top")
     return dataclasses.replace(presses, geometry=dataclasses.replace(presses.geometry, relief_m=relief_m))
 
@@ -225,7 +221,9 @@ def _calibrate_simulated(
     sensor = sensor or DEFAULT_SENSOR
     geometry, lamps = find_sensor(sensor, optics)
     where = StageStore(store)
-    presses, made, record = calibrate_simulated(geometry, lamps, count, estimator, options, seed, where, progress())
+    presses, made, record = calibrate_simulated(
+        geometry, lamps, count, estimator, options, seed, where, make_progress()
+    )
     if (native := find_camera_px(sensor)) is not None:
         record["camera_px"] = native
     return _finish(presses, made, record, out)
@@ -241,16 +239,15 @@ def _finish(presses: LabelledPresses, made: GelEstimator, record: dict[str, Any]
     title = f"{len(held_out['presses'])} of {len(presses)} presses were held out"
     picture = save_figure(out / PICTURE, draw_held_out(made, presses, held_out["presses"], title))
     say(f"{title}; mean errors on these:")
-    for line in _lines(held_out["mean"]):
+    for line in _list_errors(held_out["mean"]):
         say(line)
     say(f"written: {out} (look at {picture})")
     say(f"use it with: tactile-loc run --sensor {out} --touch IMAGE")
-    held_out = {"presses": len(held_out["presses"]), "mean_errors": _in_si(held_out["mean"])}
+    held_out = {"presses": len(held_out["presses"]), "mean_errors": _convert_to_si(held_out["mean"])}
     return {"folder": str(out), "picture": str(picture), "presses": len(presses), "held_out": held_out}
 
 
-def _geometry(path: Path) -> SensorGeometry:
-    from tactile_loc.core.errors import SensorError
+def _read_geometry(path: Path) -> SensorGeometry:
     from tactile_loc.io.sensor_files import read_sensor_file
 
     if not os.path.isfile(path):
@@ -258,13 +255,13 @@ def _geometry(path: Path) -> SensorGeometry:
     return read_sensor_file(path)
 
 
-def _in_si(mean: dict[str, float]) -> dict[str, float]:
+def _convert_to_si(mean: dict[str, float]) -> dict[str, float]:
     """The same errors, angles in radians."""
     slope = {"slope_rad": math.radians(mean["slope_deg"])} if "slope_deg" in mean else {}
     return {**slope, **{name: value for name, value in mean.items() if name != "slope_deg"}}
 
 
-def _lines(mean: dict[str, float]) -> list[str]:
+def _list_errors(mean: dict[str, float]) -> list[str]:
     angle = {"slope_deg": "surface angle in the contact"}
     depths = {
         "shape_m": "indentation in the contact, but for a constant",

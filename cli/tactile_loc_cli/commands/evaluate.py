@@ -12,8 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.slots.registry import SLOTS, registry
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
-from tactile_loc_cli.console import say, say_table
+from tactile_loc_cli.console import say, say_table, say_written
+from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
     from tactile_loc.core.objects.mesh import ObjectModel
@@ -21,7 +26,6 @@ if TYPE_CHECKING:
     from tactile_loc.evaluation.simulated_touches import SimulatedTouches
     from tactile_loc.evaluation.tables import Run
     from tactile_loc.io.config import RunConfig
-    from tactile_loc.locate.localizer import Localizer
 
 DEFAULT_OUT = Path("evaluation")
 DEFAULT_NOISE = "strong"
@@ -80,23 +84,22 @@ Seed = Annotated[int, options.declare("--seed", "N", "Seed of the touches and th
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Where results.json, .csv, .md and the pictures go.")]
 
 
+Given = Annotated[
+    RunOptions,
+    options.takes("units", "symmetry", "sensor", "renderer", "matcher", "refiner", "fuser", "option", "config"),
+]
+
+
 def evaluate(
     object: Objects = None,
-    units: options.MeshUnits = None,
-    symmetry: options.Symmetry = None,
+    *,
+    given: Given,
     count: Count = None,
     contacts: Contacts = None,
     touches: Touches = TouchKind.SHAPES,
     noise: TouchNoise = None,
-    sensor: options.Sensor = None,
     grid: Grid = None,
-    renderer: options.Renderer = None,
     encoder: Encoders = None,
-    matcher: options.Matcher = None,
-    refiner: options.Refiner = None,
-    fuser: options.Fuser = None,
-    option: options.SetOption = None,
-    config: options.Config = None,
     seed: Seed = 0,
     out: Out = DEFAULT_OUT,
     store: options.Store = None,
@@ -109,20 +112,18 @@ def evaluate(
     resumes.
     """
     from tactile_loc.io.config import LISTED
-    from tactile_loc.store.files import require_writable
 
     numbers = None if contacts is None else parse_contacts(contacts)
-    grid = grid or (None if _grid_in(config) else LISTED.name)  # the protocol compares with all poses
-    given = options.RunOptions(
-        units=units, symmetry=symmetry, noise=noise, sensor=sensor, grid=grid, renderer=renderer, matcher=matcher,
-        refiner=refiner, fuser=fuser, option=option, config=config,
-    )  # fmt: skip
-    source = _touches(given, touches, seed)
-    jobs = _jobs(given, object, encoder, source)
+    if not _read_setting(given.config, "grid", "name"):
+        grid = grid or LISTED.name  # the protocol compares with all poses
+    given = dataclasses.replace(given, noise=noise, grid=grid)
+    source = _choose_touches(given, touches, seed)
+    jobs = _list_jobs(given, object, encoder, source)
     require_writable(out)
+    default = DEFAULT_COUNT if numbers is None else CONTACT_COUNT
+    plan = _Plan(count or default, source, out, store)
     if numbers is not None:
-        return _evaluate_fusion(jobs, numbers, _Plan(count or CONTACT_COUNT, source, out, store))
-    plan = _Plan(count or DEFAULT_COUNT, source, out, store)
+        return _evaluate_fusion(jobs, numbers, plan)
     return _report(plan, [plan.work(settings, obj) for settings, obj in jobs])
 
 
@@ -141,53 +142,49 @@ class _Plan:
         from tactile_loc.evaluation.figures import draw_gallery
         from tactile_loc.evaluation.protocol import evaluate as run_protocol
         from tactile_loc.evaluation.tables import Run
-        from tactile_loc.locate.result_json import resolved
 
         localizer = options.open_localizer(settings, self.store, obj)
         encoder = settings.encoder.name
         evaluation = run_protocol(localizer, self.count, self.touches)
-        title = f"{obj.name} with {encoder}: best, median and worst of {self._asked_about()}"
+        title = f"{obj.name} with {encoder}: best, median and worst of {self._describe()}"
         figure = draw_gallery(localizer, evaluation, self.touches, title)
-        save_figure(self.out / _gallery(obj.name, encoder), figure)
-        return Run(
-            obj.name,
-            str(obj.symmetry),
-            encoder,
-            len(localizer.model.grid),
-            evaluation,
-            configuration=resolved(settings),
-        )
+        save_figure(self.out / _name_gallery(obj.name, encoder), figure)
+        poses = len(localizer.model.grid)
+        return Run(obj.name, str(obj.symmetry), encoder, poses, evaluation, settings.resolve())
 
-    def heading(self) -> str:
+    def make_heading(self) -> str:
         """Return the title of tables and pictures."""
-        return f"Localisation from one touch: {self._asked_about()} for each object, seed {self.touches.seed}"
+        return f"Localisation from one touch: {self._describe()} for each object, seed {self.touches.seed}"
 
-    def _asked_about(self) -> str:
+    def _describe(self) -> str:
         touches = f"{self.count} simulated {'touch' if self.count == 1 else 'touches'}"
         return f"{touches} ({self.touches.in_words()})"
 
 
-def _jobs(
-    given: options.RunOptions, objects: Objects, encoders: Encoders, touches: SimulatedTouches
+def _list_jobs(
+    given: RunOptions, objects: Objects, encoders: Encoders, touches: SimulatedTouches
 ) -> list[tuple[RunConfig, ObjectModel]]:
     """Every object with every encoder; what can be wrong is found before the first is evaluated."""
     from tactile_loc.io.config import parse_overrides, parse_settings
+    from tactile_loc.io.meshes import load_object
 
-    paths = objects or _named(_in_file(given.config).get("object"), "path") or _demo_objects()
+    in_file = _read_setting(given.config, "object", "path")
+    paths = objects or ([in_file] if in_file else list(DEMO_OBJECTS))
     if given.symmetry is not None and len(paths) > 1:
-        raise _config_error("--symmetry is of one object; give one --object with it")
+        raise ConfigError("--symmetry is of one object; give one --object with it")
     words = list(given.option or [])
     names: list[str | None] = [*encoders] if encoders else [None]
     overrides = parse_overrides(parse_settings(words)[1]).get("encoder", {})
-    given = dataclasses.replace(given, noise=touches.noise)
+    given = dataclasses.replace(given, noise=options.Noise(touches.noise))
     jobs = []
     for path in dict.fromkeys(paths):
         asked = [
-            dataclasses.replace(given, object=path, encoder=name, option=_options_of(name, names, words, overrides))
+            dataclasses.replace(given, object=path, encoder=name, option=_choose_options(name, names, words, overrides))
             for name in dict.fromkeys(names)
         ]
-        settings = [options.run_config(one) for one in asked]
-        obj = options.load_object(settings[0])
+        settings = [options.make_config(one) for one in asked]
+        chosen = settings[0].object
+        obj = load_object(chosen.path, chosen.units, chosen.symmetry)
         for setting in settings:
             touches.require_readable(options.open_localizer(setting, None, obj))
             jobs.append((setting, obj))
@@ -195,21 +192,19 @@ def _jobs(
     return jobs
 
 
-def _touches(given: options.RunOptions, kind: TouchKind, seed: int) -> SimulatedTouches:
+def _choose_touches(given: RunOptions, kind: TouchKind, seed: int) -> SimulatedTouches:
     from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 
     images = kind is TouchKind.IMAGES
     default = "none" if images else DEFAULT_NOISE
-    noise = given.noise or (_named(_in_file(given.config).get("touch"), "noise") or [default])[0]
+    noise = given.noise or _read_setting(given.config, "touch", "noise") or default
     return SimulatedTouches(str(noise), seed, images)
 
 
-def _options_of(
+def _choose_options(
     encoder: str | None, encoders: Sequence[str | None], words: list[str], overrides: dict[str, Any]
 ) -> list[str]:
     """The options for one of several encoders: without those that only others have."""
-    from tactile_loc.core.slots.registry import registry
-
     if encoder is None or len(set(encoders)) == 1 or not overrides:
         return words
     known = {name: set(registry().load("encoder", str(name)).Options.model_fields) for name in encoders}
@@ -219,27 +214,13 @@ def _options_of(
     return [word for word in words if not any(word.replace(" ", "").startswith(f"encoder.{o}=") for o in foreign)]
 
 
-def _in_file(path: Path | None) -> dict[str, Any]:
+def _read_setting(path: Path | None, table: str, key: str) -> str | None:
+    """What a configuration file says of a table's key, if it does; a slot may be its component's name alone."""
     from tactile_loc.io.toml import read_toml
 
-    return {} if path is None else read_toml(path)
-
-
-def _grid_in(path: Path | None) -> list[str]:
-    """The grid that a configuration file names, if it does."""
-    grid = _in_file(path).get("grid")
-    return [grid] if isinstance(grid, str) else _named(grid, "name")
-
-
-def _named(table: Any, key: str) -> list[str]:
-    """What a configuration file's table says of a key, if it does."""
-    return [table[key]] if isinstance(table, dict) and isinstance(table.get(key), str) else []
-
-
-def _demo_objects() -> list[str]:
-    from tactile_loc.data import DEMO_OBJECTS
-
-    return list(DEMO_OBJECTS)
+    found = {} if path is None else read_toml(path).get(table, {})
+    value = found.get(key) if isinstance(found, dict) else found if table in SLOTS else None
+    return value if isinstance(value, str) else None
 
 
 def _require_names(jobs: Sequence[tuple[RunConfig, ObjectModel]]) -> None:
@@ -248,18 +229,12 @@ def _require_names(jobs: Sequence[tuple[RunConfig, ObjectModel]]) -> None:
     for settings, obj in jobs:
         other = found.setdefault(obj.name, settings.object.path)
         if other != settings.object.path:
-            raise _config_error(
+            raise ConfigError(
                 f"{other} and {settings.object.path} are both called {obj.name}; rename one, or evaluate them apart"
             )
 
 
-def _config_error(text: str) -> Exception:
-    from tactile_loc.core.errors import ConfigError
-
-    return ConfigError(text)
-
-
-def _gallery(name: str, encoder: str) -> str:
+def _name_gallery(name: str, encoder: str) -> str:
     return f"gallery-{name}-{encoder}.png"
 
 
@@ -281,10 +256,10 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
     )
 
     protocol = {"touches": plan.count, **dataclasses.asdict(plan.touches)}
-    written = write_tables(plan.out, runs, protocol, plan.heading())
-    written.append(save_figure(plan.out / "violins.png", draw_violins(runs, plan.heading())))
-    written.append(save_figure(plan.out / "reliability.png", draw_reliability(runs, plan.heading())))
-    written += [plan.out / _gallery(run.object, run.encoder) for run in runs]
+    written = write_tables(plan.out, runs, protocol, plan.make_heading())
+    written.append(save_figure(plan.out / "violins.png", draw_violins(runs, plan.make_heading())))
+    written.append(save_figure(plan.out / "reliability.png", draw_reliability(runs, plan.make_heading())))
+    written += [plan.out / _name_gallery(run.object, run.encoder) for run in runs]
     say("median ADD, mm")
     say_table([summary_header(), *medians_mm(runs)])
     say("\nmedian ADD as a share of a random pose's mean")
@@ -295,24 +270,23 @@ def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
     say_table([area_header(), *area_rows(runs)])
     say("\ncoverage: true poses in the sets that hold so much of the probability, and means")
     say_table([posterior_header(), *posterior_rows(runs)])
-    say(f"\nwritten: {', '.join(map(str, written))}")
-    return _summarised(record(runs, protocol), written)
+    say()
+    return _summarise(record(runs, protocol), written)
 
 
-def _summarised(document: dict[str, Any], written: Sequence[Path]) -> dict[str, Any]:
+def _summarise(document: dict[str, Any], written: Sequence[Path]) -> dict[str, Any]:
     """An evaluation's document without the numbers of each touch, and with the paths that were written."""
-    return {**_without_touches(document), "written": [str(path) for path in written]}
+    return {**_drop_touches(document), "written": say_written(written)}
 
 
-def _without_touches(value: Any) -> Any:
+def _drop_touches(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _without_touches(item) for key, item in value.items() if key not in OF_EACH_TOUCH}
-    return [_without_touches(item) for item in value] if isinstance(value, list) else value
+        return {key: _drop_touches(item) for key, item in value.items() if key not in OF_EACH_TOUCH}
+    return [_drop_touches(item) for item in value] if isinstance(value, list) else value
 
 
 def parse_contacts(text: str) -> tuple[int, ...]:
     """Return the numbers of contacts that a text such as "1..7" or "1,2,5..7" names, rising. Raises ConfigError."""
-    from tactile_loc.core.errors import ConfigError
     from tactile_loc.evaluation.fusion import MOST_FUSED
 
     numbers: set[int] = set()
@@ -332,19 +306,16 @@ def _evaluate_fusion(
     jobs: Sequence[tuple[RunConfig, ObjectModel]], contacts: Sequence[int], plan: _Plan
 ) -> dict[str, Any]:
     """Evaluate each object with each encoder and each number of contacts; write, show and return what was found."""
-    localizers = [options.open_localizer(settings, plan.store, obj) for settings, obj in jobs]
-    runs = [_fusion_run(localizer, contacts, plan) for localizer in localizers]
-    return _report_fusion(runs, plan)
-
-
-def _fusion_run(localizer: Localizer, contacts: Sequence[int], plan: _Plan) -> FusionRun:
     from tactile_loc.evaluation.fusion import evaluate_fusion
     from tactile_loc.evaluation.fusion_tables import FusionRun
-    from tactile_loc.locate.result_json import resolved
 
-    evaluation = evaluate_fusion(localizer, contacts, plan.count, plan.touches)
-    obj, config, poses = localizer.object, localizer.config, len(localizer.model.grid)
-    return FusionRun(obj.name, str(obj.symmetry), config.encoder.name, poses, evaluation, resolved(config))
+    runs = []
+    for config, obj in jobs:
+        localizer = options.open_localizer(config, plan.store, obj)
+        evaluation = evaluate_fusion(localizer, contacts, plan.count, plan.touches)
+        about = obj.name, str(obj.symmetry), config.encoder.name, len(localizer.model.grid)
+        runs.append(FusionRun(*about, evaluation, config.resolve()))
+    return _report_fusion(runs, plan)
 
 
 def _report_fusion(runs: Sequence[FusionRun], plan: _Plan) -> dict[str, Any]:
@@ -364,8 +335,8 @@ def _report_fusion(runs: Sequence[FusionRun], plan: _Plan) -> dict[str, Any]:
     say_table([header, *median_rows(runs, normalised=True)], left=3)
     for run in runs:
         _say_left_out(run)
-    say(f"\nwritten: {', '.join(map(str, written))}")
-    return _summarised(record(runs, protocol), written)
+    say()
+    return _summarise(record(runs, protocol), written)
 
 
 def _say_left_out(run: FusionRun) -> None:

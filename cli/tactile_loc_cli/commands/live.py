@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tactile_loc.core.errors import OutputError, TouchError
 from tactile_loc_cli import options
-from tactile_loc_cli.console import say, say_reasons
+from tactile_loc_cli.console import say, say_reasons, say_written
+from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
     from tactile_loc.io.frame_sources import FrameSource
@@ -69,25 +71,21 @@ Port = Annotated[
 View = Annotated[bool, typer.Option("--view/--no-view", help="Show frames and poses on a local web page, or do not.")]
 
 
+Given = Annotated[
+    RunOptions,
+    options.takes(
+        "object", "units", "symmetry", "touch_unit", "press_depth", "sensor", "zero", "grid", "renderer", "encoder",
+        "matcher", "refiner", "option", "config", "seed",
+    ),
+]  # fmt: skip
+
+
 def live(
     source: Source = None,
     camera: CameraOption = None,
     once: Once = False,
-    object: options.Object = None,
-    units: options.MeshUnits = None,
-    symmetry: options.Symmetry = None,
-    touch_unit: options.TouchUnitOption = None,
-    press_depth: options.PressDepth = None,
-    sensor: options.Sensor = None,
-    zero: options.Zero = None,
-    grid: options.Grid = None,
-    renderer: options.Renderer = None,
-    encoder: options.Encoder = None,
-    matcher: options.Matcher = None,
-    refiner: options.Refiner = None,
-    option: options.SetOption = None,
-    config: options.Config = None,
-    seed: options.Seed = None,
+    *,
+    given: Given,
     track: Track = False,
     out: Out = None,
     view: View = True,
@@ -100,29 +98,24 @@ def live(
     What is found is shown on a local web page, and each result is a line of JSON. Where frames come faster than they
     are located, the newest counts, and the others are dropped. Ends when a video does, or with Ctrl-C.
     """
-    from tactile_loc.core.errors import TouchError
     from tactile_loc.io.frame_sources import open_source
     from tactile_loc.tasks.live import LiveLocator, LiveSummary
     from tactile_loc.tasks.tracker import Tracker
 
-    settings = options.run_config(
-        options.RunOptions(
-            object=object, units=units, symmetry=symmetry, touch_unit=touch_unit, press_depth=press_depth,
-            sensor=sensor, grid=grid, renderer=renderer, encoder=encoder, matcher=matcher, refiner=refiner,
-            option=options.with_zero(option, zero), config=config, seed=seed,
-        )
-    )  # fmt: skip
+    settings = options.make_config(given)
     opened = open_source(source, camera, once)
     _require_outputs(out, rerun)
     localizer = options.open_localizer(settings, store)
     tracker = Tracker(localizer) if track else None
-    locator = LiveLocator(localizer, tracker, settings.touch.unit, options.press_depth_m(settings))
+    locator = LiveLocator(localizer, tracker, settings.touch.unit, settings.touch.press_depth_m)
     with ExitStack() as stack:
-        shows = [stack.enter_context(one) for one in _outputs(localizer, opened, out, port if view else None, rerun)]
+        shows = [
+            stack.enter_context(one) for one in _open_outputs(localizer, opened, out, port if view else None, rerun)
+        ]
         _run(locator, opened, shows)
     summary = LiveSummary.of(locator, opened.dropped)
-    written = [str(path) for path in (out, rerun) if path is not None]
-    _say(summary, opened.about, written)
+    _report(summary, opened.about)
+    written = say_written(path for path in (out, rerun) if path is not None)
     if summary.reasons and sum(count for _, count in summary.reasons) == summary.frames:
         raise TouchError(f"no frame of {opened.about} can be located; the first reason: {summary.reasons[0][0]}")
     return {**asdict(summary), "written": written}
@@ -130,27 +123,25 @@ def live(
 
 def _require_outputs(out: Path | None, rerun: Path | None) -> None:
     """Refuse to write into what is, by its name, another kind of file, before anything is built."""
-    from tactile_loc.core.errors import OutputError
-
     options.require_rerun(rerun)
     if out is not None and out.suffix.lower() != ".jsonl":
         raise OutputError(f"results are written as lines of JSON, .jsonl, not as {out.name}; choose another --out")
 
 
-def _outputs(
+def _open_outputs(
     localizer: Localizer, source: FrameSource, out: Path | None, port: int | None, rerun: Path | None
 ) -> Iterator[Output]:
     """Where results go: each is a context that gives what takes them."""
     if out is not None:
-        yield _written(out)
+        yield _write_results(out)
     if rerun is not None:
-        yield _logged(localizer, rerun)
+        yield _log_results(localizer, rerun)
     if port is not None:
-        yield _viewed(localizer, source.about, port)
+        yield _show_results(localizer, source.about, port)
 
 
 @contextmanager
-def _written(out: Path) -> Iterator[Show]:
+def _write_results(out: Path) -> Iterator[Show]:
     """Results as lines of a file."""
     from tactile_loc.store.line_files import open_json_lines
 
@@ -159,7 +150,7 @@ def _written(out: Path) -> Iterator[Show]:
 
 
 @contextmanager
-def _logged(localizer: Localizer, path: Path) -> Iterator[Show]:
+def _log_results(localizer: Localizer, path: Path) -> Iterator[Show]:
     """Results in a Rerun file."""
     from tactile_loc.drawing.rerun_log import Logged, RerunLog
 
@@ -176,7 +167,7 @@ def _logged(localizer: Localizer, path: Path) -> Iterator[Show]:
 
 
 @contextmanager
-def _viewed(localizer: Localizer, about: str, port: int) -> Iterator[Show]:
+def _show_results(localizer: Localizer, about: str, port: int) -> Iterator[Show]:
     """Results on a page that browsers of this machine see."""
     from tactile_loc.reports.live_server import LiveServer
     from tactile_loc.reports.live_view import live_page, live_state, shape_made
@@ -201,22 +192,20 @@ def _run(locator: LiveLocator, source: FrameSource, shows: Sequence[Show]) -> No
             result = locator.locate(frame, source.dropped)
             for show in shows:
                 show(result)
-            _tell(result)
+            _log(result)
 
 
-def _tell(result: LiveResult) -> None:
+def _log(result: LiveResult) -> None:
     located = result.located
     if located.verdict is None:
         logger.warning("refused: %s", located.says)
     logger.info("%s: %s, %.0f ms, %.1f Hz", result.frame.name, located.word, 1e3 * located.seconds, result.rate_hz)
 
 
-def _say(summary: LiveSummary, about: str, written: Sequence[str]) -> None:
-    """Write how many frames came to what, and where that is written."""
+def _report(summary: LiveSummary, about: str) -> None:
+    """Write how many frames came to what."""
     say(
         f"{about}: {summary.frames} frames, {summary.located} located, {summary.not_found} not found, "
         f"{summary.no_contact} without contact, {summary.refused} refused, {summary.dropped} dropped"
     )
     say_reasons(summary.reasons)
-    if written:
-        say(f"written: {', '.join(written)}")

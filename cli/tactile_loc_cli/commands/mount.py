@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
-from tactile_loc_cli.console import say
-
-if TYPE_CHECKING:
-    from tactile_loc.io.mount_files import Mount
+from tactile_loc_cli.console import say_written
+from tactile_loc_cli.options import RunOptions
 
 DEFAULT_OUT = Path("tactile-loc-mount")
 
@@ -30,18 +30,11 @@ Nominal = Annotated[
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Where mount.toml and mount.png go.")]
 
 
+Given = Annotated[RunOptions, options.takes("object", "units", "symmetry", "touch_unit", "sensor", "option", "config")]
+
+
 def mount(
-    touch: Touches,
-    object: options.Object = None,
-    units: options.MeshUnits = None,
-    symmetry: options.Symmetry = None,
-    touch_unit: options.TouchUnitOption = None,
-    sensor: options.Sensor = None,
-    option: options.SetOption = None,
-    config: options.Config = None,
-    nominal: Nominal = None,
-    out: Out = DEFAULT_OUT,
-    store: options.Store = None,
+    touch: Touches, given: Given, nominal: Nominal = None, out: Out = DEFAULT_OUT, store: options.Store = None
 ) -> dict[str, Any]:
     """Find where a sensor is mounted on the robot's flange.
 
@@ -51,30 +44,17 @@ def mount(
     """
     from tactile_loc.drawing.mount import draw_mount
     from tactile_loc.drawing.pictures import save_figure
-    from tactile_loc.io.mount_files import write_mount
-    from tactile_loc.store.files import require_writable
+    from tactile_loc.io.mount_files import read_mount, write_mount
     from tactile_loc.tasks.mount import find_mount, mount_record, read_flange_touches
     from tactile_loc_cli.results import say_mount
 
-    settings = options.run_config(
-        options.RunOptions(
-            object=object, units=units, symmetry=symmetry, touch=touch, touch_unit=touch_unit, sensor=sensor,
-            option=option, config=config,
-        )
-    )  # fmt: skip
+    settings = options.make_config(replace(given, touch=touch))
     require_writable(out)
-    expected = _nominal(nominal)
+    expected = None if nominal is None else read_mount(nominal)
     localizer = options.open_localizer(settings, store)
     found = find_mount(localizer, read_flange_touches(localizer, Path(touch)), expected)
     record = mount_record(localizer, found)
     say_mount(record)
     title = f"{record.sensor} on the flange, from touches of {record.object}"
     written = [write_mount(out / "mount.toml", record), save_figure(out / "mount.png", draw_mount(found, title))]
-    say(f"written: {', '.join(map(str, written))}")
-    return {**record.model_dump(mode="json", exclude_none=True), "written": [str(path) for path in written]}
-
-
-def _nominal(path: Path | None) -> Mount | None:
-    from tactile_loc.io.mount_files import read_mount
-
-    return None if path is None else read_mount(path)
+    return {**record.model_dump(mode="json", exclude_none=True), "written": say_written(written)}

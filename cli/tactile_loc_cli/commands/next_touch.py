@@ -7,8 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
+from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
-from tactile_loc_cli.console import say
+from tactile_loc_cli.console import say_written
 
 DEFAULT_OUT = Path("tactile-loc-next-touch")
 
@@ -33,9 +34,9 @@ def next_touch(result: Result, candidates: Candidates, top: Top = 10, out: Out =
     from tactile_loc.drawing.next_touch import draw_next_touch
     from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.io.approach_files import read_approaches
-    from tactile_loc.store.files import require_writable
+    from tactile_loc.io.records import write_record
     from tactile_loc.tasks.next_touch import next_touch as choose
-    from tactile_loc.tasks.next_touch_files import next_touch_record, read_modes, write_next_touch
+    from tactile_loc.tasks.next_touch_files import next_touch_record, read_modes
     from tactile_loc_cli.results import say_next_touch
 
     modes, T_base_sensor = read_modes(result)
@@ -46,8 +47,7 @@ def next_touch(result: Result, candidates: Candidates, top: Top = 10, out: Out =
     say_next_touch(record, top)
     title = f"{record.object}: {len(record.modes)} possible poses, {len(record.ranked)} approaches"
     written = [
-        write_next_touch(out / "next_touch.json", record),
+        write_record(out / "next_touch.json", record),
         save_figure(out / "next_touch.png", draw_next_touch(found, title)),
     ]
-    say(f"written: {', '.join(map(str, written))}")
-    return {**record.model_dump(mode="json"), "written": [str(path) for path in written]}
+    return {**record.model_dump(mode="json"), "written": say_written(written)}

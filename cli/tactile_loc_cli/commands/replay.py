@@ -10,8 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tactile_loc.core.errors import OutputError, RecordingError
+from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
-from tactile_loc_cli.console import say, say_reasons
+from tactile_loc_cli.console import say, say_reasons, say_written
+from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
     from tactile_loc.io.recordings import Contents
@@ -47,26 +50,24 @@ Out = Annotated[
 ]
 
 
+Given = Annotated[
+    RunOptions,
+    options.takes(
+        "object", "units", "symmetry", "press_depth", "sensor", "grid", "renderer", "encoder", "matcher", "refiner",
+        "option", "config", "seed",
+    ),
+]  # fmt: skip
+
+
 def replay(
     recording: RecordingFile,
     image_topic: ImageTopic = None,
-    object: options.Object = None,
-    units: options.MeshUnits = None,
-    symmetry: options.Symmetry = None,
-    press_depth: options.PressDepth = None,
-    sensor: options.Sensor = None,
-    grid: options.Grid = None,
-    renderer: options.Renderer = None,
-    encoder: options.Encoder = None,
-    matcher: options.Matcher = None,
-    refiner: options.Refiner = None,
-    option: options.SetOption = None,
-    config: options.Config = None,
+    *,
+    given: Given,
     frame: Frame = None,
     base_frame: BaseFrame = None,
     pose_topic: PoseTopic = "/object/pose",
     poses_only: PosesOnly = False,
-    seed: options.Seed = None,
     out: Out = None,
     rerun: options.Rerun = None,
     store: options.Store = None,
@@ -81,15 +82,9 @@ def replay(
     from tactile_loc.tasks.replay import Replay
     from tactile_loc.tasks.replay_files import replay_to
 
-    settings = options.run_config(
-        options.RunOptions(
-            object=object, units=units, symmetry=symmetry, press_depth=press_depth, sensor=sensor, grid=grid,
-            renderer=renderer, encoder=encoder, matcher=matcher, refiner=refiner, option=option, config=config,
-            seed=seed,
-        )
-    )  # fmt: skip
+    settings = options.make_config(given)
     options.require_rerun(rerun)
-    out = _out(recording, out)
+    out = _choose_out(recording, out)
     recorded = Recording(recording)
     contents = recorded.read_contents()
     topic = chosen(contents, recording, image_topic)
@@ -100,22 +95,19 @@ def replay(
     if contents.damage:
         logger.warning("%s", contents.damage)
     localizer = options.open_localizer(settings, store)
-    asked = Replay(recorded, topic, localizer, frame, base_frame, tree, options.press_depth_m(settings))
+    asked = Replay(recorded, topic, localizer, frame, base_frame, tree, settings.touch.press_depth_m)
     found = replay_to(out, asked, contents.counts[topic], pose_topic, poses_only)
     if rerun is not None:
         from tactile_loc.drawing.rerun_files import write_replay
 
         found = replace(found, written=(*found.written, write_replay(rerun, asked, found.records)))
-    _say(found, topic.name)
-    written = [str(path) for path in found.written]
+    _report(found, topic.name)
+    written = say_written(found.written)
     return {**asdict(found.summary), "resumed": found.resumed, "damage": contents.damage, "written": written}
 
 
-def _out(recording: Path, out: Path | None) -> Path:
+def _choose_out(recording: Path, out: Path | None) -> Path:
     """Where the new recording goes. Raises OutputError where it cannot go."""
-    from tactile_loc.core.errors import OutputError
-    from tactile_loc.store.files import require_writable
-
     chosen = Path(f"{recording.stem}-poses.mcap") if out is None else out
     if chosen.suffix.lower() != ".mcap":
         raise OutputError(f"a recording is written as .mcap, not as {chosen.name}; choose another --out")
@@ -129,16 +121,14 @@ def _out(recording: Path, out: Path | None) -> Path:
 
 def _require_free(contents: Contents, recording: Path, pose_topic: str, poses_only: bool) -> None:
     """Refuse to mix the poses with messages that were recorded."""
-    from tactile_loc.core.errors import RecordingError
-
     if not poses_only and pose_topic in {topic.name for topic in contents.counts}:
         raise RecordingError(
             f"{recording} has messages on {pose_topic} already; choose another --pose-topic, or --poses-only"
         )
 
 
-def _say(found: Replayed, topic: str) -> None:
-    """Write how many frames came to what, and where the poses are."""
+def _report(found: Replayed, topic: str) -> None:
+    """Write how many frames came to what."""
     summary = found.summary
     finished = f"; {found.resumed} of them were finished before" if found.resumed else ""
     say(
@@ -150,4 +140,3 @@ def _say(found: Replayed, topic: str) -> None:
     if summary.jumps_back:
         logger.warning("the clock of %s goes back %d times; its images are located in their order all the same",
                        topic, summary.jumps_back)  # fmt: skip
-    say(f"written: {', '.join(map(str, found.written))}")

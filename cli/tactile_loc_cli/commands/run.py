@@ -9,8 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tactile_loc.core.errors import ConfigError, TouchError
+from tactile_loc.store.files import lock_folder, require_writable
 from tactile_loc_cli import options
-from tactile_loc_cli.console import progress, say
+from tactile_loc_cli.commands.build import build_model
+from tactile_loc_cli.console import make_progress, say, say_written
+from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
     from tactile_loc.core.poses.priors import Prior
@@ -26,32 +30,9 @@ logger = logging.getLogger(__name__)
 DEFAULT_OUT = Path("tactile-loc-result")
 DRAWN = 8  # touches are simulated, and the one with the most contact is shown
 
-TouchPath = Annotated[
-    str | None,
-    typer.Option(
-        "--touch",
-        metavar="FILE|FOLDER|LIST",
-        help="The touch: a contact shape (npz, npy, 16-bit png), an image; a folder or '*.png' for many, each for "
-        "itself; a list (.toml) for several of one object, fused; by default simulated.",
-    ),
-]
-PriorFile = Annotated[
-    Path | None, typer.Option("--prior", metavar="FILE", help="What is known of the pose before: a TOML file.")
-]
-Top = Annotated[int | None, typer.Option("--top", metavar="N", help="How many poses to list; by default 10.")]
-Coverage = Annotated[
-    float | None,
-    typer.Option(
-        "--coverage",
-        metavar="P",
-        help="List all modes of a set of poses that holds the true one with this probability, as 0.95.",
-    ),
-]
-Out = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where result.json, .npz and .png go.")]
-DropOutliers = Annotated[
-    bool,
-    typer.Option("--drop-outliers", help="With a list of touches: leave out those that contradict all others."),
-]
+Given = Annotated[RunOptions, options.takes()]
+PriorFile = Annotated[Path | None, options.declare("--prior", "FILE", "What is known of the pose before: a TOML file.")]
+Out = Annotated[Path, options.declare("--out", "FOLDER", "Where result.json, .npz and .png go.")]
 Pictures = Annotated[
     bool, typer.Option("--pictures", help="With a folder of touches: draw result.png for each of them, too.")
 ]
@@ -61,28 +42,8 @@ Report = Annotated[
 
 
 def run(
-    object: options.Object = None,
-    units: options.MeshUnits = None,
-    symmetry: options.Symmetry = None,
-    touch: TouchPath = None,
-    touch_unit: options.TouchUnitOption = None,
-    press_depth: options.PressDepth = None,
-    noise: options.TouchNoise = None,
-    sensor: options.Sensor = None,
-    zero: options.Zero = None,
-    grid: options.Grid = None,
-    renderer: options.Renderer = None,
-    encoder: options.Encoder = None,
-    matcher: options.Matcher = None,
-    refiner: options.Refiner = None,
-    fuser: options.Fuser = None,
-    option: options.SetOption = None,
-    config: options.Config = None,
+    given: Given,
     prior: PriorFile = None,
-    drop_outliers: DropOutliers = False,
-    top: Top = None,
-    coverage: Coverage = None,
-    seed: options.Seed = None,
     out: Out = DEFAULT_OUT,
     pictures: Pictures = False,
     report: Report = False,
@@ -95,48 +56,38 @@ def run(
     model is built the first time and kept.
     """
     from tactile_loc.locate.touch_files import is_folder
-    from tactile_loc.store.files import require_writable
 
-    settings = options.run_config(
-        options.RunOptions(
-            object=object, units=units, symmetry=symmetry, touch=touch, touch_unit=touch_unit, press_depth=press_depth,
-            noise=noise, sensor=sensor, grid=grid, renderer=renderer, encoder=encoder, matcher=matcher, refiner=refiner,
-            fuser=fuser, option=options.with_zero(option, zero), config=config, top=top, coverage=coverage, seed=seed,
-            drop_outliers=drop_outliers,
-        )
-    )  # fmt: skip
-    _require_one_source(settings, noise)
+    settings = options.make_config(given)
+    _require_one_source(settings, given.noise)
     _require_several(settings)
     require_writable(out)
     options.require_rerun(rerun)
     localizer = options.open_localizer(settings, store)
     if settings.touch.path is not None and is_folder(Path(settings.touch.path)):
         _require_neither(prior, report, rerun)
-        return _run_folder(localizer, Path(settings.touch.path), out, pictures)
-    return _run_together(localizer, prior, out, report, rerun)
+        return _locate_each(localizer, Path(settings.touch.path), out, pictures)
+    return _locate_together(localizer, prior, out, report, rerun)
 
 
-def _run_together(
-    localizer: Localizer, prior: Path | None, out: Path, report: bool, rerun: Path | None
+def _locate_together(
+    localizer: Localizer, prior: Path | None, out: Path, page: bool, rerun: Path | None
 ) -> dict[str, Any]:
-    """Locate the object from one touch or from all of a list."""
+    """Locate the object from one touch or from all of a list; show, write and return the result."""
     from tactile_loc.locate.localizer import localize_together
 
-    observations = _observations(localizer)
-    known = _prior(localizer, observations[0][1], prior)
+    observations = _read_observations(localizer)
+    known = _read_prior(localizer, observations[0][1], prior)
     start = time.perf_counter()
-    for one, touch_of_it in observations:
-        one.localize(touch_of_it, top=2)  # builds, loads and compiles what it takes, once: no part of a touch's time
+    for one, touch in observations:
+        build_model(one, touch.press_depth_m)
     seconds = {"model": time.perf_counter() - start}
-    alone = len(observations) == 1
-    localization = localizer.localize(observations[0][1], known) if alone else localize_together(observations, known)
-    return _report(observations, localization, seconds, out, report, rerun)
+    localization = localize_together(observations, known)
+    located = [pair for pair in observations if any(pair[1] is touch for touch in localization.touches)]
+    return _report(located, localization, seconds, out, page, rerun)
 
 
 def _require_one_source(settings: RunConfig, noise: options.Noise | None) -> None:
     """Refuse noise for a touch that is read from a file: only simulated ones get it."""
-    from tactile_loc.core.errors import ConfigError
-
     if settings.touch.path is not None and (noise is not None or settings.touch.noise != "none"):
         raise ConfigError(
             f"--noise is for simulated touches, but {settings.touch.path} is a touch to be read; leave one of them out"
@@ -145,7 +96,6 @@ def _require_one_source(settings: RunConfig, noise: options.Noise | None) -> Non
 
 def _require_several(settings: RunConfig) -> None:
     """Refuse to leave out touches unless a list of several is given."""
-    from tactile_loc.core.errors import ConfigError
     from tactile_loc.locate.touch_files import is_list
 
     path = settings.touch.path
@@ -158,8 +108,6 @@ def _require_several(settings: RunConfig) -> None:
 
 def _require_neither(prior: Path | None, report: bool, rerun: Path | None) -> None:
     """Refuse with a folder of touches what is of one result."""
-    from tactile_loc.core.errors import ConfigError
-
     if prior is not None:
         raise ConfigError("--prior is of one pose; leave it out with a folder of touches")
     if rerun is not None:
@@ -168,30 +116,20 @@ def _require_neither(prior: Path | None, report: bool, rerun: Path | None) -> No
         raise ConfigError("--report is of one result; leave it out with a folder of touches, or locate one of them")
 
 
-def _prior(localizer: Localizer, touch: Touch, path: Path | None) -> Prior | None:
+def _read_prior(localizer: Localizer, touch: Touch, path: Path | None) -> Prior | None:
     """The prior in the first touch's sensor frame."""
     from tactile_loc.io.prior_files import read_prior
 
     return None if path is None else read_prior(path, localizer.object).seen_from(touch.T_base_sensor)
 
 
-def _observations(localizer: Localizer) -> list[Observation]:
-    """The touches that were asked for, each with its localizer."""
-    from tactile_loc.locate.touch_files import is_list, read_observations
-
-    path = localizer.config.touch.path
-    if path is not None and is_list(Path(path)):
-        return read_observations(localizer, Path(path))
-    return [(localizer, _touch(localizer))]
-
-
-def _touch(localizer: Localizer) -> Touch:
-    """The touch that was asked for, or a simulated one."""
-    asked, press_m = localizer.config.touch, options.press_depth_m(localizer.config)
+def _read_observations(localizer: Localizer) -> list[Observation]:
+    """The touches that were asked for, or a simulated one, each with its localizer."""
+    asked = localizer.config.touch
     if asked.path is not None:
-        return localizer.read_touch(asked.path, asked.unit, press_m)
-    touches = localizer.simulate(DRAWN, localizer.config.seed, press_m, asked.noise)
-    return max(touches, key=lambda t: t.contact_shape.contact.sum())
+        return options.read_touches(localizer, Path(asked.path))
+    touches = localizer.simulate(DRAWN, localizer.config.seed, asked.press_depth_m, asked.noise)
+    return [(localizer, max(touches, key=lambda touch: touch.contact_shape.contact.sum()))]
 
 
 def _report(
@@ -204,58 +142,57 @@ def _report(
 ) -> dict[str, Any]:
     """Show the result, write it (result.json, .npz, .png and, if asked for, the page), and return it and the paths."""
     from tactile_loc.drawing.pictures import draw_result, save_figure
-    from tactile_loc.locate.result_files import NAME, gather, write_arrays
-    from tactile_loc.locate.result_json import doubts, pose_errors_m, result_record, write_result
-    from tactile_loc.store.files import lock_folder
-    from tactile_loc_cli.results import say_result, title
+    from tactile_loc.io.records import write_record
+    from tactile_loc.locate.doubts import list_doubts
+    from tactile_loc.locate.result_arrays import NAME, gather_arrays, write_arrays
+    from tactile_loc.locate.result_json import make_record
+    from tactile_loc_cli.results import make_title, say_result
 
-    observations = [pair for pair in observations if any(pair[1] is touch for touch in localization.touches)]
     localizer = observations[0][0]
-    record = result_record(localizer, localization, seconds)
+    record = make_record(localizer, localization, seconds)
     say_result(record)
-    for sentence in doubts(record):
+    for sentence in list_doubts(record):
         logger.warning("%s", sentence)
     if localization.outliers:
         logger.warning("--drop-outliers locates the object without what contradicts the other touches")
-    figure = draw_result(localization, localizer.scene, title(record), pose_errors_m(localizer.object, localization))
-    arrays = gather(observations, localization)
+    figure = draw_result(localization, localizer.scene, make_title(record), record.errors_m)
+    arrays = gather_arrays(observations, localization)
     with lock_folder(out):
         written = [
-            write_result(out / "result.json", record),
+            write_record(out / "result.json", record),
             write_arrays(out / NAME, arrays, record),
             save_figure(out / "result.png", figure),
         ]
         if page:
-            from tactile_loc.reports import find_source, write_report
+            from tactile_loc.reports.report import DEFAULT_NAME, write_page
+            from tactile_loc.reports.run import make_page
 
-            written.append(write_report(find_source(out / "result.json")))
+            written.append(write_page(make_page(record, arrays), out / DEFAULT_NAME))
     if rerun is not None:
         from tactile_loc.drawing.rerun_files import write_localization
 
         written.append(write_localization(rerun, localization, localizer.scene))
-    say(f"written: {', '.join(map(str, written))}")
-    return {**record.model_dump(mode="json"), "written": [str(path) for path in written]}
+    return {**record.model_dump(mode="json"), "written": say_written(written)}
 
 
-def _run_folder(localizer: Localizer, folder: Path, out: Path, pictures: bool) -> dict[str, Any]:
+def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool) -> dict[str, Any]:
     """Locate each touch of a folder or pattern; what cannot be is a line with its reason.
 
     Writes results.csv and, a folder a touch, result.json and, if asked for, result.png; returns what each came to, and
     the paths. Raises TouchError when the folder holds no touch or none can be located.
     """
-    from tactile_loc.core.errors import TouchError
-    from tactile_loc.locate.result_json import doubts
+    from tactile_loc.locate.doubts import list_doubts
     from tactile_loc.locate.touch_files import find_touches, localize_files, write_table
     from tactile_loc_cli.results import say_located
 
     files = find_touches(folder)
     found: list[LocatedFile] = []
     doubtful: list[str] = []
-    with progress().task(f"locating the touches of {folder}", len(files)) as advance:
-        for one, localization in localize_files(localizer, files, options.press_depth_m(localizer.config)):
+    with make_progress().task(f"locating the touches of {folder}", len(files)) as advance:
+        for one, localization in localize_files(localizer, files, localizer.config.touch.press_depth_m):
             if localization is not None:
                 record = _write(localizer, localization, out / one.path.stem, pictures)
-                doubtful += [one.path.name] if doubts(record) else []
+                doubtful += [one.path.name] if list_doubts(record) else []
             found.append(one)
             advance(1)
     written = write_table(out / "results.csv", found)
@@ -268,7 +205,7 @@ def _run_folder(localizer: Localizer, folder: Path, out: Path, pictures: bool) -
     _warn_of_doubtful(doubtful)
     if not located:
         raise TouchError(f"no touch of {folder} can be located; the first: {problems[0]}")
-    return {"located": located, "touches": [_as_json(one, out) for one in found], "written": [str(written)]}
+    return {"located": located, "touches": [_make_json(one, out) for one in found], "written": [str(written)]}
 
 
 def _warn_of_doubtful(names: list[str]) -> None:
@@ -286,17 +223,20 @@ def _warn_of_doubtful(names: list[str]) -> None:
 def _write(localizer: Localizer, localization: Localization, folder: Path, picture: bool) -> ResultRecord:
     """Write one touch's result, and return it."""
     from tactile_loc.drawing.pictures import draw_result, save_figure
-    from tactile_loc.locate.result_json import result_record, write_result
-    from tactile_loc_cli.results import title
+    from tactile_loc.io.records import write_record
+    from tactile_loc.locate.result_json import make_record
+    from tactile_loc_cli.results import make_title
 
-    record = result_record(localizer, localization)
-    write_result(folder / "result.json", record)
+    record = make_record(localizer, localization)
+    write_record(folder / "result.json", record)
     if picture:
-        save_figure(folder / "result.png", draw_result(localization, localizer.scene, title(record)))
+        save_figure(
+            folder / "result.png", draw_result(localization, localizer.scene, make_title(record), record.errors_m)
+        )
     return record
 
 
-def _as_json(located: LocatedFile, out: Path) -> dict[str, Any]:
+def _make_json(located: LocatedFile, out: Path) -> dict[str, Any]:
     """What became of one touch, in SI units."""
     if (best := located.best) is None:
         return {"touch": located.path.name, "verdict": located.verdict, "error": located.problem}

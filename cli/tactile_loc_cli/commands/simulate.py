@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tactile_loc.core.errors import ConfigError, OutputError
+from tactile_loc.store.files import require_writable, write_atomically, write_json
 from tactile_loc_cli import options
 from tactile_loc_cli.console import say
+from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -42,49 +45,40 @@ RecordingFile = Annotated[
 ]  # fmt: skip
 
 
+Count = Annotated[int, options.declare("--count", "N", "How many touches.", min=1, max=100_000)]
+Images = Annotated[
+    bool, typer.Option("--images", help="Also write what the camera sees: NAME.png for a touch, background.png.")
+]
+Out = Annotated[Path, options.declare("--out", "FOLDER", "Where touches, poses.json and touches.png go.")]
+Given = Annotated[
+    RunOptions,
+    options.takes(
+        "object", "units", "symmetry", "press_depth", "noise", "sensor", "grid", "renderer", "option", "config", "seed"
+    ),
+]
+
+
 def simulate(
-    object: options.Object = None,
-    units: options.MeshUnits = None,
-    symmetry: options.Symmetry = None,
-    count: Annotated[int, options.declare("--count", "N", "How many touches.", min=1, max=100_000)] = 10,
-    press_depth: options.PressDepth = None,
-    noise: options.TouchNoise = None,
-    sensor: options.Sensor = None,
-    grid: options.Grid = None,
-    renderer: options.Renderer = None,
-    option: options.SetOption = None,
-    config: options.Config = None,
-    images: Annotated[
-        bool, typer.Option("--images", help="Also write what the camera sees: NAME.png for a touch, background.png.")
-    ] = False,
+    given: Given,
+    count: Count = 10,
+    images: Images = False,
     optics: Lamps = None,
     recording: RecordingFile = None,
-    seed: options.Seed = None,
-    out: Annotated[
-        Path, options.declare("--out", "FOLDER", "Where touches, poses.json and touches.png go.")
-    ] = DEFAULT_OUT,
+    out: Out = DEFAULT_OUT,
 ) -> dict[str, Any]:
     """Simulate touches with known poses.
 
     Random contact poses of those that the grid covers, as contact shapes (npz) that `run --touch` reads.
     """
-    from tactile_loc.core.errors import ConfigError
-    from tactile_loc.store.files import require_writable
-
-    settings = options.run_config(
-        options.RunOptions(
-            object=object, units=units, symmetry=symmetry, press_depth=press_depth, noise=noise, sensor=sensor,
-            grid=grid, renderer=renderer, option=option, config=config, seed=seed,
-        )
-    )  # fmt: skip
-    seen_by = _optics(optics or settings.sensor.name, optics is not None) if images or optics is not None else None
+    settings = options.make_config(given)
+    seen_by = _find_optics(optics, settings.sensor.name) if images or optics is not None else None
     if recording is not None and out != DEFAULT_OUT:
         raise ConfigError(f"--recording writes one file and nothing into {out}; leave --out away")
     require_writable(out if recording is None else recording.parent)
     localizer = options.open_localizer(settings, None)
     if recording is not None:
         return _write_recording(recording, localizer, count, seen_by)
-    touches = localizer.simulate(count, settings.seed, options.press_depth_m(settings), settings.touch.noise)
+    touches = localizer.simulate(count, settings.seed, settings.touch.press_depth_m, settings.touch.noise)
     record = _write(localizer, touches, out)
     if seen_by is not None:
         _write_images(touches, localizer.scene.geometry, seen_by, settings.seed, out)
@@ -100,7 +94,6 @@ def simulate(
 
 def _write_recording(path: Path, localizer: Localizer, images: int, optics: Optics | None) -> dict[str, Any]:
     """Write a slide over the object as a recording."""
-    from tactile_loc.core.errors import OutputError
     from tactile_loc.core.simulation.noise import noise_level
     from tactile_loc.evaluation.slides import IMAGE_TOPIC, TRUTH_TOPIC, Photos, as_depths, random_slide, write_slide
 
@@ -116,11 +109,8 @@ def _write_recording(path: Path, localizer: Localizer, images: int, optics: Opti
 
 def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, Any]:
     """Write the touches, their poses and their picture; return what poses.json says."""
-    from tactile_loc.core.errors import OutputError
     from tactile_loc.drawing.pictures import draw_touches, save_figure
     from tactile_loc.io.touches import write_touch
-    from tactile_loc.locate.result_json import resolved
-    from tactile_loc.store.files import write_json
 
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -133,7 +123,7 @@ def _write(localizer: Localizer, touches: list[Touch], out: Path) -> dict[str, A
         "object": localizer.object.name,
         "press_depth_m": press_m.pop() if len(press_m) == 1 else None,
         "noise": localizer.config.touch.noise,
-        "configuration": resolved(localizer.config),
+        "configuration": localizer.config.resolve(),
         "T_sensor_object": {t.name: t.T_sensor_object.tolist() for t in touches if t.T_sensor_object is not None},
     }
     write_json(out / "poses.json", record)
@@ -152,11 +142,11 @@ def _warn_of_others(out: Path, names: list[str]) -> None:
         )
 
 
-def _optics(name: str, asked: bool) -> Optics:
+def _find_optics(asked: str | None, sensor: str) -> Optics:
     """Return the optics that were asked for, or the sensor's, or a usual sensor's."""
     from tactile_loc.imaging.optics import choose_optics, find_optics
 
-    return find_optics(name) if asked else choose_optics(name)
+    return choose_optics(sensor) if asked is None else find_optics(asked)
 
 
 def _write_images(touches: list[Touch], geometry: SensorGeometry, optics: Optics, seed: int, out: Path) -> None:
@@ -177,6 +167,5 @@ def _write_images(touches: list[Touch], geometry: SensorGeometry, optics: Optics
 
 def _write_png(path: Path, image: NDArray[Any]) -> None:
     from tactile_loc.io.images import write_image
-    from tactile_loc.store.files import write_atomically
 
     write_atomically(path, lambda temporary: write_image(temporary, image))

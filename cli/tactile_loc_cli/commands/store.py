@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tactile_loc.core.errors import ConfigError, StoreError
 from tactile_loc.core.formatting import byte_size
+from tactile_loc.core.slots.registry import SLOTS, registry
 from tactile_loc_cli.console import say, say_table
 from tactile_loc_cli.options import Store
 
 if TYPE_CHECKING:
     from tactile_loc.store.store import Entry, StageStore
-    from tactile_loc_cli.stored import Origins
+
+UNITS_S = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
+_DURATION = re.compile(r"(\d+(?:\.\d+)?)([smhdw])")
+LABEL = "label"  # of a stage, beside its inputs
+_DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
 def list_store(store: Store = None) -> dict[str, Any]:
@@ -22,38 +32,38 @@ def list_store(store: Store = None) -> dict[str, Any]:
 
     For each stage: its digest, size, age, whether it is complete, and what it was made from.
     """
-    from tactile_loc_cli.stored import Origins, age_in_words
-
     place = _open(store)
     entries = sorted(place.entries(), key=lambda entry: entry.created)
     origins = Origins(entries)
-    rows = [_row(place, entry, origins) for entry in entries]
+    rows = [_describe(place, entry, origins) for entry in entries]
     if rows:
         shown = [
-            [r["stage"], r["digest"], byte_size(r["bytes"]), age_in_words(r["age_s"]), r["state"],
+            [r["stage"], r["digest"], byte_size(r["bytes"]), write_age(r["age_s"]), r["state"],
              ", ".join(r["made_from"].values())] for r in rows
         ]  # fmt: skip
         say_table([["stage", "digest", "size", "age", "state", "made from"], *shown], left=(0, 1, 4, 5))
-    say(_in_all(place, entries))
-    return {"store": str(place.root), "entries": rows, "bytes": _bytes(entries)}
+    say(_summarise(place, entries))
+    return {"store": str(place.root), "entries": rows, "bytes": _sum_bytes(entries)}
 
 
 def size(store: Store = None) -> dict[str, Any]:
     """Say how much room the store takes, by stage."""
-    from tactile_loc_cli.stored import by_stage
-
     place = _open(store)
     entries = place.entries()
     stages = {
-        stage: {"entries": len(group), "incomplete": sum(not entry.complete for entry in group), "bytes": _bytes(group)}
-        for stage, group in by_stage(entries).items()
+        stage: {
+            "entries": len(group),
+            "incomplete": sum(not entry.complete for entry in group),
+            "bytes": _sum_bytes(group),
+        }
+        for stage, group in group_by_stage(entries).items()
     }
     if stages:
         shown = [[stage, *map(str, (s["entries"], s["incomplete"])), byte_size(s["bytes"])]
                  for stage, s in stages.items()]  # fmt: skip
         say_table([["stage", "entries", "incomplete", "size"], *shown], left=1)
-    say(_in_all(place, entries))
-    return {"store": str(place.root), "stages": stages, "entries": len(entries), "bytes": _bytes(entries)}
+    say(_summarise(place, entries))
+    return {"store": str(place.root), "stages": stages, "entries": len(entries), "bytes": _sum_bytes(entries)}
 
 
 def prune(
@@ -79,8 +89,6 @@ def prune(
     Several conditions: what meets them all. What is being built now is left alone. What is removed and needed later is
     built again.
     """
-    from tactile_loc_cli.stored import Criteria, parse_age
-
     age = None if older_than is None else parse_age(older_than)
     criteria = Criteria(everything, tuple(stage or ()), age, incomplete, keep_newest or 0)
     place = _open(store)
@@ -88,13 +96,13 @@ def prune(
     busy = [entry for entry in chosen if place.is_being_built(entry)]
     free = [entry for entry in chosen if entry not in busy]
     for entry in busy:
-        say(f"left alone, it is being built now: {_called(entry)}")
+        say(f"left alone, it is being built now: {_name(entry)}")
     if free and not (dry_run or yes or _is_confirmed(free)):
         free = []
     removed, kept = (free, []) if dry_run else _remove(place, free)
     _say_removed(place, removed, dry_run)
-    record = {"removed": _recorded(removed), "left_alone": _recorded([*busy, *kept])}
-    return {"store": str(place.root), "dry_run": dry_run, **record, "bytes": _bytes(removed)}
+    record = {"removed": _record(removed), "left_alone": _record([*busy, *kept])}
+    return {"store": str(place.root), "dry_run": dry_run, **record, "bytes": _sum_bytes(removed)}
 
 
 COMMANDS: Mapping[str, Callable[..., dict[str, Any]]] = {"list": list_store, "size": size, "prune": prune}
@@ -106,23 +114,19 @@ def _open(store: Store) -> StageStore:
     return StageStore(store)
 
 
-def _row(place: StageStore, entry: Entry, origins: Origins) -> dict[str, Any]:
-    from tactile_loc_cli.stored import age_s
-
+def _describe(place: StageStore, entry: Entry, origins: Origins) -> dict[str, Any]:
     if entry.complete:
         state = "complete" if origins.is_readable(entry) else "damaged"
     else:
         state = "being built" if _is_being_built(place, entry) else "interrupted"
     return {
         "stage": entry.stage, "digest": entry.digest, "bytes": entry.nbytes, "created": entry.created.isoformat(),
-        "age_s": age_s(entry), "complete": entry.complete, "state": state, "made_from": origins.of(entry),
+        "age_s": measure_age_s(entry), "complete": entry.complete, "state": state, "made_from": origins.find(entry),
     }  # fmt: skip
 
 
 def _is_being_built(place: StageStore, entry: Entry) -> bool:
     """As the store says; False where we may not ask, as in a store that can only be read."""
-    from tactile_loc.core.errors import StoreError
-
     try:
         return place.is_being_built(entry)
     except StoreError:
@@ -131,11 +135,9 @@ def _is_being_built(place: StageStore, entry: Entry) -> bool:
 
 def _is_confirmed(entries: Sequence[Entry]) -> bool:
     """Let the person decide. Raises ConfigError where there is none to ask."""
-    from tactile_loc.core.errors import ConfigError
-
     if not _is_terminal():
         raise ConfigError("nobody is here to confirm that; give --yes, or --dry-run to see what would be removed")
-    return typer.confirm(f"Remove {_counted(entries)}, {byte_size(_bytes(entries))}?", err=True)
+    return typer.confirm(f"Remove {_count(entries)}, {byte_size(_sum_bytes(entries))}?", err=True)
 
 
 def _is_terminal() -> bool:
@@ -145,8 +147,6 @@ def _is_terminal() -> bool:
 
 def _remove(place: StageStore, entries: Sequence[Entry]) -> tuple[list[Entry], list[Entry]]:
     """Remove the entries; return those that are gone, and those that another process took meanwhile."""
-    from tactile_loc.core.errors import StoreError
-
     gone, kept = [], []
     for entry in entries:
         try:
@@ -155,7 +155,7 @@ def _remove(place: StageStore, entries: Sequence[Entry]) -> tuple[list[Entry], l
             if not place.is_being_built(entry):
                 raise
             kept.append(entry)
-            say(f"left alone, it is being built now: {_called(entry)}")
+            say(f"left alone, it is being built now: {_name(entry)}")
         else:
             gone.append(entry)
     return gone, kept
@@ -163,26 +163,161 @@ def _remove(place: StageStore, entries: Sequence[Entry]) -> tuple[list[Entry], l
 
 def _say_removed(place: StageStore, entries: Sequence[Entry], dry_run: bool) -> None:
     for entry in entries:
-        say(f"{'would remove' if dry_run else 'removed'} {_called(entry)}, {byte_size(entry.nbytes)}")
+        say(f"{'would remove' if dry_run else 'removed'} {_name(entry)}, {byte_size(entry.nbytes)}")
     verb = "would be removed" if dry_run else "removed"
-    say(f"{_counted(entries)}, {byte_size(_bytes(entries))}, {verb} from {place.root}")
+    say(f"{_count(entries)}, {byte_size(_sum_bytes(entries))}, {verb} from {place.root}")
 
 
-def _recorded(entries: Sequence[Entry]) -> list[dict[str, Any]]:
+def _record(entries: Sequence[Entry]) -> list[dict[str, Any]]:
     return [{"stage": entry.stage, "digest": entry.digest, "bytes": entry.nbytes} for entry in entries]
 
 
-def _called(entry: Entry) -> str:
+def _name(entry: Entry) -> str:
     return f"{entry.stage} {entry.digest}"
 
 
-def _counted(entries: Sequence[Entry]) -> str:
+def _count(entries: Sequence[Entry]) -> str:
     return f"{len(entries)} {'entry' if len(entries) == 1 else 'entries'}"
 
 
-def _bytes(entries: Sequence[Entry]) -> int:
+def _sum_bytes(entries: Sequence[Entry]) -> int:
     return sum(entry.nbytes for entry in entries)
 
 
-def _in_all(place: StageStore, entries: Sequence[Entry]) -> str:
-    return f"{_counted(entries)}, {byte_size(_bytes(entries))} in {place.root}"
+def _summarise(place: StageStore, entries: Sequence[Entry]) -> str:
+    return f"{_count(entries)}, {byte_size(_sum_bytes(entries))} in {place.root}"
+
+
+def parse_age(text: str) -> timedelta:
+    """Return the duration that a text such as "30d" or "1.5h" names. Raises ConfigError."""
+    match = _DURATION.fullmatch(text.strip().lower())
+    try:
+        if match:
+            return timedelta(seconds=float(match[1]) * UNITS_S[match[2]])
+    except OverflowError:
+        pass
+    raise ConfigError(f"--older-than {text!r} is no age; write a number and s, m, h, d or w, such as 30d or 12h")
+
+
+def write_age(seconds: float) -> str:
+    """Return an age in the largest unit of which it holds two, such as 45 min, 3 h, 12 d."""
+    for unit, name in (("d", "d"), ("h", "h"), ("m", "min")):
+        if seconds >= 2 * UNITS_S[unit]:
+            return f"{seconds / UNITS_S[unit]:.0f} {name}"
+    return f"{max(seconds, 0):.0f} s"
+
+
+def measure_age_s(entry: Entry, now: datetime | None = None) -> float:
+    """Return how long ago an entry was built, or last worked at, seconds."""
+    return ((now or datetime.now(UTC)) - entry.created).total_seconds()
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """Which entries to remove: those that meet all that is asked."""
+
+    everything: bool = False
+    stages: tuple[str, ...] = ()
+    older_than: timedelta | None = None
+    incomplete: bool = False
+    keep_newest: int = 0
+
+    def __post_init__(self) -> None:
+        if not (self.everything or self._some):
+            raise ConfigError(
+                "say what to remove: --older-than 30d, --stage NAME, --incomplete, --keep-newest N, or --all"
+            )
+        if self.everything and self._some:
+            raise ConfigError("--all removes everything: leave it out, or the other conditions")
+
+    @property
+    def _some(self) -> bool:
+        return bool(self.stages or self.older_than is not None or self.incomplete or self.keep_newest)
+
+    def choose(self, entries: Sequence[Entry]) -> list[Entry]:
+        """Return the entries to remove, in their order. Raises ConfigError for a stage that the store does not hold."""
+        known = {entry.stage for entry in entries}
+        if unknown := [stage for stage in self.stages if stage not in known]:
+            raise ConfigError(
+                f"the store holds no stage {unknown[0]!r}; it holds {', '.join(sorted(known)) or 'nothing'}"
+            )
+        kept, now = set(self._find_newest(entries)), datetime.now(UTC)
+        return [entry for entry in entries if entry.path not in kept and self._is_met(entry, now)]
+
+    def _is_met(self, entry: Entry, now: datetime) -> bool:
+        return (
+            (not self.stages or entry.stage in self.stages)
+            and (self.older_than is None or measure_age_s(entry, now) > self.older_than.total_seconds())
+            and not (self.incomplete and entry.complete)
+        )
+
+    def _find_newest(self, entries: Sequence[Entry]) -> Iterator[Any]:
+        """The paths of the newest finished entries of each stage."""
+        for group in group_by_stage(entries).values():
+            finished = sorted((e for e in group if e.complete), key=lambda e: e.created, reverse=True)
+            yield from (entry.path for entry in finished[: self.keep_newest])
+
+
+def group_by_stage(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
+    """Return the entries of each stage."""
+    groups: defaultdict[str, list[Entry]] = defaultdict(list)
+    for entry in entries:
+        groups[entry.stage].append(entry)
+    return dict(groups)
+
+
+@dataclass
+class Origins:
+    """What the entries of a store were made from, by their manifests and those of the stages they refer to."""
+
+    entries: Sequence[Entry]
+    _inputs: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for entry in self.entries:
+            if entry.complete and (inputs := _read_inputs(entry)) is not None:
+                self._inputs[entry.digest] = inputs
+
+    def is_readable(self, entry: Entry) -> bool:
+        """Whether the entry is finished and its manifest is whole; the files' checksums are not looked at."""
+        return entry.digest in self._inputs
+
+    def find(self, entry: Entry) -> dict[str, str]:
+        """Return what an entry was made from: "object" (its name, or its mesh's digest), and components by slot."""
+        parts = dict(
+            _list_parts(self._inputs.get(entry.digest, {}), self._inputs, _list_names(), frozenset({entry.digest}))
+        )
+        return {key: parts[key] for key in ("object", *SLOTS) if key in parts}
+
+
+def _read_inputs(entry: Entry) -> Mapping[str, Any] | None:
+    from tactile_loc.store.artifact import read_artifact
+
+    try:
+        key = read_artifact(entry.path).key
+    except StoreError:
+        return None
+    return {**key.inputs, LABEL: key.label}
+
+
+def _list_parts(
+    value: Any, known: Mapping[str, Mapping[str, Any]], names: Mapping[str, tuple[str, str]], seen: frozenset[str]
+) -> Iterator[tuple[str, str]]:
+    """What inputs name, those of the stages they refer to first."""
+    if isinstance(value, str) and _DIGEST.fullmatch(value):
+        if (digest := value[:16]) in known and digest not in seen:
+            yield from _list_parts(known[digest], known, names, seen | {digest})
+    elif isinstance(value, Mapping):
+        if "mesh" in value and "symmetry" in value:
+            yield "object", f"mesh {str(value['mesh'])[:8]} ({value['symmetry']})"
+        elif value.get("class") in names:
+            yield names[value["class"]]
+        for item in value.values():
+            yield from _list_parts(item, known, names, seen)
+        if value.get(LABEL):
+            yield "object", value[LABEL]
+
+
+def _list_names() -> dict[str, tuple[str, str]]:
+    """Slot and name of each component, by what its description calls its class."""
+    return {c.spec.target: (c.spec.slot, c.spec.name) for c in registry().components}

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc_cli import options, sweep_results
-from tactile_loc_cli.console import complain, progress
+from tactile_loc.core.errors import ConfigError
+from tactile_loc.core.slots.registry import SLOTS
+from tactile_loc_cli import options
+from tactile_loc_cli.console import complain, make_progress, say, say_table, say_written
 from tactile_loc_cli.failures import UNEXPECTED, Finding
 from tactile_loc_cli.options import declare, set_option
 
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
     from tactile_loc.sweeps.sweep import Sweep, Workers
 
 DEFAULT_OUT = Path("sweep")
-
+MOST_SHOWN = 40  # lines of a list of combinations
 
 PlanFile = Annotated[
     Path | None, typer.Argument(metavar="PLAN.toml", help="The plan; options on the command line override it.")
@@ -64,19 +66,13 @@ Compare = Annotated[
     Path | None, declare("--compare", "FOLDER", "Compare --out with this older sweep; without a plan, only compare.")
 ]
 Out = Annotated[Path, declare("--out", "FOLDER", "Where the rows, tables and pictures go.")]
-Store = Annotated[
-    Path | None,
-    declare(
-        "--store", "FOLDER", "Where models are kept, the same folder for all workers; by default as for other commands."
-    ),
-]
 
 
 def sweep(
     plan: PlanFile = None,
     object: Objects = None,
-    units: options.MeshUnits = None,
-    symmetry: options.Symmetry = None,
+    *,
+    given: Annotated[options.RunOptions, options.takes("units", "symmetry")],
     sensor: Sensors = None,
     renderer: Renderers = None,
     grid: Grids = None,
@@ -95,35 +91,37 @@ def sweep(
     dry_run: DryRun = False,
     compare: Compare = None,
     out: Out = DEFAULT_OUT,
-    store: Store = None,
+    store: options.Store = None,
 ) -> dict[str, Any]:
     """Evaluate every combination of components.
 
     Options with "..." take several values, separated by commas or by repeating them; all combinations of all values are
     evaluated, as in docs/sweeps.md, on local processes or a Dask cluster. A combination that fails is a row with its
-    error, and the exit code is then 1. Interrupted, the same command resumes.
+    error, and the exit code is then 1. All workers share one store. Interrupted, the same command resumes.
     """
-    from tactile_loc.sweeps.results import require_line
+    from tactile_loc.store.store import StageStore
+    from tactile_loc.sweeps.results import read_sweep, require_line
+    from tactile_loc.sweeps.sweep import run_sweep
 
-    planned = {
+    values = {
         "object": object, "sensor": sensor, "renderer": renderer, "grid": grid, "encoder": encoder, "matcher": matcher,
         "refiner": refiner, "fuser": fuser, "noise": noise, "seed": seed, "count": count, "option": option,
     }  # fmt: skip
-    given = {key: value for key, value in planned.items() if value is not None}
+    values = {key: value for key, value in values.items() if value is not None}
 
     require_line(line)
-    if plan is None and not given:
-        return sweep_results.compare_with(compare, out, line)
-    wanted = _plan(plan, given, units, symmetry)
-    place = _store(store)
+    if plan is None and not values:
+        return _compare(compare, out, line)
+    wanted = _make_plan(plan, values, given.units, given.symmetry)
+    place = StageStore(store).root
     if dry_run:
-        return sweep_results.dry_run(wanted, out, place)
+        return _list_combinations(wanted, out, place)
     if compare is not None:
-        sweep_results.require_sweep(compare)
-    found = _run(wanted, out, place, _workers(workers, threads, scheduler, out))
-    report = sweep_results.report(found, out, line)
+        read_sweep(compare)  # refused now, not after the sweep
+    found = run_sweep(wanted, out, place, _choose_workers(workers, threads, scheduler, out), make_progress())
+    report = _report(found, out, line)
     if compare is not None:
-        report["comparison"] = sweep_results.compare_with(compare, out, line)
+        report["comparison"] = _compare(compare, out, line)
     if found.failed:
         complain(
             "failed", f"{found.failed} of {len(found.combinations)} combinations; the errors are in {out}/sweep.md"
@@ -132,9 +130,8 @@ def sweep(
     return report
 
 
-def _plan(path: Path | None, given: dict[str, Any], units: options.Units | None, symmetry: str | None) -> Plan:
+def _make_plan(path: Path | None, given: dict[str, Any], units: options.Units | None, symmetry: str | None) -> Plan:
     """The file's plan with what is given on the command line over it."""
-    from tactile_loc.core.errors import ConfigError
     from tactile_loc.io.toml import read_toml
     from tactile_loc.sweeps.plan import Plan, merge_options, read_options, split_all
 
@@ -157,14 +154,7 @@ def _plan(path: Path | None, given: dict[str, Any], units: options.Units | None,
     return Plan.from_values(values, source)
 
 
-def _store(store: Path | None) -> Path:
-    from tactile_loc.store.store import StageStore
-
-    return StageStore(store).root
-
-
-def _workers(workers: int | None, threads: int | None, scheduler: str | None, out: Path) -> Workers:
-    from tactile_loc.core.errors import ConfigError
+def _choose_workers(workers: int | None, threads: int | None, scheduler: str | None, out: Path) -> Workers:
     from tactile_loc.sweeps.workers import DaskWorkers, LocalWorkers, cores
 
     if scheduler is None:
@@ -176,7 +166,81 @@ def _workers(workers: int | None, threads: int | None, scheduler: str | None, ou
     return DaskWorkers(scheduler)
 
 
-def _run(plan: Plan, out: Path, store: Path, workers: Workers) -> Sweep:
-    from tactile_loc.sweeps.sweep import run_sweep
+def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
+    """List what would be done, and return it."""
+    from tactile_loc.sweeps.combination import combine, stages_to_build
+    from tactile_loc.sweeps.plan import choice_labels
+    from tactile_loc.sweeps.sweep import FinishedRows, finished
 
-    return run_sweep(plan, out, store, workers, progress())
+    combinations, objects = combine(plan)
+    done = finished(combinations, FinishedRows(out))
+    missing = [one for one in combinations if one.key not in done]
+    stages = stages_to_build(missing, objects, store)
+    labels = choice_labels(plan)
+    rows = [
+        [one.object, *(labels[slot][i] for slot, i in zip(SLOTS, one.place[1:-2], strict=True)), one.config.touch.noise,
+         str(one.config.seed), "done" if one.key in done else "to do"]
+        for one in combinations
+    ]  # fmt: skip
+    header = ["object", *SLOTS, "noise", "seed", ""]
+    say_table([header, *rows], left=len(header))
+    say(f"\n{len(combinations)} combinations of {plan.count} touches each, {len(missing)} to do")
+    say(f"stages to be built: {', '.join(f'{stage} {count}' for stage, count in stages.items())}")
+    say("of encoders that follow the press depth, one bank is counted; they need one for each depth of the touches")
+    keys = [dict(zip([*header[:-1], "state"], row, strict=True)) for row in rows]
+    return {"combinations": keys, "count": plan.count, "missing": len(missing), "stages_to_build": stages}
+
+
+def _report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
+    """Write the results of a sweep, show them, and return what was written."""
+    from tactile_loc.sweeps.results import write_sweep
+
+    files = write_sweep(out, found, line)
+    _say_medians(found, line)
+    total = len(found.combinations)
+    say(f"\n{total} combinations: {found.done} evaluated now, {total - found.done} before")
+    say(f"stages built: {', '.join(f'{stage} {count}' for stage, count in found.built.items()) or 'none'}")
+    return {
+        "out": str(out), "combinations": total, "evaluated": found.done, "failed": found.failed, "built": found.built,
+        "line": line, "written": say_written(files),
+    }  # fmt: skip
+
+
+def _say_medians(found: Sweep, line: str) -> None:
+    """Show the median errors, best first."""
+    from tactile_loc.sweeps.results import FAILED, pivot
+
+    medians = found.medians(line)
+    for noise in found.plan.noises:
+        errors_mm = pivot(medians, noise)
+        rows = [
+            [str(label), *(FAILED if value != value else f"{value:.3g}" for value in row)]
+            for label, row in zip(errors_mm.index, errors_mm.to_numpy(), strict=True)
+        ]
+        say(f"median error of {line}, mm, noise {noise}")
+        say_table([["components", *errors_mm.columns], *rows[:MOST_SHOWN]], left=1)
+        if len(rows) > MOST_SHOWN:
+            say(f"... and {len(rows) - MOST_SHOWN} more, in sweep.md")
+
+
+def _compare(old: Path | None, new: Path, line: str) -> dict[str, Any]:
+    """Compare two finished sweeps, show what changed, and return it. Raises ConfigError."""
+    from tactile_loc.sweeps.comparison import as_text, compare, summary, write_comparison
+    from tactile_loc.sweeps.results import read_sweep
+
+    if old is None:
+        raise ConfigError("there is nothing to sweep; give a plan (sweep.toml), or options such as --refiner none,icp")
+    comparison = compare(read_sweep(old), read_sweep(new), line)
+    table = as_text(comparison)
+    files = write_comparison(new, comparison)
+    changed = table[table["change"] != ""].to_numpy().tolist()
+    if changed:
+        say_table([list(table.columns), *changed[:MOST_SHOWN]], left=len(table.columns) - 4)
+    say(summary(comparison))
+    for name, (before, after) in comparison.versions.items():
+        say(f"{name}: {before} -> {after}")
+    marks = {mark: comparison.count(mark) for mark in sorted({*table["change"]} - {""})}
+    return {
+        "combinations": len(table), "line": line, "changes": marks, "versions": comparison.versions,
+        "written": say_written(files),
+    }  # fmt: skip

@@ -63,7 +63,7 @@ class Probe:
     look: Callable[[], Sequence[Check]]
     required: bool = False
 
-    def checks(self) -> list[Check]:
+    def run(self) -> list[Check]:
         """Return what was found; a failure to look is itself a finding."""
         try:
             return list(self.look())
@@ -101,23 +101,23 @@ def attempt(trial: str, *words: str, timeout_s: float | None = None) -> Outcome:
     except OSError as error:
         return Outcome(failure=f"Python cannot be started ({error.strerror})")
     if done.returncode < 0:
-        return Outcome(failure=f"it crashes ({_signal(-done.returncode)})")
+        return Outcome(failure=f"it crashes ({_name_signal(-done.returncode)})")
     if done.returncode > 0:
-        return Outcome(failure=_last_line(done.stderr) or f"it ends with code {done.returncode}")
+        return Outcome(failure=_read_last_line(done.stderr) or f"it ends with code {done.returncode}")
     try:
-        return Outcome(facts=dict(json.loads(_last_line(done.stdout, len(done.stdout)))))
+        return Outcome(facts=dict(json.loads(_read_last_line(done.stdout, len(done.stdout)))))
     except (ValueError, TypeError):
         return Outcome(failure="it says nothing")
 
 
-def _signal(number: int) -> str:
+def _name_signal(number: int) -> str:
     try:
         return signal.Signals(number).name
     except ValueError:
         return f"signal {number}"
 
 
-def _last_line(text: str, longest: int = LONGEST) -> str:
+def _read_last_line(text: str, longest: int = LONGEST) -> str:
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     return lines[-1][:longest] if lines else ""
 
@@ -137,7 +137,7 @@ DRIVER = "libgl1-mesa-dri"  # Mesa's drivers, which need no GPU
 DRIVER_PATTERNS = ("lib/dri/*_dri.so", "lib64/dri/*_dri.so", "lib/*/dri/*_dri.so", "lib/*/libgallium-*.so")
 
 
-def shared_libraries() -> Iterator[Check]:
+def check_shared_libraries() -> Iterator[Check]:
     """Say which shared libraries are missing; on other systems than Linux nothing is looked at."""
     if sys.platform != "linux":
         return
@@ -147,9 +147,9 @@ def shared_libraries() -> Iterator[Check]:
         return
     for library in outcome.facts["missing"]:
         user = USERS.get(library, "open3d")
-        yield Check(library, State.MISSING, f"{user} needs it", install(PACKAGES[library]))
+        yield Check(library, State.MISSING, f"{user} needs it", advise_install(PACKAGES[library]))
     if not has_egl_driver():
-        remedy = install(DRIVER)
+        remedy = advise_install(DRIVER)
         yield Check("EGL driver", State.MISSING, "the renderer pyrender needs one, Mesa's or NVIDIA's", remedy)
     if not outcome.facts["missing"]:
         yield Check("system libraries", State.OK, "all there")
@@ -162,16 +162,16 @@ def has_egl_driver() -> bool:
     return any(found for pattern in DRIVER_PATTERNS for found in Path("/usr").glob(pattern))
 
 
-def install(package: str) -> str:
+def advise_install(package: str) -> str:
     """Return how to install a Debian package, here."""
     if shutil.which("apt-get"):
         return f"sudo apt-get install {package}"
     return f"install what Debian calls {package} with this system's package manager"
 
 
-def remedy_for(failure: str, otherwise: str) -> str:
+def find_remedy(failure: str, otherwise: str) -> str:
     """Return how to install the shared library that a failure names; `otherwise` when it names none."""
-    return next((install(package) for library, package in PACKAGES.items() if library in failure), otherwise)
+    return next((advise_install(package) for library, package in PACKAGES.items() if library in failure), otherwise)
 
 
 PYTHON = (3, 11)
@@ -192,26 +192,27 @@ class Library:
     repair: str = ""  # what to do when it is installed and does not work; by default install it anew
 
 
-def _needed(module: str, *distributions: str, trial: str = "import", serves: str = "") -> Library:
+def _require(module: str, *distributions: str, trial: str = "import", serves: str = "") -> Library:
     names = distributions or (module,)
     return Library(module, names, serves or "needed by everything", f"pip install {names[0]}", True, trial)
 
 
 LIBRARIES = (
-    _needed("numpy"),
-    _needed("scipy"),
-    _needed("numba", trial="numba"),
-    _needed("trimesh"),
-    _needed("networkx"),
-    _needed("rtree"),
-    _needed("faiss", "faiss-cpu", "faiss-gpu", serves="the matcher faiss"),
-    _needed("matplotlib"),
-    _needed("PIL", "pillow"),
-    _needed("jinja2", serves="reports"),
-    _needed("plotly", serves="reports"),
-    _needed("open3d", "open3d-cpu", "open3d", trial="open3d", serves="the renderer raycast, the refiner icp, pictures"),
+    _require("numpy"),
+    _require("scipy"),
+    _require("numba", trial="numba"),
+    _require("trimesh"),
+    _require("networkx"),
+    _require("rtree"),
+    _require("faiss", "faiss-cpu", "faiss-gpu", serves="the matcher faiss"),
+    _require("matplotlib"),
+    _require("PIL", "pillow"),
+    _require("jinja2", serves="reports"),
+    _require("plotly", serves="reports"),
+    _require("open3d", "open3d-cpu", "open3d", trial="open3d",
+             serves="the renderer raycast, the refiner icp, pictures"),
     Library("pyrender", ("pyrender",), "the renderer pyrender", "pip install pyrender", trial="egl",
-            repair=install("libegl1 libgl1-mesa-dri")),
+            repair=advise_install("libegl1 libgl1-mesa-dri")),
     Library("torch", ("torch",), "the encoder moco, and sensors that read images", "pip install 'tactile-loc[learned]'",
             trial="torch"),
     Library("safetensors", ("safetensors",), "what is learned", "pip install 'tactile-loc[learned]'"),
@@ -230,21 +231,21 @@ def examine(store: Path | None, workers: int = 4, compiling: bool = False) -> li
     `compiling` also compiles what locating takes.
     """
     probes = [
-        Probe("versions", _versions, required=True),
-        Probe("machine", _machine),
-        *(Probe(library.module, partial(_library, library), library.required) for library in LIBRARIES),
-        Probe("system libraries", lambda: list(shared_libraries())),
-        Probe("plugins", lambda: list(_plugins()), required=True),
-        Probe("store", lambda: [_store(store)], required=True),
-        *([Probe("kernels", lambda: [_kernels()], required=True)] if compiling else []),
+        Probe("versions", _check_versions, required=True),
+        Probe("machine", _check_machine),
+        *(Probe(library.module, partial(_check_library, library), library.required) for library in LIBRARIES),
+        Probe("system libraries", lambda: list(check_shared_libraries())),
+        Probe("plugins", lambda: list(_check_plugins()), required=True),
+        Probe("store", lambda: [_check_store(store)], required=True),
+        *([Probe("kernels", lambda: [_compile_kernels()], required=True)] if compiling else []),
     ]
     with ThreadPoolExecutor(workers) as pool:
-        return [check for checks in pool.map(Probe.checks, probes) for check in checks]
+        return [check for checks in pool.map(Probe.run, probes) for check in checks]
 
 
-def _versions() -> Sequence[Check]:
+def _check_versions() -> Sequence[Check]:
     version = metadata.version("tactile-loc")
-    python, system = platform.python_version(), f"{_system()}, {platform.machine()}"
+    python, system = platform.python_version(), f"{_name_system()}, {platform.machine()}"
     state = State.OK if sys.version_info >= PYTHON else State.BROKEN
     remedy = "" if state is State.OK else f"make an environment with Python {PYTHON[0]}.{PYTHON[1]} or newer"
     return [
@@ -254,14 +255,14 @@ def _versions() -> Sequence[Check]:
     ]
 
 
-def _system() -> str:
+def _name_system() -> str:
     try:
         return f"{platform.freedesktop_os_release()['PRETTY_NAME']} ({platform.system()} {platform.release()})"
     except (OSError, KeyError):
         return f"{platform.system()} {platform.release()}"
 
 
-def _machine() -> Sequence[Check]:
+def _check_machine() -> Sequence[Check]:
     affinity = getattr(os, "sched_getaffinity", None)
     cores = len(affinity(0)) if affinity else os.cpu_count() or 1
     nbytes = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -269,9 +270,9 @@ def _machine() -> Sequence[Check]:
     return [Check("machine", State.OK, says, facts={"cores": cores, "memory_bytes": nbytes})]
 
 
-def _library(library: Library) -> Sequence[Check]:
+def _check_library(library: Library) -> Sequence[Check]:
     """Whether a library is installed and works."""
-    version = _version_of(library.distributions)
+    version = _find_version(library.distributions)
     serves = library.serves if library.required else f"optional, for {library.serves}"
     if version is None and (failed := attempt("import", library.module)).failure:
         state = State.MISSING if "No module named" in failed.failure else State.BROKEN
@@ -279,24 +280,24 @@ def _library(library: Library) -> Sequence[Check]:
     outcome = attempt(library.trial, *([library.module] if library.trial == "import" else []))
     facts = {"version": version, **{k: v for k, v in outcome.facts.items() if k != "says"}}
     if outcome.failure:
-        remedy = remedy_for(outcome.failure, library.repair or f"{library.install} --force-reinstall")
+        remedy = find_remedy(outcome.failure, library.repair or f"{library.install} --force-reinstall")
         says = f"{outcome.failure} ({serves})"
         return [Check(library.module, State.BROKEN, says, remedy, library.required, facts)]
     says = ", ".join(filter(None, [version, outcome.facts.get("says")]))
     return [Check(library.module, State.OK, says, required=library.required, facts=facts)]
 
 
-def _kernels() -> Check:
+def _compile_kernels() -> Check:
     """Whether what locating takes can be compiled: it is, now."""
     outcome = attempt("kernels", timeout_s=COMPILE_S)
     if outcome.failure:
-        remedy = remedy_for(outcome.failure, "tactile-loc -vv run says more")
+        remedy = find_remedy(outcome.failure, "tactile-loc -vv run says more")
         return Check("kernels", State.BROKEN, outcome.failure, remedy, required=True)
     facts = {"seconds": outcome.facts["seconds"]}
     return Check("kernels", State.OK, str(outcome.facts["says"]), required=True, facts=facts)
 
 
-def _version_of(distributions: Sequence[str]) -> str | None:
+def _find_version(distributions: Sequence[str]) -> str | None:
     for name in distributions:
         try:
             return metadata.version(name)
@@ -305,7 +306,7 @@ def _version_of(distributions: Sequence[str]) -> str | None:
     return None
 
 
-def _plugins() -> Iterator[Check]:
+def _check_plugins() -> Iterator[Check]:
     from tactile_loc.core.slots.registry import BUILT_IN, registry
 
     found = registry()
@@ -322,7 +323,7 @@ def _plugins() -> Iterator[Check]:
         yield Check(f"plugin {failure.plugin}", State.BROKEN, f"of {failure.distribution}: {failure.error}", remedy)
 
 
-def _store(folder: Path | None) -> Check:
+def _check_store(folder: Path | None) -> Check:
     from tactile_loc.core.formatting import byte_size
     from tactile_loc.store.store import StageStore
 

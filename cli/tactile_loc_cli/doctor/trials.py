@@ -24,7 +24,7 @@ def import_library(module: str) -> Facts:
     return {}
 
 
-def egl() -> Facts:
+def try_egl() -> Facts:
     """Draw one small picture of a square, 1 mm before the sensor's undeformed surface, without a display."""
     import numpy as np
 
@@ -43,7 +43,7 @@ def egl() -> Facts:
     return {"says": "renders without a display"}
 
 
-def open3d() -> Facts:
+def try_open3d() -> Facts:
     """Cast one ray at a triangle one metre away."""
     import numpy as np
     import open3d as o3d
@@ -58,7 +58,7 @@ def open3d() -> Facts:
     return {"says": "casts rays"}
 
 
-def numba() -> Facts:
+def try_numba() -> Facts:
     """Compile a function and run it."""
     from numba import njit
 
@@ -74,7 +74,7 @@ def numba() -> Facts:
     return {"says": "compiles"}
 
 
-def torch() -> Facts:
+def try_torch() -> Facts:
     """Import torch and name the GPUs that it can compute on."""
     import torch
 
@@ -89,7 +89,7 @@ def torch() -> Facts:
     return {"says": says, "cuda_devices": devices}
 
 
-def shared_libraries(*names: str) -> Facts:
+def load_shared_libraries(*names: str) -> Facts:
     """Load shared libraries by name, and say which cannot be."""
     import ctypes
 
@@ -102,7 +102,7 @@ def shared_libraries(*names: str) -> Facts:
     return {"missing": missing}
 
 
-def kernels() -> Facts:
+def compile_kernels() -> Facts:
     """Locate a small object by one touch and by two, so that what this takes is compiled, and kept on disk."""
     import tempfile
     import time
@@ -129,8 +129,8 @@ def kernels() -> Facts:
 
 
 TRIALS: Mapping[str, Callable[..., Facts]] = {
-    "import": import_library, "egl": egl, "open3d": open3d, "numba": numba, "torch": torch,
-    "shared-libraries": shared_libraries, "kernels": kernels,
+    "import": import_library, "egl": try_egl, "open3d": try_open3d, "numba": try_numba, "torch": try_torch,
+    "shared-libraries": load_shared_libraries, "kernels": compile_kernels,
 }  # fmt: skip
 
 

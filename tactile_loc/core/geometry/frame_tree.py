@@ -101,13 +101,13 @@ class FrameTree:
         Raises FrameError for a frame that is unknown or not connected, and for a time that is not covered.
         """
         self.require(target, source)
-        up_target, up_source = self._ancestors(target), self._ancestors(source)
+        up_target, up_source = self._list_ancestors(target), self._list_ancestors(source)
         common = next((name for name in up_source if name in up_target), None)
         if common is None:
             raise FrameError(f"the frames {target!r} and {source!r} are not connected; a transform between them lacks")
-        return invert(self._seen_from(common, target, stamp_ns)) @ self._seen_from(common, source, stamp_ns)
+        return invert(self._chain_up(common, target, stamp_ns)) @ self._chain_up(common, source, stamp_ns)
 
-    def _ancestors(self, name: str) -> list[str]:
+    def _list_ancestors(self, name: str) -> list[str]:
         """The frame itself and those above it, to the top."""
         found = [name]
         while (edge := self._edges.get(found[-1])) is not None:
@@ -116,7 +116,7 @@ class FrameTree:
             found.append(edge.parent)
         return found
 
-    def _seen_from(self, ancestor: str, name: str, stamp_ns: int) -> Transform:
+    def _chain_up(self, ancestor: str, name: str, stamp_ns: int) -> Transform:
         T = np.eye(4)
         while name != ancestor:
             edge = self._edges[name]

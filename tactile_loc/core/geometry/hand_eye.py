@@ -98,25 +98,25 @@ def closed_form(T_base_flange: Poses, T_sensor_object: Poses) -> tuple[Poses, Po
     R_F, R_S = T_base_flange[..., :3, :3], T_sensor_object[..., :3, :3]
     kronecker = np.einsum("...nij,...nlk->...ikjl", R_F, R_S).reshape(*R_F.shape[:-3], 9, 9)  # of F X S, row by row
     _, _, right = np.linalg.svd(kronecker)
-    R_X = _nearest_rotation(right[..., 0, :].reshape(*right.shape[:-2], 3, 3))
-    R_Y = _mean_rotation(R_F @ R_X[..., None, :, :] @ R_S)
-    t_X, t_Y = _translations(T_base_flange, R_X, T_sensor_object[..., :3, 3])
+    R_X = _find_nearest_rotation(right[..., 0, :].reshape(*right.shape[:-2], 3, 3))
+    R_Y = _average_rotations(R_F @ R_X[..., None, :, :] @ R_S)
+    t_X, t_Y = _solve_translations(T_base_flange, R_X, T_sensor_object[..., :3, 3])
     return make_transform(R_X, t_X), make_transform(R_Y, t_Y)
 
 
-def _nearest_rotation(M: Floats) -> Floats:
+def _find_nearest_rotation(M: Floats) -> Floats:
     """The rotations (..., 3, 3) nearest to matrices whose sign is arbitrary."""
-    return _mean_rotation((M * np.sign(np.linalg.det(M))[..., None, None])[..., None, :, :])
+    return _average_rotations((M * np.sign(np.linalg.det(M))[..., None, None])[..., None, :, :])
 
 
-def _mean_rotation(R: Floats) -> Floats:
+def _average_rotations(R: Floats) -> Floats:
     """The rotations (..., 3, 3) nearest to the mean of (..., N, 3, 3)."""
     u, _, v = np.linalg.svd(R.mean(axis=-3))
     u[..., :, 2] *= np.sign(np.linalg.det(u @ v))[..., None]
     return np.asarray(u @ v)
 
 
-def _translations(T_base_flange: Poses, R_X: Floats, t_S: Floats) -> tuple[Floats, Floats]:
+def _solve_translations(T_base_flange: Poses, R_X: Floats, t_S: Floats) -> tuple[Floats, Floats]:
     """The translations (..., 3) of X and Y: R_F t_X - t_Y = -(t_F + R_F R_X t_S), in least squares."""
     R_F, t_F = T_base_flange[..., :3, :3], T_base_flange[..., :3, 3]
     A = np.concatenate([R_F, np.broadcast_to(-np.eye(3), R_F.shape)], axis=-1)
@@ -136,23 +136,23 @@ def fit_hand_eye(
     If it is to be `robust`, touches that contradict the others lose their weight, w = 1 / (1 + chi2 / c)^2 (Geman and
     McClure), and `information` is not what these residuals tell.
     """
-    weights_of = _weights if robust else np.ones_like
+    weights_of = _weigh if robust else np.ones_like
     X, Y = T_flange_sensor, T_base_object
     weighing = np.asarray(np.linalg.inv(covariances), np.float64)
     for _ in range(STEPS):
-        H, g, chi2 = _equations(T_base_flange, T_sensor_object, weighing, X, Y)
+        H, g, chi2 = _build_equations(T_base_flange, T_sensor_object, weighing, X, Y)
         weights = weights_of(chi2)[:, None, None]
-        step = np.linalg.solve(_damped((weights * H).sum(axis=0)), (weights[:, 0] * g).sum(axis=0))
+        step = np.linalg.solve(_damp((weights * H).sum(axis=0)), (weights[:, 0] * g).sum(axis=0))
         X, Y = X @ moved(np.eye(4), step[:6] * UNIT), Y @ moved(np.eye(4), step[6:] * UNIT)
         if np.abs(step).max() < STILL:
             break
-    H, _, chi2 = _equations(T_base_flange, T_sensor_object, weighing, X, Y)
+    H, _, chi2 = _build_equations(T_base_flange, T_sensor_object, weighing, X, Y)
     total = (weights_of(chi2)[:, None, None] * H).sum(axis=0)
-    freedom, variance = _variance(chi2, covariances, total)
-    return HandEyeFit(X, Y, chi2, _of_mount(total) / UNIT / UNIT[:, None], freedom, variance)
+    freedom, variance = _estimate_variance(chi2, covariances, total)
+    return HandEyeFit(X, Y, chi2, _reduce_to_mount(total) / UNIT / UNIT[:, None], freedom, variance)
 
 
-def _equations(F: Poses, S: Poses, weighing: Floats, X: Floats, Y: Floats) -> tuple[Floats, Floats, Floats]:
+def _build_equations(F: Poses, S: Poses, weighing: Floats, X: Floats, Y: Floats) -> tuple[Floats, Floats, Floats]:
     """The equations H (N, 12, 12), g (N, 12) of twists of X and Y in UNIT, each along its own axes; chi2 (N,)."""
     P = predicted(F, X, Y)
     e, J = pose_errors(P, S), np.zeros((len(F), 6, 12))
@@ -169,21 +169,21 @@ def typical_variance(chi2: Floats) -> float:
     return max(1.0, float(np.median(chi2)) / MEDIAN_6)
 
 
-def _weights(chi2: Floats) -> Floats:
+def _weigh(chi2: Floats) -> Floats:
     return np.asarray((1.0 + chi2 / (TRUSTED * typical_variance(chi2))) ** -2.0)
 
 
-def _damped(H: Floats) -> Floats:
+def _damp(H: Floats) -> Floats:
     """The information with a little more on its diagonal: what is not determined stays where it is."""
     return H + np.diag(1e-9 * np.diag(H) + LEAST_INFORMATION)
 
 
-def _of_mount(H: Floats) -> Floats:
+def _reduce_to_mount(H: Floats) -> Floats:
     """The information (6, 6) of X, whatever Y is: the Schur complement."""
-    return np.asarray(H[:6, :6] - H[:6, 6:] @ np.linalg.solve(_damped(H[6:, 6:]), H[6:, :6]))
+    return np.asarray(H[:6, :6] - H[:6, 6:] @ np.linalg.solve(_damp(H[6:, 6:]), H[6:, :6]))
 
 
-def _variance(chi2: Floats, covariances: Floats, information: Floats) -> tuple[int, float]:
+def _estimate_variance(chi2: Floats, covariances: Floats, information: Floats) -> tuple[int, float]:
     """Degrees of freedom and variance factor of the residuals, of what touches say anything of."""
     told = np.linalg.eigvalsh(covariances / KNOWN / KNOWN[:, None]) < 1.0
     found = np.linalg.eigvalsh(information) > np.min(UNIT / KNOWN) ** 2
@@ -215,11 +215,11 @@ def screws_agree(
     """
     A, B = invert(T_second) @ T_first, T_second_other @ invert(T_first_other)
     turned = np.abs(rotation_angle(A[..., :3, :3]) - rotation_angle(B[..., :3, :3])) < angle_rad
-    slides, sines = zip(*map(_slide, (A, B)), strict=True)
+    slides, sines = zip(*map(_measure_slide, (A, B)), strict=True)
     return np.asarray(turned & (np.abs(slides[0] - slides[1]) < slide_m * np.maximum(sines[0], 0.2)))
 
 
-def _slide(T: Poses) -> tuple[Floats, Floats]:
+def _measure_slide(T: Poses) -> tuple[Floats, Floats]:
     """How far motions (..., 4, 4) slide along their axes, metres, times the sine of their angle; and the sine."""
     axis = axis_times_sine(T[..., :3, :3])
     return (axis * T[..., :3, 3]).sum(axis=-1), np.linalg.norm(axis, axis=-1)

@@ -114,6 +114,12 @@ def axis_angle(R: Array) -> tuple[float, Array]:
     return float(np.degrees(angle)), vector / angle + 0.0 if angle > 1e-9 else np.array([0.0, 0.0, 1.0])
 
 
+def format_pose(T: NDArray[np.float64]) -> list[str]:
+    """Return a pose (4, 4), metres, as people read it: x, y, z in mm, the turn in degrees, and about which axis."""
+    angle_deg, axis = axis_angle(T[:3, :3])
+    return [*(f"{1e3 * v:.2f}" for v in T[:3, 3]), f"{angle_deg:.1f}", "({:.3f}, {:.3f}, {:.3f})".format(*axis)]
+
+
 def rotation_to_quaternion(R: Array) -> Array:
     """Turn rotations (..., 3, 3) into unit quaternions (..., 4), scalar first and non-negative, unitless."""
     from scipy.spatial.transform import Rotation
@@ -138,7 +144,7 @@ def is_rigid(T: Array, tolerance: float = 1e-6) -> bool:
 
 def require_rigid(T: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
     """Return one rigid transform (4, 4) as float64. Raises `error`, which says that `what` is none."""
-    found = _numbers(T)
+    found = _convert_numbers(T)
     if found is None or found.shape != (4, 4) or not is_rigid(found):
         raise error(
             f"{what} is no rigid transform; it must be (4, 4), in metres, last row 0 0 0 1, its rotation no reflection"
@@ -148,7 +154,7 @@ def require_rigid(T: ArrayLike, what: str, error: type[TactileLocError] = Config
 
 def require_covariance(values: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
     """Return the covariance (6, 6) of a pose's error as float64. Raises `error`, which says that `what` is none."""
-    found = _numbers(values)
+    found = _convert_numbers(values)
     if found is None or found.shape != (6, 6) or not _is_covariance(found):
         raise error(
             f"{what} is no covariance; it must be (6, 6), symmetric and nowhere negative, first x, y, z in m, then a "
@@ -164,7 +170,7 @@ def _is_covariance(values: Array, tolerance: float = 1e-6) -> bool:
     return bool(np.abs(values - values.T).max() <= allowed and np.linalg.eigvalsh(values).min() >= -allowed)
 
 
-def _numbers(values: ArrayLike) -> Array | None:
+def _convert_numbers(values: ArrayLike) -> Array | None:
     """The values as float64, None where they are no numbers."""
     try:
         found = np.asarray(values)

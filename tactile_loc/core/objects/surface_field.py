@@ -44,7 +44,7 @@ class SurfaceField:
         nearest = np.full(np.ceil(size / cell_m).astype(int) + 1, -1, np.int32)
         first, sides = np.ascontiguousarray(corners[:, 0]), corners[:, 1:] - corners[:, :1]
         carry(first, sides, normals, low, cell_m, reach_m, nearest)
-        return cls(NearestTriangles(first, sides, normals, low, cell_m, nearest, *_neighbours(corners)), reach_m)
+        return cls(NearestTriangles(first, sides, normals, low, cell_m, nearest, *_find_neighbours(corners)), reach_m)
 
     def in_unit(self, per_m: float) -> NearestTriangles:
         """Return what compiled code takes, in another unit of length, of which a metre has `per_m`."""
@@ -69,11 +69,11 @@ class SurfaceField:
         """
         gaps = np.zeros(len(T_object_points))
         points_m = np.ascontiguousarray(points_m, float)
-        in_threads(_mean_gaps, len(gaps), points_m, T_object_points, self.triangles, float(most_m), gaps)
+        in_threads(_fill_mean_gaps, len(gaps), points_m, T_object_points, self.triangles, float(most_m), gaps)
         return gaps
 
 
-def _neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def _find_neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """The triangles that share an edge with each of the triangles (F, 3, 3), and where each one's end (F + 1,)."""
     from scipy.sparse import csr_matrix
 
@@ -105,7 +105,7 @@ def look_up(points, triangles, found, which):
 
 
 @njit
-def _mean_gaps(first, last, points, T, triangles, most, gaps):
+def _fill_mean_gaps(first, last, points, T, triangles, most, gaps):
     """Fill the mean gaps (K,) of the moves (K, 4, 4) from first to last."""
     x = np.empty(3)
     for k in range(first, last):
@@ -115,7 +115,9 @@ def _mean_gaps(first, last, points, T, triangles, most, gaps):
                 x[r] = T[k, r, 0] * points[i, 0] + T[k, r, 1] * points[i, 1] + T[k, r, 2] * points[i, 2] + T[k, r, 3]
             f = triangle_near(x, triangles)
             total += (
-                most if f < 0 else min(most, math.sqrt(_squared_distance(x, triangles.corners[f], triangles.sides[f])))
+                most
+                if f < 0
+                else min(most, math.sqrt(_measure_squared_distance(x, triangles.corners[f], triangles.sides[f])))
             )
         gaps[k] = total / max(1, len(points))
 
@@ -136,7 +138,7 @@ def triangle_near(x, triangles):
 def downhill(x, f, triangles):
     """The triangle nearest to x (3,) that is reached from triangle f over ever nearer ones that share an edge, and its
     squared distance."""
-    least = _squared_distance(x, triangles.corners[f], triangles.sides[f])
+    least = _measure_squared_distance(x, triangles.corners[f], triangles.sides[f])
     while True:
         best = f
         for number in range(triangles.ends[f], triangles.ends[f + 1]):
@@ -144,7 +146,7 @@ def downhill(x, f, triangles):
             a, n = triangles.corners[other], triangles.normals[other]
             off = n[0] * (x[0] - a[0]) + n[1] * (x[1] - a[1]) + n[2] * (x[2] - a[2])
             if off * off < least:  # else even its plane is farther
-                d = _squared_distance(x, a, triangles.sides[other])
+                d = _measure_squared_distance(x, a, triangles.sides[other])
                 if d < least:
                     least, best = d, other
         if best == f:
@@ -193,7 +195,7 @@ def carry(corners, sides, normals, low, cell, reach, nearest):
         for j in range(Y):
             for k in range(Z):
                 squared[i, j, k] = np.inf
-    count = _cross(corners, sides, normals, low, cell, nearest, squared)
+    count = _mark_crossed(corners, sides, normals, low, cell, nearest, squared)
     wave = np.empty((count, 3), np.int32)
     count = 0
     for i in range(X):
@@ -213,7 +215,7 @@ def carry(corners, sides, normals, low, cell, reach, nearest):
                 if i < 0 or j < 0 or k < 0 or i >= X or j >= Y or k >= Z or nearest[i, j, k] == f:
                     continue
                 x[0], x[1], x[2] = low[0] + (i + 0.5) * cell, low[1] + (j + 0.5) * cell, low[2] + (k + 0.5) * cell
-                d = _squared_distance(x, corners[f], sides[f])
+                d = _measure_squared_distance(x, corners[f], sides[f])
                 if d < squared[i, j, k] and d <= reach * reach:
                     squared[i, j, k], nearest[i, j, k] = d, f
                     if queued[i, j, k] != layer:
@@ -226,7 +228,7 @@ def carry(corners, sides, normals, low, cell, reach, nearest):
 
 
 @njit
-def _cross(corners, sides, normals, low, cell, nearest, squared):
+def _mark_crossed(corners, sides, normals, low, cell, nearest, squared):
     """Give the cells within two sides of a triangle that triangle; return how many cells have one."""
     x, first, last, count = np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64), 0
     near = 2.0 * cell
@@ -246,7 +248,7 @@ def _cross(corners, sides, normals, low, cell, nearest, squared):
                     off = n[0] * (x[0] - a[0]) + n[1] * (x[1] - a[1]) + n[2] * (x[2] - a[2])
                     if abs(off) > near:
                         continue
-                    d = _squared_distance(x, corners[f], sides[f])
+                    d = _measure_squared_distance(x, corners[f], sides[f])
                     if d < squared[i, j, k] and d <= near * near:
                         count += nearest[i, j, k] < 0
                         squared[i, j, k], nearest[i, j, k] = d, f
@@ -254,6 +256,6 @@ def _cross(corners, sides, normals, low, cell, nearest, squared):
 
 
 @njit
-def _squared_distance(x, a, sides):
+def _measure_squared_distance(x, a, sides):
     p = closest_on_triangle(x, a, sides)
     return (x[0] - p[0]) ** 2 + (x[1] - p[1]) ** 2 + (x[2] - p[2]) ** 2

@@ -128,7 +128,7 @@ class SymmetryGroup:
         A continuous axis is sampled evenly, at an even number of turns (so that half turns are among them) at most
         `max_step_rad` apart. Raises SymmetryError if `max_step_rad` is not positive.
         """
-        R = self._sampled_rotations(max_step_rad)
+        R = self._sample_rotations(max_step_rad)
         return make_transform(R, self.centre_m - R @ self.centre_m)
 
     def is_representative(self, R: NDArray[np.float64], step_rad: float | None = None) -> NDArray[np.bool_]:
@@ -141,7 +141,7 @@ class SymmetryGroup:
         are closed under the group, such as a grid over all of SO(3); others are to be compared by `canonical`.
         Raises SymmetryError if `step_rad` is missing.
         """
-        nearness, angle_rad = self._nearness(R)
+        nearness, angle_rad = self._measure_nearness(R)
         is_nearest = nearness[:, 0] >= nearness.max(axis=1) - _TIE
         if self.continuous_axis is None:
             return is_nearest
@@ -155,7 +155,7 @@ class SymmetryGroup:
 
         Two poses are equivalent if and only if these agree and so do the positions of the group's centre.
         """
-        nearness, angle_rad = self._nearness(R)
+        nearness, angle_rad = self._measure_nearness(R)
         best = nearness.argmax(axis=1)
         nearest = np.asarray(R, dtype=np.float64) @ self.rotations[best]
         if self.continuous_axis is None:
@@ -164,10 +164,10 @@ class SymmetryGroup:
 
     def least_angle(self, R_reference: NDArray[np.float64], R: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the least angle (N,), radians, from R_reference (3, 3) to the equivalents of rotations R (N, 3, 3)."""
-        nearness, _ = self._nearness(R, R_reference)  # a trace is 1 + 2 cos(angle)
+        nearness, _ = self._measure_nearness(R, R_reference)  # a trace is 1 + 2 cos(angle)
         return np.arccos(np.clip(0.5 * (nearness.max(axis=1) - 1.0), -1.0, 1.0))
 
-    def _sampled_rotations(self, max_step_rad: float) -> NDArray[np.float64]:
+    def _sample_rotations(self, max_step_rad: float) -> NDArray[np.float64]:
         if not max_step_rad > 0:
             raise SymmetryError(f"The step along a continuous symmetry must be positive, not {max_step_rad} rad.")
         if self.continuous_axis is None:
@@ -176,7 +176,7 @@ class SymmetryGroup:
         turns = rotation_about(self.continuous_axis, np.arange(count) * (2.0 * math.pi / count))
         return (self.rotations[:, None] @ turns[None]).reshape(-1, 3, 3)
 
-    def _nearness(
+    def _measure_nearness(
         self, R: NDArray[np.float64], R_ref: NDArray[np.float64] | None = None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return max over the continuous turn of tr(R_ref^T R S_k R_axis(angle)), (N, K), and that angle (N, K)."""
@@ -195,7 +195,7 @@ class SymmetryGroup:
 
 def _parse_term(term: str, text: str) -> SymmetryTerm:
     match = _TERM.fullmatch(term)
-    components = _axis_components(match) if match else None
+    components = _parse_axis(match) if match else None
     if match is None or components is None:
         raise SymmetryError(
             f"The symmetry '{text}' cannot be read at '{term}': write 'none', or terms such as z6, zinf or"
@@ -207,7 +207,7 @@ def _parse_term(term: str, text: str) -> SymmetryTerm:
     return SymmetryTerm(components, order)
 
 
-def _axis_components(match: re.Match[str]) -> tuple[float, float, float] | None:
+def _parse_axis(match: re.Match[str]) -> tuple[float, float, float] | None:
     if match[1]:
         return (float(match[1] == "x"), float(match[1] == "y"), float(match[1] == "z"))
     try:

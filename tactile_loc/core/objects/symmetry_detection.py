@@ -62,7 +62,7 @@ def verify_symmetry(
     leave open; a continuous axis is sampled. Deviations below `tolerance_m` may be reported a little too large or as
     nil. Raises ObjectError for a mesh without a surface.
     """
-    return _worst(SurfaceProbe(vertices_m, faces), group, tolerance_m)[0]
+    return _find_worst(SurfaceProbe(vertices_m, faces), group, tolerance_m)[0]
 
 
 def require_symmetry(
@@ -76,7 +76,7 @@ def require_symmetry(
     """
     probe = SurfaceProbe(vertices_m, faces)
     tolerance_m = probe.declared_tolerance_m() if tolerance_m is None else tolerance_m
-    deviation_m, R, point_m = _worst(probe, group, tolerance_m)
+    deviation_m, R, point_m = _find_worst(probe, group, tolerance_m)
     if deviation_m > tolerance_m:
         place = ", ".join(f"{1e3 * value:.1f}" for value in point_m)
         raise SymmetryError(
@@ -89,52 +89,52 @@ def require_symmetry(
 Deviation = tuple[float, NDArray[np.float64], NDArray[np.float64]]  # how far, after which turn (3, 3), where (3,)
 
 
-def _worst(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
+def _find_worst(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
     """Return the largest deviation over a group's elements, metres, and where in the object frame."""
-    both = (worst(probe, group, tolerance_m) for worst in (_worst_of_few, _worst_patch))
+    both = (worst(probe, group, tolerance_m) for worst in (_find_worst_of_few, _find_worst_patch))
     return max(both, key=lambda deviation: deviation[0])
 
 
-def _worst_of_few(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
+def _find_worst_of_few(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
     """Move a few points by all elements, and leave a thousandth of them out of account."""
     elements = group.elements(_VERIFY_STEP_RAD)[1:]
     few = probe.few.first(_VERIFY_EVALUATIONS // (len(elements) + 1))
     worst: Deviation = (0.0, np.eye(3), probe.centre_m)
     for R in elements[:, :3, :3]:
-        mapped_m = _mapped(few.points_m, R, group.centre_m - probe.centre_m)
+        mapped_m = _map_points(few.points_m, R, group.centre_m - probe.centre_m)
         deviation_m = probe.deviation_m(mapped_m, few.open_m, tolerance_m)
-        index = int(np.argsort(deviation_m)[_kept(len(few)) - 1])
+        index = int(np.argsort(deviation_m)[_count_kept(len(few)) - 1])
         if deviation_m[index] > worst[0]:
             worst = float(deviation_m[index]), R, mapped_m[index] + probe.centre_m
     return worst
 
 
-def _worst_patch(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
+def _find_worst_patch(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
     """Move many points by what generates the elements: a feature that any element moves, one of these does."""
     worst: Deviation = (0.0, np.eye(3), probe.centre_m)
-    for R in _generators(group):
-        mapped_m = _mapped(probe.many.points_m, R, group.centre_m - probe.centre_m)
+    for R in _list_generators(group):
+        mapped_m = _map_points(probe.many.points_m, R, group.centre_m - probe.centre_m)
         deviation_m, index = probe.patch_deviation_m(mapped_m, probe.many.open_m, tolerance_m)
         if deviation_m > worst[0]:
             worst = deviation_m, R, mapped_m[index] + probe.centre_m
     return worst
 
 
-def _mapped(
+def _map_points(
     points_m: NDArray[np.float64], R: NDArray[np.float64], centre_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Points (N, 3) turned by R (3, 3) about a centre (3,); metres."""
     return (points_m - centre_m) @ R.T + centre_m
 
 
-def _generators(group: SymmetryGroup) -> NDArray[np.float64]:
+def _list_generators(group: SymmetryGroup) -> NDArray[np.float64]:
     """The turns (K, 3, 3) that generate a group, and their inverses; of a continuous axis one that meets no other."""
     turns = [rotation_about(t.axis, _GOLDEN_RAD) if math.isinf(t.order) else t.rotation for t in group.terms]
     both = [R for turn in turns for R in ((turn,) if np.allclose(turn, turn.T) else (turn, turn.T))]
     return np.array(both).reshape(-1, 3, 3)
 
 
-def _kept(count: int) -> int:
+def _count_kept(count: int) -> int:
     return count - int(count * _IGNORED)
 
 
@@ -148,7 +148,7 @@ class _Search:
     def group(self, candidates: Iterable[tuple[NDArray[np.float64], float]]) -> SymmetryGroup:
         """Return the group of those candidate (axis, order) that hold together with the ones before, higher first."""
         group = SymmetryGroup(self._probe.centre_m)
-        for term in sorted((self._term(*candidate) for candidate in candidates), key=_by_order_and_letter):
+        for term in sorted((self._find_term(*candidate) for candidate in candidates), key=_rank_term):
             if math.isinf(group.order):
                 larger = SymmetryGroup(self._probe.centre_m, (*group.terms, term))
             elif math.isinf(term.order):
@@ -158,7 +158,7 @@ class _Search:
                 if rotations is None or len(rotations) == group.order:
                     continue
                 larger = SymmetryGroup(self._probe.centre_m, (*group.terms, term))
-            if _worst_of_few(self._probe, larger, self._tolerance_m)[0] <= self._tolerance_m:
+            if _find_worst_of_few(self._probe, larger, self._tolerance_m)[0] <= self._tolerance_m:
                 group = larger
         return group
 
@@ -174,7 +174,7 @@ class _Search:
         if np.count_nonzero(deviation_m > 2.0 * self._tolerance_m) > 10:
             return False
         deviation_m = self._probe.deviation_m(few.points_m @ R.T, few.open_m, half_m)
-        kept_m = np.sort(deviation_m)[: _kept(len(deviation_m))]
+        kept_m = np.sort(deviation_m)[: _count_kept(len(deviation_m))]
         return bool(kept_m[-1] <= self._tolerance_m and np.mean(kept_m**2) <= half_m**2)
 
     def _has_no_feature(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
@@ -192,9 +192,9 @@ class _Search:
         if all(self._is_nearly_symmetry(axis, t) for t in turns_rad) and self._has_no_feature(axis, _GOLDEN_RAD):
             return math.inf
         largest = MAX_ORDER // 2
-        held = [p for p in _primes(largest) if self._has_nearly_order(axis, p)]
+        held = [p for p in _list_primes(largest) if self._has_nearly_order(axis, p)]
         for order in range(largest, 1, -1):
-            factors = [p for p in _primes(order) if order % p == 0]
+            factors = [p for p in _list_primes(order) if order % p == 0]
             possible = order % multiple_of == 0 and set(factors) <= set(held) and self._has_nearly_order(axis, order)
             if possible and self._has_no_feature(axis, 2.0 * math.pi / order):
                 return order
@@ -222,7 +222,9 @@ class _Search:
         for scanned in _SCAN_ORDERS:
             if scanned > 3 and any(order > 2 for _, order in terms):
                 break  # half turns and third turns generate all groups but the cyclic and dihedral ones
-            for axis in np.concatenate([extra, np.eye(3), self._scan(_hemisphere(1000), scanned, points_m[:50], 14)]):
+            for axis in np.concatenate(
+                [extra, np.eye(3), self._scan(_sample_hemisphere(1000), scanned, points_m[:50], 14)]
+            ):
                 if _is_among(terms, axis):
                     continue
                 polished = self._polish(axis, 2.0 * math.pi / scanned, points_m)
@@ -236,12 +238,12 @@ class _Search:
 
     def _flip(self, axis: NDArray[np.float64], order: float) -> NDArray[np.float64] | None:
         """Return an axis (3,) of a half turn perpendicular to one of the given order, or None if there is none."""
-        u = _perpendicular(axis)
+        u = _find_perpendicular(axis)
         if math.isinf(order):
             return u if self.is_symmetry(u, math.pi) else None
         # the half turns of a dihedral group repeat every pi / order
         turns = rotation_about(axis, np.linspace(0.0, math.pi / order, 120, endpoint=False))
-        points_m = self._telling_points(rotation_about(axis, np.arange(1, 6) * _GOLDEN_RAD) @ u)
+        points_m = self._choose_points(rotation_about(axis, np.arange(1, 6) * _GOLDEN_RAD) @ u)
         for candidate in self._scan(turns @ u, 2, points_m, 12):
             polished = self._polish(candidate, math.pi, points_m)
             polished = polished - (polished @ axis) * axis
@@ -250,7 +252,7 @@ class _Search:
                 return equivalents[np.argmax((np.abs(equivalents) * _LETTER_WEIGHTS).max(axis=1))]
         return None
 
-    def _telling_points(self, axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _choose_points(self, axes: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return points (200, 3): half anywhere, half where half turns about arbitrary `axes` (K, 3) show most."""
         points_m = self._probe.few.points_m[:1500]
         turned_m = np.concatenate([points_m @ rotation_about(axis, math.pi).T for axis in axes])
@@ -282,7 +284,7 @@ class _Search:
             R = rotation_about(axis, angle_rad)
             q_m = points_m @ R.T
             residual_m, normals, facing = self._probe.plane_residuals(q_m)
-            u = _perpendicular(axis)
+            u = _find_perpendicular(axis)
             tangents = np.stack([u, np.cross(axis, u)], axis=1)
             jacobian = np.cross(q_m, normals) @ (np.eye(3) - R) @ tangents
             tilt = tangents @ np.linalg.lstsq(jacobian[facing], -residual_m[facing], rcond=1e-6)[0]
@@ -292,7 +294,7 @@ class _Search:
                 break
         return axis
 
-    def _term(self, axis: NDArray[np.float64], order: float) -> SymmetryTerm:
+    def _find_term(self, axis: NDArray[np.float64], order: float) -> SymmetryTerm:
         """Return a term about a coordinate axis if it is one within a fifth of the tolerance."""
         axis = axis / np.linalg.norm(axis)
         main = int(np.argmax(np.abs(axis).round(6)))
@@ -307,23 +309,23 @@ def _is_among(terms: list[tuple[NDArray[np.float64], float]], axis: NDArray[np.f
     return any(abs(axis @ other) > math.cos(0.06) for other, _ in terms)
 
 
-def _primes(largest: int) -> list[int]:
+def _list_primes(largest: int) -> list[int]:
     return [p for p in range(2, largest + 1) if all(p % d for d in range(2, math.isqrt(p) + 1))]
 
 
-def _by_order_and_letter(term: SymmetryTerm) -> tuple[float, bool, str]:
+def _rank_term(term: SymmetryTerm) -> tuple[float, bool, str]:
     name = axis_name(term.axis)
     return (-term.order, len(name) > 1, name if len(name) == 1 else "")
 
 
-def _perpendicular(axis: NDArray[np.float64]) -> NDArray[np.float64]:
+def _find_perpendicular(axis: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a unit vector (3,) perpendicular to an axis: nearly a coordinate axis where it can be."""
     unit = np.eye(3)[np.argmin(np.abs(axis).round(2))]
     u = unit - (unit @ axis) * axis
     return u / np.linalg.norm(u)
 
 
-def _hemisphere(count: int) -> NDArray[np.float64]:
+def _sample_hemisphere(count: int) -> NDArray[np.float64]:
     """Return directions (count, 3) spread evenly over a half sphere (a Fibonacci spiral)."""
     z = 1.0 - (np.arange(count) + 0.5) / count
     azimuth = np.arange(count) * _GOLDEN_RAD

@@ -46,7 +46,7 @@ class SurfaceProbe:
     """
 
     def __init__(self, vertices_m: NDArray[np.float64], faces: NDArray[np.int64], seed: int = 0) -> None:
-        corners = _triangles(vertices_m, faces)
+        corners = _require_triangles(vertices_m, faces)
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         doubled_area = np.linalg.norm(normals, axis=1)
         kept = doubled_area > 1e-12 * doubled_area.sum()
@@ -55,7 +55,7 @@ class SurfaceProbe:
         self.centre_m = np.average(corners[kept].mean(axis=1), axis=0, weights=self._area)
         self._corners = corners[kept] - self.centre_m
         self.radius_m = float(np.linalg.norm(self._corners, axis=2).max())
-        self._open_m = self._left_open_m()
+        self._open_m = self._estimate_open_m()
         rng = np.random.default_rng(seed)
         dense, self._dense_face = self._sample(_DENSE_COUNT, rng, at_least=1)
         self._tree = cKDTree(dense)
@@ -91,7 +91,7 @@ class SurfaceProbe:
 
         A point that is not straight above its nearest face is nearest to one of its edges.
         """
-        squared_m2, face, _ = self._nearest_face(points_m, 4)
+        squared_m2, face, _ = self._find_nearest_face(points_m, 4)
         normals = self._normals[face]
         height_m = np.einsum("ni,ni->n", points_m - self._corners[face, 0], normals)
         return height_m, normals, height_m**2 >= 0.99 * squared_m2
@@ -101,7 +101,7 @@ class SurfaceProbe:
 
         They may be too large, where triangles are slivers.
         """
-        return np.sqrt(self._nearest_face(points_m, candidates)[0])
+        return np.sqrt(self._find_nearest_face(points_m, candidates)[0])
 
     def deviation_m(
         self, points_m: NDArray[np.float64], open_m: NDArray[np.float64], exact_above_m: float, candidates: int = 256
@@ -112,11 +112,11 @@ class SurfaceProbe:
         at again among the faces of more samples, up to `candidates`, and of very many only if the points are few, so
         that the surfaces may agree.
         """
-        deviation_m = self._beyond_facets(points_m, open_m, 1)
+        deviation_m = self._measure_beyond_facets(points_m, open_m, 1)
         for more, most in ((4, len(points_m)), (_NEAR, len(points_m)), (256, _FEW)):
             far = np.flatnonzero(deviation_m > exact_above_m)
             if more <= candidates and 0 < len(far) <= most:
-                deviation_m[far] = self._beyond_facets(points_m[far], open_m[far], more)
+                deviation_m[far] = self._measure_beyond_facets(points_m[far], open_m[far], more)
         return deviation_m
 
     def patch_deviation_m(
@@ -135,20 +135,22 @@ class SurfaceProbe:
         both_m = deviation_m[far[pairs]].min(axis=1)
         return float(both_m.max()), int(far[pairs[both_m.argmax(), 0]])
 
-    def _beyond_facets(
+    def _measure_beyond_facets(
         self, points_m: NDArray[np.float64], open_m: NDArray[np.float64], count: int
     ) -> NDArray[np.float64]:
-        squared_m2, _, faces = self._nearest_face(points_m, count)
+        squared_m2, _, faces = self._find_nearest_face(points_m, count)
         here_m = self._open_m[faces[:, :_NEAR]].max(axis=1)
         return np.maximum(np.sqrt(squared_m2) - np.maximum(here_m, open_m), 0.0)
 
-    def _nearest_face(
+    def _find_nearest_face(
         self, points_m: NDArray[np.float64], count: int
     ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.intp]]:
         """Return the squared distances (N,) to and indices (N,) of the nearest of the nearest samples' faces (N, C)."""
         faces = self._dense_face[self._tree.query(points_m, k=count)[1]].reshape(-1)
         repeated_m = np.repeat(points_m, count, axis=0)
-        squared_m2 = _squared_distance(repeated_m, self._corners[faces], self._normals[faces]).reshape(-1, count)
+        squared_m2 = _measure_squared_distance(repeated_m, self._corners[faces], self._normals[faces]).reshape(
+            -1, count
+        )
         nearest = squared_m2.argmin(axis=1)
         row = np.arange(len(nearest))
         faces = faces.reshape(-1, count)
@@ -168,13 +170,13 @@ class SurfaceProbe:
         weights = np.stack([1 - u - v, u, v], axis=1)
         return np.einsum("nc,nci->ni", weights, self._corners[face]), face
 
-    def _left_open_m(self) -> NDArray[np.float64]:
+    def _estimate_open_m(self) -> NDArray[np.float64]:
         """Estimate how far (F,) each face may be from the curve that it stands for.
 
         That is some of the facets' sagitta, (width / 2) tan(bend / 4), where the face bends on into another. It is at
         most 1 % of the object's length, and bends wider than all but a few are edges of the object's own.
         """
-        first, second, length_m = _shared_edges(self._corners, 1e-7 * self.radius_m)
+        first, second, length_m = _find_shared_edges(self._corners, 1e-7 * self.radius_m)
         cosine = np.abs(np.einsum("ei,ei->e", self._normals[first], self._normals[second]))
         bend_rad = np.arccos(np.clip(cosine, 0.0, 1.0))
         width_m = 2.0 * np.minimum(self._area[first], self._area[second]) / length_m
@@ -187,7 +189,7 @@ class SurfaceProbe:
         return _FACETS * of_face_m
 
 
-def _triangles(vertices_m: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
+def _require_triangles(vertices_m: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the corners (F, 3, 3) of the triangles, or raise ObjectError for a mesh without a surface."""
     vertices_m, faces = np.asarray(vertices_m, dtype=np.float64), np.asarray(faces)
     if vertices_m.ndim != 2 or vertices_m.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
@@ -202,7 +204,7 @@ def _triangles(vertices_m: NDArray[np.float64], faces: NDArray[np.int64]) -> NDA
     return corners
 
 
-def _shared_edges(
+def _find_shared_edges(
     corners: NDArray[np.float64], merge_m: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
     """Return the two faces (E,), (E,) on either side of each edge between just two, and the edges' lengths (E,)."""
@@ -218,7 +220,7 @@ def _shared_edges(
     return pairs[:, 0] // 3, pairs[:, 1] // 3, length_m
 
 
-def _squared_distance(
+def _measure_squared_distance(
     points: NDArray[np.float64], corners: NDArray[np.float64], normals: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the squared distances (N,) of points (N, 3) to triangles (N, 3, 3) with unit normals (N, 3)."""

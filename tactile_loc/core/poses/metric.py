@@ -112,7 +112,7 @@ class PoseGrid:
         level, height = (self, 0.0) if self._level is None else self._level
         return PoseGrid(T, self.metric, (level, height + height_m))
 
-    def _at_level(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _move_to_level(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Points (..., D) of the metric's space as seen from the level at which the trees are."""
         if self._level is None:
             return points
@@ -150,7 +150,7 @@ class PoseGrid:
 
         Where none is nearer than `within_m` metres, the distance is inf and the index -1; a bound makes it faster.
         """
-        points = self._at_level(self.metric.embed_orbits(T_sensor_object))
+        points = self._move_to_level(self.metric.embed_orbits(T_sensor_object))
         distances, indices = self._orbit_tree.query(points, distance_upper_bound=within_m)
         best = distances.argmin(axis=0)
         columns = np.arange(len(best))
@@ -171,19 +171,19 @@ class PoseGrid:
 
     def distances(self, T_sensor_object: Poses) -> NDArray[np.float64]:
         """Return the distance (N,) in metres of every grid pose from one pose (4, 4), the least over the symmetry."""
-        same = self._at_level(self.metric.embed_orbits(T_sensor_object[None])[:, 0])
+        same = self._move_to_level(self.metric.embed_orbits(T_sensor_object[None])[:, 0])
         return np.asarray(distances_between(self._orbit_tree.data, same).min(axis=1))
 
     def neighbour_spacing(self, subset: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
         """Return each pose's distance (N,) in metres to its nearest other pose (of `subset` indices, or of all)."""
         points = self.phi if subset is None else self.phi[subset]
-        distances: NDArray[np.float64] = self._tree.query(self._at_level(points), k=2)[0]
+        distances: NDArray[np.float64] = self._tree.query(self._move_to_level(points), k=2)[0]
         return distances[:, 1]
 
     def within(self, radius_m: float, index: int) -> NDArray[np.int64]:
         """Return the indices (K,) of poses within `radius_m` metres of grid pose `index`, symmetry regarded."""
         same = self.metric.embed_orbits(self.T_sensor_object[index : index + 1])[:, 0]
-        found = self._orbit_tree.query_ball_point(self._at_level(same), radius_m)
+        found = self._orbit_tree.query_ball_point(self._move_to_level(same), radius_m)
         return np.unique(np.concatenate([np.asarray(f, np.int64) for f in found]))
 
 

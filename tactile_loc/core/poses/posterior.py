@@ -128,7 +128,7 @@ class PosePosterior:
         """
         p = self.probabilities
         core = self.credible_set(mass, MOST_CLUSTERED) if core is None else core
-        peaks = _uphill(self.grid, core, radius_m)  # each is its own mode's first member
+        peaks = _climb(self.grid, core, radius_m)  # each is its own mode's first member
         tops, of = np.unique(peaks, return_inverse=True)
         masses = np.bincount(of, p[core])
         order = np.lexsort((core[tops], -masses))[:count]
@@ -139,7 +139,7 @@ class PosePosterior:
         ]
 
 
-def _uphill(grid: PoseGrid, ordered: NDArray[np.int64], radius_m: float) -> NDArray[np.int64]:
+def _climb(grid: PoseGrid, ordered: NDArray[np.int64], radius_m: float) -> NDArray[np.int64]:
     """Return the place (K,) of each one's peak among the grid indices `ordered` (K,), most probable first; metres."""
     from scipy.spatial import cKDTree
 

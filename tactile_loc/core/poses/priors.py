@@ -152,7 +152,7 @@ class RegionPrior(PosePrior):
 
     def __post_init__(self) -> None:
         for name in ("low_m", "high_m", "point_m"):
-            object.__setattr__(self, name, _numbers(getattr(self, name), f"{name} of a region prior"))
+            object.__setattr__(self, name, _require_numbers(getattr(self, name), f"{name} of a region prior"))
         if not (self.low_m < self.high_m).all():
             raise ConfigError(f"the region {self.low_m} to {self.high_m} (metres) is empty; low must be below high")
         if self.T_box is not None:
@@ -165,13 +165,15 @@ class RegionPrior(PosePrior):
         The plane goes through `border_m` (3,); `point_m` (3,) is the object's point, in its frame. Metres.
         Raises ConfigError for a normal of no length.
         """
-        direction = _numbers(normal, "the normal of a half-space")
+        direction = _require_numbers(normal, "the normal of a half-space")
         if not 0 < np.linalg.norm(direction) < np.inf:
             raise ConfigError(f"the normal {direction} of a half-space has no direction; give another than zero")
         R = align_to_z(direction)
-        T_box = make_transform(R, -R @ _numbers(border_m, "the border of a half-space"))
+        T_box = make_transform(R, -R @ _require_numbers(border_m, "the border of a half-space"))
         open_ = np.full(3, np.inf)
-        return cls(np.array([-np.inf, -np.inf, 0.0]), open_, _numbers(point_m, "point_m of a half-space"), T_box)
+        return cls(
+            np.array([-np.inf, -np.inf, 0.0]), open_, _require_numbers(point_m, "point_m of a half-space"), T_box
+        )
 
     def __call__(self, T_sensor_object: Poses) -> Array:
         """Return 0 for poses whose point is in the region, the border included, and -inf for others (N,)."""
@@ -209,7 +211,7 @@ class PosteriorPrior(PosePrior):
         """Return the log-weights (N,)."""
         log_w = np.full(len(T_sensor_object), -np.inf)
         near = np.flatnonzero(self._moved.nearest(T_sensor_object, KERNEL_RADII * self.spread_m)[1] >= 0)
-        for some, density in self._density(T_sensor_object[near]):
+        for some, density in self._sum_kernels(T_sensor_object[near]):
             log_w[near[some]] = np.log1p(-self.floor) + density
         anywhere = self.floor + (1 - self.floor) * self.posterior.elsewhere
         if anywhere > 0:
@@ -243,7 +245,7 @@ class PosteriorPrior(PosePrior):
         earlier = self.posterior.grid
         return PoseGrid(self.T_new_old @ earlier.T_sensor_object[self._kept], earlier.metric)
 
-    def _density(self, T_sensor_object: Poses) -> Iterator[tuple[slice, Array]]:
+    def _sum_kernels(self, T_sensor_object: Poses) -> Iterator[tuple[slice, Array]]:
         """Yield the log of the kernels' sum for part after part of poses (N, 4, 4), each near some kernel.
 
         log p_j - |x - y_j|^2 / (2 s^2) is one matrix product: [x, 1, -|x|^2 / 2] times [y_j, log p_j - |y_j|^2 / 2, 1].
@@ -273,7 +275,7 @@ def tempered(prior: Prior, power: Callable[[int], float]) -> Prior:
     return prior.tempered(power) if isinstance(prior, PosePrior) else prior
 
 
-def _numbers(values: ArrayLike, what: str) -> Array:
+def _require_numbers(values: ArrayLike, what: str) -> Array:
     found = np.array(values, dtype=np.float64)
     if found.shape != (3,) or np.isnan(found).any():
         raise ConfigError(f"{what} must be three numbers, not {values!r}")

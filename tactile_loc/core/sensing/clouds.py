@@ -27,10 +27,12 @@ def contact_cloud(shape: ContactShape, geometry: SensorGeometry, walls: bool = T
     depth = shape.depth_m[rows, columns].astype(float)
     deepest_m = np.broadcast_to(geometry.full_penetration_m, geometry.shape)[rows, columns]
     xyz = _backproject(depth + deepest_m, geometry, rows, columns)
-    points, normals = xyz[contact], _surface_normals(xyz, contact)
+    points, normals = xyz[contact], _estimate_normals(xyz, contact)
     if not walls:
         return points, normals
-    wall_points, wall_normals = _wall_cloud(xyz, shape.press_depth_m - depth, contact, observed, geometry.pixel_pitch_m)
+    wall_points, wall_normals = _sample_walls(
+        xyz, shape.press_depth_m - depth, contact, observed, geometry.pixel_pitch_m
+    )
     return np.concatenate([points, wall_points]), np.concatenate([normals, wall_normals])
 
 
@@ -50,14 +52,14 @@ def _backproject(z_m: Points, geometry: SensorGeometry, rows: slice, columns: sl
     return np.stack([x * k, y[:, None] * k, z_m], axis=-1)
 
 
-def _surface_normals(xyz: Points, contact: NDArray[np.bool_]) -> Points:
+def _estimate_normals(xyz: Points, contact: NDArray[np.bool_]) -> Points:
     """Unit normals (P, 3) of the pixels in contact, from differences between neighbours that are both in contact."""
-    down, right = (_difference(xyz, contact, axis)[contact] for axis in (0, 1))
+    down, right = (_differentiate(xyz, contact, axis)[contact] for axis in (0, 1))
     normals = np.cross(down, right)
     return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
 
-def _difference(xyz: Points, contact: NDArray[np.bool_], axis: int) -> Points:
+def _differentiate(xyz: Points, contact: NDArray[np.bool_], axis: int) -> Points:
     """Mean of the forward and backward differences (H, W, 3) that stay in contact; a lone pixel's is flat."""
     step = np.diff(xyz, axis=axis)
     first, second = [np.take(contact, r, axis) for r in (range(contact.shape[axis] - 1), range(1, contact.shape[axis]))]
@@ -71,15 +73,15 @@ def _difference(xyz: Points, contact: NDArray[np.bool_], axis: int) -> Points:
     return np.where(count > 0, total / np.maximum(count, 1), flat)
 
 
-def _wall_cloud(
+def _sample_walls(
     xyz: Points, drop: Points, contact: NDArray[np.bool_], observed: NDArray[np.bool_], pitch: float
 ) -> tuple[Points, Points]:
     """Points (P, 3) and outward normals (P, 3) of the walls, a pixel pitch apart; `drop` (h, w) is their height."""
     outside = ~contact & observed
-    outwards = _outline_directions(contact, observed)
+    outwards = _estimate_outline(contact, observed)
     points, normals = [np.empty((0, 3))], [np.empty((0, 3))]
     for rows, columns in SIDES:
-        borders = contact & _shifted(outside, rows, columns) & (drop > pitch)
+        borders = contact & _shift(outside, rows, columns) & (drop > pitch)
         levels = np.floor(drop[borders] / pitch).astype(int)
         which = np.repeat(np.arange(len(levels)), levels)
         level = np.arange(len(which)) - np.repeat(np.cumsum(levels) - levels, levels) + 1
@@ -93,7 +95,7 @@ def _wall_cloud(
     return np.concatenate(points), np.concatenate(normals)
 
 
-def _outline_directions(contact: NDArray[np.bool_], observed: NDArray[np.bool_]) -> Points:
+def _estimate_outline(contact: NDArray[np.bool_], observed: NDArray[np.bool_]) -> Points:
     """Unit directions (H, W, 3) across the outline, out of contact: the slope of the mask, smoothed over a few pixels.
 
     Smoothing undoes the stairs that pixels make of an oblique edge. Unobserved pixels count as half in contact.
@@ -107,7 +109,7 @@ def _outline_directions(contact: NDArray[np.bool_], observed: NDArray[np.bool_])
     return slope / np.where(length > 0, length, 1.0)
 
 
-def _shifted(mask: NDArray[np.bool_], rows: int, columns: int) -> NDArray[np.bool_]:
+def _shift(mask: NDArray[np.bool_], rows: int, columns: int) -> NDArray[np.bool_]:
     """The mask (H, W) as seen from each pixel's neighbour; False beyond the image."""
     padded = np.pad(mask, 1)
     return padded[1 + rows : padded.shape[0] - 1 + rows, 1 + columns : padded.shape[1] - 1 + columns]

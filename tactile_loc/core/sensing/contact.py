@@ -52,7 +52,7 @@ def lowest_points(
     triangles, t = triangle_blocks(mesh), np.ascontiguousarray(t)
     rectangle = np.asarray(rectangle_m, float)
     result = np.full(len(members), np.inf)
-    in_threads(_lowest, len(rotations), triangles, rotations, starts, members, t, rectangle, result)
+    in_threads(_fill_lowest, len(rotations), triangles, rotations, starts, members, t, rectangle, result)
     return result
 
 
@@ -61,7 +61,7 @@ def lowest_over_relief(mesh: TriangleMesh, T_sensor_object: Poses, geometry: Sen
     T = np.ascontiguousarray(T_sensor_object, float)
     result = np.full(len(T), np.inf)
     gel = (np.asarray(geometry.rectangle, float), *upright_relief(geometry))
-    in_threads(_lowest_curved, len(T), triangle_blocks(mesh), T, *gel, result)
+    in_threads(_fill_lowest_curved, len(T), triangle_blocks(mesh), T, *gel, result)
     return result
 
 
@@ -99,21 +99,21 @@ def group_rotations(R: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
 
 
 @njit
-def _lowest(first, last, triangles, rotations, starts, members, t, rectangle, result):
+def _fill_lowest(first, last, triangles, rotations, starts, members, t, rectangle, result):
     """Fill the lowest z (N,) of the poses that have one of the rotations from first to last."""
     for k in range(first, last):
-        _lowest_of_rotation(triangles, rotations[k], members[starts[k] : starts[k + 1]], t, rectangle, result)
+        _search_blocks(triangles, rotations[k], members[starts[k] : starts[k + 1]], t, rectangle, result)
 
 
 @njit
-def _lowest_of_rotation(triangles, R, members, t, rectangle, result):
+def _search_blocks(triangles, R, members, t, rectangle, result):
     """Search the blocks of triangles roughly from the lowest up, and stop when no other can be lower."""
     count = len(triangles.radii)
     middles, floor, p = np.empty((count, 3)), np.empty(count), np.empty((3, 3))
     for b in range(count):
         _turn(R, triangles.centres[b], middles[b])
         floor[b] = middles[b, 2] - triangles.radii[b]
-    order, bin_m = _from_below(floor)
+    order, bin_m = _sort_from_below(floor)
     for i in members:
         x0, x1 = rectangle[0] - t[i, 0], rectangle[1] - t[i, 0]
         y0, y1 = rectangle[2] - t[i, 1], rectangle[3] - t[i, 1]
@@ -121,24 +121,24 @@ def _lowest_of_rotation(triangles, R, members, t, rectangle, result):
         for b in order:
             if floor[b] >= best + bin_m:
                 break
-            if floor[b] >= best or _beside(middles[b], triangles.radii[b], x0, x1, y0, y1):
+            if floor[b] >= best or _is_beside(middles[b], triangles.radii[b], x0, x1, y0, y1):
                 continue
             for f in range(triangles.starts[b], triangles.starts[b + 1]):
                 for c in range(3):
                     _turn(R, triangles.corners[f, c], p[c])
                 if min(p[0, 2], p[1, 2], p[2, 2]) < best:
-                    best = min(best, _lowest_of_triangle(p, x0, x1, y0, y1))
+                    best = min(best, _find_lowest_of_triangle(p, x0, x1, y0, y1))
         result[i] = best + t[i, 2]
 
 
 @njit
-def _beside(centre, r, x0, x1, y0, y1):
+def _is_beside(centre, r, x0, x1, y0, y1):
     """Whether a sphere is nowhere over a rectangle."""
     return centre[0] + r < x0 or centre[0] - r > x1 or centre[1] + r < y0 or centre[1] - r > y1
 
 
 @njit
-def _from_below(heights):
+def _sort_from_below(heights):
     """The order (F,) of heights (F,) sorted into bins, and how wide a bin is: numpy's sort takes seconds to compile."""
     low = high = heights[0]
     for height in heights:
@@ -165,7 +165,7 @@ def _turn(R, p, turned):
 
 
 @njit
-def _lowest_of_triangle(p, x0, x1, y0, y1):
+def _find_lowest_of_triangle(p, x0, x1, y0, y1):
     """Lowest z of one triangle (3, 3) over a rectangle; inf when it is nowhere over it."""
     if max(p[0, 0], p[1, 0], p[2, 0]) < x0 or min(p[0, 0], p[1, 0], p[2, 0]) > x1:
         return np.inf
@@ -173,17 +173,17 @@ def _lowest_of_triangle(p, x0, x1, y0, y1):
         return np.inf
     best = np.inf
     for c in range(3):
-        best = min(best, _lowest_of_edge(p[c], p[(c + 1) % 3], x0, x1, y0, y1))
+        best = min(best, _find_lowest_of_edge(p[c], p[(c + 1) % 3], x0, x1, y0, y1))
     for x in (x0, x1):
         for y in (y0, y1):
-            best = min(best, _height_at(p, x, y))
+            best = min(best, _find_height_at(p, x, y))
     return best
 
 
 @njit
-def _lowest_of_edge(a, b, x0, x1, y0, y1):
+def _find_lowest_of_edge(a, b, x0, x1, y0, y1):
     """Lowest z of the part of the segment a-b over the rectangle; inf when no part is."""
-    enter, leave = _over(a, b, x0, x1, y0, y1)
+    enter, leave = _clip_segment(a, b, x0, x1, y0, y1)
     if enter > leave:
         return np.inf
     dz = b[2] - a[2]
@@ -191,7 +191,7 @@ def _lowest_of_edge(a, b, x0, x1, y0, y1):
 
 
 @njit
-def _over(a, b, x0, x1, y0, y1):
+def _clip_segment(a, b, x0, x1, y0, y1):
     """Where, in shares of its length, the segment a-b enters and leaves the rectangle (Liang-Barsky clipping).
 
     It leaves before it enters when no part is over it.
@@ -209,7 +209,7 @@ def _over(a, b, x0, x1, y0, y1):
 
 
 @njit
-def _height_at(p, x, y):
+def _find_height_at(p, x, y):
     """Height z of the triangle's plane at (x, y) when that point lies in the triangle, else inf."""
     ax, ay = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1]
     bx, by = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1]
@@ -224,7 +224,7 @@ def _height_at(p, x, y):
 
 
 @njit
-def _lowest_curved(first, last, triangles, T, rectangle, relief, lattice, result):
+def _fill_lowest_curved(first, last, triangles, T, rectangle, relief, lattice, result):
     """Fill the least heights (N,) over the gel of the poses from first to last."""
     p, centre, highest = np.empty((3, 3)), np.empty(3), relief.max()
     x0, x1, y0, y1 = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
@@ -233,22 +233,22 @@ def _lowest_curved(first, last, triangles, T, rectangle, relief, lattice, result
         for b in range(len(triangles.radii)):
             place(T[i], triangles.centres[b], centre)
             r = triangles.radii[b]
-            if centre[2] - r - highest >= best or _beside(centre, r, x0, x1, y0, y1):
+            if centre[2] - r - highest >= best or _is_beside(centre, r, x0, x1, y0, y1):
                 continue
             for f in range(triangles.starts[b], triangles.starts[b + 1]):
                 for c in range(3):
                     place(T[i], triangles.corners[f, c], p[c])
                 if min(p[0, 2], p[1, 2], p[2, 2]) - highest < best:
-                    best = min(best, _lowest_inside(p, x0, x1, y0, y1, relief, lattice))
+                    best = min(best, _find_lowest_inside(p, x0, x1, y0, y1, relief, lattice))
         result[i] = best
 
 
 @njit
-def _lowest_inside(p, x0, x1, y0, y1, relief, lattice):
+def _find_lowest_inside(p, x0, x1, y0, y1, relief, lattice):
     """Least height of a triangle (3, 3) over the gel: along its edges, and at points inside."""
     best = np.inf
     for c in range(3):
-        best = min(best, _lowest_along(p[c], p[(c + 1) % 3], x0, x1, y0, y1, relief, lattice))
+        best = min(best, _find_lowest_along(p[c], p[(c + 1) % 3], x0, x1, y0, y1, relief, lattice))
     low_x, high_x = max(x0, p[:, 0].min()), min(x1, p[:, 0].max())
     low_y, high_y = max(y0, p[:, 1].min()), min(y1, p[:, 1].max())
     if low_x > high_x or low_y > high_y:
@@ -258,16 +258,16 @@ def _lowest_inside(p, x0, x1, y0, y1, relief, lattice):
         y = low_y + (high_y - low_y) * j / max(rows, 1)
         for i in range(columns + 1):
             x = low_x + (high_x - low_x) * i / max(columns, 1)
-            z = _height_at(p, x, y)
+            z = _find_height_at(p, x, y)
             if z < np.inf:
-                best = min(best, z - _relief_at(relief, lattice, x, y))
+                best = min(best, z - _interpolate_relief(relief, lattice, x, y))
     return best
 
 
 @njit
-def _lowest_along(a, b, x0, x1, y0, y1, relief, lattice):
+def _find_lowest_along(a, b, x0, x1, y0, y1, relief, lattice):
     """Least height over the gel of the part of a segment a-b over the rectangle; inf when none is."""
-    enter, leave = _over(a, b, x0, x1, y0, y1)
+    enter, leave = _clip_segment(a, b, x0, x1, y0, y1)
     if enter > leave:
         return np.inf
     x, y, z = a[0] + enter * (b[0] - a[0]), a[1] + enter * (b[1] - a[1]), a[2] + enter * (b[2] - a[2])
@@ -275,12 +275,12 @@ def _lowest_along(a, b, x0, x1, y0, y1, relief, lattice):
     best, steps = np.inf, max(1, math.ceil(math.hypot(dx, dy) / STEP_M))
     for k in range(steps + 1):
         s = k / steps
-        best = min(best, z + s * dz - _relief_at(relief, lattice, x + s * dx, y + s * dy))
+        best = min(best, z + s * dz - _interpolate_relief(relief, lattice, x + s * dx, y + s * dy))
     return best
 
 
 @njit
-def _relief_at(relief, lattice, x, y):
+def _interpolate_relief(relief, lattice, x, y):
     """The relief, linear between the lattice's points; beyond them it goes on as at the last."""
     rows, columns = relief.shape
     c = min(max((x - lattice[0]) / lattice[2], 0.0), columns - 1.0)

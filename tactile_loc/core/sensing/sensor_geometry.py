@@ -192,13 +192,13 @@ class SensorGeometry:
             rows = ((np.arange(height_px) + 0.5) / ky).astype(int)
             columns = ((np.arange(width_px) + 0.5) / kx).astype(int)
             observed = self.observed[np.ix_(rows, columns)]
-        relief_m = self._relief_at(width_px, height_px)
+        relief_m = self._resize_relief(width_px, height_px)
         return dataclasses.replace(
             self, width_px=width_px, height_px=height_px, observed=observed, relief_m=relief_m,
             fx=self.fx * kx, fy=self.fy * ky, cx=self.cx * kx, cy=self.cy * ky,
         )  # fmt: skip
 
-    def _relief_at(self, width_px: int, height_px: int) -> Depth | None:
+    def _resize_relief(self, width_px: int, height_px: int) -> Depth | None:
         """The relief (height, width) at another image size, metres: linear between the pixels' centres."""
         if self.relief_m is None or (height_px, width_px) == self.shape:
             return self.relief_m
@@ -257,7 +257,7 @@ class SensorGeometry:
     def _is_as_curved(self, other: SensorGeometry) -> bool:
         if self.relief_m is None or other.relief_m is None:
             return self.relief_m is other.relief_m
-        theirs_m = np.asarray(other._relief_at(self.width_px, self.height_px))
+        theirs_m = np.asarray(other._resize_relief(self.width_px, self.height_px))
         return bool(np.abs(self.relief_m - theirs_m).max() < SAME_RELIEF_M)
 
     def describe(self) -> dict[str, Any]:
@@ -265,7 +265,8 @@ class SensorGeometry:
         arrays = {"observed": self.observed, "relief_m": self.relief_m}
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in arrays}
         digests = {
-            name: None if array is None else hashlib.sha256(_bytes(array)).hexdigest() for name, array in arrays.items()
+            name: None if array is None else hashlib.sha256(_pack_bytes(array)).hexdigest()
+            for name, array in arrays.items()
         }
         if self.relief_m is None:  # flat sensors are described as ever
             del digests["relief_m"]
@@ -273,7 +274,7 @@ class SensorGeometry:
         return {**fields, "rectangle_m": rectangle, **digests}
 
 
-def _bytes(array: NDArray[Any]) -> bytes:
+def _pack_bytes(array: NDArray[Any]) -> bytes:
     return (np.packbits(array) if array.dtype == np.bool_ else array).tobytes()
 
 

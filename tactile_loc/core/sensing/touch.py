@@ -154,7 +154,7 @@ def contact_shape_from_array(
             "its unit is probably another (give --touch-unit mm or um)"
         )
     if press_depth_m is None:
-        press_depth_m = _deepest_step(depth, max_depth_m)
+        press_depth_m = _find_deepest_step(depth, max_depth_m)
     if not 0 < press_depth_m <= max_depth_m * (1 + 1e-6):
         raise TouchError(
             f"{name} has a press depth of {press_depth_m * 1e3:.3g} mm; "
@@ -169,7 +169,7 @@ def _reaches(depth_m: Depth, limit_m: float) -> NDArray[np.bool_]:
     return depth_m >= np.float32(limit_m) * (1 - 1e-6)
 
 
-def _deepest_step(depth_m: Depth, max_depth_m: float) -> float:
+def _find_deepest_step(depth_m: Depth, max_depth_m: float) -> float:
     contact = depth_m[~_reaches(depth_m, max_depth_m)]
     deepest = float(contact.max(initial=0.0))
     if contact.size == depth_m.size and np.ptp(depth_m) > 0.1 * max_depth_m:

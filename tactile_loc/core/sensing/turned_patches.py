@@ -30,10 +30,10 @@ def anchor(touch: Touch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     z = float(np.broadcast_to(geometry.full_penetration_m, depth.shape)[row, column])
     x, y = (slopes[i] for slopes, i in zip(geometry.pixel_slopes, (column, row), strict=True))
     k = z if geometry.is_pinhole else 1.0
-    return np.array([x * k, y * k, z]), _gel_frame(geometry, int(row), int(column))
+    return np.array([x * k, y * k, z]), _find_gel_frame(geometry, int(row), int(column))
 
 
-def _gel_frame(geometry: SensorGeometry, row: int, column: int) -> NDArray[np.float64]:
+def _find_gel_frame(geometry: SensorGeometry, row: int, column: int) -> NDArray[np.float64]:
     if geometry.relief_m is None:
         return np.eye(3)
     rows, columns = (slice(max(0, i - 1), i + 2) for i in (row, column))

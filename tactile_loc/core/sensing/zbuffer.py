@@ -79,10 +79,10 @@ def _draw(first, last, triangles, T, camera, slopes_x, slopes_y, depth, which):
             k = z if pinhole else 1.0
             if (
                 z - r > far
-                or _beyond(left * k - x, left, pinhole, r)
-                or _beyond(x - right * k, right, pinhole, r)
-                or _beyond(top * k - y, top, pinhole, r)
-                or _beyond(y - bottom * k, bottom, pinhole, r)
+                or _is_beyond(left * k - x, left, pinhole, r)
+                or _is_beyond(x - right * k, right, pinhole, r)
+                or _is_beyond(top * k - y, top, pinhole, r)
+                or _is_beyond(y - bottom * k, bottom, pinhole, r)
             ):
                 continue
             for f in range(triangles.starts[b], triangles.starts[b + 1]):
@@ -100,7 +100,7 @@ def place(T, p, placed):
 
 
 @njit
-def _beyond(outside, slope, pinhole, r):
+def _is_beyond(outside, slope, pinhole, r):
     """Whether a sphere of radius r is beyond a plane of rays, its centre so far outside, measured across the view."""
     return outside > r * (math.sqrt(1.0 + slope * slope) if pinhole else 1.0) * (1.0 + 1e-9)
 
@@ -109,7 +109,7 @@ def _beyond(outside, slope, pinhole, r):
 def _draw_triangle(f, corners, camera, slopes_x, slopes_y, picture, which):
     """Draw triangle f; its corners (3, 3) are in the camera's frame."""
     p, q, s = corners[0], corners[1], corners[2]
-    u0, u1, v0, v1 = _box(p, q, s, camera, picture.shape[1], picture.shape[0])
+    u0, u1, v0, v1 = _find_box(p, q, s, camera, picture.shape[1], picture.shape[0])
     if u0 > u1 or v0 > v1:
         return
     pinhole, far = camera[0], camera[6]
@@ -130,9 +130,9 @@ def _draw_triangle(f, corners, camera, slopes_x, slopes_y, picture, which):
         first, last = u0, u1
         if u1 - u0 > NARROW:  # of slivers that lie across, most of the box is empty
             most = (abs(ap) + abs(aq) + abs(as_)) * widest + abs(fp) + abs(fq) + abs(fs)
-            first, last = _covered(ap, fp, 2 * EDGE * most, camera, first, last)
-            first, last = _covered(aq, fq, 2 * EDGE * most, camera, first, last)
-            first, last = _covered(as_, fs, 2 * EDGE * most, camera, first, last)
+            first, last = _find_covered(ap, fp, 2 * EDGE * most, camera, first, last)
+            first, last = _find_covered(aq, fq, 2 * EDGE * most, camera, first, last)
+            first, last = _find_covered(as_, fs, 2 * EDGE * most, camera, first, last)
         for u in range(first, last + 1):
             x = slopes_x[u]
             wp, wq, ws = ap * x + fp, aq * x + fq, as_ * x + fs
@@ -147,7 +147,7 @@ def _draw_triangle(f, corners, camera, slopes_x, slopes_y, picture, which):
 
 
 @njit
-def _covered(a, b, least, camera, first, last):
+def _find_covered(a, b, least, camera, first, last):
     """First and last pixel of a row, of those from first to last, where a x + b may be no less than -least."""
     if a == 0.0:
         return (first, last) if b >= -least else (0, -1)
@@ -158,19 +158,19 @@ def _covered(a, b, least, camera, first, last):
 
 
 @njit
-def _box(p, q, s, camera, width, height):
+def _find_box(p, q, s, camera, width, height):
     """First and last column, first and last row, of the pixels whose centres a triangle may cover."""
     pinhole, fx, fy, cx, cy, near, _ = camera
     if pinhole and min(p[2], q[2], s[2]) < near:
         return 0, width - 1, 0, height - 1
     kp, kq, ks = (1.0 / p[2], 1.0 / q[2], 1.0 / s[2]) if pinhole else (1.0, 1.0, 1.0)
-    u0, u1 = _span(p[0] * kp, q[0] * kq, s[0] * ks, fx, cx, width)
-    v0, v1 = _span(p[1] * kp, q[1] * kq, s[1] * ks, fy, cy, height)
+    u0, u1 = _find_span(p[0] * kp, q[0] * kq, s[0] * ks, fx, cx, width)
+    v0, v1 = _find_span(p[1] * kp, q[1] * kq, s[1] * ks, fy, cy, height)
     return u0, u1, v0, v1
 
 
 @njit
-def _span(a, b, c, scale, centre, size):
+def _find_span(a, b, c, scale, centre, size):
     """First and last pixel whose centre lies between the least and the greatest of three coordinates."""
     first = min(max(-1.0, min(a, b, c) * scale + centre - 0.5 - 1e-6), size * 1.0)
     last = max(min(size * 1.0, max(a, b, c) * scale + centre - 0.5 + 1e-6), -1.0)

@@ -35,7 +35,7 @@ def contact_grid(sampler: GridSampler, scene: Scene) -> PoseGrid:
     asked_m = wanted_m
     found: list[tuple[float, PoseGrid]] = []
     for _ in range(MOST_ROUNDS if sampler.spacing_is_mean else 1):
-        grid = _contact_poses(sampler, scene, asked_m)
+        grid = _list_contact_poses(sampler, scene, asked_m)
         spacing_m = float(grid.neighbour_spacing().mean()) if len(grid) > 1 else wanted_m
         log.info("grid of %d poses, mean spacing %.2f mm", len(grid), spacing_m * 1e3)
         found.append((abs(spacing_m / wanted_m - 1), grid))
@@ -45,7 +45,7 @@ def contact_grid(sampler: GridSampler, scene: Scene) -> PoseGrid:
     return min(found, key=lambda f: f[0])[1]  # few poses step coarsely: the last is not always the nearest
 
 
-def _contact_poses(sampler: GridSampler, scene: Scene, spacing_m: float) -> PoseGrid:
+def _list_contact_poses(sampler: GridSampler, scene: Scene, spacing_m: float) -> PoseGrid:
     metric = PoseMetric(scene.object)
     poses, touching = scene.in_contact(sampler.sample(scene.object, scene.geometry, spacing_m))
     poses = poses[touching]

@@ -68,8 +68,10 @@ class Gel:
         Pixels are squares: a step between two of them becomes the Gaussian's error function exactly, however large they
         are.
         """
-        x, y = (_blur_weights(len(a), sigma_m / p) for a, p in zip((self.x_m, self.y_m), self.pitch_m, strict=True))
-        return _transformed(images, y, x)
+        x, y = (
+            _make_blur_weights(len(a), sigma_m / p) for a, p in zip((self.x_m, self.y_m), self.pitch_m, strict=True)
+        )
+        return _transform_images(images, y, x)
 
     def random_field(self, count: int, patch_m: float, rng: np.random.Generator) -> Float32:
         """Draw smooth random images (count, H, W) of zero mean and unit variance everywhere, unitless.
@@ -78,9 +80,9 @@ class Gel:
         is the surface's, so that one seed gives one field, whatever the pixels.
         """
         x0, x1, y0, y1 = self.rectangle_m
-        x, y = _field_weights(self.x_m, x0, x1, patch_m), _field_weights(self.y_m, y0, y1, patch_m)
+        x, y = _make_field_weights(self.x_m, x0, x1, patch_m), _make_field_weights(self.y_m, y0, y1, patch_m)
         white = rng.standard_normal((count, y.shape[1], x.shape[1]), dtype=np.float32)
-        return _transformed(white, y, x)
+        return _transform_images(white, y, x)
 
     def border(self, width_m: Float64, rng: np.random.Generator) -> NDArray[np.bool_]:
         """Mark (N, H, W) a strip along one random side of each image's rectangle, of widths (N,) in metres."""
@@ -115,8 +117,8 @@ def stamp(
     combine: Callable[..., Any],
 ) -> None:
     """Write discs of radii (P,) about `centres` into depths (N, H, W): `combine` (a ufunc) of old and value (P,). m."""
-    left, right = _interval(gel.x_m, centres.x_m, radius_m)
-    top, bottom = _interval(gel.y_m, centres.y_m, radius_m)
+    left, right = _find_interval(gel.x_m, centres.x_m, radius_m)
+    top, bottom = _find_interval(gel.y_m, centres.y_m, radius_m)
     for i, image in enumerate(centres.image):
         rows, columns = slice(top[i], bottom[i]), slice(left[i], right[i])
         dx, dy = gel.x_m[columns] - centres.x_m[i], gel.y_m[rows] - centres.y_m[i]
@@ -125,19 +127,19 @@ def stamp(
         combine(block, np.float32(value_m[i]), out=block, where=inside)
 
 
-def _interval(pixels_m: Float64, centre_m: Float64, radius_m: Float64) -> tuple[Index, Index]:
+def _find_interval(pixels_m: Float64, centre_m: Float64, radius_m: Float64) -> tuple[Index, Index]:
     """First and last-but-one index of the sorted pixels (W,) within radii (P,) of centres (P,), metres."""
     return np.searchsorted(pixels_m, centre_m - radius_m), np.searchsorted(pixels_m, centre_m + radius_m)
 
 
-def _transformed(images: Float32, rows: Float32, columns: Float32) -> Float32:
+def _transform_images(images: Float32, rows: Float32, columns: Float32) -> Float32:
     """Apply matrices (H, h) to the rows and (W, w) to the columns of images (N, h, w): (N, H, W)."""
     result: Float32 = rows @ (images @ columns.T)
     return result
 
 
 @lru_cache(maxsize=64)
-def _blur_weights(count: int, sigma_px: float) -> Float32:
+def _make_blur_weights(count: int, sigma_px: float) -> Float32:
     """Weights (count, count) of pixel j's area in the Gaussian about pixel i's centre; the outer pixels go on forever.
 
     Beyond `REACH` the Gaussian is cut off, so that an imprint has an end.
@@ -153,7 +155,7 @@ def _blur_weights(count: int, sigma_px: float) -> Float32:
     return weights
 
 
-def _field_weights(pixels_m: Float64, low_m: float, high_m: float, patch_m: float) -> Float32:
+def _make_field_weights(pixels_m: Float64, low_m: float, high_m: float, patch_m: float) -> Float32:
     """Weights (W, K) of the lattice's K points at each pixel; their squares sum to one, so that variance is one."""
     margin = int(REACH)
     lattice_m = low_m + patch_m * np.arange(-margin, np.ceil((high_m - low_m) / patch_m) + margin + 1)
@@ -255,7 +257,7 @@ class TouchNoise:
         if self.smoothing_m > 0:
             depth[...] = np.maximum(press - gel.blurred(press - depth, self.smoothing_m), 0.0)
         if self.least_m > 0 or self.edge_m > 0:
-            np.copyto(depth, press, where=press - depth <= self._threshold(len(depth), gel, rng))
+            np.copyto(depth, press, where=press - depth <= self._draw_threshold(len(depth), gel, rng))
         if self.drift_m > 0:
             drifted = depth + np.float32(self.drift_m) * gel.random_field(len(depth), self.drift_patch_m, rng)
             np.copyto(depth, np.clip(drifted, 0, np.nextafter(press, np.float32(0))), where=depth < press)
@@ -274,7 +276,7 @@ class TouchNoise:
         press, measured = (np.asarray(p, np.float32)[:, None, None] for p in (press_depth_m, measured_m))
         return np.where(depth_m < np.minimum(press, measured), depth_m, measured)
 
-    def _threshold(self, count: int, gel: Gel, rng: np.random.Generator) -> Float32 | np.float32:
+    def _draw_threshold(self, count: int, gel: Gel, rng: np.random.Generator) -> Float32 | np.float32:
         """The imprint that just does not show, metres: one number, or (count, H, W) where it wanders."""
         least = np.float32(self.least_m)
         if self.edge_m == 0:

@@ -59,7 +59,7 @@ def draw_touches(
         tried += len(poses)
         percent = sampler.options.min_contact_percent
         for T, shape in zip(*press_noise.pressed(poses, percent), strict=True):
-            touch = _touch(shape, scene, T, f"touch-{len(touches):04d}")
+            touch = _make_touch(shape, scene, T, f"touch-{len(touches):04d}")
             touches += [touch] if touch is not None else []
     return touches, tried - len(touches)
 
@@ -79,9 +79,9 @@ class PressNoise:
         It is None where noise left less than this contact.
         """
         noise, geometry = self.noise, self.scene.geometry
-        seen, touching = self._misplaced(T_sensor_object)
-        press = self._presses(len(seen))
-        clean = self._drawn(lowered(seen, press), press)
+        seen, touching = self._misplace(T_sensor_object)
+        press = self._draw_presses(len(seen))
+        clean = self._render_depths(lowered(seen, press), press)
         noisy = noise.corrupt(clean, press, geometry, self.rng)
         measured = noise.measure_press(press, geometry.max_depth_m, self.rng)
         depths = noise.cut(noisy, press, measured)
@@ -94,7 +94,7 @@ class PressNoise:
         kept = touching & [np.count_nonzero(s.contact & r) >= least for s, r in zip(shapes, real, strict=True)]
         return poses, [shape if ok else None for shape, ok in zip(shapes, kept, strict=True)]
 
-    def _drawn(self, T_sensor_object: Poses, press_m: NDArray[np.float64]) -> Float32:
+    def _render_depths(self, T_sensor_object: Poses, press_m: NDArray[np.float64]) -> Float32:
         """Contact depths (N, H, W) of poses pressed in by (N,), up to the sensor's deepest from their own; metres."""
         depths = np.empty((len(press_m), *self.scene.geometry.shape), np.float32)
         for m in np.unique(press_m):
@@ -104,13 +104,13 @@ class PressNoise:
             )
         return depths
 
-    def _misplaced(self, T_sensor_object: Poses) -> tuple[Poses, NDArray[np.bool_]]:
+    def _misplace(self, T_sensor_object: Poses) -> tuple[Poses, NDArray[np.bool_]]:
         """Where the poses (N, 4, 4) really are, in contact, and which (N,) touch. Metres."""
         if not self.noise.misplaces:
             return T_sensor_object, np.ones(len(T_sensor_object), bool)
         return self.scene.in_contact(self.noise.misplace(T_sensor_object, self.scene.geometry, self.rng))
 
-    def _presses(self, count: int) -> NDArray[np.float64]:
+    def _draw_presses(self, count: int) -> NDArray[np.float64]:
         """How deep the presses (count,) are, metres."""
         if self.press_depth_m is not None:
             return np.full(count, self.press_depth_m)
@@ -124,7 +124,7 @@ def lowered(T_sensor_object: Poses, press_m: NDArray[np.float64]) -> Poses:
     return T
 
 
-def _touch(shape: ContactShape | None, scene: Scene, T: NDArray[np.float64], name: str) -> Touch | None:
+def _make_touch(shape: ContactShape | None, scene: Scene, T: NDArray[np.float64], name: str) -> Touch | None:
     """One touch, or None where the imprint is no touch: nothing, or nothing but a flat face all over the sensor."""
     try:
         return None if shape is None else Touch(shape, scene.geometry, name, T_sensor_object=T)

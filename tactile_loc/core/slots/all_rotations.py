@@ -67,7 +67,7 @@ class AllRotationsGrid(GridSampler):
         self._refuse_too_many(int(counts.sum()), obj, geometry, spacing_m)
         log.info("%s grid of %s: %d rotations, %d poses before contact", self.name, obj.name, len(R), counts.sum())
         xy = np.concatenate([plane_lattice(a, b, spacing_m) for a, b in zip(low, high, strict=True)])
-        return _poses_with_centroid_at(obj, np.repeat(R, counts, axis=0), xy)
+        return _place_centroids(obj, np.repeat(R, counts, axis=0), xy)
 
     @staticmethod
     def place_counts(obj: ObjectModel, R: Float, geometry: SensorGeometry, spacing_m: float) -> NDArray[np.int64]:
@@ -123,11 +123,11 @@ def random_places(
         R = rotations(min(max(2 * missing, 64), MOST_DRAWN))
         low, high = centroid_range(obj, R, geometry)
         keep = rng.random(len(R)) * bound_m2 < (high - low).prod(axis=-1)
-        found.append(_poses_with_centroid_at(obj, R[keep], rng.uniform(low[keep], high[keep])))
+        found.append(_place_centroids(obj, R[keep], rng.uniform(low[keep], high[keep])))
     return np.concatenate(found)[:count]
 
 
-def _poses_with_centroid_at(obj: ObjectModel, R: Float, xy_m: Float) -> Poses:
+def _place_centroids(obj: ObjectModel, R: Float, xy_m: Float) -> Poses:
     """Poses (N, 4, 4) of rotations (N, 3, 3) whose centroid is at (x, y, 0) for `xy_m` (N, 2), sensor frame, metres."""
     centroid_m = np.column_stack([xy_m, np.zeros(len(xy_m))])
     return make_transform(R, centroid_m - R @ obj.mesh.centroid_m)

@@ -68,7 +68,7 @@ class CommonPosesFuser(Fuser):
         for posterior, index in zip(posteriors[1:], common.found[1:], strict=True):
             total = total + self.evidence(posterior, index)
         if len(total) and not np.isfinite(total).any():
-            raise GridError(_contradiction(len(posteriors), len(total), self.if_contradictory))
+            raise GridError(_describe_contradiction(len(posteriors), len(total), self.if_contradictory))
         log_p = np.full(len(first), -np.inf)
         log_p[common.first] = total
         return PosePosterior(first, log_p)
@@ -152,10 +152,10 @@ def common_poses(
     pose of that grid nearest to it, symmetry regarded, is within reach. The sensor that excludes most is asked first.
     Raises GridError, which names the contact that dropped the last poses, when none is left.
     """
-    others = _others(grids, T_base_sensor, reach)
+    others = _list_others(grids, T_base_sensor, reach)
     poses, first = grids[0].T_sensor_object, np.flatnonzero(possible)
     found = np.tile(first, (len(grids), 1))  # right already for the first, and for what is seen from the same place
-    for number in _order(others, poses[first]):
+    for number in _order_others(others, poses[first]):
         found[number] = others[number].lookup(poses[first])
         touching = found[number] >= 0
         if len(first) and not touching.any():
@@ -164,16 +164,16 @@ def common_poses(
     return CommonPoses(first, found)
 
 
-def _others(grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reach: float) -> dict[int, OtherSensor]:
+def _list_others(grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reach: float) -> dict[int, OtherSensor]:
     """What is to be looked up, by its place among the grids: not the first, nor that grid seen from the same place."""
     others: dict[int, OtherSensor] = {}
     for number, (grid, T) in enumerate(zip(grids[1:], T_base_sensor[1:], strict=True), start=1):
         if grid is not grids[0] or not np.array_equal(T, T_base_sensor[0]):
-            others[number] = OtherSensor(grid, invert(T) @ T_base_sensor[0], reach * _spacing_m(grids[0], grid))
+            others[number] = OtherSensor(grid, invert(T) @ T_base_sensor[0], reach * _find_spacing_m(grids[0], grid))
     return others
 
 
-def _spacing_m(first: PoseGrid, other: PoseGrid) -> float:
+def _find_spacing_m(first: PoseGrid, other: PoseGrid) -> float:
     """The coarser spacing, metres: a pose of the first grid is as far off the truth as its grid is coarse.
 
     A grid of one pose has none; two of them know no bound.
@@ -182,7 +182,7 @@ def _spacing_m(first: PoseGrid, other: PoseGrid) -> float:
     return max(known, default=np.inf)
 
 
-def _order(others: dict[int, OtherSensor], T_first_object: Poses) -> list[int]:
+def _order_others(others: dict[int, OtherSensor], T_first_object: Poses) -> list[int]:
     """The others, each time the one that excludes most of what is left of a few poses: less is left to look up."""
     if len(T_first_object) <= SAMPLE:
         return list(others)
@@ -204,7 +204,7 @@ def _explain(number: int, dropped: int, poses: int, count: int) -> str:
     )
 
 
-def _contradiction(touches: int, poses: int, advice: str) -> str:
+def _describe_contradiction(touches: int, poses: int, advice: str) -> str:
     return (
         f"the {touches} touches contradict one another: each of the {poses:,} poses that touch all sensors has no "
         f"probability for one of them; {advice}"

@@ -42,12 +42,12 @@ class ExactMatcher(Matcher):
         """Return scores (M, N), -1/2 sum w (q - b)^2, of queries (M, D) and weights (M, D); None: ones. Unitless."""
         q = np.asarray(queries, np.float32)
         if weights is not None:
-            return self._weighted(q, np.asarray(weights, np.float32))
+            return self._score_weighted(q, np.asarray(weights, np.float32))
         half_norms = 0.5 * np.einsum("md,md->m", q, q)
         scores: Float32 = q @ self._bank.T - self._half_norms - half_norms[:, None]
         return scores
 
-    def _weighted(self, q: Float32, w: Float32) -> Float32:
+    def _score_weighted(self, q: Float32, w: Float32) -> Float32:
         weighed = np.multiply(w, q, dtype=np.float32)
         of_queries = 0.5 * np.einsum("md,md->m", weighed, q)
         scores: Float32 = weighed @ self._bank.T - w @ self._half_squares.T - of_queries[:, None]

@@ -117,7 +117,7 @@ class Registry:
         """Return the component of this slot and name. Raises UnknownPluginError or PluginConflictError."""
         found = [c for c in self.components if (c.spec.slot, c.spec.name) == (slot, name)]
         if not found:
-            raise UnknownPluginError(self._unknown(slot, name))
+            raise UnknownPluginError(self._describe_unknown(slot, name))
         if len(found) > 1:
             raise PluginConflictError(
                 f"two components are the {slot} {name!r}: one of {found[0].distribution}, one of "
@@ -125,7 +125,7 @@ class Registry:
             )
         return found[0]
 
-    def _unknown(self, slot: str, name: str) -> str:
+    def _describe_unknown(self, slot: str, name: str) -> str:
         if slot not in SLOTS:
             return f"there is no slot {slot!r}; the slots are {', '.join(SLOTS)}"
         broken = "".join(f" The plugin {f.plugin} could not be loaded ({f.error})." for f in self.failures)
@@ -146,10 +146,10 @@ class Registry:
                 "tactile-loc"
             )
         if found.spec not in self._kinds:
-            self._kinds[found.spec] = self._imported(found)
+            self._kinds[found.spec] = self._import_component(found)
         return self._kinds[found.spec]
 
-    def _imported(self, found: Registered) -> Any:
+    def _import_component(self, found: Registered) -> Any:
         slot, name, interface = found.spec.slot, found.spec.name, found.spec.interface
         module, _, attribute = found.spec.target.partition(":")
         try:
@@ -201,7 +201,7 @@ def validate_options(model: Any, values: Mapping[str, Any], owner: str) -> Any:
         key = ".".join(map(str, problem["loc"])) or "options"
         if problem["type"] == "extra_forbidden":
             fields = model.model_fields
-            allowed = ", ".join(f"{k} ({_type_name(f.annotation)})" for k, f in fields.items()) or "none at all"
+            allowed = ", ".join(f"{k} ({_name_type(f.annotation)})" for k, f in fields.items()) or "none at all"
             near = did_you_mean(key, fields)
             raise ConfigError(f"the {owner} has no option {key!r}.{near} Its options: {allowed}") from error
         raise ConfigError(
@@ -209,7 +209,7 @@ def validate_options(model: Any, values: Mapping[str, Any], owner: str) -> Any:
         ) from error
 
 
-def _type_name(annotation: Any) -> str:
+def _name_type(annotation: Any) -> str:
     return annotation.__name__ if isinstance(annotation, type) else str(annotation).replace("typing.", "")
 
 

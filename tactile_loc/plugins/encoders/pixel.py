@@ -35,8 +35,8 @@ class PixelEncoder(Encoder):
         signal: Float32 = (depth_m < press).astype(np.float32) if binary else 1 - depth_m / press
         signal = np.where(geometry.observed_mask, signal, np.float32(0))
         height, width = geometry.shape
-        down, across = _cells(geometry, self.options.cells)
-        rows, columns = _averaging(height, down), _averaging(width, across)
+        down, across = _count_cells(geometry, self.options.cells)
+        rows, columns = _make_averaging(height, down), _make_averaging(width, across)
         scale = np.float32(1 / np.sqrt(down * across))
         # two products of large matrices: one for every shape is several times as slow
         lines = (signal.reshape(-1, width) @ (scale * columns.T)).reshape(len(signal), height, across)
@@ -58,7 +58,7 @@ class PixelEncoder(Encoder):
         return np.where(weights > 0, embeddings / np.maximum(share, LEAST_SEEN), np.float32(0)), weights
 
 
-def _cells(geometry: SensorGeometry, longest: int) -> tuple[int, int]:
+def _count_cells(geometry: SensorGeometry, longest: int) -> tuple[int, int]:
     """How many cells lie down and across, `longest` along the longer side of the field of view.
 
     They depend on the sensor's field alone, so that a touch and a bank of another resolution have the same cells.
@@ -70,7 +70,7 @@ def _cells(geometry: SensorGeometry, longest: int) -> tuple[int, int]:
     return down, across
 
 
-def _averaging(pixels: int, cells: int) -> NDArray[np.float32]:
+def _make_averaging(pixels: int, cells: int) -> NDArray[np.float32]:
     """Matrix (cells, pixels) that averages pixels over equal cells, by the exact share of each pixel in each cell."""
     edges = np.linspace(0, pixels, cells + 1)
     left, right = np.arange(pixels), np.arange(pixels) + 1.0

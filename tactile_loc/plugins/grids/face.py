@@ -67,7 +67,7 @@ class FaceGrid(GridSampler):
         many are made.
         """
         require_spacing(spacing_m)
-        R_face = self._face_rotation(obj)
+        R_face = self._find_face_rotation(obj)
         lever_m = float(np.sqrt(np.diag(R_face @ obj.mesh.covariance_m2 @ R_face.T)[:2].sum()))
         fold = turns_alike(obj.symmetry, -R_face[2])
         # Of each turn that looks the same a whole number of steps: then equivalent poses coincide and can be removed.
@@ -76,7 +76,7 @@ class FaceGrid(GridSampler):
         poses: list[Poses] = []
         count = 0
         for number in range(turns):
-            for R in self._rotations(R_face, np.array([number * 2 * np.pi / turns])):
+            for R in self._list_rotations(R_face, np.array([number * 2 * np.pi / turns])):
                 low, high = reachable_translations(obj.mesh.vertices_m @ R.T, geometry.rectangle)
                 count += int(lattice_shape(low, high, spacing_m).prod())
                 self._refuse_too_many(count, obj, spacing_m)
@@ -86,11 +86,11 @@ class FaceGrid(GridSampler):
 
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
         """Draw poses (count, 4, 4) uniformly in x, y, yaw and tilt; metres."""
-        R_face = self._face_rotation(obj)
+        R_face = self._find_face_rotation(obj)
         limit = np.radians(self.options.tilt_deg)
 
         def rotations(n: int) -> NDArray[np.float64]:
-            return _tilted(R_face, rng.uniform(0, 2 * np.pi, n), *rng.uniform(-limit, limit, (2, n)))
+            return _tilt(R_face, rng.uniform(0, 2 * np.pi, n), *rng.uniform(-limit, limit, (2, n)))
 
         return random_places(obj, geometry, count, rng, rotations)
 
@@ -101,19 +101,19 @@ class FaceGrid(GridSampler):
                 f"of {self.options.max_poses:,}; take a greater spacing, or raise max_poses"
             )
 
-    def _rotations(self, R_face: NDArray[np.float64], yaw_rad: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    def _list_rotations(self, R_face: NDArray[np.float64], yaw_rad: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         steps = self.options.tilt_steps  # each tilt stands for an equal part of those that `random` draws
         tilts = np.radians((2 * np.arange(steps) + 1 - steps) / steps * self.options.tilt_deg)
         if self.options.tilt_deg == 0.0:
             tilts = np.zeros(1)
         yaw, about_x, about_y = (a.ravel() for a in np.meshgrid(yaw_rad, tilts, tilts, indexing="ij"))
-        return _tilted(R_face, yaw, about_x, about_y)
+        return _tilt(R_face, yaw, about_x, about_y)
 
-    def _face_rotation(self, obj: ObjectModel) -> NDArray[np.float64]:
+    def _find_face_rotation(self, obj: ObjectModel) -> NDArray[np.float64]:
         """Return the rotation (3, 3) that points the touching face's normal into the sensor, along -z."""
         face = self.options.face
         if face == "auto":
-            normal = _resting_normal(obj.mesh)
+            normal = _find_resting_normal(obj.mesh)
         elif face in SIDES:
             normal = SIDES[face]
         else:
@@ -122,7 +122,7 @@ class FaceGrid(GridSampler):
 
 
 @lru_cache(maxsize=8)
-def _resting_normal(mesh: TriangleMesh) -> NDArray[np.float64]:
+def _find_resting_normal(mesh: TriangleMesh) -> NDArray[np.float64]:
     """The side (3,) of a mesh, looked for once: random poses may be drawn a few at a time."""
     return resting_normal(mesh.vertices_m, mesh.centroid_m)
 
@@ -155,7 +155,7 @@ def turns_alike(symmetry: SymmetryGroup, normal: NDArray[np.float64]) -> float:
     return 2 if len(symmetry.rotations) > 1 and along < 1e-3 else 1
 
 
-def _tilted(
+def _tilt(
     R_face: NDArray[np.float64], yaw_rad: NDArray[np.float64], about_x_rad: NDArray[np.float64],
     about_y_rad: NDArray[np.float64],
 ) -> NDArray[np.float64]:  # fmt: skip

@@ -70,7 +70,7 @@ class WholeGrid(GridSampler):
                 f"{obj.name} is {2e3 * radius_m:.0f} mm across, and the whole grid searches objects of at most "
                 f"{LONGEST_M * 1e3:.0f} mm; check the mesh's units, or choose the face that touches with --grid face"
             )
-        camera = _camera(radius_m)
+        camera = _make_camera(radius_m)
         step_rad = np.sqrt(4 * np.pi / options.directions)
         every = np.concatenate([sphere(options.directions), flat_directions(mesh, options.flat_mm2 * 1e-6)])
         directions = distinct_directions(every, obj, step_rad)
@@ -80,8 +80,8 @@ class WholeGrid(GridSampler):
         with progress.task("looking for what touches first", len(directions)) as advance:
             for start in range(0, len(directions), AT_ONCE):
                 some = directions[start : start + AT_ONCE]
-                for T_camera, heights in zip(*_height_maps(obj, some, camera), strict=True):
-                    around, places_m = _around(heights, self._lowest(heights), camera)
+                for T_camera, heights in zip(*_draw_height_maps(obj, some, camera), strict=True):
+                    around, places_m = _cut_patches(heights, self._find_lowest(heights), camera)
                     poses.append(make_transform(T_camera[:3, :3], T_camera[:3, 3] - places_m))
                     patches.append(as_patches(around - places_m[:, 2, None, None]))
                 advance(len(some))
@@ -90,7 +90,7 @@ class WholeGrid(GridSampler):
     def _refuse_too_many(self, obj: ObjectModel, directions: Float, camera: SensorGeometry) -> None:
         """Count the places of some directions, before the rest is looked at. Raises GridError if all are too many."""
         some = directions[:: max(1, len(directions) // AT_ONCE)]
-        count = sum(len(self._lowest(heights)) for heights in _height_maps(obj, some, camera)[1])
+        count = sum(len(self._find_lowest(heights)) for heights in _draw_height_maps(obj, some, camera)[1])
         expected, limit = count / len(some) * len(directions), self.options.max_places
         if expected > limit:
             fewer = max(100, int(self.options.directions * limit / expected))
@@ -118,7 +118,7 @@ class WholeGrid(GridSampler):
         lowest = np.stack([corners[(corners @ down).argmin()] for down in R[:, 2]])
         return make_transform(R, over - np.einsum("nij,nj->ni", R, lowest))
 
-    def _lowest(self, heights: NDArray[np.float32]) -> NDArray[np.int64]:
+    def _find_lowest(self, heights: NDArray[np.float32]) -> NDArray[np.int64]:
         """The pixels (K, 2), row and column, of a height map (H, W), metres, that touch first."""
         options = self.options
         found = np.empty((MOST_PLACES, 2), np.int64)
@@ -170,7 +170,7 @@ def distinct_directions(directions: Float, obj: ObjectModel, step_rad: float) ->
     return directions[np.einsum("ni,ni->n", best, directions) >= np.cos(step_rad)]
 
 
-def _camera(radius_m: float) -> SensorGeometry:
+def _make_camera(radius_m: float) -> SensorGeometry:
     """Parallel rays at the pitch of patches, over a sphere of a radius in metres, and a patch's half around it."""
     side = 2 * (int(np.ceil(radius_m / PITCH_M)) + PATCH_PX // 2 + 1)
     return SensorGeometry(
@@ -178,7 +178,7 @@ def _camera(radius_m: float) -> SensorGeometry:
     )
 
 
-def _height_maps(obj: ObjectModel, directions: Float, camera: SensorGeometry) -> tuple[Float, NDArray[np.float32]]:
+def _draw_height_maps(obj: ObjectModel, directions: Float, camera: SensorGeometry) -> tuple[Float, NDArray[np.float32]]:
     """What a camera sees along each of N directions, its poses (N, 4, 4) and heights (N, H, W), metres."""
     R = np.stack([align_to_z(direction) for direction in directions])
     middle = np.array([0.0, 0.0, camera.standoff_m + (camera.max_depth_m - MARGIN_M) / 2])
@@ -186,7 +186,7 @@ def _height_maps(obj: ObjectModel, directions: Float, camera: SensorGeometry) ->
     return T, nearest_depths(obj.mesh, T, camera)
 
 
-def _around(
+def _cut_patches(
     heights: NDArray[np.float32], pixels: NDArray[np.int64], camera: SensorGeometry
 ) -> tuple[NDArray[np.float32], Float]:
     """What surrounds pixels (K, 2) of a height map (H, W): patches (K, S, S), metres, and the places (K, 3), metres."""

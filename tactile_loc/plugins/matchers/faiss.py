@@ -66,14 +66,14 @@ class FaissMatcher(Matcher):
 
     @cached_property
     def _plain(self) -> Any:
-        return self._made(self._bank, faiss.METRIC_L2)
+        return self._make_index(self._bank, faiss.METRIC_L2)
 
     @cached_property
     def _weighing(self) -> Any:
         centred = self._bank - self._mean
-        return self._made(np.hstack([centred, centred**2]), faiss.METRIC_INNER_PRODUCT)
+        return self._make_index(np.hstack([centred, centred**2]), faiss.METRIC_INNER_PRODUCT)
 
-    def _made(self, rows: Float32, metric: int) -> Any:
+    def _make_index(self, rows: Float32, metric: int) -> Any:
         """The index of rows (N, D) by a metric of faiss."""
         (count, dimension), options = rows.shape, self.options
         index: Any

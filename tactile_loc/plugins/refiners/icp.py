@@ -6,7 +6,7 @@ import numpy as np
 import open3d as o3d
 from pydantic import Field
 
-from tactile_loc.plugin import Capabilities, Cloud, CloudRefiner, Registration
+from tactile_loc.plugin import Capabilities, Cloud, CloudRefiner, Poses, Registration
 
 BURST = 8  # iterations between looks at whether the pose still moves
 SETTLED_WIDE, SETTLED = 0.03, 1e-4  # a pose that moves less in a burst has settled: radians and mm, each pass
@@ -31,7 +31,7 @@ class IcpRefiner(CloudRefiner):
     def register(self, source: Cloud, target: Cloud) -> Registration:
         """Return the transform, mm, of the last pass that found pairs in its reach (None: no pass did)."""
         options = self.options
-        moving, fixed = _point_cloud(source), _point_cloud(target, with_normals=True)
+        moving, fixed = _wrap_cloud(source), _wrap_cloud(target, with_normals=True)
         T, found, converged, iterations = np.eye(4), False, False, 0
         for reach_mm, settled in ((options.wide_mm, SETTLED_WIDE), (options.narrow_mm, SETTLED)):
             T_new, steps, share, still = _register(moving, fixed, reach_mm, T, options.max_iterations, settled)
@@ -41,7 +41,7 @@ class IcpRefiner(CloudRefiner):
         return Registration(T if found else None, converged, iterations)
 
 
-def _point_cloud(cloud: Cloud, with_normals: bool = False) -> o3d.geometry.PointCloud:
+def _wrap_cloud(cloud: Cloud, with_normals: bool = False) -> o3d.geometry.PointCloud:
     """Wrap a cloud for open3d."""
     wrapped = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.points_mm))
     if with_normals:
@@ -49,7 +49,14 @@ def _point_cloud(cloud: Cloud, with_normals: bool = False) -> o3d.geometry.Point
     return wrapped
 
 
-def _register(moving, fixed, reach_mm, T, max_iterations, settled):  # type: ignore[no-untyped-def]
+def _register(
+    moving: o3d.geometry.PointCloud,
+    fixed: o3d.geometry.PointCloud,
+    reach_mm: float,
+    T: Poses,
+    max_iterations: int,
+    settled: float,
+) -> tuple[Poses, int, float, bool]:
     """Run ICP in bursts until a burst changes nothing: open3d does not say by itself whether it converged."""
     registration = o3d.pipelines.registration
     method = registration.TransformationEstimationPointToPlane()

@@ -9,6 +9,8 @@ little of it), and steep walls are placed to within half a cell. Poses that shar
 they are drawn triangle by triangle, which is exact.
 """
 
+# mypy: disable-error-code="no-untyped-def,no-untyped-call"
+
 from __future__ import annotations
 
 import math
@@ -59,12 +61,12 @@ class HeightmapRenderer(Renderer):
         cell = self.options.cell_mm * 1e-3
         rotations, starts, members = group_rotations(T[:, :3, :3])
         slot = np.repeat(np.arange(len(rotations)), np.diff(starts))
-        low, cells = _footprints(mesh, rotations, T[members, :3, 3], starts, geometry, cell)
+        low, cells = _measure_footprints(mesh, rotations, T[members, :3, 3], starts, geometry, cell)
         # a little above the band is drawn too, for the slopes that leave it
         end = geometry.standoff_m + geometry.max_depth_m + WALL * cell
         ceilings = np.maximum.reduceat(end - T[members, 2, 3], starts[:-1])
         triangles, t = np.ascontiguousarray(mesh.triangles_m), np.ascontiguousarray(T[:, :3, 3])
-        view = (_camera(geometry), *geometry.pixel_slopes)
+        view = (_describe_camera(geometry), *geometry.pixel_slopes)
         step = max(1, int(MAX_MAP_BYTES // (4 * cells[0] * cells[1])))
         for first in range(0, len(rotations), step):
             some = slice(first, first + step)
@@ -72,7 +74,7 @@ class HeightmapRenderer(Renderer):
             maps = np.empty((last - first, *cells), np.float32)
             poses = slice(starts[first], starts[last])
             in_threads(rasterise, len(maps), triangles, rotations[some], low[some], ceilings[some], cell, maps)
-            tiles = _minima(maps, FINE), _minima(maps, COARSE)
+            tiles = _find_minima(maps, FINE), _find_minima(maps, COARSE)
             which = slot[poses] - first, members[poses]
             in_threads(sample, len(which[0]), maps, *tiles, low[some], cell, *which, t, *view, depth)
         return depth
@@ -82,19 +84,19 @@ class HeightmapRenderer(Renderer):
         return nearest_depths(mesh, T_sensor_object, geometry)
 
 
-def _minima(maps: Float32, tile: int) -> Float32:
+def _find_minima(maps: Float32, tile: int) -> Float32:
     """Return the least height (K, rows / tile, columns / tile) of every tile of the maps."""
     lowest = np.empty((len(maps), maps.shape[1] // tile, maps.shape[2] // tile), np.float32)
     in_threads(minima, len(maps), maps, tile, lowest)
     return lowest
 
 
-def _camera(geometry: SensorGeometry) -> tuple[bool, float, float]:
+def _describe_camera(geometry: SensorGeometry) -> tuple[bool, float, float]:
     """Whether the camera is a pinhole, and where (m) the contact band begins and ends."""
     return geometry.is_pinhole, geometry.standoff_m, geometry.standoff_m + geometry.max_depth_m
 
 
-def _footprints(
+def _measure_footprints(
     mesh: TriangleMesh, rotations: Floats, t_m: Floats, starts: NDArray[np.int64], geometry: SensorGeometry, cell: float
 ) -> tuple[Floats, tuple[int, int]]:
     """Return each rotation's map corner (K, 2) in metres and the common map size (rows, columns).
@@ -102,7 +104,7 @@ def _footprints(
     A map covers what is both under the turned object and in view, within the contact band, from any of the rotation's
     translations (t_m, grouped by `starts`), with a margin of two cells.
     """
-    view_low, view_high = _view(geometry)
+    view_low, view_high = _measure_view(geometry)
     turned = rotations[:, :2] @ mesh.vertices_m.T
     corner = np.maximum(np.minimum.reduceat(view_low - t_m[:, :2], starts[:-1]), turned.min(axis=2)) - 2 * cell
     end = np.minimum(np.maximum.reduceat(view_high - t_m[:, :2], starts[:-1]), turned.max(axis=2)) + 2 * cell
@@ -112,7 +114,7 @@ def _footprints(
     return corner, (int(-(-rows // tile) * tile), int(-(-columns // tile) * tile))
 
 
-def _view(geometry: SensorGeometry) -> tuple[Floats, Floats]:
+def _measure_view(geometry: SensorGeometry) -> tuple[Floats, Floats]:
     """Low (2,) and high (2,) corner of what the camera sees of the contact band, metres."""
     reaches = (geometry.standoff_m, geometry.standoff_m + geometry.max_depth_m) if geometry.is_pinhole else (1.0,)
     ends = np.array([[slopes[0], slopes[-1]] for slopes in geometry.pixel_slopes])
@@ -160,7 +162,7 @@ def _draw(p, envelope):
     first = max(0, math.ceil(min(p[0, 1], p[1, 1], p[2, 1])))
     last = min(rows - 1, math.floor(max(p[0, 1], p[1, 1], p[2, 1])))
     for r in range(first, last + 1):
-        left, right = _span(p, r)
+        left, right = _find_span(p, r)
         for c in range(max(0, math.ceil(left - 1e-9)), min(columns - 1, math.floor(right + 1e-9)) + 1):
             z = p[0, 2] + slope_x * (c - p[0, 0]) + slope_y * (r - p[0, 1])
             if z < envelope[r, c]:
@@ -168,7 +170,7 @@ def _draw(p, envelope):
 
 
 @njit(fast=True)
-def _span(p, r):
+def _find_span(p, r):
     """Columns between which the scan line `r` lies in the triangle."""
     left, right = np.inf, -np.inf
     for i in range(3):
@@ -187,11 +189,11 @@ def _span(p, r):
 def minima(first, last, maps, tile, lowest):
     """Fill the least height (K, rows / tile, columns / tile) of every tile of the maps from first to last."""
     for k in range(first, last):
-        _minima_one(maps[k], tile, lowest[k])
+        _fill_minima(maps[k], tile, lowest[k])
 
 
 @njit(fast=True)
-def _minima_one(envelope, tile, lowest):
+def _fill_minima(envelope, tile, lowest):
     """Fill the least height (rows / tile, columns / tile) of every tile of a map."""
     for i in range(len(lowest)):
         for j in range(lowest.shape[1]):
@@ -223,21 +225,21 @@ def _sample_one(envelope, fine, coarse, corner, cell, t, camera, slopes_x, slope
     offset = ((t[0] + corner[0]) / cell, (t[1] + corner[1]) / cell, t[2])
     for v in range(0, height, big):
         for u in range(0, width, big):
-            if _lowest(coarse, COARSE, slopes_x, slopes_y, u, v, big, camera, cell, offset) >= end:
+            if _find_lowest(coarse, COARSE, slopes_x, slopes_y, u, v, big, camera, cell, offset) >= end:
                 continue
             for v1 in range(v, min(v + big, height), middle):
                 for u1 in range(u, min(u + big, width), middle):
-                    if _lowest(coarse, COARSE, slopes_x, slopes_y, u1, v1, middle, camera, cell, offset) >= end:
+                    if _find_lowest(coarse, COARSE, slopes_x, slopes_y, u1, v1, middle, camera, cell, offset) >= end:
                         continue
                     for v2 in range(v1, min(v1 + middle, height), small):
                         for u2 in range(u1, min(u1 + middle, width), small):
-                            low = _lowest(fine, FINE, slopes_x, slopes_y, u2, v2, small, camera, cell, offset)
+                            low = _find_lowest(fine, FINE, slopes_x, slopes_y, u2, v2, small, camera, cell, offset)
                             if low < end:
                                 _trace(envelope, low, slopes_x, slopes_y, u2, v2, camera, cell, offset, picture)
 
 
 @njit(fast=True)
-def _lowest(tiles, tile, slopes_x, slopes_y, u, v, size, camera, cell, offset):
+def _find_lowest(tiles, tile, slopes_x, slopes_y, u, v, size, camera, cell, offset):
     """Least depth of all tiles that the rays of a block of pixels cross in the band, a cell of margin around."""
     pinhole, begin, end = camera
     near, far = (begin / cell, end / cell) if pinhole else (1.0 / cell, 1.0 / cell)
@@ -269,11 +271,11 @@ def _trace(envelope, low, slopes_x, slopes_y, u, v, camera, cell, offset, pictur
             if pinhole:
                 picture[row, column] = _march(envelope, sx, sy, x0, y0, z0, low, end, wall)
             else:
-                picture[row, column] = _height(envelope, sx - x0 - 0.5, sy - y0 - 0.5, wall) + z0
+                picture[row, column] = _interpolate_height(envelope, sx - x0 - 0.5, sy - y0 - 0.5, wall) + z0
 
 
 @njit(fast=True)
-def _height(envelope, c, r, wall):
+def _interpolate_height(envelope, c, r, wall):
     """Height at a fractional cell: bilinear on a slope, the nearest cell's at a wall or an edge."""
     rows, columns = envelope.shape
     j, i = math.floor(c), math.floor(r)
@@ -299,25 +301,25 @@ def _march(envelope, sx, sy, x0, y0, z0, low, end, wall):
     for _ in range(steps + 1):
         i, j = int(r), int(c)
         if 0 <= i < rows and 0 <= j < columns and envelope[i, j] + z0 <= z:
-            hit = _crossing(envelope, sx, sy, x0 + 0.5, y0 + 0.5, z0, max(low, z - step), z, wall)
+            hit = _find_crossing(envelope, sx, sy, x0 + 0.5, y0 + 0.5, z0, max(low, z - step), z, wall)
             return hit if hit < end else np.inf
         c, r, z = c + sx * step, r + sy * step, z + step
     return np.inf
 
 
 @njit(fast=True)
-def _crossing(envelope, sx, sy, x0, y0, z0, before, z, wall):
+def _find_crossing(envelope, sx, sy, x0, y0, z0, before, z, wall):
     """Depth near `before` ... `z` at which the ray crosses the map: extrapolated on a slope, halved thrice at a wall.
 
     Moving the ray to the height below it, twice, and Aitken's extrapolation of the two moves solve for a slope exactly.
     """
-    first = _height(envelope, sx * z - x0, sy * z - y0, wall) + z0
-    second = _height(envelope, sx * first - x0, sy * first - y0, wall) + z0
+    first = _interpolate_height(envelope, sx * z - x0, sy * z - y0, wall) + z0
+    second = _interpolate_height(envelope, sx * first - x0, sy * first - y0, wall) + z0
     move, then = first - z, second - first
     if abs(then) > wall:
         for _ in range(3):
             middle = 0.5 * (before + z)
-            if _height(envelope, sx * middle - x0, sy * middle - y0, wall) + z0 > middle:
+            if _interpolate_height(envelope, sx * middle - x0, sy * middle - y0, wall) + z0 > middle:
                 before = middle
             else:
                 z = middle

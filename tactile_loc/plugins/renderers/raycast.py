@@ -49,21 +49,21 @@ class RaycastRenderer(Renderer):
         Surfaces deeper than standoff + max_depth may be inf, as pixels without any surface are. Raises RenderError
         when open3d cannot be loaded.
         """
-        scene, surface = self._prepared(mesh)
+        scene, surface = self._prepare_scene(mesh)
         depth = np.full((len(T_sensor_object), *geometry.shape), np.inf, np.float32)
         boxes = [
-            _pixel_box(surface.down_to(geometry.standoff_m + geometry.max_depth_m, T), geometry)
+            _find_pixel_box(surface.down_to(geometry.standoff_m + geometry.max_depth_m, T), geometry)
             for T in T_sensor_object
         ]
-        for batch in _batches(boxes, self.options.rays_per_batch):
-            rays = [_rays(T_sensor_object[i], boxes[i], geometry) for i in batch]
+        for batch in _group_boxes(boxes, self.options.rays_per_batch):
+            rays = [_make_rays(T_sensor_object[i], boxes[i], geometry) for i in batch]
             hits = _cast(scene, np.concatenate([r.reshape(-1, 6) for r in rays]))
             ends = np.cumsum([r.size // 6 for r in rays])[:-1]
             for i, r, z in zip(batch, rays, np.split(hits, ends), strict=True):
                 depth[i][boxes[i]] = z.reshape(r.shape[:2])
         return depth
 
-    def _prepared(self, mesh: TriangleMesh) -> tuple[Any, _Surface]:
+    def _prepare_scene(self, mesh: TriangleMesh) -> tuple[Any, _Surface]:
         """Return the mesh's ray casting scene and edges, built at first use; the meshes used last are kept."""
         if mesh.digest not in self._meshes:
             self._meshes[mesh.digest] = _build_scene(mesh), _Surface(mesh)
@@ -94,7 +94,7 @@ def _cast(scene: Any, rays: Float32) -> Float32:
     return np.asarray(scene.cast_rays(open3d.core.Tensor.from_numpy(rays))["t_hit"].numpy())
 
 
-def _rays(T_sensor_object: NDArray[np.float64], box: PixelBox, geometry: SensorGeometry) -> Float32:
+def _make_rays(T_sensor_object: NDArray[np.float64], box: PixelBox, geometry: SensorGeometry) -> Float32:
     """Return the rays (h, w, 6) of a box of pixels in the object frame: origin in metres, direction of unit depth.
 
     The direction's z component is one in the sensor frame, so that the distance along it is the camera depth.
@@ -136,7 +136,7 @@ class _Surface:
         return np.concatenate([self._vertices[near], crossings]) @ R.T + t
 
 
-def _pixel_box(points_m: NDArray[np.float64], geometry: SensorGeometry) -> PixelBox:
+def _find_pixel_box(points_m: NDArray[np.float64], geometry: SensorGeometry) -> PixelBox:
     """Return the rows and columns whose pixels can see the hull of points (P, 3) in metres; empty without points."""
     g = geometry
     if len(points_m) == 0:
@@ -145,16 +145,16 @@ def _pixel_box(points_m: NDArray[np.float64], geometry: SensorGeometry) -> Pixel
     if g.is_pinhole and z.min() <= 0.0:  # beside the sensor and behind its camera: projection bounds nothing
         return slice(0, g.height_px), slice(0, g.width_px)
     x, y = (x / z, y / z) if g.is_pinhole else (x, y)
-    return _span(y, g.fy, g.cy, g.height_px), _span(x, g.fx, g.cx, g.width_px)
+    return _find_span(y, g.fy, g.cy, g.height_px), _find_span(x, g.fx, g.cx, g.width_px)
 
 
-def _span(slopes: NDArray[np.float64], f: float, c: float, size: int) -> slice:
+def _find_span(slopes: NDArray[np.float64], f: float, c: float, size: int) -> slice:
     """Return the pixels whose centre lies between the least and the greatest slope, and one more at either end."""
     first, last = np.clip([slopes.min() * f + c - 1.5, slopes.max() * f + c + 1.5], 0, size)
     return slice(int(first), int(np.ceil(last)))
 
 
-def _batches(boxes: list[PixelBox], rays_per_batch: int) -> Iterator[list[int]]:
+def _group_boxes(boxes: list[PixelBox], rays_per_batch: int) -> Iterator[list[int]]:
     """Group the indices of non-empty boxes so that no group of several has more pixels than `rays_per_batch`."""
     batch: list[int] = []
     total = 0

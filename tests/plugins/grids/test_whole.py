@@ -66,7 +66,7 @@ def test_along_an_edge_that_lies_level_there_are_places():
     sampler = WholeGrid(WholeGrid.Options(apart_mm=2.0))
     heights = np.full((60, 120), np.inf, np.float32)
     heights[30, 20:100] = 0.01
-    pixels = sampler._lowest(heights)
+    pixels = sampler._find_lowest(heights)
     assert len(pixels) == 20  # 40 mm
     assert (np.diff(np.sort(pixels[:, 1])) >= 4).all()
     assert len(long.faces) == 12

@@ -32,7 +32,7 @@ def test_only_what_is_beyond_the_band_is_left_out(camera, bracket, monkeypatch):
     T = contact_poses(bracket, camera)
     culled = RaycastRenderer().render(bracket, T, camera)
     everything = slice(0, camera.height_px), slice(0, camera.width_px)
-    monkeypatch.setattr(raycast, "_pixel_box", lambda points, g: everything)
+    monkeypatch.setattr(raycast, "_find_pixel_box", lambda points, g: everything)
     full = RaycastRenderer().render(bracket, T, camera)
     limit = camera.standoff_m + camera.max_depth_m
     np.testing.assert_array_equal(np.minimum(culled, limit), np.minimum(full, limit))
@@ -62,7 +62,7 @@ def test_batch_size_changes_nothing(camera, bracket, rays_per_batch):
 
 def test_batches_hold_every_box_once_and_keep_the_limit():
     boxes = [(slice(2, 2 + h), slice(0, 10)) for h in (3, 0, 4, 9, 1, 2, 3)]  # 30, 0, 40, 90, 10, 20, 30 pixels
-    assert list(raycast._batches(boxes, 50)) == [[0], [2], [3], [4, 5], [6]]
+    assert list(raycast._group_boxes(boxes, 50)) == [[0], [2], [3], [4, 5], [6]]
 
 
 def test_meshes_are_told_apart_and_few_are_kept(camera, sphere, bracket):

@@ -73,7 +73,7 @@ class ResNet(Backbone):
     """
 
     def __init__(self, name: str, in_channels: int, channels: int | None, norm: Norm) -> None:
-        super().__init__(name, 32, in_channels, _convolutions(name, _WIDTHS[-1], 1)[-1][0], channels)
+        super().__init__(name, 32, in_channels, _list_convolutions(name, _WIDTHS[-1], 1)[-1][0], channels)
         self.conv1 = nn.Conv2d(in_channels, 64, 7, 2, 3, bias=False)
         self.bn1 = norm_layer(norm, 64, _GROUPS)
         self.relu = nn.ReLU(inplace=True)
@@ -83,7 +83,7 @@ class ResNet(Backbone):
             blocks = []
             for position in range(depth):
                 stride = 2 if index and not position else 1
-                convolutions = _convolutions(name, width, stride)
+                convolutions = _list_convolutions(name, width, stride)
                 blocks.append(_Block(incoming, convolutions, norm))
                 incoming = convolutions[-1][0]
             self.add_module(f"layer{index + 1}", nn.Sequential(*blocks))
@@ -126,7 +126,7 @@ class _Block(nn.Module):
         return added
 
 
-def _convolutions(name: str, width: int, stride: int) -> list[tuple[int, int, int]]:
+def _list_convolutions(name: str, width: int, stride: int) -> list[tuple[int, int, int]]:
     """The (channels, kernel, stride) of a block's branch: two 3x3, or a bottleneck of four times `width` outside."""
     if name == "resnet18":
         return [(width, 3, stride), (width, 3, 1)]
@@ -215,12 +215,12 @@ def load_pretrained(model: Backbone, source: str | Path) -> None:
     Raises WeightsError when the weights are out of reach, damaged, or of another architecture; the model then is as it
     was before.
     """
-    fitted = _fitted(model, _from_file(Path(source)), str(source))
+    fitted = _fit_weights(model, _read_weights(Path(source)), str(source))
     model.load_state_dict(fitted, strict=False)
     _LOG.debug("loaded %d tensors of %s from %s", len(fitted), model.name, source)
 
 
-def _from_file(path: Path) -> Mapping[str, torch.Tensor]:
+def _read_weights(path: Path) -> Mapping[str, torch.Tensor]:
     if path.suffix != ".safetensors":
         raise WeightsError(
             f"The weights {path} are not read, as only .safetensors files are, which can hold no code: save their "
@@ -241,18 +241,18 @@ def _from_file(path: Path) -> Mapping[str, torch.Tensor]:
         raise WeightsError(f"The weights file {path} is damaged: fetch or save it again.") from error
 
 
-def _fitted(model: Backbone, weights: Mapping[str, torch.Tensor], origin: str) -> dict[str, torch.Tensor]:
+def _fit_weights(model: Backbone, weights: Mapping[str, torch.Tensor], origin: str) -> dict[str, torch.Tensor]:
     """The tensors of `weights` that the model has a place for, after checking that they are all it needs."""
     own = model.state_dict()
-    advice = f"give weights of {model.name} under {_naming(model)} names"
-    given = {key: value for key, value in weights.items() if not _ignored(key, own)}
+    advice = f"give weights of {model.name} under {_identify_naming(model)} names"
+    given = {key: value for key, value in weights.items() if not _is_ignored(key, own)}
     fitted = {}
     for key, place in own.items():
-        if key not in given and not _optional(key, given):
+        if key not in given and not _is_optional(key, given):
             raise WeightsError(f"{origin} does not fit {model.name}: {key!r} is missing in it; {advice}.")
         if key in given:
-            tensor = _on_planes(given[key], place) if key == "conv1.weight" else given[key]
-            if difference := _difference(tensor, place):
+            tensor = _adapt_kernel(given[key], place) if key == "conv1.weight" else given[key]
+            if difference := _find_difference(tensor, place):
                 raise WeightsError(f"{origin} does not fit {model.name}: {key!r} {difference}; {advice}.")
             fitted[key] = tensor
     if foreign := next((key for key in given if key not in own), None):
@@ -260,23 +260,23 @@ def _fitted(model: Backbone, weights: Mapping[str, torch.Tensor], origin: str) -
     return fitted
 
 
-def _naming(model: Backbone) -> str:
+def _identify_naming(model: Backbone) -> str:
     return "torchvision's" if model.name in RESNET_DEPTHS else "this library's"
 
 
-def _ignored(key: str, own: Mapping[str, torch.Tensor]) -> bool:
+def _is_ignored(key: str, own: Mapping[str, torch.Tensor]) -> bool:
     """The classifier, and running statistics of a norm that the model has without them."""
     layer, _, parameter = key.rpartition(".")
     return key.startswith("fc.") or (parameter in _STATISTICS and key not in own and f"{layer}.weight" in own)
 
 
-def _optional(key: str, given: Mapping[str, torch.Tensor]) -> bool:
+def _is_optional(key: str, given: Mapping[str, torch.Tensor]) -> bool:
     """Old files count no batches, and torchvision's have no projection; half a projection is none."""
     projection = key.startswith("project.") and not any(other.startswith("project.") for other in given)
     return projection or key.endswith(".num_batches_tracked")
 
 
-def _on_planes(kernel: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
+def _adapt_kernel(kernel: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
     """A first convolution on three colours as one on the planes of `place`; any other kernel as it is."""
     if kernel.ndim != 4 or kernel.shape[1] != 3 or place.shape[1] == 3:
         return kernel
@@ -285,7 +285,7 @@ def _on_planes(kernel: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
     return planes
 
 
-def _difference(tensor: torch.Tensor, place: torch.Tensor) -> str:
+def _find_difference(tensor: torch.Tensor, place: torch.Tensor) -> str:
     """What keeps `tensor` from standing in `place`, as the end of a sentence; empty when nothing does."""
     if tensor.shape != place.shape:
         return f"has shape {tuple(tensor.shape)} there and {tuple(place.shape)} here"

@@ -103,11 +103,11 @@ def equations(first, last, points, normals, starts, which, T, centres, mixture, 
     for k in range(first, last):
         c = which[k]
         some = slice(starts[c], starts[c + 1])
-        _equations_of_one(points[some], normals[some], T[c], centres[k], mixture, along, result[k])
+        _add_equations(points[some], normals[some], T[c], centres[k], mixture, along, result[k])
 
 
 @njit(fast=True)
-def _equations_of_one(points, normals, T, centre, mixture, along, result):
+def _add_equations(points, normals, T, centre, mixture, along, result):
     """Add the equations (6, 7) of one candidate: the matrix, and what it times the twist must equal.
 
     A point at x counts (n . (x - y))^2, n and y the weighted mean normal and point of the E step, and `along`, 0 to 1,

@@ -61,14 +61,14 @@ class Mixtures:
         Merging changes the sums by little, as Gaussians a sigma apart add up to a nearly even density, and saves time
         where many points lie within reach.
         """
-        rows = self._merged(sigma_mm) if merged else self._rows
+        rows = self._merge(sigma_mm) if merged else self._rows
         cell = max(REACH * sigma_mm, float(self._extent[:2].max()) / MOST_COLUMNS)
         columns = (self._extent[:2] / cell).astype(np.int64) + 1
         starts, rows = kernels.sort_into_columns(rows, self._low, cell, columns)
         bare = Mixture(rows, starts, self._low, cell, columns, float(sigma_mm), REACH * sigma_mm, 0.0)
         return bare._replace(outlier=self._odds * kernels.mean_density(self._samples, bare))
 
-    def _merged(self, box_mm: float) -> NDArray[np.float64]:
+    def _merge(self, box_mm: float) -> NDArray[np.float64]:
         boxes = np.floor(self._extent / box_mm) + 1
         if boxes.prod() > MOST_BOXES:
             return self._rows
@@ -109,7 +109,7 @@ class FilterRegRefiner(CloudRefiner):
         if not sources:
             return []
         moving, going = _Moving(sources), np.arange(len(sources))
-        for observed, last in self._annealed(target):
+        for observed, last in self._anneal(target):
             moved_mm = moving.step(going, observed, self.options.point_weight)
             moving.converged[going] = last & (moved_mm < SETTLED_MM)
             going = going[(moved_mm >= SETTLED_MM) if last else np.isfinite(moved_mm)]
@@ -117,7 +117,7 @@ class FilterRegRefiner(CloudRefiner):
                 break
         return moving.results()
 
-    def _annealed(self, target: Cloud) -> Iterator[tuple[Mixture, bool]]:
+    def _anneal(self, target: Cloud) -> Iterator[tuple[Mixture, bool]]:
         """The target's mixture for each iteration, and whether its standard deviation is the last one."""
         options, mixtures = self.options, Mixtures(target, self.options.outlier)
         sigma, last, done = options.sigma_mm, max(options.sigma_end_mm, SPACINGS * target.spacing_mm), 0

@@ -64,8 +64,8 @@ class Pictures:
         thinning = max(1, block // THINNED)
         block //= thinning
         geometry, wanted = geometry.every(thinning), wanted.every(thinning)
-        taps = _gaussian(width_m / (block * geometry.pixel_pitch_m))
-        centre_m, radius_m = _contact_circle(geometry, wanted)
+        taps = _make_gaussian(width_m / (block * geometry.pixel_pitch_m))
+        centre_m, radius_m = _measure_contact(geometry, wanted)
         lever_m = max(radius_m, LEAST_LEVER_PX * pitch_m)
         # A step moves the picture by half of what it is blurred by, or by half a pixel; depths are not blurred.
         across, along = 0.5 * max(width_m, pitch_m), 0.5 * pitch_m
@@ -84,7 +84,7 @@ class Pictures:
 
     def of_touch(self) -> Float32:
         """Return the touch's own picture (P,)."""
-        return self._of_depths(self.wanted.depth_m[None])[0]
+        return self._draw_depths(self.wanted.depth_m[None])[0]
 
     def of_poses(self, T_sensor_object: Poses) -> tuple[Float32, Poses]:
         """Return the pictures (N, P) of poses (N, 4, 4), metres, and the poses that were drawn."""
@@ -92,7 +92,7 @@ class Pictures:
         drawn, camera = as_drawn(T, self.geometry, self.drawing)
         depth = nearest_depths(self.mesh, drawn, camera.band)
         depth -= camera.full_penetration_m
-        return self._of_depths(depth), T
+        return self._draw_depths(depth), T
 
     def moved(self, T_sensor_object: Poses, moves: Floats) -> Poses:
         """Return poses (N, 4, 4), metres, moved by (N, 6) steps."""
@@ -102,7 +102,7 @@ class Pictures:
         turn = make_transform(Rotation.from_rotvec(by[:, 3:]).as_matrix(), np.zeros(3))
         return translation(self.centre_m + by[:, :3]) @ turn @ translation(-self.centre_m) @ T_sensor_object
 
-    def _of_depths(self, depth_m: Float32) -> Float32:
+    def _draw_depths(self, depth_m: Float32) -> Float32:
         """The pictures (N, P) of contact depths (N, H, W), metres, which need not be cut."""
         small = np.empty((len(depth_m), *(side // self.block for side in self.geometry.shape)), np.float32)
         press = np.float32(self.wanted.press_depth_m)
@@ -120,7 +120,7 @@ def within_reach(mesh: TriangleMesh, geometry: SensorGeometry, T_sensor_object: 
     return TriangleMesh(mesh.vertices_m[kept], faces.reshape(-1, 3))
 
 
-def _contact_circle(geometry: SensorGeometry, wanted: ContactShape) -> tuple[Floats, float]:
+def _measure_contact(geometry: SensorGeometry, wanted: ContactShape) -> tuple[Floats, float]:
     """The centre (3,) and the root mean square radius of a contact, metres."""
     contact = wanted.contact & geometry.observed_mask
     points = geometry.backproject(wanted.depth_m + geometry.full_penetration_m)[contact]
@@ -128,7 +128,7 @@ def _contact_circle(geometry: SensorGeometry, wanted: ContactShape) -> tuple[Flo
     return centre, float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
 
 
-def _gaussian(width_px: float) -> Float32:
+def _make_gaussian(width_px: float) -> Float32:
     """Weights (2 K + 1,), whose sum is one, of a Gaussian of this standard deviation."""
     half = int(np.ceil(CUT * width_px)) if width_px > SHARP else 0
     weights = np.exp(-0.5 * (np.arange(-half, half + 1) / max(width_px, SHARP)) ** 2)

@@ -62,7 +62,7 @@ class Descent:
         self, T: Poses, picture: Float32, damping: Floats, start: Floats
     ) -> tuple[Poses, Float32, Floats, Floats]:
         """Poses, pictures and dampings after one iteration, and by how many steps (K,) each moved (inf: not at all)."""
-        A, b, hold = self._normal_equations(T, picture, start)
+        A, b, hold = self._build_equations(T, picture, start)
         tried = damping[:, None] * DAMPINGS
         moves = _solve(A, b, tried) @ self.pictures.directions
         seen, there = self._draw(T, moves)
@@ -80,12 +80,12 @@ class Descent:
         seen, there = self.pictures.of_poses(self.pictures.moved(np.repeat(T, many, axis=0), moves.reshape(-1, 6)))
         return seen.reshape(count, many, -1), there.reshape(count, many, 4, 4)
 
-    def _normal_equations(self, T: Poses, picture: Float32, start: Floats) -> tuple[Floats, Floats, Floats]:
+    def _build_equations(self, T: Poses, picture: Float32, start: Floats) -> tuple[Floats, Floats, Floats]:
         """A (K, D, D) and b (K, D) of Gauss-Newton's A move = -b, in steps, and the weight (K,) of the distance."""
         directions = self.pictures.directions
         both = np.broadcast_to(np.concatenate([directions, -directions]), (len(T), 2 * len(directions), 6))
         seen, there = self._draw(T, both)
-        J, J_start = _central(seen), _central(self.metric.embed(there))
+        J, J_start = _difference_centrally(seen), _difference_centrally(self.metric.embed(there))
         r = picture - self.wanted
         w = 1.0 / (1.0 + (r / np.float32(self.tolerance)) ** 2) ** 2
         hold = self._hold(r, w, picture)
@@ -109,7 +109,7 @@ class Descent:
         return np.asarray(robust + hold * away, float)
 
 
-def _central(both: NDArray[np.floating]) -> NDArray[np.floating]:
+def _difference_centrally(both: NDArray[np.floating]) -> NDArray[np.floating]:
     """Central differences (K, D, ...) of what is (K, 2 D, ...) after steps ahead and steps back."""
     half = both.shape[1] // 2
     return 0.5 * (both[:, :half] - both[:, half:])
@@ -172,9 +172,9 @@ class RenderRefiner(Refiner):
         if touching.any():
             found = self._descend(touch, start[touching], scene)
             after[touching], settled[touching], iterations[touching] = found
-        return self._no_worse(touch, scene, before, after, settled, iterations)
+        return self._choose_better(touch, scene, before, after, settled, iterations)
 
-    def _no_worse(
+    def _choose_better(
         self, touch: Touch, scene: Scene, before: Poses, after: Poses, settled: Flags, iterations: Counts
     ) -> list[RefinedPose]:
         """Results of the refined poses, and of the candidates (K, 4, 4) that explain the touch better than theirs."""

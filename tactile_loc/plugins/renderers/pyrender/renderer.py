@@ -31,21 +31,21 @@ class PyrenderRenderer(Renderer):
         pinhole sensor that reach up to its camera (nearer than a tenth of the standoff). Raises RenderError when no
         OpenGL context can be had.
         """
-        offscreen, scene = self._opened(geometry), self._scene_of(mesh, geometry)
+        offscreen, scene = self._prepare_context(geometry), self._prepare_scene(mesh, geometry)
         depth = np.empty((len(T_sensor_object), *geometry.shape), np.float32)
         with offscreen.current():
             for picture, T in zip(depth, T_sensor_object, strict=True):
                 picture[:] = scene.draw(offscreen, T)
         return depth
 
-    def _opened(self, geometry: SensorGeometry) -> Offscreen:
+    def _prepare_context(self, geometry: SensorGeometry) -> Offscreen:
         """Return the OpenGL context, made at first use, set to the geometry's picture size."""
         if self._offscreen is None:
             self._offscreen = _open(geometry)
         self._offscreen.viewport_height, self._offscreen.viewport_width = geometry.shape
         return self._offscreen
 
-    def _scene_of(self, mesh: TriangleMesh, geometry: SensorGeometry) -> DepthScene:
+    def _prepare_scene(self, mesh: TriangleMesh, geometry: SensorGeometry) -> DepthScene:
         """Return a scene of the mesh before the camera: the last one when it is of the very same two."""
         from tactile_loc.plugins.renderers.pyrender.gl import DepthScene
 

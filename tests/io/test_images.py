@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import naming
+from PIL import Image
 
 from tactile_loc.io import images
-from tactile_loc.io.images import load_npy, load_npz
+from tactile_loc.io.images import MOST_SIDE_PX, load_image, load_npy, load_npz
 
 NUMBERS = np.arange(12.0).reshape(3, 4)
 
@@ -66,3 +68,12 @@ def test_what_is_no_file_of_arrays(tmp_path, content):
         (tmp_path / f"a{suffix}").write_bytes(content)
         with pytest.raises(ValueError):  # noqa: PT011 - the reason is whatever the file lacks
             load(tmp_path / f"a{suffix}")
+
+
+def test_an_image_longer_than_any_sensors_is_refused_before_it_is_read(tmp_path):
+    path = tmp_path / "strip.png"
+    Image.new("L", (2, MOST_SIDE_PX + 1)).save(path)
+    with pytest.raises(ValueError, match=naming(MOST_SIDE_PX + 1, MOST_SIDE_PX)):
+        load_image(path)
+    Image.new("L", (2, MOST_SIDE_PX)).save(path)
+    assert load_image(path)[1].shape == (MOST_SIDE_PX, 2)

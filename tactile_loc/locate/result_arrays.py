@@ -1,4 +1,4 @@
-"""A result's files read back, and `result.npz`: what `result.json` beside it lacks and a report draws. SI units.
+"""The file `result.npz`: what `result.json` beside it lacks and a report draws. SI units.
 
 That is the posterior, the surface, the contact shapes: plain arrays and JSON texts, nothing pickled.
 """
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
+from pydantic_core import PydanticSerializationError
 
 from tactile_loc.core.errors import ResultError, TactileLocError
 from tactile_loc.core.geometry.rigid import Poses, invert
@@ -24,9 +24,8 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.io.images import load_npz
 from tactile_loc.io.meshes import simplify_mesh
-from tactile_loc.locate import result_json
 from tactile_loc.locate.result_json import ResultRecord
-from tactile_loc.store.files import parse_json, read_json, write_atomically
+from tactile_loc.store.files import parse_json, write_atomically
 
 if TYPE_CHECKING:
     from tactile_loc.core.poses.posterior import PosePosterior
@@ -84,65 +83,43 @@ class ResultArrays:
         return np.asarray(p / p.sum())
 
 
-def gather(contacts: Sequence[Observation], localization: Localization) -> ResultArrays:
+def gather_arrays(contacts: Sequence[Observation], localization: Localization) -> ResultArrays:
     """Gather the arrays of a localisation by `contacts`: each touch with its localizer, the first as in the result."""
     poses = np.stack([h.T_sensor_object for h in localization.hypotheses])
     first = contacts[0][1]
     touches = []
     for localizer, touch in contacts:
-        T = _sensor_first(first, touch)
+        T = _find_sensor_first(first, touch)
         scene = localizer.scene.of_touch(touch)
         made_m = scene.depths_explaining(T @ poses, touch)
         touches.append(TouchArrays(touch.contact_shape, touch.geometry, T, made_m, touch.image))
-    kept = most_probable(localization.posterior)
+    kept = find_most_probable(localization.posterior)
     posterior = localization.posterior
-    mesh = contacts[0][0].object.mesh
-    return ResultArrays(drawn_mesh(mesh), posterior.grid.T_sensor_object[kept], posterior.log_p[kept], tuple(touches))
+    mesh = reduce_mesh(contacts[0][0].object.mesh)
+    poses, log_p = _round(posterior.grid.T_sensor_object[kept]), _round(posterior.log_p[kept])
+    return ResultArrays(TriangleMesh(_round(mesh.vertices_m), mesh.faces), poses, log_p, tuple(touches))
 
 
-def drawn_mesh(mesh: TriangleMesh) -> TriangleMesh:
+def _round(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values with the precision of the file: a page of what is in memory is the page of what is read back."""
+    return values.astype(np.float32).astype(np.float64)
+
+
+def reduce_mesh(mesh: TriangleMesh) -> TriangleMesh:
     """Return a surface as pages draw it: decimated if it has more than MOST_FACES faces."""
     return mesh if len(mesh.faces) <= MOST_FACES else simplify_mesh(mesh, MOST_FACES)
 
 
-def most_probable(posterior: PosePosterior, most: int = MOST_POSES) -> NDArray[np.int64]:
+def find_most_probable(posterior: PosePosterior, most: int = MOST_POSES) -> NDArray[np.int64]:
     """Return the indices (K,) of the most probable poses, at most `most`, without those of no probability at all."""
     top = posterior.top(most)
     return top[np.isfinite(posterior.log_p[top])]
 
 
-def read_document(path: Path) -> dict[str, Any]:
-    """Return the table of keys that a result's JSON file holds. Raises ResultError when it holds none."""
-    try:
-        found = read_json(path)
-    except OSError as error:
-        raise ResultError(f"{path} cannot be read ({error.strerror or error})") from error
-    except ValueError as error:
-        raise ResultError(f"{path} is damaged: it is no JSON ({error}); make the result again") from error
-    if not isinstance(found, dict):
-        raise ResultError(f"{path} is no result: it holds a {type(found).__name__}, not a table of keys")
-    return found
-
-
-def read_record(path: Path) -> ResultRecord:
-    """Read result.json. Raises ResultError, in one sentence, when it cannot be used."""
-    document = read_document(path)
-    version = document.get("schema_version")
-    if version != result_json.SCHEMA_VERSION:
-        reads = f"this tactile-loc reads version {result_json.SCHEMA_VERSION}"
-        raise ResultError(f"{path} is of version {version}, and {reads}; run it again")
-    try:
-        return ResultRecord.model_validate(document)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise ResultError(f"{path} is damaged: {where}: {first['msg']}; run tactile-loc again") from error
-
-
 def write_arrays(path: Path, arrays: ResultArrays, record: ResultRecord) -> Path:
     """Write the arrays of a record's result as .npz, atomically, and return the path. Raises OutputError."""
-    head = {"schema_version": np.array(SCHEMA_VERSION), "result_sha256": np.array(fingerprint(record))}
-    stored: dict[str, Any] = {**head, **as_arrays(arrays)}
+    head = {"schema_version": np.array(SCHEMA_VERSION), "result_sha256": np.array(hash_record(record))}
+    stored: dict[str, Any] = {**head, **pack_arrays(arrays)}
     return write_atomically(path, lambda temporary: np.savez_compressed(temporary, allow_pickle=False, **stored))
 
 
@@ -150,16 +127,16 @@ def read_arrays(path: Path, record: ResultRecord) -> ResultArrays:
     """Read the arrays that belong to a record. Raises ResultError, in one sentence, when they cannot be used."""
     if not path.is_file():
         raise ResultError(f"there is no {path}, which a report of this result needs; {AGAIN}")
-    stored = _stored(path)
+    stored = _load(path)
     version = stored.pop("schema_version", None)
     if version is None or str(version) != str(SCHEMA_VERSION):
         raise ResultError(
             f"{path} is of version {version}, and this tactile-loc reads version {SCHEMA_VERSION}; {AGAIN}"
         )
-    if str(stored.pop("result_sha256", "")) != fingerprint(record):
+    if str(stored.pop("result_sha256", "")) != hash_record(record):
         raise ResultError(f"{path} belongs to another result than the .json file beside it; {AGAIN}")
     try:
-        arrays = from_arrays(stored)
+        arrays = unpack_arrays(stored)
     except (KeyError, ValueError, TypeError, TactileLocError) as error:
         raise ResultError(f"{path} is damaged or incomplete ({error}); {AGAIN}") from error
     if any(len(touch.made_m) != len(record.hypotheses) for touch in arrays.touches):
@@ -167,42 +144,45 @@ def read_arrays(path: Path, record: ResultRecord) -> ResultArrays:
     return arrays
 
 
-def fingerprint(record: ResultRecord) -> str:
+def hash_record(record: ResultRecord) -> str:
     """Return the SHA-256 (hex) of a record's content: what ties the two files together."""
-    return hashlib.sha256(record.model_dump_json().encode()).hexdigest()
+    try:
+        return hashlib.sha256(record.model_dump_json().encode()).hexdigest()
+    except PydanticSerializationError as error:  # a lone surrogate in a text, say
+        raise ResultError(f"result.json holds text that is no Unicode; {AGAIN}") from error
 
 
-def as_arrays(result: ResultArrays) -> dict[str, NDArray[Any]]:
+def pack_arrays(result: ResultArrays) -> dict[str, NDArray[Any]]:
     """Return the arrays as they are stored; docs/reports.md has the table."""
     arrays: dict[str, Any] = {
         "vertices_m": result.mesh.vertices_m.astype(np.float32), "faces": result.mesh.faces.astype(np.int32),
         "T_sensor_object": result.T_sensor_object.astype(np.float32), "log_p": result.log_p.astype(np.float32),
     }  # fmt: skip
     for number, touch in enumerate(result.touches):
-        arrays |= {f"touch_{number}_{name}": value for name, value in _touch_arrays(touch).items()}
+        arrays |= {f"touch_{number}_{name}": value for name, value in _pack_touch(touch).items()}
     return arrays
 
 
-def from_arrays(arrays: dict[str, NDArray[Any]]) -> ResultArrays:
+def unpack_arrays(arrays: dict[str, NDArray[Any]]) -> ResultArrays:
     """Return the result that stored arrays hold. Raises KeyError, ValueError or TypeError when they hold none."""
-    mesh = TriangleMesh(_numbers(arrays, "vertices_m"), _numbers(arrays, "faces").astype(np.int64))
+    mesh = TriangleMesh(_read_numbers(arrays, "vertices_m"), _read_numbers(arrays, "faces").astype(np.int64))
     if mesh.vertices_m.shape[1:] != (3,) or mesh.faces.shape[1:] != (3,):
         raise ValueError("its vertices or faces are not of three numbers")
     count = sum(name.startswith("touch_") and name.endswith("_geometry") for name in arrays)
     touches = []
     for number in range(count):
         head = f"touch_{number}_"
-        touches.append(_touch({k.removeprefix(head): v for k, v in arrays.items() if k.startswith(head)}))
+        touches.append(_unpack_touch({k.removeprefix(head): v for k, v in arrays.items() if k.startswith(head)}))
     if not touches or not mesh.faces.size or mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices_m):
         raise ValueError("it holds no touch, or no surface")
     check_surface(mesh, "its surface")
-    T, log_p = _numbers(arrays, "T_sensor_object"), _numbers(arrays, "log_p")
+    T, log_p = _read_numbers(arrays, "T_sensor_object"), _read_numbers(arrays, "log_p")
     if T.shape != (*log_p.shape, 4, 4) or log_p.size == 0:
         raise ValueError("its poses and log-probabilities do not belong together")
     return ResultArrays(mesh, T, log_p, tuple(touches))
 
 
-def _touch_arrays(touch: TouchArrays) -> dict[str, NDArray[Any]]:
+def _pack_touch(touch: TouchArrays) -> dict[str, NDArray[Any]]:
     camera = {f.name: getattr(touch.geometry, f.name) for f in dataclasses.fields(touch.geometry)}
     observed, relief_m = camera.pop("observed"), camera.pop("relief_m")
     optional = {"observed": observed, "relief_m": relief_m, "image": touch.image}
@@ -213,13 +193,13 @@ def _touch_arrays(touch: TouchArrays) -> dict[str, NDArray[Any]]:
     }  # fmt: skip
 
 
-def _touch(arrays: dict[str, NDArray[Any]]) -> TouchArrays:
+def _unpack_touch(arrays: dict[str, NDArray[Any]]) -> TouchArrays:
     camera = parse_json(str(arrays["geometry"]))
     if camera["rectangle_m"] is not None:
         camera["rectangle_m"] = tuple(camera["rectangle_m"])
     geometry = SensorGeometry(**camera, observed=arrays.get("observed"), relief_m=arrays.get("relief_m"))
-    shape = ContactShape(_numbers(arrays, "depth_m").astype(np.float32), float(arrays["press_depth_m"]))
-    made_m, T_sensor_first = _numbers(arrays, "made_m").astype(np.float32), _numbers(arrays, "T_sensor_first")
+    shape = ContactShape(_read_numbers(arrays, "depth_m").astype(np.float32), float(arrays["press_depth_m"]))
+    made_m, T_sensor_first = _read_numbers(arrays, "made_m").astype(np.float32), _read_numbers(arrays, "T_sensor_first")
     if shape.depth_m.shape != geometry.shape or made_m.shape[1:] != geometry.shape:
         raise ValueError("its contact shapes do not have the sensor's size")
     image = arrays.get("image")
@@ -228,7 +208,7 @@ def _touch(arrays: dict[str, NDArray[Any]]) -> TouchArrays:
     return TouchArrays(shape, geometry, T_sensor_first, made_m, image)
 
 
-def _numbers(arrays: dict[str, NDArray[Any]], name: str) -> NDArray[np.float64]:
+def _read_numbers(arrays: dict[str, NDArray[Any]], name: str) -> NDArray[np.float64]:
     """The array of that name as floats. Raises KeyError, or ValueError unless it is of finite numbers."""
     values = arrays[name]
     if values.dtype.kind not in "fiu" or not np.isfinite(values).all():
@@ -236,14 +216,14 @@ def _numbers(arrays: dict[str, NDArray[Any]], name: str) -> NDArray[np.float64]:
     return values.astype(np.float64)
 
 
-def _sensor_first(first: Touch, touch: Touch) -> NDArray[np.float64]:
+def _find_sensor_first(first: Touch, touch: Touch) -> NDArray[np.float64]:
     if touch is first:
         return np.eye(4)
     T: NDArray[np.float64] = invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
     return T
 
 
-def _stored(path: Path) -> dict[str, NDArray[Any]]:
+def _load(path: Path) -> dict[str, NDArray[Any]]:
     try:
         return load_npz(path)
     except (OSError, ValueError) as error:

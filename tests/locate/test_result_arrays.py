@@ -17,18 +17,18 @@ from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.locate.result_files import (
+from tactile_loc.io.records import read_document
+from tactile_loc.locate.result_arrays import (
     ResultArrays,
     TouchArrays,
-    fingerprint,
-    from_arrays,
-    gather,
-    most_probable,
+    find_most_probable,
+    gather_arrays,
+    hash_record,
     read_arrays,
-    read_document,
-    read_record,
+    unpack_arrays,
     write_arrays,
 )
+from tactile_loc.locate.result_json import read_record
 
 
 @pytest.fixture
@@ -91,9 +91,9 @@ def test_of_many_poses_the_most_probable_are_kept(box):
     log_p = np.random.default_rng(0).normal(size=30)
     log_p[3] = -np.inf
     posterior = PosePosterior(PoseGrid(T, PoseMetric(box)), log_p)
-    kept = most_probable(posterior, 10)
+    kept = find_most_probable(posterior, 10)
     assert kept.tolist() == np.argsort(-log_p)[:10].tolist()
-    assert len(most_probable(posterior, 100)) == 29  # without the excluded one
+    assert len(find_most_probable(posterior, 100)) == 29  # without the excluded one
 
 
 def test_of_several_touches_each_sees_the_hypotheses_from_its_own_sensor(localizer):
@@ -107,7 +107,7 @@ def test_of_several_touches_each_sees_the_hypotheses_from_its_own_sensor(localiz
         (localizer, dataclasses.replace(t, T_base_sensor=invert(np.asarray(t.T_sensor_object)))) for t in touches
     ]
     localization = localize_together(contacts)
-    arrays = gather(contacts, localization)
+    arrays = gather_arrays(contacts, localization)
     T = arrays.touches[1].T_sensor_first @ localization.best.T_sensor_object
     expected = localizer.scene.contact_shape(T, touches[1].press_depth_m)
     assert np.abs(arrays.touches[1].made(0).depth_m - expected.depth_m).max() < 1e-6
@@ -181,7 +181,7 @@ def test_the_two_files_must_be_of_one_result(copy):
 def test_the_fingerprint_survives_another_layout_of_the_json(copy):
     record = read_record(copy / "result.json")
     (copy / "result.json").write_text(json.dumps(json.loads((copy / "result.json").read_text()), indent=4))
-    assert fingerprint(read_record(copy / "result.json")) == fingerprint(record)
+    assert hash_record(read_record(copy / "result.json")) == hash_record(record)
 
 
 @pytest.mark.parametrize(("key", "value"), [("hypotheses", None), ("normalised_entropy", "much"), ("unknown", 1)])
@@ -211,13 +211,13 @@ def test_a_damaged_document_is_one_sentence(tmp_path, text, kind):
 def test_arrays_that_are_not_what_they_should_be(run_folder, name, damage):
     with np.load(run_folder / "result.npz") as file:
         arrays = {key: file[key] for key in file.files}
-    from_arrays(dict(arrays))
+    unpack_arrays(dict(arrays))
     with pytest.raises((ValueError, TactileLocError)):
-        from_arrays({**arrays, name: damage(arrays[name])})
+        unpack_arrays({**arrays, name: damage(arrays[name])})
 
 
 def test_a_surface_without_extent_is_refused(run_folder):
     with np.load(run_folder / "result.npz") as file:
         arrays = {key: file[key] for key in file.files}
     with pytest.raises(ObjectError, match="extent"):
-        from_arrays({**arrays, "vertices_m": 0 * arrays["vertices_m"]})
+        unpack_arrays({**arrays, "vertices_m": 0 * arrays["vertices_m"]})

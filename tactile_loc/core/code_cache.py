@@ -1,0 +1,223 @@
+"""Folders for compiled code on disk: one for each source file and for everything that its code is compiled from.
+
+numba looks at the file of a function only. The functions that it calls, and the constants that it uses, are compiled
+into it too, and may come from other files. So the name of a folder holds a hash of all of them, and code of another
+state is never found. An index on disk that numba could not read would end the program: such files are deleted first.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import logging
+import os
+import pickle
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from hashlib import sha256
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numba
+
+from tactile_loc.core.user_cache import find_user_cache
+
+logger = logging.getLogger(__name__)
+
+Folder = Path | None
+
+_HEX = "[0-9a-f]" * 16
+_PICKLES = {".nbi": 2, ".nbc": 1}  # how many follow one another in numba's index files and code files
+
+_opened: dict[Path, tuple[tuple[int, int], Folder]] = {}  # of each source file: its time and size, and its folder
+
+
+def open_code_folder(function: Callable[..., Any], chosen: str = "") -> Folder:
+    """Return the folder for the compiled code of a function's file, made if need be, without unreadable files.
+
+    It is under `chosen` (NUMBA_CACHE_DIR), else in `__pycache__` beside the file, else in the user's cache. A file has
+    one folder in a process: what its first compiled function sees counts, so imports come before it. Of the folders
+    for other states of the file only the one that was used last is kept.
+
+    Returns:
+        None if no code can be kept: the function is not in a file, or no folder can be written to.
+    """
+    path = Path(function.__code__.co_filename).absolute()
+    if not path.is_file():
+        return None
+    stat = path.stat()
+    stamp = stat.st_mtime_ns, stat.st_size
+    known, folder = _opened.get(path, (None, None))
+    if known != stamp:
+        folder = _open(path, chosen, *_find_sources(function))
+        _opened[path] = stamp, folder
+    return folder
+
+
+def _open(path: Path, chosen: str, files: set[Path], constants: set[str]) -> Folder:
+    try:
+        sources = [f"{file.name} {_hash(file)}" for file in sorted(files)]
+    except OSError:  # a function that it calls is not in a file
+        return None
+    key = sha256("\n".join([numba.__version__, *sources, *sorted(constants)]).encode()).hexdigest()[:16]
+    for root in _list_roots(path.parent, chosen):
+        folder = root / f"{path.stem}.{key}"
+        known = folder.is_dir()
+        if _can_write(folder):
+            if known:
+                _delete_unreadable(folder, files)
+            else:
+                _delete_older(root, path.stem, folder)
+            return folder
+    logger.warning("Code compiled from %s cannot be kept: set NUMBA_CACHE_DIR to a folder that can be written to", path)
+    return None
+
+
+def _list_roots(source: Path, chosen: str) -> Iterator[Path]:
+    """List where code compiled from files of a folder may be kept, the best place first."""
+    name = f"{source.name}_{sha256(str(source).encode()).hexdigest()[:16]}"
+    if chosen:
+        yield Path(chosen).absolute() / name
+        return
+    yield source / "__pycache__" / "compiled"
+    with suppress(RuntimeError):  # the user has no home
+        yield find_user_cache() / "tactile-loc-compiled" / name
+
+
+def _can_write(folder: Path) -> bool:
+    """Make a folder, mark it as used now, and try to write into it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
+
+
+def _delete_older(root: Path, stem: str, folder: Path) -> None:
+    """Delete the folders for other states of a file, except the last used one: its process may be running."""
+    with suppress(OSError):  # another process does the same
+        others = sorted((one.stat().st_mtime_ns, one) for one in root.glob(f"{stem}.{_HEX}") if one != folder)
+        for _, other in others[:-1]:
+            shutil.rmtree(other, ignore_errors=True)
+
+
+def _find_sources(function: Callable[..., Any]) -> tuple[set[Path], set[str]]:
+    """Find what may be compiled into a function's file: files, and constants ("NAME=value", names in capitals).
+
+    The files are its own, those of the compiled functions that it knows, of those that these know, and so on, and
+    those of the named tuples that they know. Constants are numbers and tuples of numbers.
+    """
+    compiled = type(numba.njit(function))
+    files, constants, seen = {Path(function.__code__.co_filename).absolute()}, set(), set()
+    waiting = [(function.__globals__, _read_cells(function))]
+    while waiting:
+        names, cells = waiting.pop()
+        values = [*names.values(), *cells]
+        values += [value for one in values if isinstance(one, ModuleType) for value in vars(one).values()]
+        for value in values:
+            if isinstance(value, compiled) and id(value) not in seen:
+                seen.add(id(value))
+                files.add(Path(value.py_func.__code__.co_filename).absolute())
+                waiting.append((value.py_func.__globals__, _read_cells(value.py_func)))
+        for name, value in list(names.items()):
+            if isinstance(value, type) and hasattr(value, "_fields"):
+                file = getattr(sys.modules.get(value.__module__), "__file__", None)
+                files |= {Path(file).absolute()} if file else set()
+            elif name.isupper() and _is_number(value):
+                constants.add(f"{name}={value!r}")
+    return files, constants
+
+
+def _read_cells(function: Callable[..., Any]) -> list[Any]:
+    """Return what a function uses of the functions around it."""
+    cells = []
+    for cell in function.__closure__ or ():
+        with suppress(ValueError):  # it is not set yet
+            cells.append(cell.cell_contents)
+    return cells
+
+
+def _is_number(value: object) -> bool:
+    return all(map(_is_number, value)) if isinstance(value, tuple) else isinstance(value, bool | int | float)
+
+
+def _hash(path: Path) -> str:
+    return sha256(path.read_bytes()).hexdigest()
+
+
+def _delete_unreadable(folder: Path, files: set[Path]) -> None:
+    """Delete files that are damaged, and indices that name what is gone or may have changed since.
+
+    `files` are known to be unchanged: the folder's name says so.
+    """
+    for path in folder.rglob("*.nb[ic]"):
+        try:
+            names = _read_names(path)
+            fresh = path.suffix != ".nbi" or all(_is_older(*name, path.stat().st_mtime_ns, files) for name in names)
+        except Exception:  # noqa: BLE001 - whatever a damaged file makes of unpickling, or importing a package
+            fresh = False
+        if not fresh:
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+
+
+def _read_names(path: Path) -> set[tuple[str, str]]:
+    """Read a file of numba's to its end. Return the modules and names in it; nothing is imported or called."""
+    stream, names = io.BytesIO(path.read_bytes()), set()
+    for _ in range(_PICKLES[path.suffix]):
+        reader = _NameReader(stream)
+        reader.load()
+        names |= reader.names
+    return names
+
+
+def _is_older(module: str, name: str, time_ns: int, files: set[Path]) -> bool:
+    """Say whether a module still has a name, and its file is one of `files` or was written before a time."""
+    if module in sys.builtin_module_names:
+        return True
+    loaded = sys.modules.get(module)
+    origin = getattr(loaded, "__file__", None) or getattr(importlib.util.find_spec(module), "origin", None)
+    if origin is None:
+        return False
+    first, path = name.partition(".")[0], Path(origin).absolute()
+    if not hasattr(loaded, first) and first.encode() not in path.read_bytes():  # it may be halfway through its import
+        return False
+    return path in files or path.stat().st_mtime_ns <= time_ns
+
+
+class _NameReader(pickle.Unpickler):
+    """Reads a pickle without importing or calling anything."""
+
+    def __init__(self, stream: io.BytesIO) -> None:
+        super().__init__(stream)
+        self.names: set[tuple[str, str]] = set()
+
+    def find_class(self, module: str, name: str) -> type[_Anything]:
+        """Note a name and stand in for it."""
+        self.names.add((module, name))
+        return _Anything
+
+
+class _Anything:
+    """Stands in for any class, function or object of a pickle."""
+
+    def __new__(cls, *_: object, **__: object) -> _Anything:
+        return object.__new__(cls)
+
+    def __init__(self, *_: object, **__: object) -> None: ...
+
+    def __setstate__(self, state: object) -> None: ...
+
+    def __setitem__(self, key: object, value: object) -> None: ...
+
+    def append(self, value: object) -> None:
+        """Take an item of a list."""
+
+    def extend(self, values: object) -> None:
+        """Take items of a list."""

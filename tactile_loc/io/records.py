@@ -1,0 +1,53 @@
+"""What the JSON documents of results have in common: frozen records, reading, writing, and the versions in them."""
+
+from __future__ import annotations
+
+import platform
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict
+
+from tactile_loc.core.errors import ResultError
+from tactile_loc.store.files import read_json, write_atomically
+
+LIBRARIES = (
+    "faiss-cpu", "numba", "numpy", "open3d", "open3d-cpu", "pluggy", "pydantic", "pyrender", "scipy", "torch", "trimesh"
+)  # fmt: skip
+
+
+class Record(BaseModel):
+    """A part of a document; unknown keys are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+def write_record(path: str | Path, record: Record) -> Path:
+    """Write a record as JSON, atomically, and return the path. Raises OutputError when that is impossible."""
+    text = record.model_dump_json(indent=1) + "\n"
+    return write_atomically(Path(path), lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Return the table of keys that a result's JSON file holds. Raises ResultError when it holds none."""
+    try:
+        found = read_json(path)
+    except OSError as error:
+        raise ResultError(f"{path} cannot be read ({error.strerror or error})") from error
+    except ValueError as error:
+        raise ResultError(f"{path} is damaged: it is no JSON ({error}); make the result again") from error
+    if not isinstance(found, dict):
+        raise ResultError(f"{path} is no result: it holds a {type(found).__name__}, not a table of keys")
+    return found
+
+
+def read_versions() -> dict[str, str]:
+    """Return the versions of tactile-loc, python and those of its libraries that are installed."""
+    found = {"tactile-loc": metadata.version("tactile-loc"), "python": platform.python_version()}
+    for name in LIBRARIES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
