@@ -19,11 +19,9 @@ from tactile_loc.core.errors import GridError, NoContactError, TactileLocError
 from tactile_loc.core.geometry.rigid import covariance_along
 from tactile_loc.io.mount_files import Covariance
 from tactile_loc.locate.result import Localization
-from tactile_loc.locate.verdict import Verdict
+from tactile_loc.locate.verdict import Verdict, name_verdict
 
 Floats = NDArray[np.float64]
-
-REFUSED = "refused"  # the word for a frame without a verdict
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +79,7 @@ class LocatedFrame:
     @property
     def word(self) -> str:
         """The verdict, or "refused" if there is none."""
-        return REFUSED if self.verdict is None else self.verdict.value
+        return name_verdict(self.verdict)
 
     def seen_from(self, T_other_sensor: Floats) -> LocatedFrame:
         """Return the same poses as another sensor sees them, to which T_other_sensor (4, 4), metres, leads."""
@@ -115,7 +113,7 @@ class LocatedRecord(BaseModel):
     @property
     def word(self) -> str:
         """The verdict, or "refused" if there is none."""
-        return REFUSED if self.verdict is None else self.verdict.value
+        return name_verdict(self.verdict)
 
 
 def record_fields(located: LocatedFrame) -> dict[str, Any]:

@@ -21,6 +21,7 @@ class Verdict(StrEnum):
     NO_CONTACT = "no contact"
 
 
+REFUSED = "refused"  # the word for a frame that cannot be read, which has no verdict
 MEANINGS = {
     Verdict.CERTAIN: "the first pose explains the touch and is probable enough to act on",
     Verdict.AMBIGUOUS: "several poses explain the touch; the first is not certain",
@@ -28,6 +29,16 @@ MEANINGS = {
     Verdict.NOT_FOUND: "the search found no pose, or the pose is more likely one that the search missed",
     Verdict.NO_CONTACT: "nothing touches the sensor",
 }
+
+
+def name_verdict(verdict: Verdict | None) -> str:
+    """Return the verdict's word, "refused" where there is none."""
+    return REFUSED if verdict is None else verdict.value
+
+
+def explain_verdict(verdict: Verdict | None) -> str:
+    """Return what a verdict means, or that there is none."""
+    return "the frame cannot be read" if verdict is None else MEANINGS[verdict]
 
 
 def judge(

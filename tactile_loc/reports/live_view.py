@@ -16,6 +16,7 @@ from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.drawing.pose_panel import choose_view
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result_arrays import reduce_mesh
+from tactile_loc.locate.verdict import explain_verdict
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.tasks.live import LiveRecord, LiveResult
@@ -83,6 +84,7 @@ def _write_texts(record: LiveRecord, rate_hz: float) -> dict[str, str]:
     shares = {"probability": record.probability, "imprint": record.imprint_iou}
     return {
         "says": record.says or record.name, "verdict": record.word,
+        "verdict-more": explain_verdict(record.verdict),
         **{name: NOTHING if share is None else percent(share) for name, share in shares.items()},
         **_write_pose(record), "rate": f"{rate_hz:.1f} Hz" if rate_hz else NOTHING,
         "rate-more": f"{record.number + 1} frames, {record.dropped} dropped as newer ones had come",

@@ -15,6 +15,7 @@ from tactile_loc.io.toml import format_toml
 from tactile_loc.locate.doubts import list_doubts
 from tactile_loc.locate.result_arrays import NAME, ResultArrays, TouchArrays, read_arrays
 from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord, TouchRecord, read_record
+from tactile_loc.locate.verdict import explain_verdict, name_verdict
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.distribution import SurfaceDistribution, count_yaws, map_sides, spread_over_surface
 from tactile_loc.reports.page import Page, Section
@@ -110,6 +111,8 @@ def _list_numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
     x, y, z, angle_deg, axis = format_pose(np.array(best.T_sensor_object))
     turned = f"of the object in the sensor's frame, turned {angle_deg}° about {axis}"
     yield "best pose: x, y, z", f"{x}, {y}, {z} mm", turned
+    if record.verdict is not None:
+        yield "verdict", name_verdict(record.verdict), explain_verdict(record.verdict)
     yield "normalised entropy", f"{record.normalised_entropy:.2f}", "0: one pose is certain, 1: nothing is known"
     if (found := record.pose_set) is not None:
         size = f"{found.grid_poses} grid poses, {len(record.hypotheses)} hypotheses"

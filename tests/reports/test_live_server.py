@@ -15,7 +15,7 @@ from message_helpers import missing, naming
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.io.frame_sources import SourceFrame
 from tactile_loc.locate.located_frame import LocatedFrame
-from tactile_loc.locate.verdict import Verdict
+from tactile_loc.locate.verdict import MEANINGS, Verdict, explain_verdict
 from tactile_loc.reports.live_server import Board, LiveServer
 from tactile_loc.reports.live_view import describe_frame, make_live_page, render_shape
 from tactile_loc.reports.page import JSON_OPTIONS, render
@@ -112,7 +112,9 @@ def test_numbers_are_in_millimetres_and_degrees(localizer):
     assert missing(less, "°")
     texts = state_of(localizer, LocatedFrame(Verdict.NO_CONTACT, says="none", seconds=0.1))["texts"]
     assert (texts["verdict"], texts["place"], texts["turn"], texts["says"]) == ("no contact", "-", "-", "none")
-    assert state_of(localizer, LocatedFrame(None, says="damaged", seconds=0.1))["texts"]["verdict"] == "refused"
+    assert texts["verdict-more"] == MEANINGS[Verdict.NO_CONTACT]
+    texts = state_of(localizer, LocatedFrame(None, says="damaged", seconds=0.1))["texts"]
+    assert (texts["verdict"], texts["verdict-more"]) == ("refused", explain_verdict(None))
 
 
 def test_a_frame_is_shown_with_its_outline_and_the_one_that_the_true_pose_makes(localizer):

@@ -15,6 +15,7 @@ from tactile_loc.core.errors import ResultError
 from tactile_loc.core.geometry.rigid import rotation_about
 from tactile_loc.locate.result_arrays import read_arrays
 from tactile_loc.locate.result_json import read_record
+from tactile_loc.locate.verdict import MEANINGS
 from tactile_loc.reports.page import render
 from tactile_loc.reports.run import find_surface, make_result_page
 
@@ -55,6 +56,7 @@ def test_the_head_says_who_where_how_sure_and_how_far_off(result, page):
     assert f"{x:.2f}, {y:.2f}, {z:.2f} mm" in page.text
     assert not missing(page.text, f"{result['grid_poses']} poses")
     assert "error" in page.text
+    assert not missing(page.text, result["verdict"], MEANINGS[result["verdict"]])
 
 
 def test_every_candidate_has_its_shape_and_its_difference(result, page):
