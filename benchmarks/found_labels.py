@@ -45,7 +45,7 @@ def find(presses: PressFolder, name: str) -> FoundPresses:
 
 def list_circles(presses: PressFolder) -> Array:
     """Return the circles (N, 3) of the labels by hand: centre and radius, pixels."""
-    return np.array([[row.number(column) for column in COLUMNS] for row in presses.rows])
+    return np.array([[row.read_number(column) for column in COLUMNS] for row in presses.rows])
 
 
 def relabel(presses: PressFolder, found: Array) -> PressFolder:

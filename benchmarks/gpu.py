@@ -65,7 +65,7 @@ def time_epochs(recipe: Recipe, arguments: argparse.Namespace, device: torch.dev
         _finish(device)
         whole = time.perf_counter() - start
         start = time.perf_counter()
-        trainer._keys(trainer.key_network)
+        trainer._keys(trainer.key_network, float(problem.key_presses_m[-1]))
         _finish(device)
         return {
             "poses": model.size,

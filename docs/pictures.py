@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.formatting import millimetres, percent
 from tactile_loc.core.geometry.hand_eye import pose_errors
 from tactile_loc.core.geometry.rigid import Poses, covariance_at, invert, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
@@ -27,8 +28,6 @@ from tactile_loc.drawing.pictures import (
     draw_outline,
     draw_touches,
     make_figure,
-    millimetres,
-    percent,
     save_figure,
 )
 from tactile_loc.drawing.pose_panel import draw_pose

@@ -160,7 +160,7 @@ def _wait(reached: Callable[[], bool]) -> None:
 
 def _with_jumps(path: Path) -> None:
     """Turn a recording's log clock back by a day after each third message."""
-    messages = list(Recording(path).messages())
+    messages = list(Recording(path).read_messages())
 
     def write(writer: RecordingWriter) -> None:
         for number, message in enumerate(messages):

@@ -158,7 +158,7 @@ def _content(path: Path, ended: bool = True) -> str:
         np.load(path, allow_pickle=False)
     elif path.suffix == ".png":
         Image.open(path).load()
-    elif path.suffix == ".mcap" and (damage := Recording(path).contents().damage):
+    elif path.suffix == ".mcap" and (damage := Recording(path).read_contents().damage):
         raise ValueError(damage)
     return text.hex()
 
