@@ -23,7 +23,7 @@ import torch
 from single_touch import spacing_for
 from torch import nn
 
-from tactile_loc.core.slots.encoder import TrainingProblem
+from tactile_loc.core.simulation.listed_training import ListedProblem
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.plugins.encoders.moco.backbones import make_backbone
@@ -38,7 +38,11 @@ def fresh_network(recipe: Recipe) -> nn.Module:
     """Return the recipe's network, untrained: it is as fast as a trained one."""
     generator = torch.Generator().manual_seed(0)
     return make_backbone(
-        recipe.backbone, generator=generator, in_channels=recipe.planes, channels=recipe.channels, norm=recipe.norm
+        recipe.backbone,
+        generator=generator,
+        in_channels=recipe.planes(partly_seen=False),
+        channels=recipe.channels,
+        norm=recipe.norm,
     )
 
 
@@ -50,7 +54,7 @@ def epoch_seconds(recipe: Recipe, arguments: argparse.Namespace, device: torch.d
     with tempfile.TemporaryDirectory() as store:
         localizer = Localizer.create(arguments.object, store=StageStore(Path(store)), grid=grid, **settings)
         model = localizer.model
-        problem = TrainingProblem(model.grid, localizer.coarse_scene, localizer.sampler, model.shapes.shards)
+        problem = ListedProblem(model.grid, localizer.coarse_scene, localizer.sampler, model.shapes.shards)
         trainer = Trainer(recipe, problem, fresh_network(recipe), device)
         rendered = trainer.source.epochs(0, 2)
         trainer._train_epoch(next(rendered))
@@ -90,7 +94,7 @@ def latencies_ms(recipe: Recipe, keys: int, device: torch.device, rounds: int) -
 def matching(network: nn.Module, recipe: Recipe, batch: int, keys: int) -> Callable[[], torch.Tensor]:
     """Return what encodes a batch of touches and scores `keys` keys."""
     weight = next(network.parameters())
-    images = torch.rand(batch, recipe.planes, recipe.image_px, recipe.image_px, device=weight.device)
+    images = torch.rand(batch, recipe.planes(partly_seen=False), recipe.image_px, recipe.image_px, device=weight.device)
     images = images.to(weight.dtype).to(memory_format=torch.channels_last)
     floats = network(images[:1]).flatten(1).shape[1]
     bank = torch.randn(keys, floats, device=weight.device, dtype=weight.dtype)

@@ -38,7 +38,9 @@ if TYPE_CHECKING:
     from tactile_loc.core.slots.renderer import Renderer as Renderer
     from tactile_loc.core.slots.scene import Scene as Scene
     from tactile_loc.core.slots.sensor import SensorModel as SensorModel
+    from tactile_loc.core.slots.encoder import TrainingBatch as TrainingBatch
     from tactile_loc.core.slots.encoder import TrainingProblem as TrainingProblem
+    from tactile_loc.core.slots.encoder import TrainingTouches as TrainingTouches
     from tactile_loc.core.slots.scene import View as View
     from tactile_loc.core.objects.mesh import ObjectModel as ObjectModel
     from tactile_loc.core.objects.mesh import TriangleMesh as TriangleMesh

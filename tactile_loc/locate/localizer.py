@@ -35,6 +35,7 @@ from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.fitted_probabilities import FittedProbabilities
 from tactile_loc.locate.hypotheses import find_hypotheses, keep_likeliest
 from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel
+from tactile_loc.locate.place_banks import PlaceBanks
 from tactile_loc.locate.result import Agreement, Hypothesis, Localization
 from tactile_loc.locate.scoring import NewMatcher
 from tactile_loc.locate.search import PlaceSearch, build_places, search_together
@@ -135,8 +136,11 @@ class Localizer:
                 config.hypotheses, self.mode_radius_m,
             )  # fmt: skip
         places, key = build_places(self.sampler, self.scene, self.store, self.progress)
-        search = PlaceSearch(places, key, self.scene, self.encoder, new_matcher, self.sampler.options, config.search)
-        return PlaceSource(search, config.hypotheses, self.mode_radius_m)
+        banks = PlaceBanks(places, key, self.scene, self.sampler, self.encoder, self.store, self.progress)
+        search = PlaceSearch(
+            places, key, self.scene, self.encoder, new_matcher, self.sampler.options, config.search, banks.bank
+        )
+        return PlaceSource(search, banks, config.hypotheses, self.mode_radius_m)
 
     @property
     def search(self) -> PlaceSearch | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -14,7 +14,7 @@ from tactile_loc.core.errors import GridError
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.progress import Progress, rank
 from tactile_loc.core.simulation.contact_poses import contact_grid, enough_contact
-from tactile_loc.core.slots.encoder import Encoder, TrainingProblem
+from tactile_loc.core.slots.encoder import Checkpoints, Encoder, TrainingProblem
 from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.store.artifact import Artifact
@@ -209,25 +209,22 @@ def encoder_key(shapes: StageKey, encoder: Encoder, sampler: GridSampler) -> Sta
 
 
 def train_encoder(
-    encoder: Encoder, model: ObjectPoseModel, scene: Scene, sampler: GridSampler, store: StageStore,
-    progress: Progress,
-) -> str:  # fmt: skip
-    """Train `encoder` on the model's object, or load what was trained before; return what identifies the result.
+    encoder: Encoder, key: StageKey | None, problem: Callable[[Checkpoints], TrainingProblem], store: StageStore
+) -> str:
+    """Train `encoder` on a problem, or load what was trained before under `key`; return what identifies the result.
 
-    Encoders that need no training are left alone and identified by their description. Of several processes that
+    Without a key the encoder needs no training: it is left alone, and the result is empty. Of several processes that
     torchrun started, the first stores what all of them train together. Raises what `fit` raises.
     """
-    key = encoder_key(model.key, encoder, sampler)
     if key is None:
         return ""
 
     def fit(work: Workspace) -> None:
-        checkpoints = WorkspaceCheckpoints(work)
-        encoder.fit(TrainingProblem(model.grid, scene, sampler, model.shapes.shards, progress, checkpoints))
+        encoder.fit(problem(WorkspaceCheckpoints(work)))
         work.save_file(WEIGHTS, encoder.save_weights)
 
     if rank() > 0 and store.get(key) is None:  # the first process holds the lock, and waits for this one in `fit`
-        encoder.fit(TrainingProblem(model.grid, scene, sampler, model.shapes.shards, progress))
+        encoder.fit(problem(Checkpoints()))
     else:
         encoder.load_weights(store.build(key, fit).find_file(WEIGHTS))
     return key.digest

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.progress import StageTimes
+from tactile_loc.core.sensing.places import PRESS_STEP_M
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.encoder import Encoder
 from tactile_loc.core.slots.matcher import Matcher
@@ -16,7 +17,6 @@ from tactile_loc.core.slots.matcher import Matcher
 Scores = NDArray[np.float32]
 NewMatcher = Callable[[], Matcher]
 
-PRESS_STEP_M = 1e-4  # banks are made for press depths in these steps
 MOST_MATCHERS = 8  # as many are kept in memory, the last used
 
 
@@ -24,12 +24,14 @@ class GridScores:
     """Scores touches against the banks of a grid, one bank for each press depth that occurs.
 
     `bank` returns the bank (N, D) of a press depth in metres, `new_matcher` an empty matcher; a sensor presses at most
-    `max_depth_m` metres deep.
+    `max_depth_m` metres deep. `follow` says whether touches are compared at their own press whatever the encoder.
     """
 
     def __init__(
-        self, encoder: Encoder, new_matcher: NewMatcher, bank: Callable[[float], Any], max_depth_m: float
-    ) -> None:
+        self, encoder: Encoder, new_matcher: NewMatcher, bank: Callable[[float], Any], max_depth_m: float,
+        follow: bool = False,
+    ) -> None:  # fmt: skip
+        self.follow = follow or encoder.capabilities.follows_press_depth
         self.encoder, self.new_matcher, self.bank, self.max_depth_m = encoder, new_matcher, bank, max_depth_m
         self._matchers: dict[float, Matcher] = {}
 
@@ -61,7 +63,7 @@ class GridScores:
 
     def bank_press_m(self, press_depth_m: float) -> float:
         """Return the press depth, rounded down to a step, at which touch and bank are compared; metres."""
-        if not self.encoder.capabilities.follows_press_depth:
+        if not self.follow:
             return self.max_depth_m
         return round(max(1, int(press_depth_m / PRESS_STEP_M + 1e-6)) * PRESS_STEP_M, 9)
 

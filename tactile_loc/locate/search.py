@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import Poses, invert, make_transform
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
@@ -37,8 +36,7 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 STAGE, STAGE_VERSION = "places", 1
-SEARCH_VERSION = 4
-ENCODED = 512  # places at once: what fits a cache
+SEARCH_VERSION = 5
 GAP_POINTS, GAP_PX = 30, 120  # points of a touch whose gap to the surface is measured, and the image they come from
 
 
@@ -61,13 +59,9 @@ class PlaceSearch:
 
     def __init__(
         self, places: Places, key: StageKey, scene: Scene, encoder: Encoder, new_matcher: Callable[[], Matcher],
-        grid_options: Any, options: SearchOptions,
+        grid_options: Any, options: SearchOptions, bank: Callable[[float], Scores],
     ) -> None:  # fmt: skip
-        if encoder.capabilities.needs_training:
-            raise ConfigError(
-                f"the encoder {type(encoder).__name__} learns from poses that are listed; choose pixel, or a grid that "
-                "lists its poses, such as face or hopf"
-            )
+        """`bank` returns the embeddings (N, D) of the places cut at a press depth, metres."""
         self.places, self.key, self.scene, self.encoder, self.options = places, key, scene, encoder, options
         self.registration = JointRegistration(
             RegistrationOptions(points=options.points, iterations=options.iterations, image_px=options.registration_px)
@@ -75,7 +69,7 @@ class PlaceSearch:
         self.metric, spacing_m = PoseMetric(scene.object), 1e-3 * grid_options.spacing_mm
         self.radius_m, self.found_m = 0.5 * spacing_m, spacing_m  # between starts; how near the truth is found
         self.yaws_rad = 2 * np.pi * np.arange(grid_options.turns) / grid_options.turns
-        self._banks = GridScores(encoder, new_matcher, self._bank, HIGHEST_M)
+        self._banks = GridScores(encoder, new_matcher, bank, HIGHEST_M, follow=True)
 
     def score(self, touch: Touch, times: StageTimes, prior: Prior | None = None) -> tuple[PoseGrid, Scores]:
         """Return the likeliest poses of a touch, and their imprint IoUs (K,), drawn coarsely; adds to `times`.
@@ -133,11 +127,6 @@ class PlaceSearch:
         yaw, number = np.unravel_index(best, scores.shape)
         poses = make_transform(R_sensor_gel, anchor_m) @ self.places.poses(number, self.yaws_rad[yaw])
         return poses, scores.ravel()[best].astype(float)
-
-    def _bank(self, press_depth_m: float) -> Scores:
-        starts = range(0, len(self.places), ENCODED)
-        depths = (self.places.depths(press_depth_m, slice(start, start + ENCODED)) for start in starts)
-        return np.concatenate([self.encoder.encode(some, press_depth_m, CAMERA) for some in depths])
 
 
 @dataclass(frozen=True, eq=False)

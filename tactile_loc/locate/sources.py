@@ -19,13 +19,15 @@ from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.core.simulation.listed_training import ListedProblem
 from tactile_loc.core.slots.encoder import Encoder
 from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.io.options import HypothesisOptions
 from tactile_loc.locate.hypotheses import best_apart, propose_together
-from tactile_loc.locate.model import ObjectPoseModel, build_bank, build_model, train_encoder
+from tactile_loc.locate.model import ObjectPoseModel, build_bank, build_model, encoder_key, train_encoder
+from tactile_loc.locate.place_banks import PlaceBanks
 from tactile_loc.locate.scoring import GridScores, NewMatcher, Scores
 from tactile_loc.locate.search import PlaceSearch
 from tactile_loc.store.store import StageStore
@@ -38,6 +40,11 @@ class PoseSource(ABC):
     """
 
     searched: bool
+
+    @property
+    @abstractmethod
+    def trained(self) -> str:
+        """The digest of what the encoder learned: trained now, or read from the store; empty if it learns nothing."""
 
     @abstractmethod
     def score(
@@ -73,8 +80,15 @@ class PlaceSource(PoseSource):
 
     searched = True
 
-    def __init__(self, search: PlaceSearch, options: HypothesisOptions, mode_radius_m: float) -> None:
-        self.search, self.options, self.mode_radius_m = search, options, mode_radius_m
+    def __init__(
+        self, search: PlaceSearch, banks: PlaceBanks, options: HypothesisOptions, mode_radius_m: float
+    ) -> None:
+        self.search, self.banks, self.options, self.mode_radius_m = search, banks, options, mode_radius_m
+
+    @property
+    def trained(self) -> str:
+        """The digest of what the encoder learned: trained now, or read from the store; empty if it learns nothing."""
+        return self.banks.trained
 
     def score(
         self, touches: Sequence[Touch], times: StageTimes, prior: Prior | None = None
@@ -97,8 +111,8 @@ class PlaceSource(PoseSource):
         return -1 if distance_m > self.search.found_m else int(index)
 
     def describe(self) -> dict[str, Any]:
-        """Return what decides the search, as JSON values."""
-        return {**self.search.describe(), "trained": ""}
+        """Return what decides the search and what the encoder learned, as JSON values; trains if need be."""
+        return {**self.search.describe(), "trained": self.trained}
 
 
 class GridSource(PoseSource):
@@ -122,7 +136,14 @@ class GridSource(PoseSource):
     @cached_property
     def trained(self) -> str:
         """The digest of what the encoder learned: trained now, or read from the store; empty if it learns nothing."""
-        return train_encoder(self.encoder, self.model, self.scene, self.sampler, self.store, self.progress)
+        if not self.encoder.capabilities.needs_training:
+            return ""
+        model, scene, sampler = self.model, self.scene, self.sampler
+        return train_encoder(
+            self.encoder, encoder_key(model.key, self.encoder, sampler),
+            lambda kept: ListedProblem(model.grid, scene, sampler, model.shapes.shards, self.progress, kept),
+            self.store,
+        )  # fmt: skip
 
     @cached_property
     def banks(self) -> GridScores:

@@ -80,6 +80,10 @@ class Library:
         listed = [model.object.name for model in self.models if not model.sampler.capabilities.places]
         if listed:
             raise ConfigError(f"{listed[0]} is searched by listed poses; to identify objects choose the grid whole")
+        if self.models[0].encoder.capabilities.needs_training:
+            raise ConfigError(
+                "objects are told apart by an encoder that learns nothing of any one of them; choose --encoder pixel"
+            )
         self.progress = self.models[0].progress
         self._matchers: dict[float, list[Matcher]] = {}
 

@@ -20,6 +20,7 @@ from tactile_loc.testing.problems import (
     block_scene,
     contact_poses,
     mirrored,
+    place_training_problem,
     stepped_block,
 )
 from tactile_loc.testing.properties import Place, hold, one_of, orders, places
@@ -36,7 +37,9 @@ def checks(capabilities: Capabilities) -> list[Check]:
                            check_press_depth_marks_no_contact, check_light_press_finds_its_pose,
                            check_image_size, check_ignores_masked_pixels, check_unseen_pixels,
                            check_seen_output, check_seen_part_finds_its_pose]  # fmt: skip
-    return [*chosen, check_deterministic] if capabilities.deterministic else chosen
+    if capabilities.deterministic:
+        chosen.append(check_deterministic)
+    return [*chosen, check_learns_places] if capabilities.needs_training else chosen
 
 
 def properties(capabilities: Capabilities) -> list[Check]:
@@ -180,6 +183,24 @@ def check_deterministic(encoder: Encoder) -> None:
     first, again = (encoder.encode(_shapes(), PRESS_M, CAMERA) for _ in range(2))
     same = np.array_equal(first, again)
     require(same, "the same shapes must have the same embeddings, or deterministic=False be declared")
+
+
+def check_learns_places(encoder: Encoder) -> None:
+    """Trained on the places of a whole object, which touches show in part, it embeds what is seen of them."""
+    problem = place_training_problem()
+    encoder.fit(problem)
+    press_m = float(problem.key_presses_m[-1])
+    keys = np.concatenate(list(problem.clean_keys(press_m)))[:8]
+    whole, weights = encoder.encode_seen(keys, np.ones(keys.shape, bool), press_m, problem.geometry)
+    require(whole.shape == weights.shape, f"embeddings {whole.shape} and weights {weights.shape} must have one shape")
+    require(np.isfinite(whole).all(), "embeddings of places must be finite")
+    plain = encoder.encode(keys, press_m, problem.geometry)
+    require_close(whole, plain, 1e-3 * _spread(plain), "places that are all seen must have the plain embeddings")
+    seen = np.ones(keys.shape, bool)
+    seen[:, :, : keys.shape[2] // 2] = False
+    other = np.where(seen, keys, np.float32(0.5 * press_m))
+    (one, ones), (two, twos) = (encoder.encode_seen(some, seen, press_m, problem.geometry) for some in (keys, other))
+    require_close(one * ones, two * twos, 1e-3 * _spread(plain), "pixels that are not seen must change nothing")
 
 
 def property_shape_order(encoder: Encoder) -> None:

@@ -15,8 +15,11 @@ from tactile_loc.core.geometry.rigid import Poses, make_transform, rotation_abou
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.simulation.listed_training import ListedProblem
+from tactile_loc.core.simulation.place_training import PlaceProblem
 from tactile_loc.core.slots.component import Float32
 from tactile_loc.core.slots.encoder import TrainingProblem
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose
@@ -327,4 +330,16 @@ def training_problem(seed: int = 0) -> TrainingProblem:
     grid = small_grid(seed=seed, scene=scene)
     shapes = scene.grid_depths(grid.T_sensor_object)
     sampler = registry().create("grid", "face", {"spacing_mm": 4.0, "face": "-z"})
-    return TrainingProblem(grid, scene, sampler, lambda: iter([shapes]))
+    return ListedProblem(grid, scene, sampler, lambda: iter([shapes]))
+
+
+def place_training_problem(symmetry: str = "none") -> PlaceProblem:
+    """Return a tiny problem of an object's places, for an encoder that learns: the checks' object and camera.
+
+    The object is said to have a symmetry, which it need not have.
+    """
+    obj = block()
+    obj = dataclasses.replace(obj, symmetry=SymmetryGroup.parse(symmetry, obj.mesh.centroid_m))
+    scene = Scene(obj, LOPSIDED_CAMERAS["orthographic"], ReferenceRenderer())
+    sampler = registry().create("grid", "whole", {"directions": 100})
+    return PlaceProblem(sampler.places(obj, Progress()), scene, sampler)

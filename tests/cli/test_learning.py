@@ -128,6 +128,36 @@ def test_a_training_can_be_watched_in_tensorboard(cli):
     assert [event.step for event in events.Scalars("loss")] == [1, 2]
 
 
+WHOLE = ["--object", "pin", "--grid", "whole", "-o", "grid.directions=100", "--sensor", "flat.toml", *MOCO]
+
+
+def test_the_places_of_a_whole_object_are_learned_ahead_of_time(cli):
+    words = ["build", *WHOLE, "--store", "fresh"]
+    first, again = cli(*words), cli(*words)
+    assert first.exit_code == again.exit_code == 0, first.stderr + again.stderr
+    assert "encoder: built" in first.stdout
+    assert "encoder: reused" in again.stdout
+    assert cli(*words, "-o", "encoder.seed=1").stdout.count("encoder: built") == 1
+
+
+def test_a_training_on_places_that_was_interrupted_goes_on(cli, monkeypatch):
+    save = training.Trainer._checkpoint
+
+    def save_and_stop(self):
+        save(self)
+        raise KeyboardInterrupt
+
+    words = ["build", *WHOLE, "--store", "fresh"]
+    with monkeypatch.context() as patched:
+        patched.setattr(training.Trainer, "_checkpoint", save_and_stop)
+        assert cli(*words).exit_code == 130
+    epochs = []
+    train = training.Trainer._train_epoch
+    monkeypatch.setattr(training.Trainer, "_train_epoch", lambda self, *a: epochs.append(self.epoch) or train(self, *a))
+    assert cli(*words).exit_code == 0
+    assert epochs == [1]
+
+
 @pytest.mark.slow
 def test_several_processes_train_one_encoder(tmp_path, run_process):
     (tmp_path / "sure.toml").write_text("temperature = 1e-3")  # none is to be fitted

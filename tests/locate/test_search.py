@@ -169,11 +169,24 @@ def test_searched_and_listed_touches_are_not_mixed(localizer, examples, store):
         localize_together([(localizer, examples[0][0]), (listed, examples[0][1])])
 
 
-def test_an_encoder_that_learns_from_listed_poses_is_refused(store):
+def test_an_encoder_that_learns_does_so_once_and_keeps_its_banks(tmp_path, monkeypatch):
     pytest.importorskip("torch")
-    localizer = Localizer.create("pin", store=store, **WHOLE, encoder="moco")
-    with pytest.raises(ConfigError, match=naming("MocoEncoder", "pixel", "face", "hopf")):
-        localizer.localize(dataclasses.replace(localizer.simulate(1)[0], name="t"))
+    from tactile_loc.plugins.encoders.moco import training
+
+    monkeypatch.setattr(training, "VALIDATION_TOUCHES", 32)
+    learned = {"name": "moco", "epochs": 1, "queries": 64, "batch": 32, "channels": 4}
+    settings = {"grid": {"name": "whole", "directions": 100}, "sensor": "gelsight-mini", "temperature": 0.02}
+    store = StageStore(tmp_path)
+    first = Localizer.create("pin", store=store, encoder=learned, **settings)
+    touch = first.simulate(1)[0]
+    found = first.posterior(touch)
+    assert [key.stage for key in store.built].count("encoder") == 1
+    built = list(store.built)
+    again = Localizer.create("pin", store=store, encoder=learned, **settings)
+    np.testing.assert_array_equal(again.posterior(touch).log_p, found.log_p)
+    assert store.built == built
+    other = Localizer.create("pin", store=store, encoder={**learned, "seed": 1}, **settings)
+    assert other.source.trained != again.source.trained
 
 
 @pytest.mark.parametrize("options", [{}, {"kind": "ivf"}, {"kind": "hnsw"}], ids=str)

@@ -185,5 +185,8 @@ def test_what_cannot_be_identified_is_refused(models, touches, library):
                        models[0].object, models[0].store)  # fmt: skip
     with pytest.raises(ConfigError, match=naming("plate", "whole")):
         Library([listed])
+    learned = RunConfig.from_dict({"encoder": "moco"}).encoder
+    with pytest.raises(ConfigError, match="--encoder pixel"):
+        Library([Localizer(models[0].config.model_copy(update={"encoder": learned}), models[0].object)])
     with pytest.raises(ConfigError, match=naming("alone=0.0")):
         NullEvidence(alone=0.0)

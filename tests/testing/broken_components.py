@@ -206,6 +206,7 @@ def knows_nothing(pair, depth, seen, *_):
     return pair[0], pair[1] * seen.all(axis=(1, 2))[:, None]
 
 
+LEARNS = Capabilities(follows_press_depth=True, needs_training=True)
 ENCODER = [
     (encoders.check_output, then(PixelEncoder, "encode", lambda e, *_: e.astype(float))),
     (encoders.check_output, made(PixelEncoder, encode=lambda self, d, p, g: d)),
@@ -223,6 +224,7 @@ ENCODER = [
     (encoders.check_seen_output, then(PixelEncoder, "encode_seen", lambda pair, *_: (pair[0] / pair[1], pair[1]))),
     (encoders.check_seen_output, then(PixelEncoder, "encode_seen", lambda pair, d, *_: scribbled(pair, d))),
     (encoders.check_seen_part_finds_its_pose, then(PixelEncoder, "encode_seen", knows_nothing)),
+    (encoders.check_learns_places, made(PixelEncoder, encode_seen=unmasked_pixels, capabilities=LEARNS)),
     (encoders.check_deterministic, drifting(PixelEncoder, "encode", lambda e, n: e + np.float32(1e-3 * n))),
 ]  # fmt: skip
 

@@ -81,7 +81,7 @@ def test_a_class_is_refused():
 LEARNS = Capabilities(follows_press_depth=True, needs_training=True)
 
 
-def test_an_encoder_that_needs_training_is_trained_once():
+def test_an_encoder_that_needs_training_is_trained_on_listed_poses_and_then_on_places():
     seen = []
 
     def encode(self, depth_m, press_depth_m, geometry):
@@ -92,8 +92,9 @@ def test_an_encoder_that_needs_training_is_trained_once():
     results = run_checks(encoder)
     assert problems(results) == {}
     assert len(results) == len(checks_for(encoder))
-    assert len(seen) == 1
-    assert np.concatenate(list(seen[0].shapes())).shape[0] == len(seen[0].grid)
+    listed, places = seen
+    assert np.concatenate(list(listed.shapes())).shape[0] == len(listed.grid)
+    assert sum(map(len, places.clean_keys(1e-3))) == len(places)
 
 
 def test_a_training_that_fails_is_the_only_result():

@@ -44,7 +44,8 @@ def build(
     press_m = _press_depth_m(localizer)
     if localizer.search is None:
         localizer.listed.matcher(press_m)
-    _ = localizer.probabilities.temperature_scaling  # fitted now, not at the first touch
+    _ = localizer.source.trained  # learned now, not at the first touch
+    _ = localizer.probabilities.temperature_scaling  # and fitted
     return _report(localizer, time.perf_counter() - start)
 
 
@@ -96,7 +97,7 @@ def _stages(localizer: Localizer) -> dict[str, str]:
     built = [key.stage for key in localizer.store.built]
     learned = ("encoder",) if localizer.encoder.capabilities.needs_training else ()
     fitted = ("temperature",) if localizer.config.temperature is None else ()
-    model = ("grid", "shapes", *learned, "bank") if localizer.search is None else ("places",)
+    model = ("grid", "shapes", *learned, "bank") if localizer.search is None else ("places", *learned)
     return {stage: "built" if stage in built else "reused" for stage in (*model, *fitted)}
 
 

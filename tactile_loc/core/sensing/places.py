@@ -22,6 +22,7 @@ PATCH_PX, PITCH_M = 41, 5e-4  # a patch's side, its place in the middle of the m
 STEP_M, BELOW = 1.25e-5, 15  # heights are kept in such steps; so many of them lower than the place
 FAR = 255  # steps: as high, or no surface at all
 HIGHEST_M = (FAR - BELOW) * STEP_M
+PRESS_STEP_M = 1e-4  # between the press depths at which touches are compared
 
 CAMERA = SensorGeometry(
     "orthographic", PATCH_PX, PATCH_PX, 1 / PITCH_M, 1 / PITCH_M, PATCH_PX / 2, PATCH_PX / 2, 0.1, HIGHEST_M

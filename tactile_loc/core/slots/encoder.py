@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.simulation.noise import TouchNoise
 from tactile_loc.core.slots.component import Component, Float32
-from tactile_loc.core.slots.grid import GridSampler
-from tactile_loc.core.slots.scene import Scene
 
 
 class Checkpoints:
@@ -30,19 +28,76 @@ class Checkpoints:
 
 
 @dataclass(frozen=True, eq=False)
-class TrainingProblem:
-    """What an encoder may learn from, all of it simulation.
+class TrainingBatch:
+    """Noisy touches with labels, each in V views: B touches, V at least one.
 
-    `grid` and `shapes`, the contact depths (S, H, W) in metres of its poses at full press, shard by shard in its order;
-    fresh poses from `sampler`, rendered through `scene`.
+    `depth_m` (B, V, H, W) are contact depths in metres, cut at presses `press_m` (B,); `seen` (B, V, H, W) says which
+    pixels the sensor observes. `labels` (B,) are the numbers of the keys nearest to the true poses. View 0
+    shows what the key shows. The others are decoys: the same touch, turned so that no key of this object explains it.
+    `counts` (B, V) says which views count: a decoy that symmetry makes right does not.
     """
 
-    grid: PoseGrid
-    scene: Scene
-    sampler: GridSampler
-    shapes: Callable[[], Iterable[Float32]]
-    progress: Progress = field(default_factory=Progress)
-    checkpoints: Checkpoints = field(default_factory=Checkpoints)
+    depth_m: Float32
+    seen: NDArray[np.bool_]
+    press_m: NDArray[np.float64]
+    labels: NDArray[np.int64]
+    counts: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+
+class TrainingTouches(ABC):
+    """Simulated touches of known pose, rendered once: batches of them, each time with new noise."""
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """Return how many touches there are."""
+
+    @abstractmethod
+    def batch(self, count: int, rng: np.random.Generator, press_m: float, decoys: int = 0) -> TrainingBatch:
+        """Draw `count` different touches to be compared with keys that are cut at `press_m` metres.
+
+        Each has `decoys` decoys if touches are turned when they are compared.
+        """
+
+
+class TrainingProblem(ABC):
+    """What an encoder may learn from, all of it simulation: touches, and a key of each pose or place that is searched.
+
+    `partly_seen` says whether touches show a part of what their keys show, and are encoded by `Encoder.encode_seen`.
+    `progress` and `checkpoints` are for the encoder to report to and to resume from.
+    """
+
+    progress: Progress
+    checkpoints: Checkpoints
+    partly_seen: bool
+
+    @property
+    @abstractmethod
+    def geometry(self) -> SensorGeometry:
+        """The camera that sees keys and touches."""
+
+    @property
+    @abstractmethod
+    def key_presses_m(self) -> NDArray[np.float64]:
+        """The press depths (P,), metres, at which keys may be cut: touches are compared with keys of one of them."""
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """Return how many keys there are."""
+
+    @abstractmethod
+    def clean_keys(self, press_m: float) -> Iterable[Float32]:
+        """Return what the keys show, wholly and without noise, cut at a press: shards (S, H, W), S > 0, metres."""
+
+    @abstractmethod
+    def draw(self, count: int, noise: TouchNoise, rng: np.random.Generator) -> TrainingTouches:
+        """Render `count` touches at random poses, which are to have this noise."""
+
+    @abstractmethod
+    def key_distances(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return how far apart keys `first` (K,) and `second` (K,) are as poses, in the pose metric: (K,), metres."""
 
 
 class Encoder(Component):

@@ -15,12 +15,15 @@ from message_helpers import missing, naming
 torch = pytest.importorskip("torch")
 
 from tactile_loc.core.errors import ConfigError, GridError, TrainingError, WeightsError  # noqa: E402
-from tactile_loc.core.slots.encoder import Checkpoints, TrainingProblem  # noqa: E402
+from tactile_loc.core.simulation.listed_training import ListedProblem  # noqa: E402
+from tactile_loc.core.simulation.noise import noise_level  # noqa: E402
+from tactile_loc.core.slots.encoder import Checkpoints  # noqa: E402
 from tactile_loc.locate.localizer import Localizer  # noqa: E402
 from tactile_loc.plugins.encoders.moco import encoder as module  # noqa: E402
 from tactile_loc.plugins.encoders.moco import recipe, training  # noqa: E402
 from tactile_loc.plugins.encoders.moco.encoder import MocoEncoder  # noqa: E402
 from tactile_loc.store.store import StageStore  # noqa: E402
+from tactile_loc.testing.problems import place_training_problem  # noqa: E402
 
 TINY = {"epochs": 3, "queries": 64, "batch": 32, "channels": 4, "noise": "mild"}
 FEW = 64  # touches to validate with
@@ -41,7 +44,7 @@ def problem(tmp_path_factory):
         grid={"name": "face", "spacing_mm": 8},
     )  # fmt: skip
     model = localizer.model
-    return TrainingProblem(model.grid, localizer.coarse_scene, localizer.sampler, model.shapes.shards)
+    return ListedProblem(model.grid, localizer.coarse_scene, localizer.sampler, model.shapes.shards)
 
 
 def make(**options) -> MocoEncoder:
@@ -254,6 +257,99 @@ def test_a_localizer_trains_once_and_reads_it_back(store):
     again = Localizer.create("pin", store=store, **settings, refiner="none", seed=5)
     np.testing.assert_array_equal(again.posterior(touch).log_p, posterior.log_p)
     assert [key.stage for key in store.built] == built
+
+
+@pytest.fixture(scope="module")
+def places(one_thread):
+    """One that has learned the places of a small block, and what it learned from."""
+    problem, encoder = place_training_problem(), make(epochs=2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "VALIDATION_TOUCHES", FEW)
+        encoder.fit(problem)
+    return encoder, problem
+
+
+def some_seen(problem, rng):
+    keys = next(iter(problem.clean_keys(1e-3)))[:6]
+    return keys, rng.random(keys.shape) < 0.7
+
+
+def test_places_are_embedded_by_what_is_seen_of_them(places):
+    encoder, problem = places
+    keys, seen = some_seen(problem, np.random.default_rng(0))
+    garbage = np.where(seen, keys, np.float32(2e-4))
+    (one, weights), (two, _) = (encoder.encode_seen(some, seen, 1e-3, problem.geometry) for some in (keys, garbage))
+    np.testing.assert_array_equal(one, two)
+    np.testing.assert_array_equal(weights, 1.0)
+    np.testing.assert_allclose(np.linalg.norm(one, axis=1), 1.0, atol=1e-5)
+    out_of_contact = encoder.encode(np.where(seen, keys, np.float32(1e-3)), 1e-3, problem.geometry)
+    assert np.abs(one - out_of_contact).max() > 1e-3, "what is not seen is not what is out of contact"
+
+
+def test_what_was_learned_of_places_survives_a_file(places, tmp_path):
+    encoder, problem = places
+    encoder.save_weights(tmp_path / "w.safetensors")
+    other = make(epochs=2)
+    other.load_weights(tmp_path / "w.safetensors")
+    keys, seen = some_seen(problem, np.random.default_rng(1))
+    ours, theirs = (e.encode_seen(keys, seen, 1e-3, problem.geometry)[0] for e in (encoder, other))
+    np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize("stop_at", [1])
+def test_an_interrupted_training_on_places_ends_as_an_uninterrupted_one(places, tmp_path, stop_at):
+    encoder, problem = places
+    with pytest.raises(KeyboardInterrupt):
+        make(epochs=2).fit(dataclasses.replace(problem, checkpoints=FileCheckpoints(tmp_path, stop_at)))
+    resumed = make(epochs=2)
+    resumed.fit(dataclasses.replace(problem, checkpoints=FileCheckpoints(tmp_path)))
+    assert same(encoder, resumed)
+
+
+def test_files_of_weights_without_a_number_of_planes_are_of_shapes_that_are_wholly_seen(problem, learned, tmp_path):
+    from safetensors.torch import save_file
+
+    state = {name: tensor.contiguous() for name, tensor in learned._network.state_dict().items()}
+    save_file(state, tmp_path / "old.safetensors")
+    other = make()
+    other.load_weights(tmp_path / "old.safetensors")
+    assert same(learned, other)
+
+
+def test_decoys_count_as_wrong_answers_unless_they_are_right(places):
+    encoder, problem = places
+    network = encoder._fresh_network(0, True)
+    trainer = training.Trainer(encoder.recipe, problem, network, torch.device("cpu"), decoys=2)
+    batch = problem.draw(4, noise_level("none"), np.random.default_rng(0)).batch(4, np.random.default_rng(1), 1e-3, 2)
+    batch = dataclasses.replace(batch, counts=np.array([[True, True, False]] * 4))
+    keys = trainer._keys(trainer.key_network, 1e-3)
+    scores = trainer._scores(trainer._embed(batch), keys, batch).reshape(4, 3, len(problem))
+    assert torch.isfinite(scores[:, :2]).all()
+    assert (scores[:, 2] == -torch.inf).all()
+    assert np.isfinite(trainer._step(batch, keys, 0, np.random.default_rng(2)))
+
+
+def test_decoys_change_what_is_learned_and_its_key(places):
+    encoder, problem = places
+    other = make(epochs=2, decoys=2)
+    other.fit(problem)
+    assert not same(encoder, other)
+    assert encoder.describe() != other.describe()
+    assert "decoys" not in encoder.describe()["options"], "keys are as before there were decoys"
+
+
+@pytest.mark.slow
+def test_it_learns_to_tell_places_apart():
+    problem = place_training_problem()
+    encoder = make(epochs=6, queries=256, noise="none", patience=6)
+    encoder.recipe = encoder.recipe.changed(momentum=0.9, refresh=4)
+    encoder.fit(problem)
+    press_m = float(problem.key_presses_m[-1])
+    batch = problem.draw(60, noise_level("none"), np.random.default_rng(7)).batch(60, np.random.default_rng(8), press_m)
+    keys = encoder.encode(np.concatenate(list(problem.clean_keys(press_m))), press_m, problem.geometry)
+    vectors, _ = encoder.encode_seen(batch.depth_m[:, 0], batch.seen[:, 0], press_m, problem.geometry)
+    ranks = (vectors @ keys.T > np.sum(vectors * keys[batch.labels], axis=1)[:, None]).sum(axis=1)
+    assert np.median(ranks) < 0.1 * len(problem), "far better than by chance"
 
 
 TWO = """

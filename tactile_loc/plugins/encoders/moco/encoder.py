@@ -15,8 +15,8 @@ from typing import Any, Literal
 import numba
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from pydantic import Field, JsonValue
-from torch import nn
 
 from tactile_loc.plugin import (
     Capabilities,
@@ -30,10 +30,12 @@ from tactile_loc.plugin import (
     TrainingProblem,
     WeightsError,
 )
-from tactile_loc.plugins.encoders.moco.backbones import load_pretrained, make_backbone
+from tactile_loc.plugins.encoders.moco.backbones import Backbone, load_pretrained, make_backbone
 from tactile_loc.plugins.encoders.moco.recipe import PRESETS, Recipe, Signal
 from tactile_loc.plugins.encoders.moco.training import Trainer, local_cuda
 
+PLANES = "planes"  # how many the input has, in the file of weights; without it, those of shapes that are wholly seen
+SMALLER = 4  # times smaller is a batch of touches that places are learned from: more and lighter steps learn faster
 NEUTRAL: dict[str, JsonValue] = {"neutral": True}
 
 
@@ -61,6 +63,9 @@ class MocoEncoder(Encoder):
         negatives: int = Field(
             default=0, ge=0, description="grid poses in the softmax a step, drawn; 0: the whole grid"
         )
+        decoys: int = Field(
+            default=0, ge=0, le=15, description="of a whole object: views of each touch that is turned wrongly"
+        )
         patience: int = Field(default=8, ge=1, description="epochs without a better validation before stopping early")
         seed: int = Field(default=0, ge=0, description="of all that is drawn in training")
         pretrained: str | None = Field(default=None, description="weights to start from, a .safetensors file")
@@ -84,11 +89,14 @@ class MocoEncoder(Encoder):
             patience=self.options.patience,
             seed=self.options.seed,
         )
-        self._network: nn.Module | None = None
+        self._network: Backbone | None = None
 
     def describe(self) -> dict[str, Any]:
         """Return what identifies the encoder's output: the whole recipe, not where it is computed."""
-        return {**super().describe(), "recipe": self.recipe.describe()}
+        described = super().describe()
+        if not self.options.decoys:
+            del described["options"]["decoys"]  # so what was learned before there were any is found
+        return {**described, "recipe": self.recipe.describe()}
 
     @property
     def device(self) -> torch.device:
@@ -106,18 +114,39 @@ class MocoEncoder(Encoder):
 
         Raises GridError for a grid too large for memory, WeightsError, ConfigError, MissingLibraryError.
         """
-        _require_memory(self.recipe, len(problem.grid))
+        _require_memory(self.recipe, len(problem))
         _settle_threads()
-        network = self._fresh_network(self.options.seed)
-        self._network = Trainer(self.recipe, problem, network, self.device, self.options.tensorboard).run()
+        recipe, options = self.recipe, self.options
+        if problem.partly_seen and options.batch is None:
+            recipe = recipe.changed(batch=max(2, recipe.batch // SMALLER))
+        network = self._fresh_network(options.seed, problem.partly_seen)
+        trainer = Trainer(recipe, problem, network, self.device, options.tensorboard, options.decoys)
+        self._network = trainer.run()
 
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
         """Return unit embeddings (N, D) of contact depths (N, H, W) in metres cut at `press_depth_m`."""
+        return self._encoded(depth_m, np.ones(depth_m.shape, np.bool_), press_depth_m, geometry)
+
+    def encode_seen(
+        self, depth_m: Float32, seen: NDArray[np.bool_], press_depth_m: float, geometry: SensorGeometry
+    ) -> tuple[Float32, Float32]:
+        """Return unit embeddings (N, D) of what is `seen` (N, H, W) of contact depths, and weights (N, D), all one.
+
+        A network that learned from touches that are partly seen knows what is not seen; to another it is no contact.
+        """
+        press = np.float32(press_depth_m)
+        embeddings = self._encoded(np.where(seen, depth_m, press), seen, press_depth_m, geometry)
+        return embeddings, np.ones_like(embeddings)
+
+    def _encoded(
+        self, depth_m: Float32, seen: NDArray[np.bool_], press_depth_m: float, geometry: SensorGeometry
+    ) -> Float32:
         network = self._trained_network()
         _settle_threads()
+        known = seen if network.in_channels == self.recipe.planes(partly_seen=True) else None
         press = np.full(len(depth_m), press_depth_m)
         with torch.inference_mode():
-            vectors = self.recipe.embed(network, depth_m, press, geometry, self.device)
+            vectors = self.recipe.embed(network, depth_m, press, geometry, self.device, known)
         return vectors.float().cpu().numpy()
 
     def save_weights(self, path: Path) -> None:
@@ -125,16 +154,20 @@ class MocoEncoder(Encoder):
         from safetensors.torch import save_file
 
         state = self._trained_network().state_dict()
-        save_file({k: v.detach().cpu().contiguous() for k, v in state.items()}, path)
+        tensors = {k: v.detach().cpu().contiguous() for k, v in state.items()}
+        save_file(tensors, path, {PLANES: str(self._trained_network().in_channels)})
 
     def load_weights(self, path: Path) -> None:
         """Read a trained network. Raises WeightsError when the file is damaged or of another architecture."""
-        from safetensors import SafetensorError
-        from safetensors.torch import load_file
+        from safetensors import SafetensorError, safe_open
 
-        network = self._fresh_network(0, pretrained=False)
+        whole, partly = (self.recipe.planes(partly_seen) for partly_seen in (False, True))
         try:
-            network.load_state_dict(load_file(path))
+            with safe_open(path, framework="pt") as file:
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+                planes = (file.metadata() or {}).get(PLANES, str(whole))
+            network = self._fresh_network(0, planes == str(partly), pretrained=False)
+            network.load_state_dict(tensors)
         except (SafetensorError, RuntimeError, OSError) as error:
             reason = str(error).splitlines()[0]
             raise WeightsError(
@@ -142,15 +175,15 @@ class MocoEncoder(Encoder):
             ) from error
         self._network = network.to(self.device).eval()
 
-    def _trained_network(self) -> nn.Module:
+    def _trained_network(self) -> Backbone:
         if self._network is None:
             raise ConfigError("the encoder 'moco' has not been trained for this object; build its model first")
         return self._network
 
-    def _fresh_network(self, seed: int, pretrained: bool = True) -> nn.Module:
+    def _fresh_network(self, seed: int, partly_seen: bool, pretrained: bool = True) -> Backbone:
         recipe = self.recipe
         network = make_backbone(
-            recipe.backbone, generator=torch.Generator().manual_seed(seed), in_channels=recipe.planes,
+            recipe.backbone, generator=torch.Generator().manual_seed(seed), in_channels=recipe.planes(partly_seen),
             channels=recipe.channels, norm=recipe.norm,
         )  # fmt: skip
         if pretrained and self.options.pretrained:

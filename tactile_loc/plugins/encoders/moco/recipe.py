@@ -50,10 +50,9 @@ class Recipe:
         """Return the recipe with some settings changed."""
         return replace(self, **changes)
 
-    @property
-    def planes(self) -> int:
-        """How many planes the network's input has."""
-        return 3 if self.signal == "depth" else 2
+    def planes(self, partly_seen: bool) -> int:
+        """Return how many planes the network's input has, of shapes that are wholly or `partly_seen`."""
+        return (3 if self.signal == "depth" else 2) + partly_seen
 
     def describe(self) -> dict[str, Any]:
         """Return the settings as JSON values."""
@@ -73,9 +72,13 @@ class Recipe:
         press_m: NDArray[np.float64],
         geometry: SensorGeometry,
         device: torch.device,
+        seen: NDArray[np.bool_] | None = None,
     ) -> torch.Tensor:
-        """Return unit vectors (N, D) of contact depths (N, H, W) in metres, cut at press depths (N,)."""
-        planes = input_planes(depth_m, press_m, geometry, self.image_px, self.signal).to(device)
+        """Return unit vectors (N, D) of contact depths (N, H, W) in metres, cut at press depths (N,).
+
+        `seen` (N, H, W) are the pixels that are known; it is for networks that have a plane for them.
+        """
+        planes = input_planes(depth_m, press_m, geometry, self.image_px, self.signal, seen).to(device)
         if device.type == "cuda":
             planes = planes.contiguous(memory_format=torch.channels_last)
         with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
@@ -83,20 +86,25 @@ class Recipe:
 
 
 def input_planes(
-    depth_m: Float32, press_m: NDArray[np.float64], geometry: SensorGeometry, image_px: int, signal: Signal
-) -> torch.Tensor:
+    depth_m: Float32, press_m: NDArray[np.float64], geometry: SensorGeometry, image_px: int, signal: Signal,
+    seen: NDArray[np.bool_] | None = None,
+) -> torch.Tensor:  # fmt: skip
     """Return the network's input (N, P, h, w), shares from 0 to 1, averaged to a longer side of `image_px` pixels.
 
-    The observed contact mask; with the signal "depth" also the penetration; and the press, both as shares of the
-    sensor's deepest.
+    The observed contact mask; with the signal "depth" also the penetration; the press, both as shares of the sensor's
+    deepest; and where `seen` (N, H, W) is given, what of it is observed.
     """
     press, deepest = np.asarray(press_m, np.float32)[:, None, None], np.float32(geometry.max_depth_m)
-    contact = (depth_m < press) & geometry.observed_mask
+    known = geometry.observed_mask if seen is None else seen & geometry.observed_mask
+    contact = (depth_m < press) & known
     planes = [contact.astype(np.float32)]
     if signal == "depth":
         planes.append(np.where(contact, (press - depth_m) / deepest, np.float32(0)))
+    if seen is not None:
+        planes.append(np.asarray(known, np.float32))
     images = torch.from_numpy(np.stack(planes, axis=1))
-    small = geometry.with_long_side(image_px).shape
+    small = geometry.shape if seen is not None and image_px < 2 * max(geometry.shape) else None
+    small = geometry.with_long_side(image_px).shape if small is None else small
     images = images if images.shape[-2:] == small else F.interpolate(images, small, mode="area")
     share = torch.from_numpy(press / deepest)[:, None].expand(-1, 1, *small)
     return torch.cat([images, share], dim=1)

@@ -17,8 +17,17 @@ import torch.distributed as dist
 import torch.nn.functional as F  # noqa: N812 - torch's own abbreviation
 from torch import nn
 
-from tactile_loc.plugin import Float32, MissingLibraryError, TrainingError, TrainingProblem, noise_level, rank
-from tactile_loc.plugins.encoders.moco.queries import Queries, QuerySource
+from tactile_loc.plugin import (
+    MissingLibraryError,
+    TrainingBatch,
+    TrainingError,
+    TrainingProblem,
+    TrainingTouches,
+    noise_level,
+    rank,
+)
+from tactile_loc.plugins.encoders.moco.backbones import Backbone
+from tactile_loc.plugins.encoders.moco.queries import QuerySource
 from tactile_loc.plugins.encoders.moco.recipe import Recipe
 
 T = TypeVar("T")
@@ -110,6 +119,7 @@ class TrainingLog:
 log = logging.getLogger(__name__)
 
 VALIDATION_TOUCHES = 256
+VALIDATION_PRESSES = 4
 KEYS_AT_ONCE = 512
 
 
@@ -118,9 +128,10 @@ class Trainer:
     that was interrupted goes on as if it had not been."""
 
     def __init__(
-        self, recipe: Recipe, problem: TrainingProblem, network: nn.Module, device: torch.device,
-        log_folder: str | None = None,
+        self, recipe: Recipe, problem: TrainingProblem, network: Backbone, device: torch.device,
+        log_folder: str | None = None, decoys: int = 0,
     ) -> None:  # fmt: skip
+        """`decoys` is how many wrongly turned views of each touch there are, where touches are turned at all."""
         self.recipe, self.problem, self.device, self.log_folder = recipe, problem, device, log_folder
         self.crew = Crew(device)
         self.network = network.to(device)
@@ -128,12 +139,12 @@ class Trainer:
         self.optimizer = _optimizer(recipe, self.network)
         count = self.crew.share(recipe.queries)
         self.source = QuerySource(problem, noise_level(recipe.noise), count, recipe.seed, self.crew.rank)
-        self.batch = min(count, self.crew.share(recipe.batch))
+        self.batch, self.decoys = min(count, self.crew.share(recipe.batch)), decoys
         self.steps = recipe.repeats * max(1, recipe.queries // recipe.batch)
         self.epoch, self.best, self.stale = 0, math.inf, 0
         self.best_weights = _weights(self.network)
 
-    def run(self) -> nn.Module:
+    def run(self) -> Backbone:
         """Train, from the last checkpoint if there is one, and return the network that validated best, in eval mode.
 
         Raises TrainingError when the loss is no number in the first epoch; later, the best network is kept.
@@ -148,7 +159,7 @@ class Trainer:
         self.network.load_state_dict(self.best_weights)
         return self.network.eval()
 
-    def _run_epochs(self, validation: Queries) -> None:
+    def _run_epochs(self, validation: TrainingTouches) -> None:
         with self.problem.progress.task("training the encoder", self.recipe.epochs) as advance:
             advance(self.epoch)
             for queries in self.source.epochs(self.epoch, self.recipe.epochs):
@@ -163,30 +174,36 @@ class Trainer:
                     log.info("no better validation for %d epochs: stopped early", self.stale)
                     break
 
-    def _train_epoch(self, queries: Queries) -> float:
+    def _train_epoch(self, queries: TrainingTouches) -> float:
         """One epoch of steps; returns the mean loss (unitless), NaN as soon as one is."""
         self.network.train()
         order = np.random.default_rng([self.recipe.seed, self.epoch, 2, self.crew.rank])
-        losses, keys = [], self._keys(self.key_network)
+        losses: list[float] = []
         for step in range(self.steps):
-            if self.recipe.refresh and step and step % self.recipe.refresh == 0:
-                keys = self._keys(self.key_network)
-            loss = self._step(queries.batch(self.batch, order), keys, step, order)
+            if step == 0 or (self.recipe.refresh and step % self.recipe.refresh == 0):
+                press_m = self._drawn_press(step)
+                keys = self._keys(self.key_network, press_m)
+            loss = self._step(queries.batch(self.batch, order, press_m, self.decoys), keys, step, order)
             losses.append(loss)
             if not math.isfinite(loss):
                 return math.nan
         self.epoch += 1
         return float(np.mean(losses))
 
-    def _step(self, batch: tuple[Float32, Any, Any], keys: torch.Tensor, step: int, rng: np.random.Generator) -> float:
-        depth_m, press_m, labels = batch
+    def _drawn_press(self, step: int) -> float:
+        """The press, metres, at which touches and keys are compared from a step on, the same in all processes."""
+        presses_m = self.problem.key_presses_m
+        rng = np.random.default_rng([self.recipe.seed, self.epoch, 4, step])
+        return float(presses_m[0] if len(presses_m) == 1 else rng.choice(presses_m))
+
+    def _step(self, batch: TrainingBatch, keys: torch.Tensor, step: int, rng: np.random.Generator) -> float:
         for group in self.optimizer.param_groups:
             group["lr"] = self._rate(self.epoch + step / self.steps)
-        vectors = self.recipe.embed(self.network, depth_m, press_m, self.problem.scene.geometry, self.device)
-        targets = torch.from_numpy(labels).to(self.device)
+        vectors = self._embed(batch)
+        targets = torch.from_numpy(batch.labels).to(self.device)
         if self.recipe.negatives and self.recipe.negatives < len(keys):
             keys, targets = _sampled(keys, targets, self.recipe.negatives, rng)
-        loss = F.cross_entropy(vectors.float() @ keys.T / self.recipe.temperature, targets)
+        loss = F.cross_entropy(self._scores(vectors, keys, batch), targets)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         self.crew.average(p.grad for p in self.network.parameters() if p.grad is not None)
@@ -202,18 +219,33 @@ class Trainer:
         warm = min(1.0, epochs_done / 0.5 + 0.02)
         return self.recipe.rate * warm * (0.505 + 0.495 * math.cos(math.pi * epochs_done / self.recipe.epochs))
 
+    def _embed(self, batch: TrainingBatch) -> torch.Tensor:
+        """The unit vectors (B * V, D) of a batch's views, a touch's side by side."""
+        size = batch.depth_m.shape[2:]
+        depth_m, press_m = batch.depth_m.reshape(-1, *size), np.repeat(batch.press_m, batch.depth_m.shape[1])
+        known = batch.seen.reshape(-1, *size) if self.problem.partly_seen else None
+        return self.recipe.embed(self.network, depth_m, press_m, self.problem.geometry, self.device, known)
+
+    def _scores(self, vectors: torch.Tensor, keys: torch.Tensor, batch: TrainingBatch) -> torch.Tensor:
+        """How alike each touch is to each of N keys in each of its views: (B, V * N), the right view first."""
+        scores = vectors.float() @ keys.T / self.recipe.temperature
+        if batch.counts.all():
+            return scores.reshape(len(batch), -1)
+        counts = torch.from_numpy(batch.counts).to(self.device)
+        return scores.reshape(*counts.shape, -1).masked_fill(~counts[..., None], -math.inf).flatten(1)
+
     @torch.no_grad()
-    def _keys(self, network: nn.Module) -> torch.Tensor:
-        """Encode the grid's clean contact shapes, each process some of them: keys (N, D)."""
-        geometry = self.problem.scene.geometry
-        training = network.training
+    def _keys(self, network: nn.Module, press_m: float) -> torch.Tensor:
+        """Encode what the keys show, cut at a press, metres, each process some of them: keys (N, D)."""
+        problem, training = self.problem, network.training
         network.eval()
         rows = []
-        for shard in self.problem.shapes():
+        for shard in problem.clean_keys(press_m):
             for part in np.array_split(shard, -(-len(shard) // KEYS_AT_ONCE)):
                 own = part[self.crew.rank :: self.crew.size]
+                known = np.ones(own.shape, np.bool_) if problem.partly_seen else None
                 vectors = self.recipe.embed(
-                    network, own, np.full(len(own), geometry.max_depth_m), geometry, self.device
+                    network, own, np.full(len(own), press_m), problem.geometry, self.device, known
                 )
                 keys = vectors.new_zeros((len(part), vectors.shape[1]), dtype=torch.float32)
                 keys[self.crew.rank :: self.crew.size] = vectors.float()
@@ -222,19 +254,23 @@ class Trainer:
         return self.crew.add(torch.cat(rows))
 
     @torch.no_grad()
-    def _validate(self, validation: Queries) -> tuple[float, float]:
-        """Return the loss (unitless) and the median distance, metres, of the best grid pose from the label's."""
+    def _validate(self, validation: TrainingTouches) -> tuple[float, float]:
+        """Return the loss (unitless) and the median distance, metres, of the best key's pose from the label's."""
         self.network.eval()
         rng = np.random.default_rng([self.recipe.seed, 3])
-        depth_m, press_m, labels = validation.batch(len(validation), rng)
-        vectors = self.recipe.embed(self.network, depth_m, press_m, self.problem.scene.geometry, self.device).float()
-        scores = vectors @ self._keys(self.network).T / self.recipe.temperature
-        loss = F.cross_entropy(scores, torch.from_numpy(labels).to(self.device))
-        phi = self.problem.grid.phi
-        errors = np.linalg.norm(phi[scores.argmax(dim=1).cpu().numpy()] - phi[labels], axis=1)
-        return float(loss), float(np.median(errors))
+        presses_m = self.problem.key_presses_m
+        some_m = presses_m[np.linspace(0, len(presses_m) - 1, min(len(presses_m), VALIDATION_PRESSES)).astype(int)]
+        losses, errors_m = [], []
+        for press_m in some_m:
+            batch = validation.batch(len(validation) // len(some_m), rng, press_m, self.decoys)
+            keys = self._keys(self.network, press_m)
+            scores = self._scores(self._embed(batch), keys, batch)
+            losses.append(float(F.cross_entropy(scores, torch.from_numpy(batch.labels).to(self.device))))
+            found = scores.argmax(dim=1).cpu().numpy() % len(keys)
+            errors_m.append(self.problem.key_distances(found, batch.labels))
+        return float(np.mean(losses)), float(np.median(np.concatenate(errors_m)))
 
-    def _judge(self, loss: float, validation: Queries) -> None:
+    def _judge(self, loss: float, validation: TrainingTouches) -> None:
         """Keep the network if its validation loss is the least so far: unlike the error, it moves in small steps."""
         validation_loss, error_m = self.crew.agree(self._validate(validation))
         shown = f"loss {loss:.2f}, validation loss {validation_loss:.2f}, validation best-1 {error_m * 1e3:.2f} mm"

@@ -1,0 +1,100 @@
+"""What encoders learn from where the poses that are searched are listed: a key is a pose's contact shape."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.poses.metric import PoseGrid
+from tactile_loc.core.progress import Progress
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.simulation.contact_poses import random_contacts
+from tactile_loc.core.simulation.noise import TouchNoise
+from tactile_loc.core.slots.component import Float32
+from tactile_loc.core.slots.encoder import Checkpoints, TrainingBatch, TrainingProblem, TrainingTouches
+from tactile_loc.core.slots.grid import GridSampler
+from tactile_loc.core.slots.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class ListedTouches(TrainingTouches):
+    """Clean contact depths (N, H, W) in metres at full press, and each touch's label (N,): its nearest grid pose."""
+
+    depth_m: Float32
+    labels: NDArray[np.int64]
+    noise: TouchNoise
+    geometry: SensorGeometry
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def batch(self, count: int, rng: np.random.Generator, press_m: float, decoys: int = 0) -> TrainingBatch:
+        """Draw `count` different touches, made noisy, of all presses: keys are those of the deepest.
+
+        Listed poses are not turned: there are no decoys.
+        """
+        chosen = np.sort(rng.choice(len(self), count, replace=False))
+        deepest = self.geometry.max_depth_m
+        press = self.noise.draw_press(count, deepest, rng)
+        measured = self.noise.measure_press(press, deepest, rng)
+        depth = self.noise.cut(self.noise.corrupt(self.depth_m[chosen], press, self.geometry, rng), press, measured)
+        seen = np.broadcast_to(self.geometry.observed_mask, depth.shape)
+        return TrainingBatch(
+            depth[:, None], seen[:, None], measured, self.labels[chosen], np.ones((count, 1), np.bool_)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ListedProblem(TrainingProblem):
+    """Learn to find the nearest pose of a `grid`.
+
+    `shapes` returns the contact depths (S, H, W) in metres of its poses at full press, shard by shard in its order.
+    Touches are at fresh poses from `sampler`, rendered through `scene`.
+    """
+
+    grid: PoseGrid
+    scene: Scene
+    sampler: GridSampler
+    shapes: Callable[[], Iterable[Float32]]
+    progress: Progress = field(default_factory=Progress)
+    checkpoints: Checkpoints = field(default_factory=Checkpoints)
+    partly_seen = False
+
+    @property
+    def geometry(self) -> SensorGeometry:
+        """The sensor's geometry."""
+        return self.scene.geometry
+
+    @property
+    def key_presses_m(self) -> NDArray[np.float64]:
+        """The sensor's deepest press (1,), metres."""
+        return np.array([self.scene.geometry.max_depth_m])
+
+    def __len__(self) -> int:
+        return len(self.grid)
+
+    def clean_keys(self, press_m: float) -> Iterable[Float32]:
+        """Return the contact depths (S, H, W) of the grid's poses at full press, metres, in shards."""
+        return self.shapes()
+
+    def draw(self, count: int, noise: TouchNoise, rng: np.random.Generator) -> TrainingTouches:
+        """Render `count` touches at random poses of the continuous set that the grid covers."""
+        depths: list[Float32] = []
+        labels: list[NDArray[np.int64]] = []
+
+        def misplaced(poses: Poses) -> Poses:
+            return noise.misplace(poses, self.geometry, rng)
+
+        for poses, depth in random_contacts(self.sampler, self.scene, count, rng, misplaced):
+            depths.append(depth)
+            labels.append(self.grid.nearest(poses)[1])
+        return ListedTouches(np.concatenate(depths), np.concatenate(labels), noise, self.geometry)
+
+    def key_distances(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return how far apart poses `first` (K,) and `second` (K,) of the grid are, metres, symmetry not regarded."""
+        phi = self.grid.phi
+        return np.asarray(np.linalg.norm(phi[first] - phi[second], axis=1))

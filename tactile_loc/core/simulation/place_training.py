@@ -1,0 +1,250 @@
+"""What encoders learn from where an object's places are searched: a key is a place's patch, wholly seen.
+
+A touch is seen as the search sees it: from its deepest point, turned back by the yaw that brings it nearest to one of
+the places, and only as far as the sensor reaches. The search tries all yaws, so decoys are turned by other ones.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.errors import ConfigError, GridError, TouchError
+from tactile_loc.core.geometry.rigid import Poses, invert, make_transform
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.poses.turned import TurnedPoses
+from tactile_loc.core.progress import Progress
+from tactile_loc.core.sensing.places import CAMERA, HIGHEST_M, PATCH_PX, PITCH_M, PRESS_STEP_M, Places
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.simulation.contact_poses import random_contacts
+from tactile_loc.core.simulation.noise import TouchNoise
+from tactile_loc.core.slots.component import Float32
+from tactile_loc.core.slots.encoder import Checkpoints, TrainingBatch, TrainingProblem, TrainingTouches
+from tactile_loc.core.slots.grid import GridSampler
+from tactile_loc.core.slots.scene import Scene
+
+KEYS = 1024  # in a shard
+PIXEL_M = 0.8 * PITCH_M  # at most, of the touches that are learned from
+LIGHTEST = 0.25  # of the sensor's deepest press: so deep at least touches are pressed
+REACH = 2.0  # of the grid's spacing: what is farther from all places teaches nothing
+CLEAR = 2  # steps of yaw between a touch that is turned rightly and its decoys
+MOST_ROUNDS = 50
+
+
+class Labels(NamedTuple):
+    """Of M touches: the nearest places (M,), the yaws (M,), rad, by which they are turned, how far they are (M,), m."""
+
+    numbers: NDArray[np.int64]
+    yaw_rad: NDArray[np.float64]
+    off_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceProblem(TrainingProblem):
+    """Learn to find the nearest of an object's `places`, and the yaw by which it is turned.
+
+    Touches are at random poses of `sampler`, whose option `turns` is the number of yaws that are tried; they are
+    rendered through `scene`, which nothing presses yet.
+    """
+
+    places: Places
+    scene: Scene
+    sampler: GridSampler
+    progress: Progress = field(default_factory=Progress)
+    checkpoints: Checkpoints = field(default_factory=Checkpoints)
+    partly_seen = True
+
+    @property
+    def geometry(self) -> SensorGeometry:
+        """The camera that sees patches."""
+        return CAMERA
+
+    @property
+    def key_presses_m(self) -> NDArray[np.float64]:
+        """The presses (P,), metres, from a light one to the sensor's deepest, in the steps in which places are cut."""
+        deepest_m = min(HIGHEST_M, self.scene.geometry.max_depth_m)
+        first = max(1, round(LIGHTEST * deepest_m / PRESS_STEP_M))
+        last = max(first, int(deepest_m / PRESS_STEP_M + 1e-6))
+        return np.round(np.arange(first, last + 1, dtype=np.float64) * PRESS_STEP_M, 9)
+
+    @property
+    def grid(self) -> PoseGrid:
+        """Raise ConfigError: no poses are listed."""
+        raise ConfigError(
+            f"an object's {len(self)} places are no listed poses, which this encoder learns from; choose --grid face, "
+            "--grid hopf, or another encoder"
+        )
+
+    @property
+    def shapes(self) -> PoseGrid:
+        """Raise ConfigError: no poses are listed."""
+        return self.grid
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def clean_keys(self, press_m: float) -> Iterable[Float32]:
+        """Return the contact depths (S, PATCH_PX, PATCH_PX) of the places, cut at a press, metres, in shards."""
+        for start in range(0, len(self.places), KEYS):
+            yield self.places.depths(press_m, slice(start, start + KEYS))
+
+    def draw(self, count: int, noise: TouchNoise, rng: np.random.Generator) -> TrainingTouches:
+        """Render `count` touches at random poses, of which a place is near. Raises GridError where hardly any is."""
+        kept_depths: list[Float32] = []
+        kept_poses: list[Poses] = []
+        missing = count
+
+        def misplaced(poses: Poses) -> Poses:
+            return noise.misplace(poses, self.fine.geometry, rng)
+
+        for _ in range(MOST_ROUNDS):
+            for poses, depths in random_contacts(self.sampler, self.fine, missing, rng, misplaced):
+                near = self._near_a_place(depths, poses)
+                kept_depths.append(depths[near])
+                kept_poses.append(poses[near])
+                missing -= int(near.sum())
+            if missing <= 0:
+                return PlaceTouches(np.concatenate(kept_depths), np.concatenate(kept_poses), noise, self)
+        raise GridError(
+            f"hardly any random touch of {self.scene.object.name} is near one of the grid's places; raise "
+            "grid.directions"
+        )
+
+    def _near_a_place(self, depths_m: Float32, T_sensor_object: Poses) -> NDArray[np.bool_]:
+        """Which (M,) of contact depths (M, H, W) at full press are touches that a place is near to; metres."""
+        touches = [self.touch(depth, self.fine.geometry.max_depth_m) for depth in depths_m]
+        near = np.array([touch is not None for touch in touches], np.bool_)
+        some = [touch for touch in touches if touch is not None]
+        if some:
+            near[near] = self.labels(some, T_sensor_object[near]).off_m <= self.reach_m
+        return near
+
+    def key_distances(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return how far apart places `first` (K,) and `second` (K,) are as poses, metres, at the best yaw."""
+        T = self.places.T_place_object
+        return np.array(
+            [TurnedPoses(T[[b]], self._metric).nearest(T[[a]])[0][0] for a, b in zip(first, second, strict=True)]
+        )
+
+    @cached_property
+    def fine(self) -> Scene:
+        """The scene of the touches, at full press, and at few pixels that are finer than a patch's."""
+        geometry = self.scene.geometry
+        pixels = int(np.ceil(geometry.pixel_pitch_m * max(geometry.shape) / PIXEL_M))
+        geometry = geometry.with_long_side(min(pixels, max(geometry.shape))).pressed(geometry.max_depth_m)
+        return dataclasses.replace(self.scene.as_seen(), geometry=geometry)
+
+    @cached_property
+    def turned(self) -> TurnedPoses:
+        """The places as poses that may be turned by any yaw."""
+        return TurnedPoses(self.places.T_place_object, self._metric)
+
+    @cached_property
+    def _metric(self) -> PoseMetric:
+        return PoseMetric(self.scene.object)
+
+    @property
+    def reach_m(self) -> float:
+        """How far the pose that a touch shows may be from the nearest place's, metres."""
+        return REACH * 1e-3 * self.sampler.options.spacing_mm
+
+    @property
+    def yaw_step_rad(self) -> float:
+        """The step between yaws that are tried, rad."""
+        return float(2 * np.pi / self.sampler.options.turns)
+
+    def touch(self, depth_m: Float32, press_m: float) -> Touch | None:
+        """Return the touch of a contact depth (H, W) at full press, cut at `press_m`, metres; None where it is none."""
+        geometry = self.fine.geometry
+        try:
+            return Touch(ContactShape(depth_m, press_m, geometry.indentation_m), geometry)
+        except TouchError:
+            return None
+
+    def full(self, depth_m: Float32) -> ContactShape:
+        """Return the contact shape of a contact depth (H, W), metres, at full press."""
+        return ContactShape(depth_m, self.fine.geometry.max_depth_m)
+
+    def labels(self, touches: Sequence[Touch], T_sensor_object: Poses) -> Labels:
+        """Return the places nearest to touches, whose true poses are (M, 4, 4), metres."""
+        off_m, numbers, yaw_rad = self.turned.nearest(as_anchored(touches, T_sensor_object))
+        return Labels(numbers, yaw_rad, off_m)
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceTouches(TrainingTouches):
+    """Clean contact depths (N, H, W) at full press, and the poses (N, 4, 4) that they are believed to show, metres."""
+
+    depth_m: Float32
+    T_sensor_object: Poses
+    noise: TouchNoise
+    problem: PlaceProblem
+
+    def __len__(self) -> int:
+        return len(self.depth_m)
+
+    def batch(self, count: int, rng: np.random.Generator, press_m: float, decoys: int = 0) -> TrainingBatch:
+        """Draw `count` different touches, measured to be pressed by `press_m` metres or a step more, and made noisy.
+
+        Each has `decoys` decoys. A touch that noise hides, or moves away from all places, stays clean.
+        """
+        from tactile_loc.core.sensing.turned_patches import anchor, turned_patches
+
+        problem, chosen = self.problem, np.sort(rng.choice(len(self), count, replace=False))
+        touches, labels = self._noisy(chosen, rng, press_m)
+        step_rad, poses = problem.yaw_step_rad, self.T_sensor_object[chosen]
+        yaw_rad = np.empty((count, 1 + decoys))
+        yaw_rad[:, 0] = labels.yaw_rad + step_rad * rng.uniform(-0.5, 0.5, count)
+        away_rad = rng.uniform(CLEAR * step_rad, 2 * np.pi - CLEAR * step_rad, (count, decoys))
+        yaw_rad[:, 1:] = labels.yaw_rad[:, None] + away_rad
+        off_m = problem.turned.distances(as_anchored(touches, poses), labels.numbers, yaw_rad)
+        counts = off_m > labels.off_m[:, None] + 0.25 * problem.reach_m
+        counts[:, 0] = True
+        depth_m = np.empty((*yaw_rad.shape, PATCH_PX, PATCH_PX), np.float32)
+        seen = np.empty(depth_m.shape, np.bool_)
+        for k, touch in enumerate(touches):
+            depth_m[k], seen[k] = turned_patches(touch, *anchor(touch), yaw_rad[k])
+        depth_m = np.minimum(depth_m, np.float32(press_m))
+        return TrainingBatch(depth_m, seen, np.full(count, press_m), labels.numbers, counts)
+
+    def _noisy(self, chosen: NDArray[np.int64], rng: np.random.Generator, press_m: float) -> tuple[list[Touch], Labels]:
+        """The touches `chosen` (M,) with noise, but for those that it would spoil, and their labels."""
+        problem, noise, poses = self.problem, self.noise, self.T_sensor_object[chosen]
+        geometry, clean = problem.fine.geometry, self.depth_m[chosen]
+        believed_m = np.minimum(press_m + PRESS_STEP_M * rng.random(len(chosen)), geometry.max_depth_m)
+        # as far as a press is measured too deep, one that is measured so was lighter
+        true_m = np.minimum(believed_m**2 / noise.measure_press(believed_m, np.inf, rng), geometry.max_depth_m)
+        noisy = noise.cut(noise.corrupt(clean, true_m, geometry, rng), true_m, np.full(len(chosen), press_m))
+        plain = [self._clean(depth, press_m) for depth in clean]
+        shown = [problem.touch(depth, press_m) for depth in noisy]
+        touches = [one or other for one, other in zip(shown, plain, strict=True)]
+        labels = problem.labels(touches, poses)
+        far = np.flatnonzero(labels.off_m > problem.reach_m)
+        if len(far):
+            for k in far:
+                touches[k] = plain[k]
+            for whole, some in zip(labels, problem.labels([plain[k] for k in far], poses[far]), strict=True):
+                whole[far] = some
+        return touches, labels
+
+    def _clean(self, depth_m: Float32, press_m: float) -> Touch:
+        """A touch without noise, cut at a press depth, metres, or at full press where that leaves no contact."""
+        problem = self.problem
+        light = problem.touch(np.minimum(depth_m, np.float32(press_m)), press_m)
+        return light or Touch(problem.full(depth_m), problem.fine.geometry)
+
+
+def as_anchored(touches: Sequence[Touch], T_sensor_object: Poses) -> Poses:
+    """Return poses (M, 4, 4), metres, as seen from where each of M touches is deepest, along the gel's normal."""
+    from tactile_loc.core.sensing.turned_patches import anchor
+
+    anchors = [anchor(touch) for touch in touches]
+    T_sensor_anchor = make_transform(np.stack([R for _, R in anchors]), np.stack([at_m for at_m, _ in anchors]))
+    return np.asarray(invert(T_sensor_anchor) @ T_sensor_object)

@@ -1,0 +1,72 @@
+"""The embeddings of an object's places, and what an encoder learns of them: from the store, or made at first use."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from tactile_loc.core.progress import Progress
+from tactile_loc.core.sensing.places import CAMERA, Places
+from tactile_loc.core.simulation.place_training import PlaceProblem
+from tactile_loc.core.slots.encoder import Encoder
+from tactile_loc.core.slots.grid import GridSampler
+from tactile_loc.core.slots.scene import Scene
+from tactile_loc.locate.model import STAGE_VERSIONS, train_encoder
+from tactile_loc.locate.scoring import Scores
+from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import StageStore
+from tactile_loc.store.workspace import Workspace
+
+TRAINING_VERSION = 1  # of how touches are drawn that an encoder learns places from
+ENCODED = 512  # places at once: what fits a cache
+
+
+class PlaceBanks:
+    """Encodes an object's places, for each press depth anew; trains the encoder before, if it learns.
+
+    `key` is the places' in the store.
+    """
+
+    def __init__(
+        self, places: Places, key: StageKey, scene: Scene, sampler: GridSampler, encoder: Encoder, store: StageStore,
+        progress: Progress,
+    ) -> None:  # fmt: skip
+        self.places, self.key, self.scene, self.sampler = places, key, scene, sampler
+        self.encoder, self.store, self.progress = encoder, store, progress
+
+    @property
+    def encoder_key(self) -> StageKey | None:
+        """The key under which what the encoder learned is stored; None if it needs no training."""
+        if not self.encoder.capabilities.needs_training:
+            return None
+        return StageKey("encoder", STAGE_VERSIONS["encoder"], {
+            "places": self.key.digest, "training": TRAINING_VERSION, "encoder": self.encoder.describe(),
+            "sensor": self.scene.geometry.describe(), "renderer": self.scene.renderer.describe(),
+        }, self.scene.object.name)  # fmt: skip
+
+    @cached_property
+    def trained(self) -> str:
+        """The digest of what the encoder learned: trained now, or read from the store; empty if it learns nothing."""
+        return train_encoder(
+            self.encoder, self.encoder_key,
+            lambda kept: PlaceProblem(self.places, self.scene, self.sampler, self.progress, kept), self.store,
+        )  # fmt: skip
+
+    def bank(self, press_depth_m: float) -> Scores:
+        """Return the bank (N, D) of the places cut at a press depth, metres.
+
+        That of an encoder that learned is stored: a network takes longer to encode places than to read them.
+        """
+        if not self.trained:
+            return self._encoded(press_depth_m)
+        key = StageKey("bank", STAGE_VERSIONS["bank"], {"trained": self.trained, "press_depth_m": press_depth_m})
+        return np.asarray(self.store.build(key, lambda work: self._save(work, press_depth_m)).load_array("bank"))
+
+    def _save(self, work: Workspace, press_depth_m: float) -> None:
+        work.save_array("bank", self._encoded(press_depth_m))
+
+    def _encoded(self, press_depth_m: float) -> Scores:
+        starts = range(0, len(self.places), ENCODED)
+        depths = (self.places.depths(press_depth_m, slice(start, start + ENCODED)) for start in starts)
+        return np.concatenate([self.encoder.encode(some, press_depth_m, CAMERA) for some in depths])
