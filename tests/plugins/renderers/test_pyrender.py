@@ -80,6 +80,23 @@ def test_closing_one_renderer_leaves_the_others_alone(camera, sphere, pressed, n
     np.testing.assert_array_equal(one.render(sphere, pressed, camera), expected)
 
 
+def test_a_renderer_that_is_collected_while_another_draws_leaves_it_alone(camera, sphere, pressed, new_pyrender):
+    """Closed at the worst moment: in the middle of a picture, as the garbage collector may do it."""
+    drawing, unused = new_pyrender(), new_pyrender()
+    expected = drawing.render(sphere, pressed, camera)
+    unused.render(sphere, pressed, camera)
+    inner = drawing._offscreen._renderer
+    render = inner.render
+
+    def interrupted(*words, **named):
+        unused.close()
+        return render(*words, **named)
+
+    inner.render = interrupted
+    np.testing.assert_array_equal(drawing.render(sphere, pressed, camera), expected)
+    assert unused._offscreen is None
+
+
 def test_closed_renderer_opens_again(camera, sphere, pressed, new_pyrender):
     renderer = new_pyrender()
     expected = renderer.render(sphere, pressed, camera)

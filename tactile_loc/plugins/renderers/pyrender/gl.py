@@ -120,17 +120,26 @@ class Offscreen(pyrender.OffscreenRenderer):  # type: ignore[misc]
             EGL.eglMakeCurrent(display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT)
 
     def delete(self) -> None:
-        """Free this renderer's OpenGL resources; harmless when they are freed already."""
+        """Free this renderer's OpenGL resources; harmless when they are freed already.
+
+        A renderer may be collected while another one draws in the same thread: the context that is current stays so.
+        """
         platform, renderer, self._renderer = self._platform, self._renderer, None
         if platform is None or renderer is None:
             return
-        platform.make_current()
-        renderer.delete()
-        self._release()
         self._platform = None
         if (display := getattr(platform, "_egl_display", None)) is None:
+            platform.make_current()
+            renderer.delete()
             platform.delete_context()
-        else:
-            from OpenGL import EGL
+            return
+        from OpenGL import EGL
 
-            EGL.eglDestroyContext(display, platform._egl_context)
+        drawing = EGL.eglGetCurrentDisplay(), EGL.eglGetCurrentContext()
+        surfaces = [EGL.eglGetCurrentSurface(which) for which in (EGL.EGL_DRAW, EGL.EGL_READ)]
+        platform.make_current()
+        renderer.delete()
+        EGL.eglMakeCurrent(display, EGL.EGL_NO_SURFACE, EGL.EGL_NO_SURFACE, EGL.EGL_NO_CONTEXT)
+        if drawing[1] and drawing[1] != platform._egl_context:
+            EGL.eglMakeCurrent(drawing[0], *surfaces, drawing[1])
+        EGL.eglDestroyContext(display, platform._egl_context)
