@@ -18,6 +18,7 @@ from pathlib import Path
 import numba
 import torch
 
+from tactile_loc.core.progress import StageTimes
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.keys import hash_arrays
 from tactile_loc.store.store import StageStore
@@ -35,7 +36,8 @@ localizer = Localizer.create(
 localizer.describe_scores()
 learned = {name: weights.numpy() for name, weights in localizer.encoder._network.state_dict().items()}
 (touch,) = localizer.simulate(1)
-print(before, torch.get_num_threads(), hash_arrays(**learned), hash_arrays(scores=localizer.scores([touch])[0]))
+((_, scores),) = localizer.source.score([touch], StageTimes())
+print(before, torch.get_num_threads(), hash_arrays(**learned), hash_arrays(scores=scores))
 """
 
 
