@@ -126,8 +126,8 @@ class RunOptions:
     option: Annotated[
         list[str] | None,
         set_option(
-            "A component's option, as grid.spacing_mm=3; may be repeated; `plugins SLOT NAME` lists them. Or a plain "
-            "setting of the configuration, as drawing=paper."
+            "A component's option, as grid.spacing_mm=3; may be repeated; `plugins SLOT NAME` lists them. Or a number "
+            "to tune, of search, hypotheses or tracker, as search.registered=500. Or a plain setting, as drawing=paper."
         ),
     ] = None
     config: Annotated[

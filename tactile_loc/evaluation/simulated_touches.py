@@ -23,7 +23,7 @@ MOST_DRAWS = 20  # of a touch whose image shows none
 
 @dataclass(frozen=True)
 class SimulatedTouches:
-    """Touches of a localizer's object, of a noise that `tactile_loc.core.simulation.touch_simulation.noise` names.
+    """Touches of a localizer's object, of a noise that `tactile_loc.core.simulation.noise` names.
 
     Number i of a seed is always the same touch: how many there are, and the encoder, play no part. With `images` the
     sensor, which must have been calibrated on simulated images, reads it from an image made with the same lamps; the

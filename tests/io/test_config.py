@@ -7,6 +7,7 @@ from pydantic import ValidationError
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.io.config import RunConfig, parse_overrides, parse_settings
+from tactile_loc.io.options import TUNABLE
 from tactile_loc.io.toml import read_toml
 
 
@@ -129,3 +130,23 @@ def test_plain_settings_are_told_from_components_options():
     )
     with pytest.raises(ConfigError, match=naming("drawing", "'papr'", "'paper'")):
         RunConfig.from_dict({"drawing": "papr"})
+
+
+def test_numbers_to_tune_are_tables_of_the_configuration():
+    words = ["search.registered=50", "tracker.modes=3", "hypotheses.refined=5", "grid.directions=400"]
+    tables = parse_overrides(words, (*SLOTS, *TUNABLE))
+    assert tables["grid"] == {"directions": 400}
+    config = RunConfig.from_dict({name: tables[name] for name in TUNABLE})
+    assert (config.search.registered, config.tracker.modes, config.hypotheses.refined) == (50, 3, 5)
+    with pytest.raises(ConfigError, match=naming("'search'")):
+        parse_overrides(["search.registered=50"])
+
+
+@pytest.mark.parametrize(
+    ("table", "values"),
+    [({"registred": 5}, ("search.registred", "registered")), ({"registered": 0}, ("search.registered", 0, 1))],
+    ids=["unknown", "out of range"],
+)
+def test_a_number_to_tune_that_cannot_be_is_refused(table, values):
+    with pytest.raises(ConfigError, match=naming(*values)):
+        RunConfig.from_dict({"search": table})

@@ -201,8 +201,10 @@ def validate_options(model: Any, values: Mapping[str, Any], owner: str) -> Any:
         key = ".".join(map(str, problem["loc"])) or "options"
         if problem["type"] == "extra_forbidden":
             fields = model.model_fields
+            for table in problem["loc"][:-1]:  # an option of a table: those of that table are meant
+                fields = getattr(fields[str(table)].annotation, "model_fields", fields)
             allowed = ", ".join(f"{k} ({_name_type(f.annotation)})" for k, f in fields.items()) or "none at all"
-            near = did_you_mean(key, fields)
+            near = did_you_mean(str(problem["loc"][-1]), fields)
             raise ConfigError(f"the {owner} has no option {key!r}.{near} Its options: {allowed}") from error
         raise ConfigError(
             f"the {owner} cannot take {key} = {quoted(problem['input'])}: {problem['msg'].lower()}"
