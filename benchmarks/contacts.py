@@ -42,7 +42,7 @@ from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.result import Agreement, Localization
+from tactile_loc.locate.results.localization import Agreement, Localization
 from tactile_loc.store.store import StageStore
 
 WITHIN_MM = (0.5, 1.0)

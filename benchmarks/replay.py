@@ -30,10 +30,10 @@ from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.slides import BASE, IMAGE_TOPIC, T_BASE_OBJECT, Slide, draw_random_slide, write_slide
-from tactile_loc.io.recordings import Recording
-from tactile_loc.io.ros_messages import read_pose, read_stamp_ns
+from tactile_loc.io.streams.recordings import Recording
+from tactile_loc.io.streams.ros_messages import read_pose, read_stamp_ns
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.located_frame import LocatedFrame
+from tactile_loc.locate.results.located_frame import LocatedFrame
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.replay import Replay
 from tactile_loc.tasks.replay_files import Replayed, replay_to

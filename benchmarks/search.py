@@ -33,7 +33,7 @@ from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.protocol import measure_contact_share
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result import Localization
+from tactile_loc.locate.results.localization import Localization
 from tactile_loc.store.store import StageStore
 
 AREAS = (0.0, 0.01, 0.03, 0.1, 1.0)  # borders of the share of the sensor in contact

@@ -35,7 +35,7 @@ from tactile_loc.drawing.tasks import draw_next_touch
 from tactile_loc.evaluation.robot_touches import RobotTouches, draw_approaches
 from tactile_loc.evaluation.sequences import SlidingTouches
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.verdict import Verdict
+from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.tasks.next_touch import next_touch
 from tactile_loc.tasks.pose_modes import MOST_MODES
 from tactile_loc.tasks.tracker import TrackedPose, Tracker

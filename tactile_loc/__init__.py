@@ -34,25 +34,25 @@ if TYPE_CHECKING:
     from tactile_loc.io.approach_files import Approach as Approach
     from tactile_loc.io.approach_files import read_approaches as read_approaches
     from tactile_loc.io.config import RunConfig as RunConfig
-    from tactile_loc.io.frame_sources import open_source as open_source
     from tactile_loc.io.meshes import load_object as load_object
     from tactile_loc.io.options import HypothesisOptions as HypothesisOptions
     from tactile_loc.io.options import SearchOptions as SearchOptions
     from tactile_loc.io.options import TrackerOptions as TrackerOptions
-    from tactile_loc.io.recordings import Recording as Recording
-    from tactile_loc.io.recordings import choose_image_topic as choose_image_topic
-    from tactile_loc.io.ros_messages import RosPose as RosPose
-    from tactile_loc.io.ros_messages import image_array as image_array
+    from tactile_loc.io.streams.frame_sources import open_source as open_source
+    from tactile_loc.io.streams.recordings import Recording as Recording
+    from tactile_loc.io.streams.recordings import choose_image_topic as choose_image_topic
+    from tactile_loc.io.streams.ros_messages import RosPose as RosPose
+    from tactile_loc.io.streams.ros_messages import image_array as image_array
     from tactile_loc.io.touches import read_touch as read_touch
     from tactile_loc.io.touches import touch_from_image as touch_from_image
     from tactile_loc.io.touches import write_touch as write_touch
     from tactile_loc.locate.localizer import Localizer as Localizer
     from tactile_loc.locate.localizer import localize_together as localize_together
-    from tactile_loc.locate.located_frame import LocatedFrame as LocatedFrame
     from tactile_loc.locate.probabilities import TemperatureScaling as TemperatureScaling
-    from tactile_loc.locate.result import Hypothesis as Hypothesis
-    from tactile_loc.locate.result import Localization as Localization
-    from tactile_loc.locate.verdict import Verdict as Verdict
+    from tactile_loc.locate.results.localization import Hypothesis as Hypothesis
+    from tactile_loc.locate.results.localization import Localization as Localization
+    from tactile_loc.locate.results.located_frame import LocatedFrame as LocatedFrame
+    from tactile_loc.locate.results.verdict import Verdict as Verdict
     from tactile_loc.store.store import StageStore as StageStore
     from tactile_loc.sweeps.plan import Plan as Plan
     from tactile_loc.sweeps.results import write_sweep as write_sweep

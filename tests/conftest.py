@@ -22,7 +22,7 @@ from tactile_loc.drawing import pictures, pose_panel
 from tactile_loc.locate import conformal as coverage
 from tactile_loc.locate import probabilities
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result import Localization
+from tactile_loc.locate.results.localization import Localization
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.store.store import StageStore
 from tactile_loc.testing.problems import LOPSIDED_CAMERAS

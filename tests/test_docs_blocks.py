@@ -24,10 +24,10 @@ from tactile_loc import Localizer, load_object, write_touch
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.evaluation.slides import draw_random_slide, write_slide
 from tactile_loc.io.approach_files import read_approaches
-from tactile_loc.io.frame_sources import ImageFolder
 from tactile_loc.io.mount_files import MountRecord, write_mount
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.sensor_files import read_sensor_file
+from tactile_loc.io.streams.frame_sources import ImageFolder
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.live import LiveLocator

@@ -13,7 +13,7 @@ import pytest
 from tactile_loc.core.geometry.hand_eye import moved
 from tactile_loc.core.geometry.rigid import make_transform, random_rotations, rotation_about
 from tactile_loc.core.simulation.noise import NOISE
-from tactile_loc.locate.verdict import Verdict
+from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.tasks.tracker import TrackedPose
 
 spec = importlib.util.spec_from_file_location("guide", Path(__file__).parents[1] / "docs" / "pictures.py")

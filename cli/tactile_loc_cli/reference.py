@@ -112,7 +112,7 @@ def _show_help(arguments: list[str]) -> str:
 
 
 def _describe_schema() -> Iterator[str]:
-    from tactile_loc.locate import result_json as results
+    from tactile_loc.locate.results import result_json as results
 
     yield (
         "## result.json\n\nEverything that a run found, and everything it was made from. Lengths in metres, times in "

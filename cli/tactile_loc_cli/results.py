@@ -13,7 +13,7 @@ from tactile_loc_cli.console import say, say_table
 
 if TYPE_CHECKING:
     from tactile_loc.io.mount_files import MountRecord, MountTouchRecord
-    from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord
+    from tactile_loc.locate.results.result_json import HypothesisRecord, ResultRecord
     from tactile_loc.locate.touch_files import LocatedFile
     from tactile_loc.tasks.identify_files import IdentificationRecord, KnownObjectRecord
     from tactile_loc.tasks.next_touch_files import NextTouchRecord, RatedRecord

@@ -13,8 +13,8 @@ from press_sets import ball_set, write_calibrated, write_table
 from report_helpers import sweep_rows, write_run, write_sweep
 
 from tactile_loc.io.config import RunConfig
-from tactile_loc.io.recordings import RecordingWriter, write_recording
-from tactile_loc.io.ros_messages import IMAGE, TF, make_image, make_transforms
+from tactile_loc.io.streams.recordings import RecordingWriter, write_recording
+from tactile_loc.io.streams.ros_messages import IMAGE, TF, make_image, make_transforms
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore

@@ -22,9 +22,9 @@ from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes import load_object
 from tactile_loc.io.mount_files import read_mount
 from tactile_loc.io.prior_files import read_prior
-from tactile_loc.io.recordings import Message, Recording
-from tactile_loc.io.ros_messages import IMAGE_TYPES, image_array, read_stamp_ns
 from tactile_loc.io.sensor_files import read_sensor_file
+from tactile_loc.io.streams.recordings import Message, Recording
+from tactile_loc.io.streams.ros_messages import IMAGE_TYPES, image_array, read_stamp_ns
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.io.touches import read_touch
 from tactile_loc.reports import find_source, write_report

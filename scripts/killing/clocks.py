@@ -15,7 +15,7 @@ from pathlib import Path
 from killing import remains
 from killing.commands import COMMANDS, Moment, Place, end_group
 from killing.trials import Plan, Trials
-from tactile_loc.io.recordings import Recording, RecordingWriter, write_recording
+from tactile_loc.io.streams.recordings import Recording, RecordingWriter, write_recording
 
 YEAR_S = 365 * 86400
 FAKETIME = shutil.which("faketime")

@@ -17,7 +17,7 @@ from PIL import Image
 
 from killing.commands import Place
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.io.recordings import Recording
+from tactile_loc.io.streams.recordings import Recording
 from tactile_loc.store.artifact import MANIFEST, read_artifact
 from tactile_loc.store.keys import hash_file
 from tactile_loc.store.store import Entry, StageStore

@@ -18,7 +18,7 @@ from tactile_loc.calibration.labels import Image
 from tactile_loc.calibration.reading import reduce_image
 from tactile_loc.core.errors import CalibrationError, TactileLocError
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_colour_image, write_image
-from tactile_loc.io.videos import VIDEO_SUFFIXES, read_video
+from tactile_loc.io.streams.videos import VIDEO_SUFFIXES, read_video
 from tactile_loc.store.files import replace_folder
 
 SHEET = "labels.png"

@@ -15,7 +15,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.drawing.pose_panel import EDGE, STEEL, TRUTH, draw_pose
-from tactile_loc.locate.result import Localization
+from tactile_loc.locate.results.localization import Localization
 from tactile_loc.store.files import write_atomically
 
 if TYPE_CHECKING:

@@ -21,9 +21,9 @@ from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.scene import Scene
-from tactile_loc.locate.located_frame import LocatedFrame
-from tactile_loc.locate.result import Localization
-from tactile_loc.locate.result_arrays import find_most_probable, reduce_mesh
+from tactile_loc.locate.results.localization import Localization
+from tactile_loc.locate.results.located_frame import LocatedFrame
+from tactile_loc.locate.results.result_arrays import find_most_probable, reduce_mesh
 from tactile_loc.store.files import require_writable, write_atomically
 from tactile_loc.tasks.replay import FrameRecord, FrameView, Replay
 

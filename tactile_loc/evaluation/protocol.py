@@ -184,7 +184,7 @@ def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> Eva
 
 def make_evaluation_key(localizer: Localizer, count: int, touches: SimulatedTouches) -> StageKey:
     """Return the key under which an evaluation is stored: everything that decides its errors."""
-    refiner = {"refiner": localizer.refiner.describe()}
+    refiner = {"refiner": localizer.refinement.refiner.describe()}
     return StageKey("evaluation", PROTOCOL_VERSION, {**describe_located(localizer, touches, count), **refiner})
 
 

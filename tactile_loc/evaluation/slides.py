@@ -22,8 +22,8 @@ from tactile_loc.evaluation.robot_touches import NO_NOISE, measure_noisily
 from tactile_loc.evaluation.simulated_touches import require_true_pose
 from tactile_loc.imaging.optics import Optics
 from tactile_loc.imaging.simulate import render_touches
-from tactile_loc.io.recordings import RecordingWriter, write_recording
-from tactile_loc.io.ros_messages import (
+from tactile_loc.io.streams.recordings import RecordingWriter, write_recording
+from tactile_loc.io.streams.ros_messages import (
     IMAGE,
     NS,
     POSE_STAMPED,

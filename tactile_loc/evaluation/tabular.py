@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.io.records import read_versions
+from tactile_loc.io.streams.records import read_versions
 from tactile_loc.store.files import write_atomically
 
 Table = list[list[str]]

@@ -17,7 +17,7 @@ from tactile_loc.core.slots.refiner import Candidate
 from tactile_loc.core.slots.scene import View
 from tactile_loc.io.options import HypothesisOptions
 from tactile_loc.locate.hypotheses import Refine, apart
-from tactile_loc.locate.result import Agreement, Hypothesis
+from tactile_loc.locate.results.localization import Agreement, Hypothesis
 
 FAR = 0.45  # imprint IoU: a touch contradicts a pose that explains it so much worse than another one does
 WELL = 0.7  # imprint IoU: what a pose explains of touches that agree on it, their mean

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from tactile_loc.locate.result_json import ResultRecord
-from tactile_loc.locate.verdict import LEAST_IOU
+from tactile_loc.locate.results.result_json import ResultRecord
+from tactile_loc.locate.results.verdict import LEAST_IOU
 
 
 def list_doubts(record: ResultRecord) -> list[str]:

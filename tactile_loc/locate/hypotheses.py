@@ -17,7 +17,7 @@ from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.slots.refiner import Candidate, RefinedPose
 from tactile_loc.core.slots.scene import IOU_PX, View
 from tactile_loc.io.options import HypothesisOptions
-from tactile_loc.locate.result import Hypothesis
+from tactile_loc.locate.results.localization import Hypothesis
 
 SHARPNESS = 30.0  # nats that an imprint IoU of 1 is worth beside errors of sensor poses
 STILL_MOVING = 10

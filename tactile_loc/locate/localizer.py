@@ -24,7 +24,7 @@ from tactile_loc.core.simulation.touch_simulation import simulate_touches
 from tactile_loc.core.slots.common_poses import require_sensor_poses
 from tactile_loc.core.slots.compatibility import require_compatible
 from tactile_loc.core.slots.matcher import ExactMatcher
-from tactile_loc.core.slots.refiner import Candidate, RefinedPose, Refiner
+from tactile_loc.core.slots.refiner import Candidate, RefinedPose
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.io.config import RunConfig
@@ -36,7 +36,8 @@ from tactile_loc.locate.fitted_probabilities import FittedProbabilities
 from tactile_loc.locate.hypotheses import find_hypotheses, keep_likeliest
 from tactile_loc.locate.model import STAGE_VERSIONS, ObjectPoseModel
 from tactile_loc.locate.place_banks import PlaceBanks
-from tactile_loc.locate.result import Agreement, Hypothesis, Localization
+from tactile_loc.locate.refinement import Refinement
+from tactile_loc.locate.results.localization import Agreement, Hypothesis, Localization
 from tactile_loc.locate.scoring import NewMatcher
 from tactile_loc.locate.search import PlaceSearch, build_places, search_together
 from tactile_loc.locate.sources import GridSource, PlaceSource, PoseSource
@@ -55,11 +56,10 @@ class Localizer:
         self.sensor = self._create("sensor")
         self.sampler = self._create("grid")
         self.encoder = self._create("encoder")
-        self.refiner: Refiner = self._create("refiner")
         self.fuser = self._create("fuser")
         renderer = self._create("renderer")
         self._require_compatible(renderer)
-        self.registration = JointRegistration()
+        self.refinement = Refinement(self._create("refiner"), JointRegistration(), config.together)
         self.scene = Scene(obj, self.sensor.geometry, renderer, config.drawing)
         coarse = self.sensor.geometry.with_long_side(config.shape_px)
         coarse = coarse.pressed(coarse.max_depth_m)  # the grid's, at full press
@@ -87,7 +87,7 @@ class Localizer:
     def _require_compatible(self, renderer: Any) -> None:
         """Raise ConfigError for components that cannot work together."""
         made = {
-            "sensor": self.sensor, "grid": self.sampler, "encoder": self.encoder, "refiner": self.refiner,
+            "sensor": self.sensor, "grid": self.sampler, "encoder": self.encoder, "refiner": self.refinement.refiner,
             "fuser": self.fuser, "renderer": renderer, "matcher": self._create("matcher"),
         }  # fmt: skip
         require_compatible(made, {slot: getattr(self.config, slot).name for slot in made})
@@ -184,6 +184,11 @@ class Localizer:
         }  # fmt: skip
 
     @property
+    def other_refinement(self) -> str:
+        """Which parts of locating the joint registration does instead of the chosen refiner, and why; "" if none."""
+        return self.refinement.explain_others(self.config.refiner.name, self.sampler.capabilities.places)
+
+    @property
     def mode_radius_m(self) -> float:
         """How near to one another poses count as one mode, metres."""
         spacing_mm: float = self.sampler.options.spacing_mm
@@ -244,51 +249,7 @@ class Localizer:
         """Refine poses of the posterior's grid against the touch, in the order of their indices."""
         poses = posterior.grid.T_sensor_object
         candidates = [Candidate(poses[index], int(index), float(posterior.log_p[index])) for index in indices]
-        return self.refiner.refine_many(touch, candidates, self.scene.of_touch(touch))
-
-    def refine_together(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
-        """Refine candidates against one touch or several, by the chosen refiner or, of several, `refines_jointly`."""
-        if len(views) == 1 or not self.refines_jointly:
-            return self.refiner.refine_together(views, candidates)
-        return self.registration.refine(views, np.stack([candidate.T_sensor_object for candidate in candidates]))
-
-    @property
-    def refines_jointly(self) -> bool:
-        """Whether the joint registration refines against several touches, as the chosen refiner knows one at a time."""
-        one_at_a_time = type(self.refiner).refine_together is Refiner.refine_together
-        return one_at_a_time and self.refiner.capabilities.refines and self.config.together == "joint"
-
-    @property
-    def other_refinement(self) -> str:
-        """Which parts of locating the joint registration does instead of the chosen refiner, and why; "" if none."""
-        if self.refiner.capabilities.covariances:
-            return ""
-        parts = [
-            "the rough search" if self.sampler.capabilities.places else "",
-            "touches together" if self.refines_jointly else "",
-            "covariances" if self.refiner.capabilities.refines else "",
-        ]
-        named = ", ".join(part for part in parts if part)
-        if not named:
-            return ""
-        return (
-            f"the joint registration does {named}; the refiner {self.config.refiner.name} refines one touch's "
-            "hypotheses, as it gives no covariance and is too slow for hundreds of poses"
-        )
-
-    def add_covariances(self, views: Sequence[View], hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
-        """Return hypotheses with the joint registration's covariances where the refiner gives none.
-
-        They are of the touches `views`. A pose that was not refined has none.
-        """
-        unknown = [k for k, h in enumerate(hypotheses) if h.refined.covariance is None]
-        if not unknown or not self.refiner.capabilities.refines:
-            return tuple(hypotheses)
-        found = list(hypotheses)
-        poses = np.stack([hypotheses[k].T_sensor_object for k in unknown])
-        for k, covariance in zip(unknown, self.registration.covariances(views, poses), strict=True):
-            found[k] = replace(hypotheses[k], refined=replace(hypotheses[k].refined, covariance=covariance))
-        return tuple(found)
+        return self.refinement.refiner.refine_many(touch, candidates, self.scene.of_touch(touch))
 
 
 Observation = tuple[Localizer, Touch]
@@ -406,7 +367,7 @@ class _Question:
         hypotheses, agreement = self._refine(modes, alone, posterior)
         with self.times.stage("choose"):
             kept = hypotheses if pose_set is not None else hypotheses[: self.top]
-            listed = self.first.add_covariances(self.views, kept)
+            listed = self.first.refinement.add_covariances(self.views, kept)
         touch, *others = self.touches
         return Localization(touch, posterior, listed, self.times.seconds, tuple(others), pose_set, agreement)
 
@@ -438,7 +399,7 @@ class _Question:
                 trusted = [view for k, view in enumerate(self.views) if k not in outliers]
                 some = keep_likeliest(modes, trusted, radius_m, options)
             return find_hypotheses(
-                self.views, some, first.refine_together, posterior.grid.metric, first.merge_radius_m, self.known,
+                self.views, some, first.refinement.refine, posterior.grid.metric, first.merge_radius_m, self.known,
                 self.times, outliers,
             )  # fmt: skip
 
@@ -447,7 +408,7 @@ class _Question:
             if first.source.searched:
                 own = [localizer.posteriors([touch], self.times)[0] for localizer, touch in self.observations]
             with self.times.stage("refine"):
-                ious = [explain_alone(view, p, first.refine_together, radius_m, options)
+                ious = [explain_alone(view, p, first.refinement.refine, radius_m, options)
                         for view, p in zip(self.views, own, strict=True)]  # fmt: skip
             return np.array(ious)
 

@@ -21,8 +21,8 @@ from tactile_loc.io.images import IMAGE_SUFFIXES
 from tactile_loc.io.mount_files import Mount
 from tactile_loc.io.touch_lists import ListedTouch, read_touch_list
 from tactile_loc.locate.localizer import Localizer, Observation
-from tactile_loc.locate.result import Hypothesis, Localization
-from tactile_loc.locate.verdict import Verdict
+from tactile_loc.locate.results.localization import Hypothesis, Localization
+from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.store.files import write_atomically
 
 log = logging.getLogger(__name__)

@@ -12,7 +12,7 @@ from tactile_loc.core.errors import ResultError
 from tactile_loc.core.formatting import mm
 from tactile_loc.evaluation import fusion_tables, tables
 from tactile_loc.evaluation.metrics import LEVELS
-from tactile_loc.io.records import read_document
+from tactile_loc.io.streams.records import read_document
 from tactile_loc.io.toml import format_toml
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.reports.pictures import encode_gallery

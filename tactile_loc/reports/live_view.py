@@ -15,8 +15,8 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.drawing.pose_panel import choose_view
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result_arrays import reduce_mesh
-from tactile_loc.locate.verdict import explain_verdict
+from tactile_loc.locate.results.result_arrays import reduce_mesh
+from tactile_loc.locate.results.verdict import explain_verdict
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.tasks.live import LiveRecord, LiveResult

@@ -13,9 +13,9 @@ from tactile_loc.core.formatting import millimetres, percent
 from tactile_loc.core.geometry.rigid import format_pose
 from tactile_loc.io.toml import format_toml
 from tactile_loc.locate.doubts import list_doubts
-from tactile_loc.locate.result_arrays import NAME, ResultArrays, TouchArrays, read_arrays
-from tactile_loc.locate.result_json import HypothesisRecord, ResultRecord, TouchRecord, read_record
-from tactile_loc.locate.verdict import explain_verdict, name_verdict
+from tactile_loc.locate.results.result_arrays import NAME, ResultArrays, TouchArrays, read_arrays
+from tactile_loc.locate.results.result_json import HypothesisRecord, ResultRecord, TouchRecord, read_record
+from tactile_loc.locate.results.verdict import explain_verdict, name_verdict
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.distribution import SurfaceDistribution, count_yaws, map_sides, spread_over_surface
 from tactile_loc.reports.page import Page, Section

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_loc.core.slots.registry import SLOTS
-from tactile_loc.io.records import read_document
+from tactile_loc.io.streams.records import read_document
 from tactile_loc.io.toml import format_toml
 from tactile_loc.reports.page import Page, Section
 

@@ -23,7 +23,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.scene import IOU_PX, View
 from tactile_loc.locate.hypotheses import explained_where_seen
 from tactile_loc.locate.localizer import Localizer, localize_together, view_of
-from tactile_loc.locate.result import Localization
+from tactile_loc.locate.results.localization import Localization
 from tactile_loc.tasks.library import Glance, Library
 
 Float64 = NDArray[np.float64]

@@ -12,7 +12,7 @@ from pydantic import Field
 from tactile_loc.core.errors import ObjectError
 from tactile_loc.core.progress import Progress
 from tactile_loc.io.config import RunConfig
-from tactile_loc.io.records import Record
+from tactile_loc.io.streams.records import Record
 from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.stored_object import SELF_CONTAINED, stored_object

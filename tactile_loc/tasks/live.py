@@ -13,11 +13,11 @@ from pydantic import Field
 
 from tactile_loc.core.errors import NoContactError, TactileLocError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.frame_sources import SourceFrame
+from tactile_loc.io.streams.frame_sources import SourceFrame
 from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.located_frame import LocatedFrame, LocatedRecord, count_frames, record_fields
-from tactile_loc.locate.verdict import Verdict
+from tactile_loc.locate.results.located_frame import LocatedFrame, LocatedRecord, count_frames, record_fields
+from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.tasks.tracker import Tracker
 
 Floats = NDArray[np.float64]

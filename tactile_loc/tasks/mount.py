@@ -33,7 +33,7 @@ from tactile_loc.core.slots.scene import View
 from tactile_loc.io.mount_files import Mount, MountRecord, MountTouchRecord
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result import Hypothesis
+from tactile_loc.locate.results.localization import Hypothesis
 from tactile_loc.locate.touch_files import read_listed_touch
 from tactile_loc.tasks.mount_guess import MountGuess, guess_mounts
 
@@ -244,7 +244,7 @@ class _Registration:
     @classmethod
     def of(cls, localizer: Localizer, given: FlangeTouches) -> _Registration:
         views = [View(touch, localizer.scene.of_touch(touch)) for touch in given.touches]
-        return cls(given, views, localizer.registration, PoseMetric(localizer.object))
+        return cls(given, views, localizer.refinement.registration, PoseMetric(localizer.object))
 
     def converged(self, X: Floats, Y: Floats, some: NDArray[np.bool_], finely: bool = False) -> tuple[Floats, Floats]:
         """X and Y that explain some of the touches (N,) best; `finely` from near there, else from a first guess."""

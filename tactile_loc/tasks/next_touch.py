@@ -25,7 +25,7 @@ from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.approach_files import Approach
-from tactile_loc.locate.result import Localization
+from tactile_loc.locate.results.localization import Localization
 from tactile_loc.tasks.pose_modes import PoseModes, entropy_of
 
 Float64 = NDArray[np.float64]

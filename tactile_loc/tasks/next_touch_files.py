@@ -12,10 +12,10 @@ from pydantic import Field
 
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.objects.symmetry import SymmetryGroup
-from tactile_loc.io.records import Record
+from tactile_loc.io.streams.records import Record
 from tactile_loc.io.toml import Matrix
-from tactile_loc.locate.result_arrays import NAME, read_arrays
-from tactile_loc.locate.result_json import read_record
+from tactile_loc.locate.results.result_arrays import NAME, read_arrays
+from tactile_loc.locate.results.result_json import read_record
 from tactile_loc.tasks.next_touch import NextTouch, RatedApproach
 from tactile_loc.tasks.pose_modes import PoseModes, distinct_modes, sharpness_of
 

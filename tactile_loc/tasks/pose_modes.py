@@ -17,7 +17,7 @@ from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.locate.hypotheses import best_apart
-from tactile_loc.locate.result import Localization
+from tactile_loc.locate.results.localization import Localization
 
 Float64 = NDArray[np.float64]
 

@@ -15,13 +15,13 @@ from pydantic import Field
 from tactile_loc.core.errors import FrameError, RecordingError, StoreError, TactileLocError
 from tactile_loc.core.geometry.frame_tree import FrameTree
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.recordings import Message, Recording
-from tactile_loc.io.ros_messages import Topic, image_array, read_stamp_ns
+from tactile_loc.io.streams.recordings import Message, Recording
+from tactile_loc.io.streams.ros_messages import Topic, image_array, read_stamp_ns
 from tactile_loc.io.toml import Matrix
 from tactile_loc.io.touches import touch_from_image
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.located_frame import LocatedFrame, LocatedRecord, count_frames, record_fields
-from tactile_loc.locate.verdict import Verdict
+from tactile_loc.locate.results.located_frame import LocatedFrame, LocatedRecord, count_frames, record_fields
+from tactile_loc.locate.results.verdict import Verdict
 
 Estimator = Callable[[Touch], LocatedFrame]  # what a touch comes to: of a localizer, or of a tracker
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from tactile_loc.core.geometry.rigid import axis_angle
-from tactile_loc.io.recordings import RecordingWriter, write_recording
-from tactile_loc.io.ros_messages import POSE, RosPose, make_pose
-from tactile_loc.locate.located_frame import LocatedFrame
+from tactile_loc.io.streams.recordings import RecordingWriter, write_recording
+from tactile_loc.io.streams.ros_messages import POSE, RosPose, make_pose
+from tactile_loc.locate.results.located_frame import LocatedFrame
 from tactile_loc.store.files import write_atomically, write_json
 from tactile_loc.tasks.replay import Estimator, FrameRecord, Replay, ReplaySummary, require_located
 from tactile_loc.tasks.replay_journal import Journal, journal

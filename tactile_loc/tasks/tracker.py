@@ -34,8 +34,8 @@ from tactile_loc.core.registration.joint_registration import JointRegistration, 
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.scene import View
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.located_frame import LocatedFrame
-from tactile_loc.locate.verdict import Verdict, judge
+from tactile_loc.locate.results.located_frame import LocatedFrame
+from tactile_loc.locate.results.verdict import Verdict, judge
 from tactile_loc.tasks.pose_filter import PoseFilter, SeenPose, motion_errors
 
 Floats = NDArray[np.float64]
@@ -125,7 +125,7 @@ class Tracker:
         self._creep = np.diag(np.square([creep_m] * 3 + [creep_rad] * 3))
         self.options = options = localizer.config.tracker
         nearby = RegistrationOptions(scale_mm=options.near_mm, iterations=options.iterations)
-        self._registration, self._first_registration = JointRegistration(nearby), localizer.registration
+        self._registration, self._first_registration = JointRegistration(nearby), localizer.refinement.registration
         self._slip_std = np.array([1e-3 * options.slip_mm] * 3 + [math.radians(options.slip_deg)] * 3)
         self._metric = PoseMetric(localizer.object)
         self._modes: list[_Mode] = []

@@ -21,7 +21,7 @@ import pytest
 from cli_helpers import HANGS_S, TINY, assert_refused, command, hear_ctrl_c
 from message_helpers import missing
 
-from tactile_loc.io import frame_sources
+from tactile_loc.io.streams import frame_sources
 
 LOCATED = ["--object", "pin", *TINY, "-o", "temperature=0.001"]
 WITH_POSE = {"certain", "ambiguous", "poor fit"}  # of a grid so coarse, any

@@ -17,8 +17,16 @@ from rerun_helpers import read
 
 from tactile_loc.core.geometry.hand_eye import pose_errors
 from tactile_loc.evaluation.slides import T_BASE_OBJECT, T_FLANGE_GEL
-from tactile_loc.io.recordings import Recording, write_recording
-from tactile_loc.io.ros_messages import IMAGE, TF, make_image, make_transforms, read_pose, read_stamp_ns, read_transform
+from tactile_loc.io.streams.recordings import Recording, write_recording
+from tactile_loc.io.streams.ros_messages import (
+    IMAGE,
+    TF,
+    make_image,
+    make_transforms,
+    read_pose,
+    read_stamp_ns,
+    read_transform,
+)
 
 HEAD = ["--object", "head", "--sensor", "gelslim"]
 LOCATED = [*HEAD, *TINY, "-o", "temperature=0.001"]  # which need not be fitted then

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.io.meshes import load_object
-from tactile_loc.locate import result_arrays
+from tactile_loc.locate.results import result_arrays
 from tactile_loc.plugins.grids.face import resting_normal
 
 ROOT = Path(__file__).parents[2]

@@ -13,8 +13,8 @@ from rerun_helpers import read
 from tactile_loc.core.errors import MissingLibraryError, OutputError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.drawing.rerun_log import DEVIATIONS, Logged, RerunLog, describe_pose, require_rerun, write_localization
-from tactile_loc.locate.located_frame import LocatedFrame
-from tactile_loc.locate.verdict import Verdict
+from tactile_loc.locate.results.located_frame import LocatedFrame
+from tactile_loc.locate.results.verdict import Verdict
 
 T = make_transform(rotation_about([1, 2, 3], 0.8), [0.001, -0.002, 0.03])
 C = np.diag(np.square([1e-4, 3e-4, 2e-4, 0.01, 0.02, 0.03]))

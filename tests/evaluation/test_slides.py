@@ -12,8 +12,8 @@ from tactile_loc.core.sensing.touch import contact_shape_from_array
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.evaluation.slides import FLANGE, GEL, Photos, Slide, draw_slide, write_slide
 from tactile_loc.imaging.optics import OPTICS
-from tactile_loc.io.recordings import Recording
-from tactile_loc.io.ros_messages import image_array
+from tactile_loc.io.streams.recordings import Recording
+from tactile_loc.io.streams.ros_messages import image_array
 
 START = make_transform(rotation_about([1, 2, 0], 0.6), [0.001, 0.0, 0.02])
 IMAGES = 25

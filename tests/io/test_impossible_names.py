@@ -23,7 +23,7 @@ from tactile_loc.core.errors import (
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.io.config import find_sensor_kind
 from tactile_loc.io.meshes import load_object
-from tactile_loc.io.recordings import Recording
+from tactile_loc.io.streams.recordings import Recording
 from tactile_loc.io.toml import read_toml
 from tactile_loc.io.touches import read_contents
 from tactile_loc.reports import find_source

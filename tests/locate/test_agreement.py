@@ -15,7 +15,7 @@ from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.agreement import agree
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.result import Hypothesis
+from tactile_loc.locate.results.localization import Hypothesis
 
 ELSEWHERE = make_transform(rotation_about([0, 0, 1], np.radians(30)), [0.006, 0.004, 0.0])
 

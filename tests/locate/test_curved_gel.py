@@ -39,7 +39,9 @@ def test_three_touches_of_a_curved_gel_say_where_the_object_is(localizer, exampl
 
 def test_from_the_truth_the_joint_refiner_stays_at_the_truth(localizer, examples):
     refined = [
-        localizer.refiner.refine(some[0], Candidate(np.asarray(some[0].T_sensor_object), 0, 0.0), scene).T_sensor_object
+        localizer.refinement.refiner.refine(
+            some[0], Candidate(np.asarray(some[0].T_sensor_object), 0, 0.0), scene
+        ).T_sensor_object
         for some in examples
         for scene in [localizer.scene.of_touch(some[0])]
     ]

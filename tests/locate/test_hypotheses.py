@@ -14,7 +14,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.core.slots.scene import View
 from tactile_loc.locate.hypotheses import SHARPNESS, best_apart, explained_where_seen, merge_hypotheses, weigh
-from tactile_loc.locate.result import Hypothesis
+from tactile_loc.locate.results.localization import Hypothesis
 from tactile_loc.testing.problems import box
 
 

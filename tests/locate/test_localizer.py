@@ -16,7 +16,7 @@ from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.io.meshes import load_object
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result import Localization
+from tactile_loc.locate.results.localization import Localization
 from tactile_loc.locate.scoring import MOST_MATCHERS
 from tactile_loc.store.store import StageStore
 

@@ -13,9 +13,9 @@ import pytest
 from message_helpers import missing, naming
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.io.frame_sources import SourceFrame
-from tactile_loc.locate.located_frame import LocatedFrame
-from tactile_loc.locate.verdict import MEANINGS, Verdict, explain_verdict
+from tactile_loc.io.streams.frame_sources import SourceFrame
+from tactile_loc.locate.results.located_frame import LocatedFrame
+from tactile_loc.locate.results.verdict import MEANINGS, Verdict, explain_verdict
 from tactile_loc.reports.live_server import Board, LiveServer
 from tactile_loc.reports.live_view import describe_frame, make_live_page, render_shape
 from tactile_loc.reports.page import JSON_OPTIONS, render

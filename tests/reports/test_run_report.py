@@ -13,9 +13,9 @@ from report_helpers import Elements, floats, html_of, numbers_in, page_in
 
 from tactile_loc.core.errors import ResultError
 from tactile_loc.core.geometry.rigid import rotation_about
-from tactile_loc.locate.result_arrays import read_arrays
-from tactile_loc.locate.result_json import read_record
-from tactile_loc.locate.verdict import MEANINGS
+from tactile_loc.locate.results.result_arrays import read_arrays
+from tactile_loc.locate.results.result_json import read_record
+from tactile_loc.locate.results.verdict import MEANINGS
 from tactile_loc.reports.page import render
 from tactile_loc.reports.run import find_surface, make_result_page
 
@@ -118,7 +118,7 @@ def test_without_the_truth_no_error_is_claimed(run_folder, tmp_path, monkeypatch
     for h in document["hypotheses"]:
         h["error_m"] = None
     (folder / "result.json").write_text(json.dumps(document))
-    monkeypatch.setattr("tactile_loc.locate.result_arrays.hash_record", lambda record: "same")
+    monkeypatch.setattr("tactile_loc.locate.results.result_arrays.hash_record", lambda record: "same")
     with np.load(folder / "result.npz") as file:
         arrays = {name: file[name] for name in file.files} | {"result_sha256": np.array("same")}
     np.savez(folder / "result.npz", **arrays)

@@ -10,9 +10,9 @@ import pytest
 
 from tactile_loc.core.errors import GridError, TouchError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.frame_sources import ImageFolder, SourceFrame
+from tactile_loc.io.streams.frame_sources import ImageFolder, SourceFrame
 from tactile_loc.io.touches import write_touch
-from tactile_loc.locate.verdict import Verdict
+from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.tasks.live import LiveLocator, LiveRecord, LiveSummary
 from tactile_loc.tasks.tracker import Tracker
 

@@ -18,7 +18,7 @@ from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.mount_files import Mount, read_mount, write_mount
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result import Hypothesis
+from tactile_loc.locate.results.localization import Hypothesis
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.tasks import mount
 from tactile_loc.tasks.mount import FlangeTouches, find_mount, mount_record, require_determined, require_motions

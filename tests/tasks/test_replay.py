@@ -15,11 +15,11 @@ from message_helpers import missing, naming
 from tactile_loc.core.errors import FrameError, GridError, OutputError, RecordingError, StoreError
 from tactile_loc.core.geometry.rigid import covariance_along, make_transform, rotation_about
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.recordings import Recording, RecordingWriter, choose_image_topic, write_recording
-from tactile_loc.io.ros_messages import IMAGE, TF, make_image, make_transforms, read_pose, read_stamp_ns
+from tactile_loc.io.streams.recordings import Recording, RecordingWriter, choose_image_topic, write_recording
+from tactile_loc.io.streams.ros_messages import IMAGE, TF, make_image, make_transforms, read_pose, read_stamp_ns
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.located_frame import LocatedFrame
-from tactile_loc.locate.verdict import Verdict
+from tactile_loc.locate.results.located_frame import LocatedFrame
+from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.tasks.replay import Replay, ReplaySummary
 from tactile_loc.tasks.replay_files import replay_to
 from tactile_loc.tasks.replay_journal import journal

@@ -17,7 +17,7 @@ from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import SlidingTouches
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.verdict import Verdict
+from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 from tactile_loc.tasks.tracker import Motion, Tracker
 

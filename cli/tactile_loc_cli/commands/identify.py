@@ -45,7 +45,7 @@ def identify(
     Each object's model is built the first time and kept. The exit code is 1 if the touches are more probably of none of
     these objects than of any.
     """
-    from tactile_loc.io.records import write_record
+    from tactile_loc.io.streams.records import write_record
     from tactile_loc.store.store import StageStore
     from tactile_loc.tasks.identify import identify as identify_touches
     from tactile_loc.tasks.identify_files import identification_record, read_library

@@ -19,7 +19,7 @@ from tactile_loc_cli.console import say, say_reasons, say_written
 from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
-    from tactile_loc.io.frame_sources import FrameSource
+    from tactile_loc.io.streams.frame_sources import FrameSource
     from tactile_loc.locate.localizer import Localizer
     from tactile_loc.tasks.live import LiveLocator, LiveResult, LiveSummary
 
@@ -98,7 +98,7 @@ def live(
     What is found is shown on a local web page, and each result is a line of JSON. Where frames come faster than they
     are located, the newest counts, and the others are dropped. Ends when a video does, or with Ctrl-C.
     """
-    from tactile_loc.io.frame_sources import open_source
+    from tactile_loc.io.streams.frame_sources import open_source
     from tactile_loc.tasks.live import LiveLocator, LiveSummary
     from tactile_loc.tasks.tracker import Tracker
 

@@ -34,7 +34,7 @@ def next_touch(result: Result, candidates: Candidates, top: Top = 10, out: Out =
     from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.drawing.tasks import draw_next_touch
     from tactile_loc.io.approach_files import read_approaches
-    from tactile_loc.io.records import write_record
+    from tactile_loc.io.streams.records import write_record
     from tactile_loc.tasks.next_touch import next_touch as choose
     from tactile_loc.tasks.next_touch_files import next_touch_record, read_modes
     from tactile_loc_cli.results import say_next_touch

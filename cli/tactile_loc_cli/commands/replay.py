@@ -17,7 +17,7 @@ from tactile_loc_cli.console import say, say_reasons, say_written
 from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
-    from tactile_loc.io.recordings import Contents
+    from tactile_loc.io.streams.recordings import Contents
     from tactile_loc.tasks.replay_files import Replayed
 
 logger = logging.getLogger(__name__)
@@ -77,8 +77,8 @@ def replay(
     No ROS is needed. Writes a new recording with a PoseWithCovarianceStamped for each image that shows the object,
     and the poses as a table (.csv) and as JSON. Interrupted, the same command goes on where it was.
     """
-    from tactile_loc.io.recordings import Recording
-    from tactile_loc.io.recordings import choose_image_topic as chosen
+    from tactile_loc.io.streams.recordings import Recording
+    from tactile_loc.io.streams.recordings import choose_image_topic as chosen
     from tactile_loc.tasks.replay import Replay
     from tactile_loc.tasks.replay_files import replay_to
 

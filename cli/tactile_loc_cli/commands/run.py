@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing.touch import Touch
     from tactile_loc.io.config import RunConfig
     from tactile_loc.locate.localizer import Localizer, Observation
-    from tactile_loc.locate.result import Localization
-    from tactile_loc.locate.result_json import ResultRecord
+    from tactile_loc.locate.results.localization import Localization
+    from tactile_loc.locate.results.result_json import ResultRecord
     from tactile_loc.locate.touch_files import LocatedFile
 
 logger = logging.getLogger(__name__)
@@ -142,10 +142,10 @@ def _report(
 ) -> dict[str, Any]:
     """Show the result, write it (result.json, .npz, .png and, if asked for, the page), and return it and the paths."""
     from tactile_loc.drawing.pictures import draw_result, save_figure
-    from tactile_loc.io.records import write_record
+    from tactile_loc.io.streams.records import write_record
     from tactile_loc.locate.doubts import list_doubts
-    from tactile_loc.locate.result_arrays import NAME, gather_arrays, write_arrays
-    from tactile_loc.locate.result_json import make_record
+    from tactile_loc.locate.results.result_arrays import NAME, gather_arrays, write_arrays
+    from tactile_loc.locate.results.result_json import make_record
     from tactile_loc_cli.results import make_title, say_result
 
     localizer = observations[0][0]
@@ -210,7 +210,7 @@ def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool) 
 
 def _warn_of_doubtful(names: list[str]) -> None:
     """Say of which touches the best pose is hardly right."""
-    from tactile_loc.locate.verdict import LEAST_IOU
+    from tactile_loc.locate.results.verdict import LEAST_IOU
 
     if names:
         some = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
@@ -223,8 +223,8 @@ def _warn_of_doubtful(names: list[str]) -> None:
 def _write(localizer: Localizer, localization: Localization, folder: Path, picture: bool) -> ResultRecord:
     """Write one touch's result, and return it."""
     from tactile_loc.drawing.pictures import draw_result, save_figure
-    from tactile_loc.io.records import write_record
-    from tactile_loc.locate.result_json import make_record
+    from tactile_loc.io.streams.records import write_record
+    from tactile_loc.locate.results.result_json import make_record
     from tactile_loc_cli.results import make_title
 
     record = make_record(localizer, localization)

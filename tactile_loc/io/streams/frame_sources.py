@@ -19,8 +19,8 @@ from tactile_loc.core.errors import MissingLibraryError, SourceError, TactileLoc
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.sensor import SensorModel
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_colour_image
+from tactile_loc.io.streams.videos import TO_INSTALL, read_video, read_video_facts
 from tactile_loc.io.touches import read_contents, read_touch, touch_from_image
-from tactile_loc.io.videos import TO_INSTALL, read_video, read_video_facts
 
 SUFFIXES = (".npz", ".npy", *IMAGE_SUFFIXES)
 POLL_S = 0.05

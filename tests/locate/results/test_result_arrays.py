@@ -17,8 +17,8 @@ from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.io.records import read_document
-from tactile_loc.locate.result_arrays import (
+from tactile_loc.io.streams.records import read_document
+from tactile_loc.locate.results.result_arrays import (
     ResultArrays,
     TouchArrays,
     find_most_probable,
@@ -28,7 +28,7 @@ from tactile_loc.locate.result_arrays import (
     unpack_arrays,
     write_arrays,
 )
-from tactile_loc.locate.result_json import read_record
+from tactile_loc.locate.results.result_json import read_record
 
 
 @pytest.fixture

@@ -17,9 +17,9 @@ from message_helpers import missing, naming
 from PIL import Image
 
 from tactile_loc.core.errors import MissingLibraryError, SourceError, TouchError
-from tactile_loc.io import frame_sources
-from tactile_loc.io.frame_sources import Camera, ImageFolder, SourceFrame, Video, open_source
-from tactile_loc.io.videos import VideoFacts
+from tactile_loc.io.streams import frame_sources
+from tactile_loc.io.streams.frame_sources import Camera, ImageFolder, SourceFrame, Video, open_source
+from tactile_loc.io.streams.videos import VideoFacts
 
 
 def until_it_fails(frames: Iterable[SourceFrame]) -> tuple[list[SourceFrame], str]:

@@ -17,12 +17,12 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.registry import SLOTS, registry
 from tactile_loc.io.config import TouchConfig
 from tactile_loc.io.mount_files import Covariance
-from tactile_loc.io.records import Record, read_document, read_versions
+from tactile_loc.io.streams.records import Record, read_document, read_versions
 from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result import Localization
-from tactile_loc.locate.verdict import Verdict
+from tactile_loc.locate.results.localization import Localization
+from tactile_loc.locate.results.verdict import Verdict
 
 SCHEMA_VERSION = 2
 

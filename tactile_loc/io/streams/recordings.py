@@ -12,7 +12,7 @@ from typing import IO, Any
 from tactile_loc.core.errors import RecordingError, did_you_mean
 from tactile_loc.core.geometry.frame_tree import FrameTree
 from tactile_loc.io.images import summarize
-from tactile_loc.io.ros_messages import (
+from tactile_loc.io.streams.ros_messages import (
     CDR,
     IMAGE_TYPES,
     ROS1,

@@ -13,9 +13,9 @@ from tactile_loc.core.errors import ConfigError, OutputError
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.io.config import RunConfig
-from tactile_loc.io.records import read_versions, write_record
+from tactile_loc.io.streams.records import read_versions, write_record
 from tactile_loc.locate.doubts import list_doubts
-from tactile_loc.locate.result_json import SCHEMA_VERSION, ResultRecord, make_record
+from tactile_loc.locate.results.result_json import SCHEMA_VERSION, ResultRecord, make_record
 
 
 @pytest.fixture(scope="module")

@@ -18,8 +18,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from tactile_loc.core.errors import GridError, NoContactError, TactileLocError
 from tactile_loc.core.geometry.rigid import covariance_along
 from tactile_loc.io.mount_files import Covariance
-from tactile_loc.locate.result import Localization
-from tactile_loc.locate.verdict import Verdict, name_verdict
+from tactile_loc.locate.results.localization import Localization
+from tactile_loc.locate.results.verdict import Verdict, name_verdict
 
 Floats = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.locate.conformal import PoseSet
-from tactile_loc.locate.verdict import Verdict, judge
+from tactile_loc.locate.results.verdict import Verdict, judge
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,9 @@ import pytest
 
 from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.io.options import CERTAIN, TrackerOptions
-from tactile_loc.locate.result import Agreement
-from tactile_loc.locate.result_json import ResultRecord, make_record
-from tactile_loc.locate.verdict import LEAST_IOU, MEANINGS, MOSTLY_ELSEWHERE, Verdict, judge
+from tactile_loc.locate.results.localization import Agreement
+from tactile_loc.locate.results.result_json import ResultRecord, make_record
+from tactile_loc.locate.results.verdict import LEAST_IOU, MEANINGS, MOSTLY_ELSEWHERE, Verdict, judge
 
 
 @pytest.mark.parametrize(

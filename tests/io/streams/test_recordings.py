@@ -21,8 +21,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from tactile_loc.core.errors import MissingLibraryError, OutputError, RecordingError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
-from tactile_loc.io.recordings import Message, Recording, RecordingWriter, choose_image_topic, write_recording
-from tactile_loc.io.ros_messages import (
+from tactile_loc.io.streams.recordings import Message, Recording, RecordingWriter, choose_image_topic, write_recording
+from tactile_loc.io.streams.ros_messages import (
     IMAGE,
     POSE,
     TF,

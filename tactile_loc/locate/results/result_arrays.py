@@ -24,13 +24,13 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.io.images import load_npz
 from tactile_loc.io.meshes import simplify_mesh
-from tactile_loc.locate.result_json import ResultRecord
+from tactile_loc.locate.results.result_json import ResultRecord
 from tactile_loc.store.files import parse_json, write_atomically
 
 if TYPE_CHECKING:
     from tactile_loc.core.poses.posterior import PosePosterior
     from tactile_loc.locate.localizer import Observation
-    from tactile_loc.locate.result import Localization
+    from tactile_loc.locate.results.localization import Localization
 
 NAME = "result.npz"
 SCHEMA_VERSION = 1

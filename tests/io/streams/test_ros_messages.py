@@ -15,7 +15,7 @@ from tactile_loc.core.errors import FrameError, RecordingError, TouchError
 from tactile_loc.core.geometry.frame_tree import FrameTree
 from tactile_loc.core.geometry.hand_eye import moved
 from tactile_loc.core.geometry.rigid import covariance_along, make_transform, random_rotations
-from tactile_loc.io.ros_messages import RosPose, add_transforms, image_array, read_transform
+from tactile_loc.io.streams.ros_messages import RosPose, add_transforms, image_array, read_transform
 
 RGB = np.random.default_rng(0).integers(0, 256, (5, 4, 3), np.uint8)
 

@@ -1,0 +1,69 @@
+"""Who refines: the chosen refiner, or the joint registration where that refiner cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from tactile_loc.core.registration.joint_registration import JointRegistration
+from tactile_loc.core.slots.refiner import Candidate, RefinedPose, Refiner
+from tactile_loc.core.slots.scene import View
+from tactile_loc.locate.results.localization import Hypothesis
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """The chosen refiner and the joint registration. `together` says which of them refines against several touches."""
+
+    refiner: Refiner
+    registration: JointRegistration
+    together: Literal["joint", "each"]
+
+    def refine(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
+        """Refine candidates against one touch, or against several."""
+        if len(views) == 1 or not self.is_joint:
+            return self.refiner.refine_together(views, candidates)
+        return self.registration.refine(views, np.stack([candidate.T_sensor_object for candidate in candidates]))
+
+    @property
+    def is_joint(self) -> bool:
+        """Whether the joint registration refines against several touches, because the refiner takes one at a time."""
+        one_at_a_time = type(self.refiner).refine_together is Refiner.refine_together
+        return one_at_a_time and self.refiner.capabilities.refines and self.together == "joint"
+
+    def explain_others(self, name: str, searched: bool) -> str:
+        """Say which parts the joint registration does instead of the refiner `name`, and why; "" if none.
+
+        `searched` says whether the whole object is searched.
+        """
+        if self.refiner.capabilities.covariances:
+            return ""
+        parts = [
+            "the rough search" if searched else "",
+            "touches together" if self.is_joint else "",
+            "covariances" if self.refiner.capabilities.refines else "",
+        ]
+        named = ", ".join(part for part in parts if part)
+        if not named:
+            return ""
+        return (
+            f"the joint registration does {named}; the refiner {name} refines one touch's hypotheses, as it gives no "
+            "covariance and is too slow for hundreds of poses"
+        )
+
+    def add_covariances(self, views: Sequence[View], hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+        """Return hypotheses with the joint registration's covariances where the refiner gives none.
+
+        They are of the touches `views`. A pose that was not refined has none.
+        """
+        unknown = [k for k, h in enumerate(hypotheses) if h.refined.covariance is None]
+        if not unknown or not self.refiner.capabilities.refines:
+            return tuple(hypotheses)
+        found = list(hypotheses)
+        poses = np.stack([hypotheses[k].T_sensor_object for k in unknown])
+        for k, covariance in zip(unknown, self.registration.covariances(views, poses), strict=True):
+            found[k] = replace(hypotheses[k], refined=replace(hypotheses[k].refined, covariance=covariance))
+        return tuple(found)

@@ -1,0 +1,1 @@
+"""What locating found: distributions, located frames, verdicts, and their files."""
