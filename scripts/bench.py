@@ -211,11 +211,12 @@ def page(folder: Path = RESULTS) -> str:
     """Return the documentation's page of results: every run, and the tables of those that `keep` made."""
     parts = [
         "# Results over time\n",
-        "What the benchmarks printed, kept by `scripts/bench.py keep NAME`, a file a run and version in\n"
-        "`benchmarks/results`. Times of different machines are compared as multiples of a yardstick, a fixed piece of\n"
-        "work that is measured before and after; `make bench-compare` tells what changed since the version before,\n"
-        "and fails where a time grew, or a speed fell, by more than a tenth. The tables of a run without a yardstick\n"
-        "were taken from the page that is named, where they are.\n",
+        "This page lists every run of the benchmarks, with its command and date, and the tables of the runs that\n"
+        "`scripts/bench.py keep NAME` made. The other tables are on the page in the last column. [Benchmarks](benchmarks.md)\n"
+        "explains all tables.\n",
+        "A file in `benchmarks/results` keeps each run and version. The yardstick is the time of a fixed piece of work\n"
+        "before and after the run. Times of different machines are compared as multiples of it. `make bench-compare` reports\n"
+        "the changes since the previous version. It fails if a time grew, or a speed fell, by more than a tenth.\n",
     ]
     if len(versions(folder)) > 1:
         parts.append("![Times by version, as multiples of the first version's](images/results.png)\n")
