@@ -225,7 +225,7 @@ QUOTES: dict[str, dict[str, Values]] = {
             seven_contacts,
     },
     "docs/benchmarks/probabilities.md": {
-        "but for the 50 % sets of one touch, which hold {} %":
+        "The worst are the 50 % sets of one touch, which hold {} %":
             lambda r: r.at("credible_sets", 1, "fused: 50, 80, 95 %", "1")[:1],
         "The 95 % sets hold the truth of {} to {} % of the touches": range_of("evaluate", 2, "95 %"),
         "half of the probability holds the truth of {} to {} % of the touches": range_of("evaluate", 2, "50 %"),
