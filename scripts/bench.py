@@ -212,11 +212,12 @@ def page(folder: Path = RESULTS) -> str:
     parts = [
         "# Results over time\n",
         "This page lists every run of the benchmarks, with its command and date, and the tables of the runs that\n"
-        "`scripts/bench.py keep NAME` made. The other tables are on the page in the last column. [Benchmarks](benchmarks.md)\n"
-        "explains all tables.\n",
-        "A file in `benchmarks/results` keeps each run and version. The yardstick is the time of a fixed piece of work\n"
-        "before and after the run. Times of different machines are compared as multiples of it. `make bench-compare` reports\n"
-        "the changes since the previous version. It fails if a time grew, or a speed fell, by more than a tenth.\n",
+        "`scripts/bench.py keep NAME` made. The other tables are on the page in the last column.\n"
+        "[Benchmarks](benchmarks.md) explains all tables.\n",
+        "A file in `benchmarks/results` keeps each run and version. The yardstick is the time of a fixed piece of\n"
+        "work before and after the run. Times of different machines are compared as multiples of it.\n"
+        "`make bench-compare` reports the changes since the previous version. It fails if a time grew, or a speed\n"
+        "fell, by more than a tenth.\n",
     ]
     if len(versions(folder)) > 1:
         parts.append("![Times by version, as multiples of the first version's](images/results.png)\n")

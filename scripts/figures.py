@@ -21,7 +21,7 @@ from quotes import QUOTES, SETTINGS, Values
 from results import RESULTS, ROOT, Results, latest
 
 MARKED = "docs/benchmarks/"  # the folder of pages on which every table is of a run
-WHOLE = ("README.md", "docs/index.md", "docs/benchmarks")  # pages on which every figure has its results, or their folder
+WHOLE = ("README.md", "docs/index.md", "docs/benchmarks")  # pages whose figures all have results
 NOBODYS = "none"  # the run of what nobody here measured
 MARKER = re.compile(r"<!-- results: (?P<run>[\w-]+)(?: (?P<number>\d+))?(?P<columns>(?: \| [^|\n]+)*) -->\n")
 TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)

@@ -153,8 +153,8 @@ SETTINGS = {
     "README.md": ("Python 3.11 or newer", "the median is below 0.01 mm on most parts"),
     "docs/benchmarks.md": (
         "without a GPU, Python 3.11.",
-        "are of 2026-11-21. At that time objects were drawn where they just touch. To the GelSlim's pinhole camera, the "
-        "outline of a pressed object is up to 8 % larger",
+        "are of 2026-11-21. At that time objects were drawn where they just touch. To the GelSlim's pinhole camera, "
+        "the outline of a pressed object is up to 8 % larger",
     ),
 }
 QUOTES: dict[str, dict[str, Values]] = {
