@@ -327,14 +327,14 @@ def test_a_contact_shape_is_cut_where_the_press_is_taken_to_be(measured_m, conta
 
 
 def test_the_documented_levels_are_the_programs():
-    page = (Path(__file__).parents[3] / "docs" / "conventions.md").read_text()
-    table = page.split("## Touch noise\n")[1].split("\n## ")[0]
+    page = (Path(__file__).parents[3] / "docs" / "noise.md").read_text()
+    table = page.split("## Settings\n")[1].split("\n## ")[0]
     for line in documented_rows():
         assert line in table
 
 
 def documented_rows() -> list[str]:
-    """The lines of the table in docs/conventions.md, from what the program has."""
+    """The lines of the table in docs/noise.md, from what the program has."""
     mm, percent = (lambda v: f"{1e3 * v:g} mm" if v else "0"), (lambda v: f"{100 * v:g} %" if v else "0")
     write = {
         "press_share": lambda v: f"{100 * v[0]:g} to {100 * v[1]:g} %" if v[0] < v[1] else f"{100 * v[0]:g} %",
