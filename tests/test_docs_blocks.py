@@ -36,7 +36,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 ELSEWHERE = {
     "cli.md": "test_reference.py",  # generated
-    "conventions.md": "test_docs_conventions.py",
+    "files.md": "test_docs_files.py",
     "plugins.md": "test_docs_plugins.py",
     "tutorial-plugin.md": "test_docs_tutorial.py",
     "sweeps.md": "test_docs_sweeps.py",

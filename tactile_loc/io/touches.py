@@ -1,4 +1,4 @@
-"""Touches as files: contact shapes in npz, npy and 16-bit PNG. docs/conventions.md has the tables.
+"""Touches as files: contact shapes in npz, npy and 16-bit PNG. docs/files.md has the tables.
 
 Nothing is ever unpickled, and no unit is ever guessed.
 """
