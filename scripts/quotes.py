@@ -183,8 +183,8 @@ QUOTES: dict[str, dict[str, Values]] = {
         "{} to {} times as many as OpenGL": lambda r: renderer(r, 0, 1),
     },
     "docs/contacts.md": {"the median error falls from {} to {} mm with the second contact": second_contact},
-    "docs/method.md": {
-        "{} (a round part) to {} places do for":
+    "docs/method-search.md": {
+        "has {} (a round part) to {} places":
             lambda r: [round(end(r.column("search-parts", 1, "places")), n) for end, n in ((min, -2), (max, -3))],
     },
     "docs/next-touch.md": {"falls short by so many nats: {} of one touch, {} of each of several":
