@@ -43,6 +43,7 @@ ELSEWHERE = {
     "tutorial-plugin.md": "test_docs_tutorial.py",
     "sweeps.md": "test_docs_sweeps.py",
     "reports.md": "test_docs_reports.py",
+    "tuning.md": "test_docs_tuning.py",
 }
 PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)
 READERS = {  # by how the file begins

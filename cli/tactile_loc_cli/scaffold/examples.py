@@ -11,10 +11,11 @@ from tactile_loc_cli.scaffold.package import SUMMARIES, render
 INTRODUCTION = """\
 # An example of each slot
 
-This page is generated: `python -m tactile_loc_cli.scaffold.examples` writes it, and a test compares it with the program.
+This page is generated: `python -m tactile_loc_cli.scaffold.examples` writes it, and a test compares it with the
+program.
 
-`tactile-loc new-plugin SLOT NAME` writes a package for a component of any slot. Below is the module of each. All of them pass
-the [contract checks](plugin-checks.md). Replace what the component does, and keep the structure.
+`tactile-loc new-plugin SLOT NAME` writes a package for a component of any slot. Below is the module of each. All of
+them pass the [contract checks](plugin-checks.md). Replace the computation, and keep the structure.
 [Plugins](plugins.md) explains the hook and the packaging, which are the same for every slot.
 
 | slot | what the example does |
