@@ -92,7 +92,7 @@ def test_pages_that_are_tried_elsewhere_are(page):
 
 
 def test_the_table_of_presses_is_read():
-    ((_, text),) = [block for block in blocks("sensors.md") if block[0] == "csv"]
+    ((_, text),) = [block for block in blocks("sensor-labels.md") if block[0] == "csv"]
     rows = list(csv.DictReader(text.splitlines()))
     assert set(rows[0]) <= set(COLUMNS)
     assert [row["kind"] for row in rows] == ["background", "ball", "ball"]
@@ -144,6 +144,7 @@ def furnished(tmp_path_factory, store) -> Path:
     balls.write(folder / "FOLDER")
     for name in ("presses.csv", "sensor.toml"):  # which the first command of the guide writes
         (folder / "FOLDER" / name).unlink()
+    balls.write(folder / "presses")  # with its labels
     (folder / "SET").mkdir()
     write_image(folder / "SET" / "background.png", balls.background)
     for number, (image, circle) in enumerate(zip(balls.images, balls.circles, strict=True)):
