@@ -57,9 +57,9 @@ class Localizer:
         self.sampler = self._create("grid")
         self.encoder = self._create("encoder")
         self.fuser = self._create("fuser")
+        self.refinement = Refinement(self._create("refiner"), JointRegistration(), config.together)
         renderer = self._create("renderer")
         self._require_compatible(renderer)
-        self.refinement = Refinement(self._create("refiner"), JointRegistration(), config.together)
         self.scene = Scene(obj, self.sensor.geometry, renderer, config.drawing)
         coarse = self.sensor.geometry.with_long_side(config.shape_px)
         coarse = coarse.pressed(coarse.max_depth_m)  # the grid's, at full press
