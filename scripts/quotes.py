@@ -190,8 +190,8 @@ QUOTES: dict[str, dict[str, Values]] = {
         "{} (a round part) to {} places do for":
             lambda r: [round(end(r.column("search-parts", 1, "places")), n) for end, n in ((min, -2), (max, -3))],
     },
-    "docs/next-touch.md": {"falls short by so many nats: {} of one touch, {} of each of several":
-                           lambda r: [NullEvidence().alone, NullEvidence().together]},
+    "docs/identify.md": {"a fixed misfit: {} nats for one touch, {} nats for each of several":
+                         lambda r: [NullEvidence().alone, NullEvidence().together]},
     "docs/quickstart.md": {"{} MB for the hook": lambda r: r.at("search", 1, "MB", "hook")},
     "docs/benchmarks.md": {
         "Every model is built in {} to {} s": range_of("single_touch", 1, "build s"),

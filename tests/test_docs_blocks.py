@@ -206,7 +206,7 @@ def test_python_runs(page, workplace, monkeypatch, store):
     original = Localizer.create.__func__
     grid = (
         SEARCHED
-        if page == "next-touch.md" or page.startswith("story-")
+        if page in ("next-touch.md", "identify.md") or page.startswith("story-")
         else {"grid": {"name": "face", "spacing_mm": 8.0}}
     )
     coarse = {"store": store, **grid}
