@@ -40,6 +40,8 @@ ELSEWHERE = {
     "plugins.md": "test_docs_plugins.py",
     "tutorial-plugin.md": "test_docs_tutorial.py",
     "sweeps.md": "test_docs_sweeps.py",
+    "sweeps-cluster.md": "test_docs_sweeps.py",
+    "sweeps-results.md": "test_docs_sweeps.py",
     "reports.md": "test_docs_reports.py",
 }
 PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)
