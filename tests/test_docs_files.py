@@ -45,5 +45,5 @@ def test_the_prior_is_read(localizer, tmp_path):
     (tmp_path / "prior.toml").write_text(block('kind = "gaussian"'))
     prior = read_prior(tmp_path / "prior.toml", localizer.object)
     assert prior.frame == "base"
-    weights = prior.seen_from(np.eye(4))(localizer.model.grid.T_sensor_object)
+    weights = prior.view_from(np.eye(4))(localizer.model.grid.T_sensor_object)
     assert np.isfinite(weights).all()
