@@ -102,14 +102,14 @@ def touches(obj: ObjectModel, localizer: Localizer, renderer: str) -> list[Touch
     """Return the clean touches of the box's face, drawn by another renderer than this one; the base is the object."""
     other = registry().create("renderer", "zbuffer" if renderer == "raycast" else "raycast", {})
     deepest = localizer.scene.geometry
-    scene = Scene(obj, deepest.pressed(PRESS_M, deepest.max_depth_m), other)
+    scene = Scene(obj, deepest.press(PRESS_M, deepest.max_depth_m), other)
     return [_touch(scene, k, *place) for k, place in enumerate(PLACES)]
 
 
 def _touch(scene: Scene, number: int, x_m: float, y_m: float, yaw_rad: float) -> Touch:
     facing = rotation_about([0, 0, 1], yaw_rad) @ rotation_about([1, 0, 0], np.pi)  # the face +z looks at the sensor
-    T: Poses = scene.in_contact(make_transform(facing, [x_m, y_m, 0.0])[None])[0][0]
-    shape = ContactShape(scene.contact_depths(T[None])[0], PRESS_M)
+    T: Poses = scene.bring_to_contact(make_transform(facing, [x_m, y_m, 0.0])[None])[0][0]
+    shape = ContactShape(scene.render_contact_depths(T[None])[0], PRESS_M)
     return Touch(shape, scene.geometry, f"touch-{number}", T_base_sensor=invert(T), T_sensor_object=T)
 
 

@@ -81,7 +81,7 @@ def locate(localizer: Localizer, touches: list[Touch], found: Localization) -> L
         nees = compute_nees(metric, chosen.T_sensor_object, chosen.covariance, truth)
     centre = localizer.object.mesh.centroid_m
     z_mm = 1e3 * abs((poses[0] - truth)[2] @ [*centre, 1.0])
-    true = [localizer.scene.of_touch(t).imprint_ious(np.asarray(t.T_sensor_object)[None], t)[0] for t in touches]
+    true = [localizer.scene.match_touch(t).imprint_ious(np.asarray(t.T_sensor_object)[None], t)[0] for t in touches]
     rivals = [h.imprint_iou for h, mm in zip(found.hypotheses, off_mm, strict=True) if mm > 1.0]
     as_well = max(rivals, default=0.0) > np.mean(true) - AS_WELL
     return Located(float(off_mm[0]), float(off_mm.min()), float(z_mm), nees, bool(as_well))

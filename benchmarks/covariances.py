@@ -49,7 +49,7 @@ def measure_errors(path: str, level: str, touches: int, arguments: argparse.Name
         T_base_first, truth = np.asarray(taken[0].T_base_sensor), np.asarray(taken[0].T_sensor_object)
         views = [
             View(
-                t, scene.of_touch(t), invert(np.asarray(t.T_base_sensor)) @ T_base_first, source.sensor_std_m,
+                t, scene.match_touch(t), invert(np.asarray(t.T_base_sensor)) @ T_base_first, source.sensor_std_m,
                 source.sensor_std_rad,
             ) for t in taken
         ]  # fmt: skip

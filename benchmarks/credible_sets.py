@@ -26,7 +26,7 @@ from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.locate.conformal import PoseSet
-from tactile_loc.locate.localizer import Localizer, posterior_together
+from tactile_loc.locate.localizer import Localizer, compute_posterior_together
 from tactile_loc.store.store import StageStore
 
 LEVELS = (0.5, 0.8, 0.95)
@@ -41,11 +41,11 @@ def draw_examples(
     for start in range(0, len(drawn), touches):
         some = [replace(t, T_base_sensor=invert(np.asarray(t.T_sensor_object))) for t in drawn[start : start + touches]]
         try:
-            fused = posterior_together([(localizer, touch) for touch in some])
+            fused = compute_posterior_together([(localizer, touch) for touch in some])
         except GridError:  # no pose touches all sensors
             continue
         power = 1.0 if touches == 1 else localizer.probabilities.fused_scaling.power(touches)
-        found.append((fused, fused.tempered(1 / power), localizer.source.find_truth(fused.grid, some[0])))
+        found.append((fused, fused.temper(1 / power), localizer.source.find_truth(fused.grid, some[0])))
     return found
 
 

@@ -8,7 +8,7 @@ is kept in `--out`: an interrupted run goes on where it stopped. Training is tim
 
 With `--whole` the whole object is searched instead, from touches of random directions, drawn by ray casting, which the
 localizer does not use, without, with mild and with strong noise. Printed is the share of touches of which one of the
-1000 most alike turned places is within 3 mm of the true pose, and of which one of ten hypotheses is within 1 mm (root
+1000 most alike rotated places is within 3 mm of the true pose, and of which one of ten hypotheses is within 1 mm (root
 mean square over the surface, symmetry regarded).
 """
 

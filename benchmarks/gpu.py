@@ -148,7 +148,7 @@ def main() -> None:
     if arguments.device == "cuda" and not torch.cuda.is_available():
         parser.error("torch sees no CUDA device here; rehearse with --device cpu")
     device = torch.device(arguments.device)
-    recipe = PRESETS[arguments.preset].changed(**({"queries": arguments.queries} if arguments.queries else {}))
+    recipe = PRESETS[arguments.preset].change(**({"queries": arguments.queries} if arguments.queries else {}))
     chip = torch.cuda.get_device_name() if device.type == "cuda" else platform.processor() or "CPU"
     print(json.dumps({"chip": chip, "torch": torch.__version__, "recipe": recipe.describe()}, indent=1), flush=True)
     print(json.dumps({"latency_ms": time_latencies(recipe, arguments.keys, device, arguments.rounds)}, indent=1))

@@ -57,7 +57,7 @@ def measure_object(library: Library, touches: list[Touch]) -> dict[str, Any]:
     return {
         "seconds": time.perf_counter() - start, "alike": {one.name: one.alike for one in said.objects},
         "rough_ious": {one.name: one.rough_iou for one in said.objects},
-        "shortfalls": {one.name: one.shortfall for one in said.objects if one.found is not None},
+        "misfits": {one.name: one.misfit for one in said.objects if one.found is not None},
     }  # fmt: skip
 
 
@@ -65,9 +65,9 @@ def answer(row: dict[str, Any], left_out: bool) -> tuple[list[str], KnownAnswer]
     """The objects that are located, and what came of it, its own among them or left out."""
     others = [name for name in row["alike"] if not (left_out and name == row["object"])]
     names = sorted(others, key=lambda name: (-row["rough_ious"][name], -row["alike"][name]))[:LOCATED]
-    shortfalls = np.array([row["shortfalls"].get(name, np.inf) for name in names])
+    misfits = np.array([row["misfits"].get(name, np.inf) for name in names])
     truth = names.index(row["object"]) if row["object"] in names else -1
-    return names, KnownAnswer(shortfalls, truth, row["touches"])
+    return names, KnownAnswer(misfits, truth, row["touches"])
 
 
 def is_own_first(row: dict[str, Any], key: str) -> bool:
@@ -81,7 +81,7 @@ def judge(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, flo
     taken: Counter[tuple[str, str]] = Counter()
     for row in rows:
         names, known = answer(row, left_out=False)
-        p, none = null.probabilities(known.shortfalls, known.touches)
+        p, none = null.probabilities(known.misfits, known.touches)
         best = names[int(p.argmax())]
         looked.append(known.truth >= 0)
         first.append(best == row["object"])
@@ -89,7 +89,7 @@ def judge(rows: list[dict[str, Any]], null: NullEvidence) -> tuple[dict[str, flo
         known_none.append(none)
         if not right[-1]:
             taken[row["object"], best if p.max() > none else "none"] += 1
-        strange_none.append(null.probabilities(answer(row, left_out=True)[1].shortfalls, row["touches"])[1])
+        strange_none.append(null.probabilities(answer(row, left_out=True)[1].misfits, row["touches"])[1])
     limit = np.quantile(known_none, 1 - FALSE_ALARMS)
     return {
         "examples": len(rows), "glanced": np.mean([is_own_first(row, "alike") for row in rows]),

@@ -40,7 +40,7 @@ def measure(path: str, arguments: argparse.Namespace) -> str:
         rng = np.random.default_rng([arguments.seed, number])
         touches, _ = source.draw_example(arguments.touches, rng)
         T_base_first = np.asarray(touches[0].T_base_sensor)
-        views = [View(t, scene.of_touch(t), invert(np.asarray(t.T_base_sensor)) @ T_base_first) for t in touches]
+        views = [View(t, scene.match_touch(t), invert(np.asarray(t.T_base_sensor)) @ T_base_first) for t in touches]
         truth = np.asarray(touches[0].T_sensor_object)
         candidates = [
             Candidate(move_near(truth, obj.mesh.centroid_m, rng), 0, 0.0) for _ in range(arguments.hypotheses)

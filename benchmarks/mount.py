@@ -20,8 +20,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from tactile_loc.core.errors import TactileLocError
-from tactile_loc.core.geometry.hand_eye import pose_errors
-from tactile_loc.core.geometry.rigid import invert, make_transform, random_rotations, rotation_about
+from tactile_loc.core.geometry.hand_eye import compute_pose_errors
+from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, rotation_about
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.simulation.touch_simulation import simulate_touches
 from tactile_loc.core.slots.registry import registry
@@ -47,7 +47,7 @@ class Example(NamedTuple):
 
 def draw_pose(std_m: float, rng: np.random.Generator) -> np.ndarray:
     """A pose (4, 4) of any rotation."""
-    return make_transform(random_rotations(1, rng)[0], std_m * rng.normal(size=3))
+    return make_transform(draw_rotations(1, rng)[0], std_m * rng.normal(size=3))
 
 
 def simulate(
@@ -82,7 +82,7 @@ def measure_example(localizer: Localizer, count: int, level: str, seed: int, out
     except TactileLocError as error:
         return str(error)
     seconds = time.perf_counter() - start
-    e = pose_errors(truth, found.mount.T_flange_sensor)
+    e = compute_pose_errors(truth, found.mount.T_flange_sensor)
     return Example(
         1e3 * float(np.linalg.norm(e[:3])), float(np.degrees(np.linalg.norm(e[3:]))),
         float(e @ np.linalg.solve(found.fit.covariance, e)), int((~found.kept).sum()), not found.kept[-1], seconds,

@@ -2,11 +2,11 @@
 """How many touches it takes to know where an object is, if each next one is chosen, and if it is drawn by lot.
 
 An object stands still. A first touch, from any direction, is the same for both; then one of `--approaches` sensor poses
-around the object is tried: the one that `next_touch` ranks first, or any. Both choose from the same approaches, in the
-same run; one that meets nothing, or shows nothing but a flat face, is replaced (by the next in rank, by another lot),
-and counted. Touches are drawn by ray casting, which the localizer does not use, pressed by 30 to 90 % of the sensor's
-deepest press the first time, by 60 % after. Known means: the first hypothesis of all touches together is within 1 mm
-(root mean square over the surface) and 1 degree, symmetry regarded, so that it would be grasped there.
+around the object is tried: the one that `choose_next_touch` ranks first, or any. Both choose from the same approaches,
+in the same run; one that meets nothing, or shows nothing but a flat face, is replaced (by the next in rank, by another
+lot), and counted. Touches are drawn by ray casting, which the localizer does not use, pressed by 30 to 90 % of the
+sensor's deepest press the first time, by 60 % after. Known means: the first hypothesis of all touches together is
+within 1 mm (root mean square over the surface) and 1 degree, symmetry regarded, so that it would be grasped there.
 
 For each object: the entropy of the modes after the first touch, nats; the share that is known after one touch, two,
 three, ...; the mean number of touches until then, an example that is not known after the last counting as one more;
@@ -37,7 +37,7 @@ from tactile_loc.io.approach_files import Approach
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.store.store import StageStore
-from tactile_loc.tasks.next_touch import next_touch
+from tactile_loc.tasks.next_touch import choose_next_touch
 from tactile_loc.tasks.pose_modes import MOST_MODES, PoseModes
 
 WITHIN_M, WITHIN_RAD = 1e-3, np.radians(1.0)
@@ -51,7 +51,7 @@ def choose_approach(seconds: list[float]) -> Choice:
 
     def choose(found: Localization, left: list[Approach]) -> Iterator[Approach]:
         start = time.perf_counter()
-        ranked = next_touch(found, left).ranked
+        ranked = choose_next_touch(found, left).ranked
         seconds.append(time.perf_counter() - start)
         return (rated.approach for rated in ranked)
 
@@ -68,7 +68,7 @@ def is_known(obj: ObjectModel, found: Localization) -> bool:
     T, truth = found.best.T_sensor_object, np.asarray(found.touch.T_sensor_object)
     near_m = PoseMetric(obj).symmetric_distance(T[None], truth[None])[0]
     step_rad = 0.2 * WITHIN_RAD
-    turns = (truth @ obj.symmetry.elements(max_step_rad=step_rad))[:, :3, :3]
+    turns = (truth @ obj.symmetry.list_elements(max_step_rad=step_rad))[:, :3, :3]
     return bool(near_m < WITHIN_M and rotation_angle(turns.swapaxes(-1, -2) @ T[:3, :3]).min() < WITHIN_RAD)
 
 

@@ -27,7 +27,7 @@ from tactile_loc.core.errors import TactileLocError
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.contact_poses import random_contact_poses
+from tactile_loc.core.simulation.contact_poses import draw_contact_poses
 from tactile_loc.core.simulation.noise import Float32, Gel, TouchNoise
 from tactile_loc.core.simulation.touch_simulation import PressNoise
 from tactile_loc.core.slots.registry import registry
@@ -197,9 +197,9 @@ def touch_on_face(
     """A touch of the altered object at a pose that the localizer's grid covers."""
     scene = Scene(altered, localizer.scene.geometry, renderer)
     while True:
-        poses, touching = scene.in_contact(random_contact_poses(localizer.sampler, localizer.scene, 1, rng))
+        poses, touching = scene.bring_to_contact(draw_contact_poses(localizer.sampler, localizer.scene, 1, rng))
         press_m = scene.geometry.max_depth_m * rng.uniform(*PRESS)
-        pressed, (shape,) = PressNoise(noise, scene, press_m, rng).pressed(
+        pressed, (shape,) = PressNoise(noise, scene, press_m, rng).press(
             poses, localizer.sampler.options.min_contact_percent
         )
         try:

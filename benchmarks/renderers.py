@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from tactile_loc.core.errors import RenderError
-from tactile_loc.core.geometry.rigid import Poses, make_transform, random_rotations
+from tactile_loc.core.geometry.rigid import Poses, draw_rotations, make_transform
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -34,7 +34,7 @@ from tactile_loc.plugins.renderers.pyrender.renderer import PyrenderRenderer
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 
 CAMERAS = {
-    "GelSlim": SensorGeometry("pinhole", 470, 470, 291.5, 289.0, 235.0, 235.0, 0.025, 0.002).resized(200, 200),
+    "GelSlim": SensorGeometry("pinhole", 470, 470, 291.5, 289.0, 235.0, 235.0, 0.025, 0.002).resize(200, 200),
     "orthographic": SensorGeometry("orthographic", 200, 200, 5000.0, 5000.0, 100.0, 100.0, 0.025, 0.002),
 }
 OBJECTS = ("pin", "damping_pin", "head", "elbow_pipe")
@@ -64,7 +64,7 @@ class Row:
 
 def draw_poses(mesh: TriangleMesh, g: SensorGeometry, count: int, rotations: int, seed: int) -> Poses:
     """Return contact poses (N <= count, 4, 4): random rotations times a square raster 24 mm wide."""
-    R = random_rotations(rotations, np.random.default_rng(seed))
+    R = draw_rotations(rotations, np.random.default_rng(seed))
     side = int(np.ceil(np.sqrt(count / rotations)))
     raster = np.linspace(-SPREAD_M / 2, SPREAD_M / 2, side)
     x, y = (a.ravel()[: count // rotations] for a in np.meshgrid(raster, raster))

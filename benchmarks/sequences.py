@@ -26,12 +26,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from tactile_loc.core.geometry.hand_eye import moved
+from tactile_loc.core.geometry.hand_eye import move
 from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.registration.cloud_refiner import Cloud
-from tactile_loc.core.sensing.clouds import contact_cloud
+from tactile_loc.core.sensing.clouds import make_contact_cloud
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.slots.registry import registry
@@ -72,7 +72,7 @@ def start_tracker(localizer: Localizer, frames: Sequence[Frame], rng: np.random.
     """A tracker that begins near the truth."""
     tracker = Tracker(localizer)
     truth = frames[0].T_base_sensor @ frames[0].T_sensor_object
-    tracker.start(moved(truth, START_STD * rng.normal(size=6)), np.diag(START_STD**2))
+    tracker.start(move(truth, START_STD * rng.normal(size=6)), np.diag(START_STD**2))
     return tracker
 
 
@@ -121,8 +121,8 @@ def chain_icp(frames: Sequence[Frame]) -> Followed:
 
 def make_cloud(touch: Touch) -> Cloud:
     """A touch's surface and walls as points in mm."""
-    geometry, shape = touch.thinned(200)
-    points_m, normals = contact_cloud(shape, geometry)
+    geometry, shape = touch.thin(200)
+    points_m, normals = make_contact_cloud(shape, geometry)
     every = max(1, round(len(points_m) / CLOUD_POINTS))
     return Cloud(1e3 * points_m[::every], normals[::every], 1e3 * geometry.pixel_pitch_m)
 

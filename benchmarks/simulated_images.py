@@ -26,7 +26,7 @@ from tactile_loc.calibration.folder import write_calibration
 from tactile_loc.calibration.reading import find_contact_shape, measure_press_m
 from tactile_loc.calibration.simulated import calibrate_simulated, find_sensor
 from tactile_loc.core.errors import TouchError
-from tactile_loc.core.formatting import mm
+from tactile_loc.core.formatting import format_mm
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.evaluation.protocol import evaluate
@@ -76,7 +76,7 @@ def measure_errors(
     except TouchError:
         iou = 0.0
     else:
-        true = touch.contact_shape.pressed_to(shape.press_depth_m) if estimator.sees_skirt else touch.contact_shape
+        true = touch.contact_shape.press_to(shape.press_depth_m) if estimator.sees_skirt else touch.contact_shape
         iou = shape.contact_iou(true, observed)
     press_mm = 1e3 * abs(measure_press_m(found_m, estimator.geometry) - touch.press_depth_m)
     inside = off_mm[touch.contact_shape.contact & observed]
@@ -105,9 +105,9 @@ def locate(name: str, sensor: Path, encoder: str, arguments: argparse.Namespace)
     shapes, images = (
         evaluate(localizer, arguments.locate, SimulatedTouches(seed=arguments.seed, images=i)) for i in (False, True)
     )
-    cells = [f"{mm(float(np.median(e.select_errors(line))))} ({np.median(e.normalise_errors(line)):.3f})"
+    cells = [f"{format_mm(float(np.median(e.select_errors(line))))} ({np.median(e.normalise_errors(line)):.3f})"
              for line in LINES for e in (shapes, images)]  # fmt: skip
-    closest = mm(float(np.median(shapes.select_errors("closest"))))
+    closest = format_mm(float(np.median(shapes.select_errors("closest"))))
     return f"| {obj.name} | {localizer.model.size} | {encoder} | {' | '.join(cells)} | {closest} |"
 
 

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import millimetres, percent
-from tactile_loc.core.geometry.hand_eye import pose_errors
-from tactile_loc.core.geometry.rigid import Poses, covariance_at, invert, transform_points
+from tactile_loc.core.formatting import format_millimetres, format_percent
+from tactile_loc.core.geometry.hand_eye import compute_pose_errors
+from tactile_loc.core.geometry.rigid import Poses, invert, move_covariance, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.touch import ContactShape, Touch
@@ -36,7 +36,7 @@ from tactile_loc.evaluation.robot_touches import RobotTouches, draw_approaches
 from tactile_loc.evaluation.sequences import SlidingTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.verdict import Verdict
-from tactile_loc.tasks.next_touch import next_touch
+from tactile_loc.tasks.next_touch import choose_next_touch
 from tactile_loc.tasks.pose_modes import MOST_MODES
 from tactile_loc.tasks.tracker import TrackedPose, Tracker
 
@@ -97,7 +97,9 @@ def draw_neighbours(localizer: Localizer) -> Figure:
     for axes, i in zip(figure.subplots(1, len(nearest)), nearest, strict=True):
         shape = localizer.scene.contact_shape(grid.T_sensor_object[i], geometry.max_depth_m)
         draw_contact_shape(axes, shape, geometry)
-        axes.set_title("a pose of the grid" if i == own else f"{millimetres(float(distances_m[i]))} away", size=10)
+        axes.set_title(
+            "a pose of the grid" if i == own else f"{format_millimetres(float(distances_m[i]))} away", size=10
+        )
         axes.set_xlabel("x (mm)", size=8)
     figure.suptitle(f"neighbours in a grid of {len(grid)} poses, root mean square distance of the surface", size=12)
     return figure
@@ -109,7 +111,7 @@ def draw_noise(localizer: Localizer, seed: int = 0) -> Figure:
     Titles give the press depth that the sensor measures, mm. Where noise makes a touch be drawn anew, columns differ.
     """
     touches = [
-        replace(touch, name=f"{level}, {millimetres(touch.press_depth_m)}")
+        replace(touch, name=f"{level}, {format_millimetres(touch.press_depth_m)}")
         for level in NOISE
         for touch in localizer.simulate(5, seed, noise=level)
     ]
@@ -134,7 +136,9 @@ def draw_matching(localizers: dict[str, Localizer]) -> Figure:
             draw_contact_shape(axes, shape, touch.geometry)
             draw_outline(axes, touch)
             off_m = float(metric.symmetric_distance(pose[None], T_true[None])[0])
-            axes.set_title(f"{percent(float(posterior.probabilities[index]))}, {millimetres(off_m)} off", size=10)
+            axes.set_title(
+                f"{format_percent(float(posterior.probabilities[index]))}, {format_millimetres(off_m)} off", size=10
+            )
         _draw_posterior(row[-1], posterior, T_true)
     figure.suptitle("most probable poses (red: observed outline), and the posterior over all poses", size=12)
     return figure
@@ -220,11 +224,11 @@ def measure_track(found: Sequence[TrackedPose], T_true: Poses, obj: ObjectModel)
     """Return how far tracked poses are off true ones (N, 4, 4)."""
     T = np.array([one.T_sensor_object for one in found])
     C = np.array([one.covariance for one in found])
-    at_centroid = covariance_at(C, T[:, :3, :3] @ obj.mesh.centroid_m)
+    at_centroid = move_covariance(C, T[:, :3, :3] @ obj.mesh.centroid_m)
     variances = np.diagonal(at_centroid, axis1=1, axis2=2)
     centroid = [*obj.mesh.centroid_m, 1.0]
     shift_m = np.linalg.norm(((T - T_true) @ centroid)[:, :3], axis=1)
-    turn_rad = np.linalg.norm(pose_errors(T, T_true)[:, 3:], axis=1)
+    turn_rad = np.linalg.norm(compute_pose_errors(T, T_true)[:, 3:], axis=1)
     stds = (np.sqrt(variances[:, some].sum(axis=1)) for some in (slice(0, 3), slice(3, 6)))
     return TrackErrors(shift_m, turn_rad, *stds)
 
@@ -269,7 +273,7 @@ def draw_next(localizer: Localizer) -> Figure:
     touch = localizer.simulate(1, NEXT_SEED)[0]
     found = localizer.localize(replace(touch, T_base_sensor=invert(np.asarray(touch.T_sensor_object))), top=MOST_MODES)
     rng = np.random.default_rng(NEXT_SEED)
-    chosen = next_touch(found, draw_approaches(localizer.object, localizer.scene.geometry, 100, 0.8, rng))
+    chosen = choose_next_touch(found, draw_approaches(localizer.object, localizer.scene.geometry, 100, 0.8, rng))
     return draw_next_touch(chosen, f"{localizer.object.name}: {len(chosen.modes.probabilities)} possible poses")
 
 

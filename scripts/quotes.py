@@ -150,7 +150,7 @@ def worse_found(r: Results) -> list[float]:
 
 
 SETTINGS = {
-    "README.md": ("Python 3.11 or newer", "the median is below 0.01 mm on most parts"),
+    "README.md": ("Python 3.11 or newer", "The median is below 0.01 mm on most parts"),
     "docs/benchmarks.md": (
         "without a GPU, Python 3.11.",
         "are of 2026-11-21. At that time objects were drawn where they just touch. To the GelSlim's pinhole camera, "
@@ -159,36 +159,39 @@ SETTINGS = {
 }
 QUOTES: dict[str, dict[str, Values]] = {
     "README.md": {
-        "median error on the hook falls from {} to {} mm": second_contact,
-        "the 95 % sets hold the truth of {} to {} % of the touches": range_of("evaluate", 2, "95 %"),
-        "Of what two, three and five clean touches determine, {}, {} and {} % is located within 0.5 mm; of all "
-        "examples of three and five touches {} and {} %": five_located,
-        "leaves {} % of three touches and {} % of five within 1 mm":
+        "a second contact reduces the median error from {} to {} mm before refinement": second_contact,
+        "the 95 % sets contain the true pose in {} to {} % of the touches": range_of("evaluate", 2, "95 %"),
+        "| within 0.5 mm, clean touches, determined cases | {} % | {} % | {} % |": lambda r: five_located(r)[:3],
+        "| within 0.5 mm, clean touches, all cases | {} % | {} % | {} % |":
+            lambda r: [r.at("contacts-clean", 1, touches, "all 14")[0] for touches in "235"],
+        "| within 1 mm, strong noise, all cases | | {} % | {} % |":
             lambda r: [r.at("contacts-strong", 1, place, "all 14")[0] for place in (2, 6)],
-        "a grid of 10 000 poses: on seven of nine the pose that `run` answers is {} to {} mm off": one_touch,
-        "With strong noise it is at {} to {} mm on the six demo objects":
+        "10 000 poses, one touch). Without noise the answer is {} to {} mm off (medians) on seven of nine": one_touch,
+        "Strong noise makes it {} to {} mm on the six demo objects":
             lambda r: ends(r.column("evaluate", 1, "chosen")[:6]),
-        "A part that is 0.1 mm off its mesh costs single touches: of three demo objects with a small sensor {} to {} % "
-        "instead of {} % are located within 1 mm": lambda r: outside(r, 3, DRAWN[2], DRAWN[3], DRAWN[0]),
-        "of three touches from any direction {} to {} % instead of {} %":
+        "from its mesh by 0.1 mm** (three demo objects, GelSight Mini). One touch of a known face locates {} to "
+        "{} % within 1 mm, instead of {} % with an exact mesh":
+            lambda r: outside(r, 3, DRAWN[2], DRAWN[3], DRAWN[0]),
+        "Three touches from any direction locate {} to {} % instead of {} %":
             lambda r: outside(r, 5, DRAWN[2], DRAWN[3], DRAWN[0]),
-        "an object is built in {} to {} s": range_of("search", 1, "build, s"),
-        "its probabilities are fitted in {} to {} s, once": range_of("search", 1, "fit, s"),
-        "one touch takes {} to {} s (medians)":
+        "| build a model, once per object | {} to {} s |": range_of("search", 1, "build, s"),
+        "| fit its probabilities, once per object | {} to {} s |": range_of("search", 1, "fit, s"),
+        "| locate: whole object, ten refined hypotheses | {} to {} s |":
             lambda r: [ms / 1000 for ms in ends(r.column("search", 1, "median, ms"))],
-        "{} to {} ms of one face, {} to {} ms with one pose refined":
+        "| locate: one face, ten refined hypotheses | {} to {} ms |\n"
+        "| locate: one face, one refined pose | {} to {} ms |":
             lambda r: [value for row, *_ in r["first-second"].table(1).rows if row.startswith(ONE_FACE)
                        for value in r.at("first-second", 1, "time", row)],
         "draws {} to {} contact shapes a second": lambda r: renderer(r, -3, 0),
         "{} to {} times as many as OpenGL": lambda r: renderer(r, 0, 1),
     },
-    "docs/contacts.md": {"the median error falls from {} to {} mm with the second contact": second_contact},
-    "docs/method.md": {
-        "{} (a round part) to {} places do for":
+    "docs/contacts.md": {"a second contact reduces the median error from {} to {} mm": second_contact},
+    "docs/method-search.md": {
+        "has {} (a round part) to {} places":
             lambda r: [round(end(r.column("search-parts", 1, "places")), n) for end, n in ((min, -2), (max, -3))],
     },
-    "docs/next-touch.md": {"falls short by so many nats: {} of one touch, {} of each of several":
-                           lambda r: [NullEvidence().alone, NullEvidence().together]},
+    "docs/identify.md": {"a fixed misfit: {} nats for one touch, {} nats for each of several":
+                         lambda r: [NullEvidence().alone, NullEvidence().together]},
     "docs/quickstart.md": {"{} MB for the hook": lambda r: r.at("search", 1, "MB", "hook")},
     "docs/benchmarks/one-touch.md": {
         "Every model is built in {} to {} s": range_of("single_touch", 1, "build s"),

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing.sensor_geometry import SensorGeometry as SensorGeometry
     from tactile_loc.core.sensing.touch import ContactShape as ContactShape
     from tactile_loc.core.sensing.touch import Touch as Touch
-    from tactile_loc.core.simulation.noise import noise_level as noise_level
+    from tactile_loc.core.simulation.noise import make_noise as make_noise
     from tactile_loc.drawing.pictures import draw_result as draw_result
     from tactile_loc.drawing.pictures import save_figure as save_figure
     from tactile_loc.evaluation.robot_touches import RobotTouches as RobotTouches
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from tactile_loc.io.streams.recordings import Recording as Recording
     from tactile_loc.io.streams.recordings import choose_image_topic as choose_image_topic
     from tactile_loc.io.streams.ros_messages import RosPose as RosPose
-    from tactile_loc.io.streams.ros_messages import image_array as image_array
+    from tactile_loc.io.streams.ros_messages import decode_image as decode_image
     from tactile_loc.io.touches import read_touch as read_touch
     from tactile_loc.io.touches import touch_from_image as touch_from_image
     from tactile_loc.io.touches import write_touch as write_touch
@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     from tactile_loc.tasks.mount import find_mount as find_mount
     from tactile_loc.tasks.next_touch import NextTouch as NextTouch
     from tactile_loc.tasks.next_touch import RatedApproach as RatedApproach
-    from tactile_loc.tasks.next_touch import next_touch as next_touch
+    from tactile_loc.tasks.next_touch import choose_next_touch as choose_next_touch
     from tactile_loc.tasks.pose_modes import PoseModes as PoseModes
     from tactile_loc.tasks.replay import Replay as Replay
     from tactile_loc.tasks.tracker import Motion as Motion

@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing.sensor_geometry import SensorGeometry as SensorGeometry
     from tactile_loc.core.sensing.sensor_geometry import Drawing as Drawing
     from tactile_loc.core.sensing.touch import Touch as Touch
-    from tactile_loc.core.sensing.sensor_geometry import as_drawn as as_drawn
+    from tactile_loc.core.sensing.sensor_geometry import find_drawing as find_drawing
     from tactile_loc.core.objects.symmetry import SymmetryGroup as SymmetryGroup
 
     # errors that a component raises: each is one sentence for the user
@@ -71,74 +71,74 @@ if TYPE_CHECKING:
 
     # rotations and transforms
     from tactile_loc.core.geometry.rigid import axis_times_sine as axis_times_sine
-    from tactile_loc.core.geometry.rigid import covariance_at as covariance_at
+    from tactile_loc.core.geometry.rigid import move_covariance as move_covariance
     from tactile_loc.core.geometry.rigid import cross_matrix as cross_matrix
     from tactile_loc.core.geometry.rigid import align_to_z as align_to_z
     from tactile_loc.core.geometry.rigid import invert as invert
     from tactile_loc.core.geometry.rigid import is_rigid as is_rigid
     from tactile_loc.core.geometry.rigid import make_transform as make_transform
     from tactile_loc.core.geometry.rigid import quaternion_to_rotation as quaternion_to_rotation
-    from tactile_loc.core.geometry.rigid import random_rotations as random_rotations
+    from tactile_loc.core.geometry.rigid import draw_rotations as draw_rotations
     from tactile_loc.core.geometry.rigid import rotation_about as rotation_about
     from tactile_loc.core.geometry.rigid import rotation_angle as rotation_angle
     from tactile_loc.core.geometry.rigid import rotation_to_quaternion as rotation_to_quaternion
     from tactile_loc.core.geometry.rigid import transform_points as transform_points
-    from tactile_loc.core.geometry.rigid import translation as translation
+    from tactile_loc.core.geometry.rigid import make_translation as make_translation
 
     # for sensors and renderers
     from tactile_loc.core.objects.blocks import Blocks as Blocks
-    from tactile_loc.core.objects.blocks import blocks_of as blocks_of
-    from tactile_loc.core.compiled import in_threads as in_threads
+    from tactile_loc.core.objects.blocks import make_blocks as make_blocks
+    from tactile_loc.core.compiled import run_in_threads as run_in_threads
     from tactile_loc.core.compiled import njit as njit
     from tactile_loc.core.sensing.contact import bring_to_contact as bring_to_contact
     from tactile_loc.core.sensing.contact import group_rotations as group_rotations
     from tactile_loc.core.slots.depth_sensor import DepthSensor as DepthSensor
-    from tactile_loc.core.sensing.touch import contact_depth as contact_depth
+    from tactile_loc.core.sensing.touch import compute_contact_depth as compute_contact_depth
     from tactile_loc.core.sensing.touch import contact_shape_from_array as contact_shape_from_array
     from tactile_loc.core.objects.blocks import NearestTriangles as NearestTriangles
     from tactile_loc.core.objects.surface_field import SurfaceField as SurfaceField
-    from tactile_loc.core.objects.surface_field import closest_on_triangle as closest_on_triangle
-    from tactile_loc.core.objects.surface_field import downhill as downhill
-    from tactile_loc.core.objects.surface_field import surface_field as surface_field
-    from tactile_loc.core.objects.surface_field import triangle_near as triangle_near
-    from tactile_loc.core.sensing.zbuffer import nearest_depths as nearest_depths
+    from tactile_loc.core.objects.surface_field import find_closest_on_triangle as find_closest_on_triangle
+    from tactile_loc.core.objects.surface_field import find_downhill as find_downhill
+    from tactile_loc.core.objects.surface_field import build_surface_field as build_surface_field
+    from tactile_loc.core.objects.surface_field import find_triangle_near as find_triangle_near
+    from tactile_loc.core.sensing.zbuffer import draw_nearest_depths as draw_nearest_depths
 
     # for grids
     from tactile_loc.core.slots.all_rotations import AllRotationsGrid as AllRotationsGrid
-    from tactile_loc.core.slots.all_rotations import centroid_range as centroid_range
-    from tactile_loc.core.poses.lattices import lattice_shape as lattice_shape
-    from tactile_loc.core.poses.lattices import plane_lattice as plane_lattice
-    from tactile_loc.core.slots.all_rotations import random_places as random_places
-    from tactile_loc.core.poses.lattices import reachable_translations as reachable_translations
+    from tactile_loc.core.slots.all_rotations import find_centroid_range as find_centroid_range
+    from tactile_loc.core.poses.lattices import compute_lattice_shape as compute_lattice_shape
+    from tactile_loc.core.poses.lattices import make_plane_lattice as make_plane_lattice
+    from tactile_loc.core.slots.all_rotations import draw_places as draw_places
+    from tactile_loc.core.poses.lattices import find_reachable_translations as find_reachable_translations
     from tactile_loc.core.poses.lattices import require_spacing as require_spacing
-    from tactile_loc.core.poses.lattices import shifted_lattice as shifted_lattice
+    from tactile_loc.core.poses.lattices import make_shifted_lattice as make_shifted_lattice
 
     from tactile_loc.core.sensing.places import PATCH_PX as PATCH_PX
     from tactile_loc.core.sensing.places import PITCH_M as PITCH_M
     from tactile_loc.core.sensing.places import Places as Places
-    from tactile_loc.core.sensing.places import as_patches as as_patches
+    from tactile_loc.core.sensing.places import make_patches as make_patches
 
     # for encoders that learn
-    from tactile_loc.core.simulation.contact_poses import contact_grid as contact_grid
-    from tactile_loc.core.simulation.contact_poses import random_contact_poses as random_contact_poses
-    from tactile_loc.core.simulation.contact_poses import random_contacts as random_contacts
+    from tactile_loc.core.simulation.contact_poses import make_contact_grid as make_contact_grid
+    from tactile_loc.core.simulation.contact_poses import draw_contact_poses as draw_contact_poses
+    from tactile_loc.core.simulation.contact_poses import draw_contacts as draw_contacts
     from tactile_loc.core.simulation.noise import NoiseLevel as NoiseLevel
     from tactile_loc.core.simulation.noise import TouchNoise as TouchNoise
-    from tactile_loc.core.simulation.noise import noise_level as noise_level
+    from tactile_loc.core.simulation.noise import make_noise as make_noise
 
     # for refiners that register
     from tactile_loc.core.registration.joint_registration import JointRegistration as JointRegistration
     from tactile_loc.core.registration.joint_registration import RegistrationOptions as RegistrationOptions
-    from tactile_loc.core.sensing.clouds import contact_cloud as contact_cloud
+    from tactile_loc.core.sensing.clouds import make_contact_cloud as make_contact_cloud
     from tactile_loc.core.registration.cloud_refiner import Cloud as Cloud
     from tactile_loc.core.registration.cloud_refiner import CloudRefiner as CloudRefiner
     from tactile_loc.core.registration.cloud_refiner import Registration as Registration
-    from tactile_loc.core.registration.cloud_refiner import orthonormal as orthonormal
+    from tactile_loc.core.registration.cloud_refiner import make_orthonormal as make_orthonormal
 
     # for fusers
     from tactile_loc.core.slots.common_poses import CommonPosesFuser as CommonPosesFuser
     from tactile_loc.core.slots.common_poses import require_fusable as require_fusable
-    from tactile_loc.core.slots.common_poses import common_poses as common_poses
-    from tactile_loc.core.slots.common_poses import prior_weights as prior_weights
+    from tactile_loc.core.slots.common_poses import find_common_poses as find_common_poses
+    from tactile_loc.core.slots.common_poses import compute_prior_weights as compute_prior_weights
 
 __all__, __getattr__, __dir__ = lazy_names(__name__)

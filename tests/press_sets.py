@@ -126,7 +126,7 @@ class BallSet(LabelledPresses):
 
 def magnified(balls: BallSet, times: int) -> BallSet:
     """The presses as a camera of so many times the pixels a side takes them."""
-    geometry = balls.geometry.resized(times * balls.geometry.width_px, times * balls.geometry.height_px)
+    geometry = balls.geometry.resize(times * balls.geometry.width_px, times * balls.geometry.height_px)
 
     def larger(pixels: np.ndarray, rows: int) -> np.ndarray:
         return pixels.repeat(times, axis=rows).repeat(times, axis=rows + 1)

@@ -1,4 +1,4 @@
-"""Arrows between rooms point one way, no file imports in a circle, and docs/architecture.md says what the code does."""
+"""Arrows between packages point one way, no file imports in a circle, and docs/architecture.md says what code does."""
 
 from __future__ import annotations
 
@@ -43,38 +43,38 @@ def loaded(path: Path) -> ModuleType:
     return module
 
 
-rooms = loaded(ROOT / "docs" / "rooms.py")
+packages = loaded(ROOT / "docs" / "packages.py")
 
 
 @pytest.fixture(scope="module")
 def ours() -> list:
     """The imports of our own modules."""
-    return [found for found in rooms.imports() if rooms.is_ours(found.imported)]
+    return [found for found in packages.imports() if packages.is_ours(found.imported)]
 
 
-def test_every_room_has_a_place():
-    assert {rooms.room(module) for module in rooms.modules()} == set(rooms.LAYER_OF)
+def test_every_package_has_a_place():
+    assert {packages.package(module) for module in packages.modules()} == set(packages.LAYER_OF)
 
 
 def test_every_import_is_seen_also_late_ones_and_those_for_type_checkers(tmp_path):
     types = "if TYPE_CHECKING:\n    from tactile_loc.io import toml\n"
     (tmp_path / "some.py").write_text(f"{types}def late():\n    import tactile_loc.core.poses.metric.metric, numpy\n")
-    seen = {(i.line, i.imported) for i in rooms._imports_of("some", tmp_path / "some.py")}
+    seen = {(i.line, i.imported) for i in packages._imports_of("some", tmp_path / "some.py")}
     assert seen == {(2, "tactile_loc.io.toml"), (4, "tactile_loc.core.poses.metric.metric"), (4, "numpy")}
 
 
 def test_arrows_point_down(ours):
-    """A room imports only rooms of lower layers."""
+    """A package imports only packages of lower layers."""
 
     def climbs(found) -> bool:
-        start, end = rooms.room(found.importer), rooms.room(found.imported)
-        return start != end and rooms.LAYER_OF[end] >= rooms.LAYER_OF[start]
+        start, end = packages.package(found.importer), packages.package(found.imported)
+        return start != end and packages.LAYER_OF[end] >= packages.LAYER_OF[start]
 
     assert "\n".join(str(found) for found in ours if climbs(found)) == ""
 
 
 def test_no_file_imports_in_a_circle(ours):
-    direct: dict[str, set[str]] = {module: set() for module in rooms.modules()}
+    direct: dict[str, set[str]] = {module: set() for module in packages.modules()}
     for found in ours:
         direct[found.importer].add(found.imported)
 
@@ -92,11 +92,11 @@ def test_no_file_imports_in_a_circle(ours):
 
 
 def test_the_front_door_opens_on_core_alone():
-    assert rooms.rooms_imported()["plugin"] == ["core"]
+    assert packages.packages_imported()["plugin"] == ["core"]
 
 
 def test_core_knows_no_renderer_viewer_or_learner():
-    assert not {"torch", "open3d", "pyrender", "matplotlib", "faiss"} & set(rooms.libraries_imported()["core"])
+    assert not {"torch", "open3d", "pyrender", "matplotlib", "faiss"} & set(packages.libraries_imported()["core"])
 
 
 def test_core_reads_and_writes_no_file():
@@ -117,14 +117,14 @@ def test_built_in_components_use_the_front_door_and_no_plugin_imports_another(sl
         assert found.imported in allowed or f"{found.imported}.".startswith(f"{own}."), str(found)
 
 
-def test_the_table_of_rooms_says_what_the_code_imports():
-    page = rooms.PAGE.read_text()
-    paths = [match["path"] for match in rooms.ROW.finditer(page)]
-    assert sorted(map(rooms.room_at, paths)) == sorted(rooms.LAYER_OF), "a row for each room"
+def test_the_table_of_packages_says_what_the_code_imports():
+    page = packages.PAGE.read_text()
+    paths = [match["path"] for match in packages.ROW.finditer(page)]
+    assert sorted(map(packages.package_at, paths)) == sorted(packages.LAYER_OF), "a row for each package"
     assert all((ROOT / path).exists() for path in paths)
-    assert page == rooms.with_table(page), "run python docs/rooms.py"
+    assert page == packages.with_table(page), "run python docs/packages.py"
 
 
-def test_the_picture_of_the_rooms_is_what_the_code_imports():
-    assert rooms.PICTURE.read_text() == rooms.picture(), "run python docs/rooms.py"
-    assert f"images/{rooms.PICTURE.name}" in rooms.PAGE.read_text()
+def test_the_picture_of_the_packages_is_what_the_code_imports():
+    assert packages.PICTURE.read_text() == packages.picture(), "run python docs/packages.py"
+    assert f"images/{packages.PICTURE.name}" in packages.PAGE.read_text()

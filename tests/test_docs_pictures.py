@@ -10,8 +10,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.hand_eye import moved
-from tactile_loc.core.geometry.rigid import make_transform, random_rotations, rotation_about
+from tactile_loc.core.geometry.hand_eye import move
+from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, rotation_about
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.tasks.tracker import TrackedPose
@@ -36,11 +36,11 @@ def tracked(k: int, T: np.ndarray | None, verdict: Verdict = Verdict.CERTAIN) ->
 @pytest.fixture(scope="module")
 def truth():
     rng = np.random.default_rng(0)
-    return make_transform(random_rotations(COUNT, rng), 0.01 * rng.normal(size=(COUNT, 3)))
+    return make_transform(draw_rotations(COUNT, rng), 0.01 * rng.normal(size=(COUNT, 3)))
 
 
 def test_errors_are_the_centroids_shift_and_the_turn(box, truth):
-    found = [tracked(k, moved(T, np.array([3e-4, 0, 4e-4, 0, 0.01, 0]))) for k, T in enumerate(truth)]
+    found = [tracked(k, move(T, np.array([3e-4, 0, 4e-4, 0, 0.01, 0]))) for k, T in enumerate(truth)]
     errors = guide.measure_track(found, truth, box)  # the box's centroid is its frame's origin
     assert np.allclose(errors.shift_m, 5e-4)
     assert np.allclose(errors.turn_rad, 0.01)

@@ -18,8 +18,8 @@ from tactile_loc import core, store
 GROWING = {"Edge"}  # of a tree of frames: it is filled as transforms come
 
 
-def dataclasses_of(room: ModuleType) -> Iterator[type]:
-    for info in pkgutil.walk_packages(room.__path__, f"{room.__name__}."):
+def dataclasses_of(package: ModuleType) -> Iterator[type]:
+    for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
         module = importlib.import_module(info.name)
         classes = [one for _, one in inspect.getmembers(module, inspect.isclass) if one.__module__ == module.__name__]
         yield from (one for one in classes if dataclasses.is_dataclass(one) and one.__name__ not in GROWING)

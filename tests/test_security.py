@@ -22,7 +22,7 @@ from tactile_loc.plugins.sensors.presets import GelSlim
 
 ROOT = Path(__file__).parents[1]
 SOURCES = [
-    path for room in ("tactile_loc", "cli", "plugins_contrib", "scripts") for path in (ROOT / room).rglob("*.py")
+    path for folder in ("tactile_loc", "cli", "plugins_contrib", "scripts") for path in (ROOT / folder).rglob("*.py")
 ]
 READS_NAMES_ALONE = "code_cache.py"  # of numba's own files: see the test of it below
 UNSAFE = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}

@@ -251,11 +251,11 @@ def _warn_of_namesake(name: str) -> None:
 def open_localizer(config: RunConfig, store: Path | None, obj: ObjectModel | None = None) -> Localizer:
     """Make a localizer of the object, which is loaded if it is not given. Raises TactileLocError for bad input."""
     from tactile_loc.locate.localizer import Localizer
-    from tactile_loc.locate.stored_object import stored_object
+    from tactile_loc.locate.stored_object import load_stored_object
     from tactile_loc.store.store import StageStore
 
     kept, chosen = StageStore(store), config.object
-    obj = obj or stored_object(chosen.path, chosen.units, chosen.symmetry, kept)
+    obj = obj or load_stored_object(chosen.path, chosen.units, chosen.symmetry, kept)
     localizer = Localizer(config, obj, kept, make_progress())
     if localizer.other_refinement and is_shown(logging.WARNING):
         complain("note", localizer.other_refinement)

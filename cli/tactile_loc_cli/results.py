@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile_loc.core.formatting import duration, millimetres, mm
+from tactile_loc.core.formatting import format_duration, format_millimetres, format_mm
 from tactile_loc.core.geometry.rigid import format_pose
 from tactile_loc_cli.console import say, say_table
 
@@ -25,7 +25,7 @@ POSE = ("x mm", "y mm", "z mm", "turn deg", "about axis")
 def make_title(record: ResultRecord) -> str:
     """Return the picture's title: object, sensor, normalised entropy, error."""
     text = f"{record.object.name} on {record.sensor_name}: normalised entropy {record.normalised_entropy:.2f}"
-    return text if record.errors is None else f"{text}, error {millimetres(record.errors.best_m)}"
+    return text if record.errors is None else f"{text}, error {format_millimetres(record.errors.best_m)}"
 
 
 def say_result(record: ResultRecord) -> None:
@@ -65,10 +65,11 @@ def _summarise(record: ResultRecord) -> Iterator[str]:
     errors = record.errors
     if errors is not None:
         yield (
-            f"error: {mm(errors.best_m)} mm the best, {mm(errors.best_listed_m)} mm the nearest of those listed, "
-            f"{mm(errors.closest_in_grid_m)} mm the nearest of the grid (RMS surface distance, symmetry regarded)"
+            f"error: {format_mm(errors.best_m)} mm the best, {format_mm(errors.best_listed_m)} mm the nearest of those "
+            f"listed, {format_mm(errors.closest_in_grid_m)} mm the nearest of the grid (RMS surface distance, "
+            "symmetry regarded)"
         )
-    yield "time: " + ", ".join(f"{stage} {duration(s)}" for stage, s in record.seconds.items())
+    yield "time: " + ", ".join(f"{stage} {format_duration(s)}" for stage, s in record.seconds.items())
 
 
 def _describe_side(record: ResultRecord) -> str:
@@ -84,7 +85,7 @@ def _list_cells(h: HypothesisRecord) -> list[str]:
         *format_pose(np.array(h.T_sensor_object)),
         f"{100 * h.imprint_iou:.0f}",
     ]
-    return cells if h.error_m is None else [*cells, mm(h.error_m)]
+    return cells if h.error_m is None else [*cells, format_mm(h.error_m)]
 
 
 def say_mount(record: MountRecord) -> None:
@@ -132,7 +133,7 @@ def _list_rated_cells(one: RatedRecord) -> list[str]:
 
 def say_identification(record: IdentificationRecord) -> None:
     """Write the objects that were located, the most probable first, and what was touched."""
-    header = ["object", "prob. %", "shortfall nats", IMPRINT, *POSE]
+    header = ["object", "prob. %", "misfit nats", IMPRINT, *POSE]
     located = [one for one in record.objects if one.poses]
     say_table([header, *map(_list_known_cells, located), ["none of these", f"{100 * record.none:.1f}"]], left=1, gap=2)
     if others := len(record.objects) - len(located):
@@ -142,7 +143,7 @@ def say_identification(record: IdentificationRecord) -> None:
 
 def _list_known_cells(one: KnownObjectRecord) -> list[str]:
     best = one.poses[0]
-    numbers = [f"{100 * one.probability:.1f}", f"{one.shortfall_nats or 0.0:.1f}", f"{100 * best.imprint_iou:.0f}"]
+    numbers = [f"{100 * one.probability:.1f}", f"{one.misfit_nats or 0.0:.1f}", f"{100 * best.imprint_iou:.0f}"]
     return [one.name, *numbers, *format_pose(np.array(best.T_sensor_object))]
 
 

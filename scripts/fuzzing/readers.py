@@ -24,7 +24,7 @@ from tactile_loc.io.mount_files import read_mount
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.io.streams.recordings import Message, Recording
-from tactile_loc.io.streams.ros_messages import IMAGE_TYPES, image_array, read_stamp_ns
+from tactile_loc.io.streams.ros_messages import IMAGE_TYPES, decode_image, read_stamp_ns
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.io.touches import read_touch
 from tactile_loc.reports import find_source, write_report
@@ -32,8 +32,8 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.comparison import compare, format_texts
 from tactile_loc.sweeps.plan import Plan, name_choices
 from tactile_loc.sweeps.results import read_sweep
-from tactile_loc.tasks.next_touch import next_touch
-from tactile_loc.tasks.next_touch_files import next_touch_record, read_modes
+from tactile_loc.tasks.next_touch import choose_next_touch
+from tactile_loc.tasks.next_touch_files import make_next_touch_record, read_modes
 
 SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
 SETS = {"gs_sdk": "gs_sdk", "taxim": "taxim.npz", "fots": "fots", "circles": "circles"}
@@ -109,7 +109,7 @@ def _pin() -> ObjectModel:
 
 
 def _prior(path: Path) -> None:
-    prior = read_prior(path, _pin()).seen_from(np.eye(4))
+    prior = read_prior(path, _pin()).view_from(np.eye(4))
     assert not np.isnan(prior(np.stack([np.eye(4)] * 3))).any(), "a prior was accepted whose value is no number"
 
 
@@ -162,7 +162,7 @@ def _reported(folder: Path) -> None:
 
 def _next_touch(folder: Path) -> None:
     modes, T_base_sensor = read_modes(folder / "result.json")
-    next_touch_record(next_touch(modes, _approaches(folder, T_base_sensor)[:1]))
+    make_next_touch_record(choose_next_touch(modes, _approaches(folder, T_base_sensor)[:1]))
 
 
 def _compared(folder: Path) -> None:
@@ -182,7 +182,7 @@ def _recording(folder: Path) -> None:
 def _image(message: Message) -> None:
     image = message.decode()
     read_stamp_ns(image.header)
-    image_array(image)
+    decode_image(image)
 
 
 def _mesh(kind: str) -> Reader:

@@ -17,7 +17,7 @@ from tactile_loc.calibration.estimator import GelEstimator, load_estimator, vali
 from tactile_loc.calibration.health import Health, measure_health, require_healthy
 from tactile_loc.calibration.labels import Image
 from tactile_loc.calibration.reading import measure_press_m, read_zero, require_image
-from tactile_loc.core.errors import CalibrationError, OutputError, SensorError, TouchError, named
+from tactile_loc.core.errors import CalibrationError, OutputError, SensorError, TouchError, name_source
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.imaging.optics import Optics
 from tactile_loc.io.images import read_colour_image, write_image
@@ -87,7 +87,7 @@ class Calibration:
     @cached_property
     def estimator(self) -> GelEstimator:
         """The estimator with what it learned. Raises WeightsError, MissingLibraryError."""
-        with named(self.folder / CALIBRATION):
+        with name_source(self.folder / CALIBRATION):
             kind = load_estimator(self.record["estimator"])
             options = validate_estimator_options(kind, self.record["options"])
         estimator = kind(self.geometry, self.background, options)

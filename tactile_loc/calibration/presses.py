@@ -200,7 +200,7 @@ def _shrink_sensor(camera: SensorGeometry, size_px: tuple[int, int]) -> SensorGe
             f"images of {camera.width_px} x {camera.height_px} px cannot be reduced to {width} x {height}; give a "
             "smaller size of the same shape"
         )
-    return camera.resized(width, height)
+    return camera.resize(width, height)
 
 
 def _read_table(table: Path) -> list[Row]:

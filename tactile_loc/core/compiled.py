@@ -50,7 +50,7 @@ def njit(function: Callable[..., Any] | None = None, *, fast: bool = False) -> A
             config.CACHE_DIR = chosen  # type: ignore[attr-defined]
 
 
-def in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
+def run_in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
     """Call kernel(first, last, *arguments) for parts of range(count), shared out among threads.
 
     The parts must not write to the same place. As many threads as numba may use (NUMBA_NUM_THREADS, or the cores that

@@ -8,6 +8,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from tactile_loc.core.deprecation import make_getattr
+
 MOST_LETTERS = 1500  # of a sentence
 
 
@@ -18,7 +20,7 @@ class TactileLocError(Exception):
     """
 
     def __str__(self) -> str:
-        return one_line(super().__str__())
+        return fold_line(super().__str__())
 
 
 class ObjectError(TactileLocError):
@@ -113,7 +115,7 @@ class MissingLibraryError(PluginError):
     """A plugin needs a library that is not installed."""
 
 
-def one_line(text: str) -> str:
+def fold_line(text: str) -> str:
     """Return a text as one line; what cannot be printed is escaped, and of a very long one the middle is left out."""
     words = " ".join(text.split())
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in words)
@@ -121,7 +123,7 @@ def one_line(text: str) -> str:
     return shown if len(shown) <= MOST_LETTERS else f"{shown[:half]} ... {shown[3 - half :]}"
 
 
-def quoted(value: Any) -> str:
+def quote(value: Any) -> str:
     """Return a value as Python writes it, long ones abridged."""
     short = reprlib.Repr()
     short.maxstring = short.maxother = 200
@@ -130,7 +132,7 @@ def quoted(value: Any) -> str:
 
 
 @contextmanager
-def named(source: object) -> Iterator[None]:
+def name_source(source: object) -> Iterator[None]:
     """Have errors of the block begin with `source`, a file say, unless they mention it."""
     try:
         yield
@@ -144,3 +146,6 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return " Did you mean 'x'?" for the nearest known names, or an empty string when none is near."""
     near = difflib.get_close_matches(name, sorted(known), n=3, cutoff=0.5)
     return f" Did you mean {' or '.join(repr(n) for n in near)}?" if near else ""
+
+
+__getattr__ = make_getattr(__name__)

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 
-def mm(length_m: float) -> str:
+def format_mm(length_m: float) -> str:
     """Write a length in metres as millimetres of three digits, without the unit: 0.021, 1.94, 48.2."""
     value = 1e3 * length_m
     return f"{value:.3f}" if value < 1 else f"{value:.2f}" if value < 10 else f"{value:.1f}"
 
 
-def millimetres(length_m: float) -> str:
+def format_millimetres(length_m: float) -> str:
     """Write a length in metres with its unit, in two digits: 0.02 mm, 1.9 mm, 48 mm."""
     value = 1e3 * length_m
     return f"{value:.2f} mm" if value < 1 else f"{value:.1f} mm" if value < 10 else f"{value:.0f} mm"
 
 
-def percent(share: float) -> str:
+def format_percent(share: float) -> str:
     """Write a share (0 to 1): 99.7 %, 61 %, 2.8 %, < 0.1 %."""
     value = 100 * share
     return "< 0.1 %" if value < 0.1 else f"{value:.1f} %" if value < 10 or 99 < value < 99.95 else f"{value:.0f} %"
 
 
-def byte_size(nbytes: int) -> str:
+def format_bytes(nbytes: int) -> str:
     """Write a number of bytes: 3 B, 12.3 kB, 4.56 GB."""
     for unit, size_b in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if nbytes >= size_b:
@@ -29,6 +29,6 @@ def byte_size(nbytes: int) -> str:
     return f"{nbytes} B"
 
 
-def duration(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Write how long something took: 12.3 ms, 4.5 s."""
     return f"{seconds:.1f} s" if seconds >= 1 else f"{1e3 * seconds:.1f} ms"

@@ -8,11 +8,14 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+from tactile_loc.core.deprecation import find_renamed
+
 
 def lazy_names(module: str) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
     """Return `__all__`, `__getattr__` and `__dir__` of a module: the names under its `if TYPE_CHECKING:`.
 
-    Type checkers read that block, and so does this, so that each name and its home stand once.
+    Type checkers read that block, and so does this, so that each name and its home stand once. Old names of what was
+    renamed are found too, with a warning.
     """
     loader: Any = vars(sys.modules[module])["__spec__"].loader
     homes = _imports_for_type_checkers(loader.get_source(module))
@@ -20,7 +23,7 @@ def lazy_names(module: str) -> tuple[list[str], Callable[[str], Any], Callable[[
     def attribute(name: str) -> Any:
         if name in homes:
             return getattr(importlib.import_module(homes[name]), name)
-        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        return find_renamed(module, name)
 
     return sorted(homes), attribute, lambda: sorted(homes)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import millimetres, percent
+from tactile_loc.core.formatting import format_millimetres, format_percent
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.scene import Scene
@@ -155,8 +155,8 @@ def _write_heading(panel: SubFigure, text: str) -> None:
 
 
 def _write_caption(i: int, probability: float, imprint_iou: float, errors_m: Sequence[float] | None) -> str:
-    text = f"{i + 1}:  {percent(probability)},  IoU {100 * imprint_iou:.0f} %"
-    return text if errors_m is None else f"{text},  {millimetres(errors_m[i])} off"
+    text = f"{i + 1}:  {format_percent(probability)},  IoU {100 * imprint_iou:.0f} %"
+    return text if errors_m is None else f"{text},  {format_millimetres(errors_m[i])} off"
 
 
 def _draw_scene(panel: SubFigure, localization: Localization, scene: Scene) -> None:

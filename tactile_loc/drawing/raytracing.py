@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import make_transform
 from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.sensing.zbuffer import nearest_faces
+from tactile_loc.core.sensing.zbuffer import draw_nearest_faces
 
 Array = NDArray[np.float64]
 Bounds = tuple[float, float, float, float]
@@ -138,7 +138,7 @@ class Tracer:
         u = left + (np.arange(width) + 0.5) / width * (right - left)
         v = top - (np.arange(height) + 0.5) / height * (top - bottom)
         looking = make_transform(axes * [[1.0], [-1.0], [-1.0]], [0.0, 0.0, self._distance])
-        depth, face = nearest_faces(self._mesh, looking, u, -v)
+        depth, face = draw_nearest_faces(self._mesh, looking, u, -v)
         return depth, face, u, v
 
 

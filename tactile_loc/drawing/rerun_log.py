@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import MissingLibraryError, OutputError, TactileLocError
-from tactile_loc.core.formatting import percent
-from tactile_loc.core.geometry.pose_words import pose_words
-from tactile_loc.core.geometry.rigid import covariance_along, invert, rotation_to_quaternion
+from tactile_loc.core.formatting import format_percent
+from tactile_loc.core.geometry.pose_words import format_pose_words
+from tactile_loc.core.geometry.rigid import invert, rotate_covariance, rotation_to_quaternion
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -197,10 +197,10 @@ def describe_pose(frame: Logged) -> str:
     said = frame.says or found.says
     if found.T_sensor_object is None:
         return "\n".join(line for line in (found.word, said) if line)
-    words = pose_words(found.T_sensor_object, found.std)
+    words = format_pose_words(found.T_sensor_object, found.std)
     std = "" if found.std is None else f"\nstd {words.place_std} mm; {words.turn_std} about x, y, z"
     lines = (
-        f"{found.word}, {percent(float(found.probabilities[0]))}",
+        f"{found.word}, {format_percent(float(found.probabilities[0]))}",
         f"{words.place} mm, turned {words.turn} about {words.axis}{std}",
         said,
     )
@@ -219,7 +219,7 @@ def write_localization(path: Path, localization: Localization, scene: Scene) -> 
             log.add(Logged(0, 0.0, first.image, first, located, localization.posterior, first.name))
             for number, touch in enumerate(localization.others, 1):
                 T_other_first = invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
-                seen = located.seen_from(T_other_first)
+                seen = located.view_from(T_other_first)
                 log.add(Logged(number, float(number), touch.image, touch, seen, says=touch.name))
 
     return write_atomically(path, write)
@@ -252,7 +252,7 @@ def _locate_in_sensor(record: FrameRecord, view: FrameView) -> LocatedFrame:
     if record.T_frame_object is None:
         return LocatedFrame(record.verdict, says=record.says)
     T = np.eye(4) if view.T_base_frame is None else invert(view.T_base_frame)
-    covariance = None if record.covariance is None else covariance_along(np.array(record.covariance), T[:3, :3])
+    covariance = None if record.covariance is None else rotate_covariance(np.array(record.covariance), T[:3, :3])
     shares, iou = np.array([record.probability or 0.0]), record.imprint_iou
     return LocatedFrame(
         record.verdict, (T @ record.T)[None], shares, covariance, np.nan if iou is None else iou, says=record.says

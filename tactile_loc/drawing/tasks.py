@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import percent
+from tactile_loc.core.formatting import format_percent
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.drawing.pictures import add_panels, draw_contact_shape, make_figure
 from tactile_loc.tasks.mount import FoundMount
@@ -42,12 +42,12 @@ def draw_next_touch(found: NextTouch, title: str) -> Figure:
 def _draw_mode(axes: Any, found: NextTouch, depth_m: NDArray[np.float32], number: int) -> None:
     rated, modes = found.best, found.modes
     press_m = modes.press_m if rated.approach.press_m is None else rated.approach.press_m
-    geometry = modes.geometry.pressed(press_m)
+    geometry = modes.geometry.press(press_m)
     draw_contact_shape(axes, ContactShape(depth_m, press_m), geometry)
     axes.set(xticks=[], yticks=[])
     travel_m = rated.travel_m[number]
     stops = "meets nothing" if np.isnan(travel_m) else f"stops after {1e3 * travel_m:.1f} mm"
-    axes.set_title(f"{number + 1}: {percent(float(modes.probabilities[number]))}, {stops}", size=8)
+    axes.set_title(f"{number + 1}: {format_percent(float(modes.probabilities[number]))}, {stops}", size=8)
 
 
 def _draw_doubt(axes: Any, ranked: tuple[RatedApproach, ...], before: float) -> None:

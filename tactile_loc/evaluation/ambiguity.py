@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.compiled import in_threads, njit
+from tactile_loc.core.compiled import njit, run_in_threads
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
@@ -66,8 +66,10 @@ def measure_ambiguity(
     apart_m = localizer.sampler.options.spacing_mm * 1e-3
     ratios = []
     for touch, T_true, apart, rng in zip(touches, truths, distances, rngs, strict=True):
-        rivals = find_rivals(localizer.listed.grid_of(touch), T_true, apart, apart_m)
-        ratios.append(_Judge(localizer.scene.as_seen(), refiner, noise).find_ratio(touch, T_true, rivals, rng))
+        rivals = find_rivals(localizer.listed.press_grid(touch), T_true, apart, apart_m)
+        ratios.append(
+            _Judge(localizer.scene.use_pressed_drawing(), refiner, noise).find_ratio(touch, T_true, rivals, rng)
+        )
     return np.array(ratios)
 
 
@@ -106,22 +108,22 @@ class _Judge:
 
     def find_ratio(self, touch: Touch, T_true: Poses, rivals: Poses, rng: np.random.Generator) -> float:
         """The least ratio of the rivals (R, 4, 4), as they are and refined; infinite without any."""
-        pressed = self.scene.of_touch(touch)
-        truth = pressed.in_contact(T_true[None])[0][0]
-        clean = ContactShape(pressed.contact_depths(truth[None])[0], touch.press_depth_m, touch.indentation_m)
+        pressed = self.scene.match_touch(touch)
+        truth = pressed.bring_to_contact(T_true[None])[0][0]
+        clean = ContactShape(pressed.render_contact_depths(truth[None])[0], touch.press_depth_m, touch.indentation_m)
         poses = self._keep_distant(pressed, truth, np.concatenate([rivals, self._refine(touch, clean, rivals)]))
         if len(poses) == 0:
             return np.inf
         measured = self._measure(touch, truth, rng)
         true, others, noisy = (
             _blur_gently(depths, touch.geometry)
-            for depths in (clean.depth_m[None], pressed.contact_depths(poses), measured)
+            for depths in (clean.depth_m[None], pressed.render_contact_depths(poses), measured)
         )
         return float(compute_noise_ratio(true[0], others, noisy).min())
 
     def _keep_distant(self, pressed: Scene, truth: Poses, poses: Poses) -> Poses:
         """Those of poses (R, 4, 4), metres, that touch far from the truth (4, 4), in contact."""
-        poses, touching = pressed.in_contact(poses)
+        poses, touching = pressed.bring_to_contact(poses)
         away_m = PoseMetric(pressed.object).symmetric_distance(np.broadcast_to(truth, poses.shape), poses)
         return poses[touching & (away_m > DISTANT_M)]
 
@@ -132,16 +134,16 @@ class _Judge:
         except TouchError:  # clean, it is nothing but a flat face
             return rivals
         candidates = [Candidate(T, k, 0.0) for k, T in enumerate(rivals)]
-        refined = self.refiner.refine_many(target, candidates, self.scene.of_touch(target))
+        refined = self.refiner.refine_many(target, candidates, self.scene.match_touch(target))
         return np.array([pose.T_sensor_object for pose in refined]).reshape(-1, 4, 4)
 
     def _measure(self, touch: Touch, T_true: Poses, rng: np.random.Generator) -> Float32:
         """Noisy measurements (K, H, W) of the touch's true pose and press, cut at its press depth; metres."""
         press = PressNoise(self.noise, self.scene, touch.indentation_m, rng)
-        T, _ = self.scene.in_contact(np.repeat(T_true[None], MEASUREMENTS, axis=0))
+        T, _ = self.scene.bring_to_contact(np.repeat(T_true[None], MEASUREMENTS, axis=0))
         cut_m = np.float32(touch.press_depth_m)
         measured = np.full((MEASUREMENTS, *touch.geometry.shape), cut_m)
-        for depth, shape in zip(measured, press.pressed(T, 0.0)[1], strict=True):
+        for depth, shape in zip(measured, press.press(T, 0.0)[1], strict=True):
             if shape is not None:  # else noise left no contact
                 np.minimum(depth, shape.depth_m, out=depth, where=shape.contact)
         return measured
@@ -150,7 +152,7 @@ class _Judge:
 def _blur_gently(depths_m: Float32, geometry: SensorGeometry) -> Float64:
     """Contact depths (N, H, W) at the observed pixels on the gel (N, P), blurred by BLUR_M; metres."""
     gel = Gel.of(geometry)
-    blurred = gel.blurred(depths_m[:, gel.rows, gel.columns], BLUR_M)
+    blurred = gel.blur(depths_m[:, gel.rows, gel.columns], BLUR_M)
     return blurred[:, geometry.observed_mask[gel.rows, gel.columns]].astype(float)
 
 
@@ -166,7 +168,7 @@ def _measure_shape_distances(localizer: Localizer, touches: Sequence[Touch], tru
     for depths in localizer.model.shapes.shards():  # at full press: cut at each touch's own while comparing
         shapes = np.ascontiguousarray(depths.reshape(len(depths), -1)[:, pixels].T)
         parts.append(np.zeros((len(touches), shapes.shape[1]), np.float32))
-        in_threads(_compare, len(wanted), shapes, wanted, press, parts[-1])
+        run_in_threads(_compare, len(wanted), shapes, wanted, press, parts[-1])
     return np.concatenate(parts, axis=1)
 
 
@@ -174,8 +176,8 @@ def _draw_true_shapes(localizer: Localizer, touches: Sequence[Touch], truths: Po
     """Clean contact depths (T, H, W) of the true poses, metres, each cut at its touch's press depth."""
     shapes = []
     for touch, T in zip(touches, truths, strict=True):
-        pressed = localizer.coarse_scene.pressed(touch.indentation_m, touch.press_depth_m)
-        shapes.append(pressed.contact_depths(pressed.in_contact(T[None])[0])[0])
+        pressed = localizer.coarse_scene.press(touch.indentation_m, touch.press_depth_m)
+        shapes.append(pressed.render_contact_depths(pressed.bring_to_contact(T[None])[0])[0])
     return np.stack(shapes)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import millimetres
+from tactile_loc.core.formatting import format_millimetres
 from tactile_loc.drawing.pictures import OUTLINE, add_panels, draw_contact_shape, draw_outline, make_figure
 from tactile_loc.evaluation.fusion_tables import FusionRun
 from tactile_loc.evaluation.metrics import LEVELS, POSTERIOR_METRICS
@@ -87,7 +87,7 @@ def draw_gallery(localizer: Localizer, evaluation: Evaluation, touches: Simulate
         draw_contact_shape(column[0], touch.contact_shape, touch.geometry, deepest_m)
         image = draw_contact_shape(column[1], shape, touch.geometry, deepest_m)
         draw_outline(column[1], touch)
-        column[0].set_title(f"{kind}: {millimetres(float(errors_m[number]))}\n{touch.name}", size=10)
+        column[0].set_title(f"{kind}: {format_millimetres(float(errors_m[number]))}\n{touch.name}", size=10)
         column[1].set_xlabel("x (mm)", size=9)
     panels[0, 0].set_ylabel("observed\ny (mm)", size=10)
     panels[1, 0].set_ylabel("estimated, refined\ny (mm)", size=10)
@@ -107,7 +107,7 @@ def _draw_object(axes: Axes, runs: Sequence[Run], colours: dict[str, str]) -> No
     for line, colour in (("random", RANDOM), ("closest", CLOSEST)):
         level = float(_take_logarithm(np.median(runs[0].evaluation.normalise_errors(line))))
         axes.axhline(level, color=colour, lw=1.2, ls=(0, (5, 3)), zorder=1)
-    scale = millimetres(runs[0].evaluation.compute_scale_m())
+    scale = format_millimetres(runs[0].evaluation.compute_scale_m())
     axes.set_title(f"{runs[0].object} (random: {scale} on average)", size=11)
     axes.set_xticks(range(len(DRAWN)), [line.capitalize() for line in DRAWN], size=9)
     axes.set_xlim(-0.6, len(DRAWN) - 0.4)

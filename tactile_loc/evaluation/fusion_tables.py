@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.core.formatting import mm
+from tactile_loc.core.formatting import format_mm
 from tactile_loc.evaluation import tabular
 from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES, FUSION_VERSION, FusionEvaluation
 
@@ -32,7 +32,7 @@ def tabulate_medians(runs: Sequence[FusionRun], normalised: bool = False) -> tab
 
     In mm, or as a share of a random pose's mean error if `normalised`.
     """
-    contacts, write = runs[0].evaluation.contacts, "{:.3f}".format if normalised else mm
+    contacts, write = runs[0].evaluation.contacts, "{:.3f}".format if normalised else format_mm
     rows = []
     for run, line in itertools.product(runs, FUSED_LINES):
         medians = (run.summarise(line, n, normalised=normalised).median for n in contacts)
@@ -48,7 +48,7 @@ def format_markdown(runs: Sequence[FusionRun], heading: str) -> str:
         parts.append(f"## {run.object}, {run.encoder}\n")
         parts.append(
             f"{run.grid_poses} grid poses, symmetry {run.symmetry}; "
-            f"a random pose: {mm(run.evaluation.compute_scale_m())} mm in the mean; "
+            f"a random pose: {format_mm(run.evaluation.compute_scale_m())} mm in the mean; "
             f"{run.evaluation.refused.sum()} presses that showed no touch were refused\n"
         )
         parts.append(tabular.format_markdown([_DETAILS, *_list_details(run)]))
@@ -111,6 +111,11 @@ def _list_details(run: FusionRun) -> Iterator[list[str]]:
     for line in FUSED_LINES:
         for n in run.evaluation.contacts:
             s, share = run.compare_statistics(line, n).values()
-            lengths = [mm(s.median), mm(s.mean), mm(s.std), f"{mm(s.q25)} to {mm(s.q75)}"]
+            lengths = [
+                format_mm(s.median),
+                format_mm(s.mean),
+                format_mm(s.std),
+                f"{format_mm(s.q25)} to {format_mm(s.q75)}",
+            ]
             shares = [f"{v:.3f}" for v in (share.median, share.mean, share.std)]
             yield [line, str(n), *lengths, *shares, str(run.evaluation.count_without_common(line, n))]

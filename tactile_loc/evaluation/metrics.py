@@ -47,7 +47,7 @@ def compute_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true:
     """
     if obj.symmetry.continuous_axis is not None:
         return np.array([find_least_mean(obj, points_m, T, T_true) for T in T_estimates])
-    same = T_true @ obj.symmetry.elements()
+    same = T_true @ obj.symmetry.list_elements()
     chosen = np.broadcast_to(np.arange(len(same)), (len(T_estimates), len(same)))
     if len(same) > FEW_SYMMETRIES:
         chosen = _choose_alike(_measure_rms(obj, T_estimates, same))
@@ -66,7 +66,7 @@ def compute_mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true
     """
     if obj.symmetry.continuous_axis is not None:
         return np.array([find_least_largest(obj, corners_m, T, T_true) for T in T_estimates])
-    same = T_true @ obj.symmetry.elements()
+    same = T_true @ obj.symmetry.list_elements()
     rms = _measure_rms(obj, T_estimates, same)
     return np.array([_find_least_largest(corners_m, T - same, r) for T, r in zip(T_estimates, rms, strict=True)])
 

@@ -17,7 +17,7 @@ from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.progress import StageTimes
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.noise import noise_level
+from tactile_loc.core.simulation.noise import make_noise
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.evaluation.ambiguity import AMBIGUOUS, choose_judging_noise, measure_ambiguity
 from tactile_loc.evaluation.metrics import compute_add_s, compute_adds, compute_mssd, measure_posterior
@@ -199,8 +199,8 @@ def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: Simulat
     touches, refused = zip(*(source.draw_counted(localizer, number) for number in numbers), strict=True)
     for touch in touches:
         localizer.listed.matcher(touch.press_depth_m)  # what is built once is no part of a touch's time
-    localizer.most_probable_pose(touches[0])  # nor is loading libraries
-    noise = noise_level(choose_judging_noise(source.noise))
+    localizer.find_most_probable_pose(touches[0])  # nor is loading libraries
+    noise = make_noise(choose_judging_noise(source.noise))
     rngs = [np.random.default_rng(source.seed_touch(number, 3)) for number in numbers]
     ambiguity = measure_ambiguity(localizer, touches, noise, rngs)
     rows = []

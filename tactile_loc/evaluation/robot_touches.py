@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.errors import TouchError
-from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, random_rotations, rotation_about
+from tactile_loc.core.geometry.rigid import Poses, draw_rotations, invert, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -93,7 +93,7 @@ class RobotTouches:
             if T is None:
                 continue
             scene = Scene(self.object, self.geometry, self.renderer)
-            poses, touching = scene.in_contact(np.stack([T, turned @ T]))
+            poses, touching = scene.bring_to_contact(np.stack([T, turned @ T]))
             if not touching.all():
                 continue
             poses[:, 2, 3] -= press_m
@@ -106,7 +106,7 @@ class RobotTouches:
     def draw_pose(self, rng: np.random.Generator) -> Poses | None:
         """Draw a pose (4, 4), metres, that just touches: a random rotation, its lowest point over a random place of the
         sensor; None if it misses."""
-        R = random_rotations(1, rng)[0]
+        R = draw_rotations(1, rng)[0]
         turned = self.object.mesh.vertices_m @ R.T
         x0, x1, y0, y1 = self.geometry.rectangle
         place = np.array([x0 + x1, y0 + y1]) / 2 + INSIDE * (rng.random(2) - 0.5) * [x1 - x0, y1 - y0]
@@ -123,8 +123,8 @@ class RobotTouches:
 
     def draw_touch(self, T: Poses, press_m: float, name: str, rng: np.random.Generator) -> Touch | TouchError | None:
         """Return the touch of a pressed pose (4, 4), metres; why there is none; None where the contact is too small."""
-        geometry = self.geometry.pressed(press_m, self.geometry.max_depth_m)
-        clean = Scene(self.object, geometry, self.renderer).contact_depths(T[None])
+        geometry = self.geometry.press(press_m, self.geometry.max_depth_m)
+        clean = Scene(self.object, geometry, self.renderer).render_contact_depths(T[None])
         contact = (clean[0] < np.float32(press_m)) & geometry.observed_mask
         if contact.sum() < max(1.0, self.least_percent / 100 * geometry.observed_mask.sum()):
             return None
@@ -178,7 +178,7 @@ def draw_approaches(
     centre = obj.mesh.centroid_m
     start_m = CLEAR_M + float(np.linalg.norm(obj.mesh.corners_m - centre, axis=1).max())
     found = []
-    for k, (R, aim_m) in enumerate(zip(random_rotations(count, rng), obj.mesh.sample(count, rng), strict=True)):
+    for k, (R, aim_m) in enumerate(zip(draw_rotations(count, rng), obj.mesh.sample(count, rng), strict=True)):
         z = R[:, 2]
         beside_m = aim_m - centre - z * (z @ (aim_m - centre))
         T = make_transform(R, centre + beside_m - z * (start_m + geometry.surface_m))

@@ -59,7 +59,7 @@ def find_least_largest(obj: ObjectModel, corners_m: Array, T_estimate: Poses, T_
 
 def _list_flips(obj: ObjectModel) -> Poses:
     """What the symmetry has beside its axis (F, 4, 4): nothing, or half a turn across it."""
-    return obj.symmetry.elements(np.pi)[::2]
+    return obj.symmetry.list_elements(np.pi)[::2]
 
 
 def _fit_sinusoids(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true: Poses) -> Array:

@@ -19,7 +19,7 @@ from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.touch_simulation import lowered
+from tactile_loc.core.simulation.touch_simulation import lower
 from tactile_loc.evaluation.robot_touches import RobotTouches, move_about_gel
 
 WAVES = 3  # that a smoothly changing number is the sum of
@@ -179,7 +179,7 @@ def _draw_direction(dimensions: int, rng: np.random.Generator) -> Floats:
 
 
 def _press(T: Poses, press_m: float) -> Poses:
-    return lowered(T[None], np.array([press_m]))[0]
+    return lower(T[None], np.array([press_m]))[0]
 
 
 def draw_smooth(count: int, dt_s: float, columns: int, rng: np.random.Generator) -> Floats:

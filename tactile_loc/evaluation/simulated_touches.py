@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.noise import noise_level
+from tactile_loc.core.simulation.noise import make_noise
 from tactile_loc.core.simulation.touch_simulation import draw_touches
 from tactile_loc.locate.localizer import Localizer
 
@@ -85,14 +85,14 @@ class SimulatedTouches:
 
     def describe(self, localizer: Localizer) -> dict[str, Any]:
         """Return what identifies the touches of a localizer, as JSON values."""
-        described: dict[str, Any] = {"noise": noise_level(self.noise).describe(), "seed": self.seed}
+        described: dict[str, Any] = {"noise": make_noise(self.noise).describe(), "seed": self.seed}
         return described | ({"images": localizer.sensor.describe()} if self.images else {})
 
     def _draw_once(self, localizer: Localizer, number: int, draw: int) -> tuple[Touch, int]:
         """The touch of one draw, and how many presses were refused before it."""
         sequence = self.seed_touch(number, 0)
         seed = int((sequence.spawn(draw)[-1] if draw else sequence).generate_state(1, np.uint64)[0])
-        rng, noise = np.random.default_rng(seed), noise_level(self.noise)
+        rng, noise = np.random.default_rng(seed), make_noise(self.noise)
         (touch,), refused = draw_touches(localizer.sampler, localizer.scene, 1, rng, noise=noise)
         return dataclasses.replace(touch, name=f"touch-{number:04d}"), refused
 

@@ -15,7 +15,7 @@ from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotation_about
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.simulation.noise import TouchNoise
-from tactile_loc.core.simulation.touch_simulation import lowered
+from tactile_loc.core.simulation.touch_simulation import lower
 from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.evaluation.robot_touches import NO_NOISE, measure_noisily
@@ -83,8 +83,8 @@ class Slide:
         untouched = np.full(geometry.shape, geometry.max_depth_m, np.float32)
         if press_m <= 0:
             return untouched
-        seen = self.scene.pressed(press_m, geometry.max_depth_m)
-        clean = seen.contact_depths(self.T_sensor_object[number][None])
+        seen = self.scene.press(press_m, geometry.max_depth_m)
+        clean = seen.render_contact_depths(self.T_sensor_object[number][None])
         rng = np.random.default_rng([self.seed, number])
         depth, measured_m = measure_noisily(self.noise, clean, press_m, seen.geometry, rng)
         return depth if (depth < np.float32(measured_m)).any() else untouched
@@ -103,7 +103,7 @@ def draw_slide(
     phase = np.linspace(0, 2 * np.pi, count)
     moved = _turn_about_gel(scene, T_start, TURN_RAD * np.sin(phase))
     moved[:, :2, 3] += REACH_M * np.stack([np.sin(phase), np.sin(2 * phase)], axis=1)
-    poses, touching = scene.in_contact(moved)
+    poses, touching = scene.bring_to_contact(moved)
     if not touching.all():
         raise TouchError(f"{scene.object.name} slides off the sensor; start where more of it is on it")
     low, high = PRESS
@@ -111,7 +111,7 @@ def draw_slide(
     lifted = 2 * round(LIFTED * frames)
     press_m[:lifted] = press_m[count - lifted :] = -LIFT_M
     stamps = START_NS + np.round(np.arange(count) * NS / (2 * RATE_HZ)).astype(np.int64)
-    return Slide(scene, stamps, lowered(poses, press_m), press_m, noise, seed)
+    return Slide(scene, stamps, lower(poses, press_m), press_m, noise, seed)
 
 
 def _turn_about_gel(scene: Scene, T: NDArray[np.float64], angles_rad: NDArray[np.float64]) -> Poses:

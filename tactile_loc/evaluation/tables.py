@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.core.formatting import mm
+from tactile_loc.core.formatting import format_mm
 from tactile_loc.evaluation import tabular
 from tactile_loc.evaluation.metrics import LEVELS, POSTERIOR_METRICS, PosteriorSummary
 from tactile_loc.evaluation.protocol import LINES, METRICS, PROTOCOL_VERSION, STAGES, Evaluation
@@ -60,7 +60,7 @@ class Run(tabular.EvaluatedObject):
 
 def tabulate_medians(runs: Sequence[Run], normalised: bool = False) -> tabular.Table:
     """Return a row for each run: the median ADD of each line, mm, or as a share of a random pose's if `normalised`."""
-    write = "{:.3f}".format if normalised else mm
+    write = "{:.3f}".format if normalised else format_mm
     return tabular.tabulate(
         runs, SHOWN, lambda run: (write(run.summarise(line, normalised=normalised).median) for line in SHOWN)
     )
@@ -73,7 +73,7 @@ def tabulate_ambiguity(runs: Sequence[Run]) -> tabular.Table:
         yield f"{100 * run.evaluation.ambiguous.mean():.0f} %"
         for line in JUDGED:
             others = run.summarise_unambiguous(line)
-            yield from (mm(run.summarise(line).median), mm(others.median) if others else "-")
+            yield from (format_mm(run.summarise(line).median), format_mm(others.median) if others else "-")
 
     heads = ["ambiguous", *(f"{line}, {of}" for line in JUDGED for of in ("all", "unambiguous"))]
     return tabular.tabulate(runs, heads, list_cells)
@@ -86,7 +86,7 @@ def tabulate_areas(runs: Sequence[Run]) -> tabular.Table:
         yield str(run.evaluation.refused.sum())
         for area in _group_areas(run):
             count = area["touches"]
-            yield f"{mm(area['median_m'])}, {100 * area['within_1_mm']:.0f} % ({count})" if count else "-"
+            yield f"{format_mm(area['median_m'])}, {100 * area['within_1_mm']:.0f} % ({count})" if count else "-"
 
     limits = [f"{100 * share:g}" for share in AREAS]
     between = [f"{low} to {high} %" for low, high in itertools.pairwise(limits[1:-1])]
@@ -102,7 +102,7 @@ def tabulate_posteriors(runs: Sequence[Run]) -> tabular.Table:
         summary = run.summarise_posteriors()
         yield from (f"{100 * share:.0f} %" for share in summary.coverage)
         yield from (f"{value:.2f}" for value in (summary.nll, summary.uniform_nll, summary.entropy))
-        yield from (mm(summary.expected_error_m), mm(summary.spread_m))
+        yield from (format_mm(summary.expected_error_m), format_mm(summary.spread_m))
 
     sets = (f"in the {100 * level:.0f} % set" for level in LEVELS)
     return tabular.tabulate(
@@ -198,6 +198,12 @@ _DETAILS = [
 def _list_details(run: Run) -> Iterator[list[str]]:
     for line in LINES:
         s, share = run.compare_statistics(line).values()
-        lengths = [mm(s.median), mm(s.mean), mm(s.std), f"{mm(s.q25)} to {mm(s.q75)}", mm(s.p90)]
-        others = [mm(run.summarise(line, metric).median) for metric in ("mssd", "add-s")]
+        lengths = [
+            format_mm(s.median),
+            format_mm(s.mean),
+            format_mm(s.std),
+            f"{format_mm(s.q25)} to {format_mm(s.q75)}",
+            format_mm(s.p90),
+        ]
+        others = [format_mm(run.summarise(line, metric).median) for metric in ("mssd", "add-s")]
         yield [line, *lengths, f"{share.median:.3f}", f"{share.mean:.3f}", *others]

@@ -61,7 +61,7 @@ def press_gel(
     surface = np.zeros_like(contact)
     pushed = contact[:, gel.rows, gel.columns]
     if softness_m > 0:
-        pushed = gel.blurred(relax(pushed, gel, softness_m), ROUNDING * softness_m)
+        pushed = gel.blur(relax(pushed, gel, softness_m), ROUNDING * softness_m)
     surface[:, gel.rows, gel.columns] = pushed
     return surface
 
@@ -73,5 +73,5 @@ def relax(contact_m: Float32, gel: Gel, softness_m: float) -> Float32:
     """
     surface = contact_m
     for width in WIDTHS:
-        surface = np.maximum(gel.blurred(surface, width * softness_m), contact_m)
+        surface = np.maximum(gel.blur(surface, width * softness_m), contact_m)
     return surface

@@ -100,7 +100,7 @@ class _Field:
         counts *= np.float32(WHITE) * np.maximum(seen, 0)  # an image may reach beyond the field
         if optics.blur_m > 0:
             for channel in counts:
-                channel[...] = self.whole.blurred(channel, optics.blur_m)
+                channel[...] = self.whole.blur(channel, optics.blur_m)
         return counts
 
     def _shade(self, light: Light, slope_x: Float32, slope_y: Float32, upright: Float32, optics: Optics) -> Float32:

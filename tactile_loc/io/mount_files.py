@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from tactile_loc.core.geometry.rigid import covariance_at
+from tactile_loc.core.geometry.rigid import move_covariance
 from tactile_loc.io.toml import (
     MATRIX,
     Finite,
@@ -43,7 +43,7 @@ class Mount:
         """Return the standard deviation (m, rad) along and about an axis at a point (3,) of the sensor, or 0."""
         if self.covariance is None:
             return 0.0, 0.0
-        there = covariance_at(self.covariance, self.T_flange_sensor[:3, :3] @ point_m)
+        there = move_covariance(self.covariance, self.T_flange_sensor[:3, :3] @ point_m)
         std_m, std_rad = (float(np.sqrt(np.trace(there[part, part]) / 3)) for part in (slice(3), slice(3, 6)))
         return std_m, std_rad
 

@@ -18,9 +18,9 @@ class _Options(BaseModel):
 class SearchOptions(_Options):
     """How many places of a whole object are compared, registered and drawn. Turned places are places times yaws."""
 
-    candidates: int = Field(default=1000, ge=1, description="most similar turned places taken for one touch")
+    candidates: int = Field(default=1000, ge=1, description="most similar rotated places taken for one touch")
     candidates_together: int = Field(default=3000, ge=1, description="the same for each of several touches")
-    pool: int = Field(default=30_000, ge=1, description="most similar turned places among which a prior chooses")
+    pool: int = Field(default=30_000, ge=1, description="most similar rotated places among which a prior chooses")
     registered: int = Field(default=300, ge=1, description="poses registered roughly to one touch")
     registered_together: int = Field(default=60, ge=1, description="poses registered roughly to several touches")
     registered_widely: int = Field(default=400, ge=1, description="the same if those explain the touches badly")
@@ -60,8 +60,8 @@ class TrackerOptions(_Options):
     )
     apart_mm: float = Field(default=3.0, gt=0, description="sensor motion after which 1/e of that is repeated, mm")
     lever_mm: float = Field(default=10.0, gt=0, description="lever by which a turn counts as motion, mm")
-    key_mm: float = Field(default=2.0, gt=0, description="sensor motion between two key touches, mm")
-    key_touches: int = Field(default=5, ge=1, description="most key touches that are searched for together")
+    keyframe_mm: float = Field(default=2.0, gt=0, description="sensor motion between two keyframes, mm")
+    keyframes: int = Field(default=5, ge=1, description="most keyframes that are searched for together")
     image_px: int = Field(default=60, ge=16, description="image side at which modes are drawn, pixels")
     fall_iou: float = Field(
         default=0.15, ge=0, le=1, description="loss of imprint IoU that contradicts the track, 0 to 1"

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import ConfigError, did_you_mean
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.priors import GaussianPrior, PosePrior, RegionPrior
@@ -21,6 +22,7 @@ Bounds = Annotated[list[Annotated[float, Field(allow_inf_nan=True)]], Field(min_
 FRAME = "'sensor' or 'base': the frame that its numbers are in"
 
 
+@keep_old_names(seen_from="view_from")
 @dataclass(frozen=True, eq=False)
 class FramedPrior:
     """A prior as a file has it: in the frame of the sensor, or in the base frame. `source` names the file."""
@@ -29,7 +31,7 @@ class FramedPrior:
     frame: Frame
     source: str
 
-    def seen_from(self, T_base_sensor: NDArray[np.float64] | None) -> PosePrior:
+    def view_from(self, T_base_sensor: NDArray[np.float64] | None) -> PosePrior:
         """Return the prior of T_sensor_object for a sensor at `T_base_sensor` (4, 4), metres.
 
         Raises ConfigError when the prior is in the base frame and the sensor's pose is unknown.
@@ -41,7 +43,7 @@ class FramedPrior:
                 f"{self.source} is in the base frame, but the touch does not say where its sensor was; "
                 "give T_base_sensor, or the prior in the sensor's frame"
             )
-        return self.prior.seen_from(T_base_sensor)
+        return self.prior.view_from(T_base_sensor)
 
 
 class _Gaussian(PoseKeys):

@@ -1,6 +1,6 @@
 """Sensors as files: a TOML file, or the folder of a calibrated one.
 
-docs/conventions.md lists the keys, examples/my_sensor.toml shows one.
+docs/files.md lists the keys, examples/my_sensor.toml shows one.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from tactile_loc.core.errors import ConfigError, TactileLocError, did_you_mean, quoted
+from tactile_loc.core.errors import ConfigError, TactileLocError, did_you_mean, quote
 from tactile_loc.core.geometry.rigid import is_rigid, make_transform, quaternion_to_rotation, rotation_about
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -82,7 +82,7 @@ def explain(
         known = model.model_fields
         return f"{what} has no key {key!r}.{did_you_mean(key, known)} Its keys: {', '.join(known)}"
     must_be = f"it must be {field.description}"
-    return f"{key} = {quoted(values[key])} is wrong; {must_be}" if key in values else f"{key} is missing; {must_be}"
+    return f"{key} = {quote(values[key])} is wrong; {must_be}" if key in values else f"{key} is missing; {must_be}"
 
 
 @contextmanager

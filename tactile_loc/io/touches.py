@@ -1,4 +1,4 @@
-"""Touches as files: contact shapes in npz, npy and 16-bit PNG. docs/conventions.md has the tables.
+"""Touches as files: contact shapes in npz, npy and 16-bit PNG. docs/files.md has the tables.
 
 Nothing is ever unpickled, and no unit is ever guessed.
 """
@@ -223,7 +223,7 @@ def _cut(shape: ContactShape, name: str, press_depth_m: float | None) -> Contact
             f"{name} was pressed {shape.press_depth_m * 1e3:.3g} mm deep; it cannot be read with a press depth of "
             f"{press_depth_m * 1e3:.3g} mm, only a positive smaller one"
         )
-    return shape.pressed_to(press_depth_m)
+    return shape.press_to(press_depth_m)
 
 
 def _find_scale(contents: FileContents, path: Path, unit: str | None) -> float:

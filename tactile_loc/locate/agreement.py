@@ -16,7 +16,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.refiner import Candidate
 from tactile_loc.core.slots.scene import View
 from tactile_loc.io.options import HypothesisOptions
-from tactile_loc.locate.hypotheses import Refine, apart
+from tactile_loc.locate.hypotheses import Refine, keep_apart
 from tactile_loc.locate.results.localization import Agreement, Hypothesis
 
 FAR = 0.45  # imprint IoU: a touch contradicts a pose that explains it so much worse than another one does
@@ -40,7 +40,7 @@ class _Trial:
         return self.far == set(self.outliers) and self.hypotheses[0].imprint_iou >= WELL
 
 
-def agree(
+def find_agreement(
     find: Callable[[tuple[int, ...]], Hypotheses], best_alone: Callable[[], NDArray[np.float64]]
 ) -> tuple[Hypotheses, Agreement]:
     """Return the hypotheses of all touches but those that contradict the others, and what is to be said of that.
@@ -79,7 +79,7 @@ def explain_alone(
     """
     listed = posterior.top(options.listed)
     poses = posterior.grid.T_sensor_object[listed]
-    poses = poses[apart(poses, posterior.log_p[listed], posterior.grid.metric, radius_m, ALONE)]
+    poses = poses[keep_apart(poses, posterior.log_p[listed], posterior.grid.metric, radius_m, ALONE)]
     alone = View(view.touch, view.scene)
     refined = refine([alone], [Candidate(T, -1, 0.0) for T in poses])
     return float(alone.imprint_ious(np.concatenate([poses, [r.T_sensor_object for r in refined]])).max())

@@ -39,7 +39,7 @@ class ConformalSets:
     scores: Sequence[float]
     entropies: Sequence[float]
 
-    def like(self, entropy: float) -> NDArray[np.float64]:
+    def find_alike(self, entropy: float) -> NDArray[np.float64]:
         """Return the scores (m,), the least first, of the examples that vouch for posteriors of an entropy, nats."""
         entropies = np.asarray(self.entropies)
         border = np.quantile(entropies, 1 - UNCERTAIN)
@@ -51,7 +51,7 @@ class ConformalSets:
         They are of posteriors of this entropy, nats. Raises ConfigError for a coverage that so few examples cannot
         promise.
         """
-        scores = self.like(entropy)
+        scores = self.find_alike(entropy)
         count = len(scores)
         rank = math.ceil((count + 1) * coverage - 1e-9) if 0 < coverage < 1 else math.inf
         if rank > count:
@@ -82,4 +82,4 @@ class PoseSet:
         """Return the set of a posterior with the coverage asked for. Raises ConfigError if it cannot be promised."""
         level = sets.level(coverage, posterior.entropy)
         elsewhere = level >= NOT_FOUND and posterior.elsewhere > 0
-        return cls(coverage, level, len(sets.like(posterior.entropy)), posterior.credible_set(level), elsewhere)
+        return cls(coverage, level, len(sets.find_alike(posterior.entropy)), posterior.credible_set(level), elsewhere)

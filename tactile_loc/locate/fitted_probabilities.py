@@ -133,7 +133,7 @@ class FittedProbabilities:
         power = 1.0 if touches == 1 else self.fused_scaling.power(touches)
         scores, entropies = [], []
         for example in self._examples(touches, conformal.EXAMPLES, conformal.SEED):
-            posterior = None if example.fused is None else example.fused.tempered(power)
+            posterior = None if example.fused is None else example.fused.temper(power)
             if posterior is not None and self.source.searched and touches > 1:
                 posterior = dataclasses.replace(posterior, elsewhere=self.fused_scaling.elsewhere(example.best))
             found = posterior is not None and example.truth >= 0
@@ -181,6 +181,6 @@ class FittedProbabilities:
     ) -> tuple[list[PosePosterior], float]:
         """What each touch says of the poses that all of them found, and the best pose's mean imprint IoU."""
         seen_from = zip(touches, poses @ invert(poses[0]), strict=True)
-        views = [View(touch, self.scene.of_touch(touch), T) for touch, T in seen_from]
+        views = [View(touch, self.scene.match_touch(touch), T) for touch, T in seen_from]
         found = search_together(views, [source.search] * len(touches), StageTimes())
         return found.posteriors(views, [self.temperature_scaling] * len(touches), 0.0), found.best

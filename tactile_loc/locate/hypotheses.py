@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
 from tactile_loc.core.poses.merging import merge_modes
-from tactile_loc.core.poses.metric import PoseMetric, distances_between
+from tactile_loc.core.poses.metric import PoseMetric, measure_distances
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.progress import StageTimes
@@ -41,8 +41,8 @@ def find_hypotheses(
         refined = refine([views[number] for number in trusted], candidates)
     with times.stage("choose"):
         T = np.stack([pose.T_sensor_object for pose in refined])
-        seen = None if len(views) == 1 else _see(views, refined, refine, trusted)
-        ious, evidence = explained_where_seen(views, T, seen)
+        seen = None if len(views) == 1 else _find_seen_poses(views, refined, refine, trusted)
+        ious, evidence = compare_where_seen(views, T, seen)
         hypotheses = [
             Hypothesis(
                 mode.probability, mode.T_sensor_object, pose, mode.index, len(mode.members),
@@ -88,14 +88,14 @@ def weigh(
     return tuple(dataclasses.replace(hypotheses[i], probability=float(weights[i])) for i in order)
 
 
-def explained(
+def compute_imprint_ious(
     views: Sequence[View], T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0
 ) -> NDArray[np.float64]:
     """Return how well poses (K, 4, 4) in the first sensor's frame explain each of N touches: (K, N), 0 to 1."""
     return np.stack([view.imprint_ious(T_first_object, pixels, freedom_m) for view in views], axis=1)
 
 
-def explained_where_seen(
+def compare_where_seen(
     views: Sequence[View], T_first_object: Poses, seen: Poses | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return imprint IoUs and evidence, nats, of poses (K, 4, 4) for each of N touches: (K, N) each.
@@ -104,13 +104,15 @@ def explained_where_seen(
     What such an error of its pose costs, half its square in standard deviations, is taken from the evidence, and one
     SHARPNESS-th a nat from the imprint IoU; whichever is more, there or at the pose as it is, counts.
     """
-    here = [view.explained(T_first_object) for view in views]
+    here = [view.compare_imprints(T_first_object) for view in views]
     ious, evidence = (np.stack([one[k] for one in here], axis=1) for k in (1, 2))
     if seen is None:
         return ious, evidence
     for number, view in enumerate(views):
-        nats = _sensor_error_nats(view, views[0], seen[:, number] @ invert(view.T_sensor_first @ T_first_object))
-        there = view.scene.explained(seen[:, number], view.touch)
+        nats = _compute_sensor_error_nats(
+            view, views[0], seen[:, number] @ invert(view.T_sensor_first @ T_first_object)
+        )
+        there = view.scene.compare_imprints(seen[:, number], view.touch)
         ious[:, number] = np.maximum(ious[:, number], there.imprint_ious - nats / SHARPNESS)
         evidence[:, number] = np.maximum(evidence[:, number], there.evidence - nats)
     return ious, evidence
@@ -121,11 +123,11 @@ def keep_likeliest(
 ) -> list[Mode]:
     """Return the modes that explain touches best, drawn coarsely, `freedom_m` metres free along z."""
     poses = np.stack([mode.T_sensor_object for mode in modes])
-    ious = explained(views, poses, options.image_px, freedom_m).mean(axis=1)
+    ious = compute_imprint_ious(views, poses, options.image_px, freedom_m).mean(axis=1)
     return [modes[k] for k in np.argsort(-ious, kind="stable")[: options.refined_again]]
 
 
-def _see(
+def _find_seen_poses(
     views: Sequence[View], refined: Sequence[RefinedPose], refine: Refine, trusted: Sequence[int]
 ) -> NDArray[np.float64]:
     """Where sensors may see refined poses, (K, N, 4, 4): the trusted as the refiner says, others as fits them alone."""
@@ -140,7 +142,7 @@ def _see(
     return seen
 
 
-def _sensor_error_nats(view: View, first: View, error: Poses) -> NDArray[np.float64]:
+def _compute_sensor_error_nats(view: View, first: View, error: Poses) -> NDArray[np.float64]:
     """What errors (K, 4, 4) of where a sensor is seen from the first one cost, metres, in nats (K,)."""
     std_m = max(float(np.hypot(view.sensor_std_m, first.sensor_std_m)), 1e-6)
     std_rad = max(float(np.hypot(view.sensor_std_rad, first.sensor_std_rad)), 1e-6)
@@ -167,9 +169,9 @@ def propose_together(
     for view, posterior in zip(views, alone, strict=True):
         far, nearest = posterior.grid.nearest(view.T_sensor_first @ poses)
         likely += np.maximum(posterior.log_p[nearest], posterior.log_p.max() - DOUBT) - far / radius_m
-    poses = poses[apart(poses, likely, fused.grid.metric, 0.5 * radius_m, options.drawn)]
-    ious = explained(views, poses, pixels=options.image_px, freedom_m=radius_m).mean(axis=1)
-    poses = poses[apart(poses, ious, fused.grid.metric, radius_m, options.refined_together)]
+    poses = poses[keep_apart(poses, likely, fused.grid.metric, 0.5 * radius_m, options.drawn)]
+    ious = compute_imprint_ious(views, poses, pixels=options.image_px, freedom_m=radius_m).mean(axis=1)
+    poses = poses[keep_apart(poses, ious, fused.grid.metric, radius_m, options.refined_together)]
     nearest = fused.grid.nearest(poses)[1]
     p = fused.probabilities[nearest]
     return [
@@ -178,15 +180,15 @@ def propose_together(
     ]
 
 
-def best_apart(posterior: PosePosterior, radius_m: float, top: int) -> list[Mode]:
+def choose_best_apart(posterior: PosePosterior, radius_m: float, top: int) -> list[Mode]:
     """Return the most probable poses as modes, at most `top`, none within `radius_m` metres of a more probable one.
 
     The poses within that of a mode, and nearer to no other one, are its members.
     """
     grid, p = posterior.grid, posterior.probabilities
-    chosen = apart(grid.T_sensor_object, posterior.log_p, grid.metric, radius_m, top)
+    chosen = keep_apart(grid.T_sensor_object, posterior.log_p, grid.metric, radius_m, top)
     points = grid.metric.embed(grid.T_sensor_object)
-    far = distances_between(points, points[chosen])
+    far = measure_distances(points, points[chosen])
     of, near = far.argmin(axis=1), far.min(axis=1) <= radius_m
     members = [np.flatnonzero(near & (of == k)) for k in range(len(chosen))]
     return [
@@ -195,7 +197,7 @@ def best_apart(posterior: PosePosterior, radius_m: float, top: int) -> list[Mode
     ]
 
 
-def apart(
+def keep_apart(
     poses: Poses, worth: NDArray[np.float64], metric: PoseMetric, radius_m: float, count: int
 ) -> NDArray[np.int64]:
     """Return the indices of at most `count` of the poses (K, 4, 4), by their `worth` (K,), the worthiest first.
@@ -209,7 +211,7 @@ def apart(
         left = order[start : start + AT_ONCE]
         points = metric.embed(poses[left])
         if len(near):
-            free = (distances_between(points, near) > radius_m).all(axis=1)
+            free = (measure_distances(points, near) > radius_m).all(axis=1)
             left, points = left[free], points[free]
         while len(left) and len(chosen) < count:
             chosen.append(int(left[0]))

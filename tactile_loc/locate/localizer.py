@@ -11,15 +11,16 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ConfigError, GridError, TouchError, quoted
+from tactile_loc.core.deprecation import keep_old_names
+from tactile_loc.core.errors import ConfigError, GridError, TouchError, quote
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.core.poses.priors import Prior, SeenFrom, tempered, touches_behind
+from tactile_loc.core.poses.priors import Prior, SeenFrom, count_touches, temper
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.simulation.noise import noise_level
+from tactile_loc.core.simulation.noise import make_noise
 from tactile_loc.core.simulation.touch_simulation import simulate_touches
 from tactile_loc.core.slots.common_poses import require_sensor_poses
 from tactile_loc.core.slots.compatibility import require_compatible
@@ -30,7 +31,7 @@ from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes import Units
 from tactile_loc.io.touches import read_touch
-from tactile_loc.locate.agreement import agree, explain_alone, require_within_reach
+from tactile_loc.locate.agreement import explain_alone, find_agreement, require_within_reach
 from tactile_loc.locate.conformal import PoseSet
 from tactile_loc.locate.fitted_probabilities import FittedProbabilities
 from tactile_loc.locate.hypotheses import find_hypotheses, keep_likeliest
@@ -41,10 +42,11 @@ from tactile_loc.locate.results.localization import Agreement, Hypothesis, Local
 from tactile_loc.locate.scoring import NewMatcher
 from tactile_loc.locate.search import PlaceSearch, build_places, search_together
 from tactile_loc.locate.sources import GridSource, PlaceSource, PoseSource
-from tactile_loc.locate.stored_object import stored_object
+from tactile_loc.locate.stored_object import load_stored_object
 from tactile_loc.store.store import StageStore
 
 
+@keep_old_names(most_probable_pose="find_most_probable_pose")
 class Localizer:
     """Locates one object with one sensor. Build it once, then ask it about any number of touches."""
 
@@ -61,8 +63,8 @@ class Localizer:
         renderer = self._create("renderer")
         self._require_compatible(renderer)
         self.scene = Scene(obj, self.sensor.geometry, renderer, config.drawing)
-        coarse = self.sensor.geometry.with_long_side(config.shape_px)
-        coarse = coarse.pressed(coarse.max_depth_m)  # the grid's, at full press
+        coarse = self.sensor.geometry.resize_long_side(config.shape_px)
+        coarse = coarse.press(coarse.max_depth_m)  # the grid's, at full press
         self.coarse_scene = replace(self.scene, geometry=coarse)
 
     @classmethod
@@ -78,7 +80,7 @@ class Localizer:
         chosen = {"path": str(object), "units": units, "symmetry": symmetry}
         config = RunConfig.from_dict({"object": chosen, **settings}, "Localizer.create")
         store = store if isinstance(store, StageStore) else StageStore(store)
-        return cls(config, stored_object(object, units, symmetry, store), store, progress)
+        return cls(config, load_stored_object(object, units, symmetry, store), store, progress)
 
     def _create(self, slot: str) -> Any:
         chosen = getattr(self.config, slot)
@@ -108,12 +110,12 @@ class Localizer:
         if min(count, seed) < 0:
             raise ConfigError(f"{count} touches of seed {seed} cannot be simulated; give whole numbers from 0 on")
         rng = np.random.default_rng(seed)
-        return simulate_touches(self.sampler, self.scene, count, rng, press_depth_m, noise_level(noise))
+        return simulate_touches(self.sampler, self.scene, count, rng, press_depth_m, make_noise(noise))
 
     def require_own(self, touch: Touch) -> None:
         """Raise TouchError when another sensor took the touch, or it is none."""
         if not isinstance(touch, Touch):
-            raise TouchError(f"{quoted(touch)} is no touch; `Localizer.read_touch` reads a file, `simulate` makes one")
+            raise TouchError(f"{quote(touch)} is no touch; `Localizer.read_touch` reads a file, `simulate` makes one")
         ours = self.scene.geometry
         if touch.geometry is not ours and not touch.geometry.is_same_sensor(ours):
             raise TouchError(
@@ -219,13 +221,13 @@ class Localizer:
         times = StageTimes()
         alone = self.posteriors(touches, times)
         return [
-            _Question.of([(self, touch)], None, top, None, times.shared_among(len(touches))).answer([posterior])
+            _Query.of([(self, touch)], None, top, None, times.shared_among(len(touches))).answer([posterior])
             for touch, posterior in zip(touches, alone, strict=True)
         ]
 
     def posterior(self, touch: Touch, prior: Prior | None = None, times: StageTimes | None = None) -> PosePosterior:
         """Return the posterior over the grid's poses of a touch and a prior: encode, match, fuse; adds to `times`."""
-        return posterior_together([(self, touch)], prior, times)
+        return compute_posterior_together([(self, touch)], prior, times)
 
     def posteriors(
         self, touches: Sequence[Touch], times: StageTimes | None = None, prior: Prior | None = None
@@ -240,7 +242,7 @@ class Localizer:
         scored = self.source.score(touches, times or StageTimes(), prior)
         return [scaling.posterior(grid, scores) for grid, scores in scored]
 
-    def most_probable_pose(self, touch: Touch) -> RefinedPose:
+    def find_most_probable_pose(self, touch: Touch) -> RefinedPose:
         """Return the most probable pose of the grid, refined: the shortest way, for a control loop."""
         posterior = self.posterior(touch)
         return self.refine(touch, posterior, [int(posterior.log_p.argmax())])[0]
@@ -249,7 +251,7 @@ class Localizer:
         """Refine poses of the posterior's grid against the touch, in the order of their indices."""
         poses = posterior.grid.T_sensor_object
         candidates = [Candidate(poses[index], int(index), float(posterior.log_p[index])) for index in indices]
-        return self.refinement.refiner.refine_many(touch, candidates, self.scene.of_touch(touch))
+        return self.refinement.refiner.refine_many(touch, candidates, self.scene.match_touch(touch))
 
 
 Observation = tuple[Localizer, Touch]
@@ -271,36 +273,36 @@ def localize_together(
     """
     _require_one_object(observations)
     require_within_reach([touch for _, touch in observations], observations[0][0].object)
-    question = _Question.of(observations, prior, top, coverage, StageTimes())
+    query = _Query.of(observations, prior, top, coverage, StageTimes())
     while True:
-        alone = question.score_each()
+        alone = query.score_each()
         try:
-            found = question.answer(alone)
+            found = query.answer(alone)
             outliers = found.agreement.outliers
         except GridError as error:
-            outliers = question.find_excluding(alone)
+            outliers = query.find_excluding(alone)
             if not outliers:
                 raise
-            if not question.first.config.drop_outliers:
-                name = question.touches[outliers[0]].name
+            if not query.first.config.drop_outliers:
+                name = query.touches[outliers[0]].name
                 raise GridError(f"{error}; without {name} the others agree: --drop-outliers leaves it out") from error
-        if not outliers or not question.first.config.drop_outliers:
-            left_out = tuple(touch for _, touch in observations if all(touch is not one for one in question.touches))
+        if not outliers or not query.first.config.drop_outliers:
+            left_out = tuple(touch for _, touch in observations if all(touch is not one for one in query.touches))
             return replace(found, left_out=left_out)
-        question = question.leave_out(outliers)
+        query = query.leave_out(outliers)
 
 
-def posterior_together(
+def compute_posterior_together(
     observations: Sequence[Observation], prior: Prior | None = None, times: StageTimes | None = None
 ) -> PosePosterior:
     """Return the posterior over the first localizer's grid given touches of one object, as for `localize_together`."""
     _require_one_object(observations)
-    question = _Question.of(observations, prior, None, None, times or StageTimes())
-    return question.fuse(question.score_each())
+    query = _Query.of(observations, prior, None, None, times or StageTimes())
+    return query.fuse(query.score_each())
 
 
 @dataclass(frozen=True, eq=False)
-class _Question:
+class _Query:
     """Touches to be located together, each with its localizer, and a prior over poses in the first one's frame."""
 
     observations: Sequence[Observation]
@@ -314,8 +316,8 @@ class _Question:
     def of(
         cls, observations: Sequence[Observation], prior: Prior | None, top: int | None, coverage: float | None,
         times: StageTimes,
-    ) -> _Question:  # fmt: skip
-        """Return the question; what is None is as the first localizer's configuration says. Raises ConfigError."""
+    ) -> _Query:  # fmt: skip
+        """Return the query; what is None is as the first localizer's configuration says. Raises ConfigError."""
         first, touch = observations[0]
         top = first.config.top if top is None else top
         if top < 1:
@@ -323,7 +325,7 @@ class _Question:
         coverage = first.config.coverage if coverage is None else coverage
         if len(observations) > 1:
             require_sensor_poses([touch.T_base_sensor for _, touch in observations])
-        views = [view_of(touch, localizer, other) for localizer, other in observations]
+        views = [make_view(touch, localizer, other) for localizer, other in observations]
         return cls(observations, views, prior, top, coverage, times)
 
     @property
@@ -349,11 +351,11 @@ class _Question:
 
     def fuse(self, alone: Sequence[PosePosterior]) -> PosePosterior:
         """What touches and the prior say of the first one's grid, as sure as so many touches can make."""
-        count = len(alone) + touches_behind(self.prior)
+        count = len(alone) + count_touches(self.prior)
         powers = [localizer.probabilities.fused_scaling.power(count) if count > 1 else 1.0
                   for localizer, _ in self.observations]  # fmt: skip
         with self.times.stage("fuse"):
-            each = [posterior.tempered(power) for posterior, power in zip(alone, powers, strict=True)]
+            each = [posterior.temper(power) for posterior, power in zip(alone, powers, strict=True)]
             fused = self.first.fuser.fuse(each, [touch.T_base_sensor for touch in self.touches], self.known)
         return replace(fused, touches=count, elsewhere=max(posterior.elsewhere for posterior in alone))
 
@@ -374,11 +376,11 @@ class _Question:
     @property
     def known(self) -> Prior | None:
         """The prior as it counts beside touches: an earlier posterior was as sure as its own touches could make."""
-        told = touches_behind(self.prior)
+        told = count_touches(self.prior)
         if self.prior is None or not told:
             return self.prior
         power = self.first.probabilities.fused_scaling.power
-        return tempered(self.prior, lambda count: power(len(self.observations) + told) / power(count))
+        return temper(self.prior, lambda count: power(len(self.observations) + told) / power(count))
 
     def _calibrate(self, posterior: PosePosterior) -> PoseSet | None:
         """The set of poses that holds the truth as often as asked for, if it was."""
@@ -412,7 +414,7 @@ class _Question:
                         for view, p in zip(self.views, own, strict=True)]  # fmt: skip
             return np.array(ious)
 
-        return (find(), Agreement()) if len(self.views) == 1 else agree(find, at_best)
+        return (find(), Agreement()) if len(self.views) == 1 else find_agreement(find, at_best)
 
     def find_excluding(self, alone: Sequence[PosePosterior]) -> tuple[int, ...]:
         """Which one of three touches or more excludes all poses of the others; empty if none or several do."""
@@ -428,19 +430,19 @@ class _Question:
             excluding.append(k)
         return tuple(excluding) if len(excluding) == 1 else ()
 
-    def leave_out(self, outliers: Sequence[int]) -> _Question:
-        """The same question of the other touches, in the first one's frame of them."""
+    def leave_out(self, outliers: Sequence[int]) -> _Query:
+        """The same query of the other touches, in the first one's frame of them."""
         left = [one for k, one in enumerate(self.observations) if k not in outliers]
         before, after = self.touches[0], left[0][1]
         prior = self.prior
         if prior is not None and after is not before:
             prior = SeenFrom(prior, invert(np.asarray(before.T_base_sensor)) @ np.asarray(after.T_base_sensor))
-        return _Question.of(left, prior, self.top, self.coverage, self.times)
+        return _Query.of(left, prior, self.top, self.coverage, self.times)
 
 
-def view_of(first: Touch, localizer: Localizer, touch: Touch) -> View:
+def make_view(first: Touch, localizer: Localizer, touch: Touch) -> View:
     """Return a touch as hypotheses in the first one's sensor frame are compared with it."""
-    scene = localizer.scene.of_touch(touch)
+    scene = localizer.scene.match_touch(touch)
     T = np.eye(4) if touch is first else invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
     return View(touch, scene, T, touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.progress import Progress, rank
-from tactile_loc.core.simulation.contact_poses import contact_grid, enough_contact
+from tactile_loc.core.simulation.contact_poses import make_contact_grid, mark_contact
 from tactile_loc.core.slots.encoder import Checkpoints, Encoder, TrainingProblem
 from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.scene import Scene
@@ -27,14 +27,14 @@ NO_CONTACT = 65535
 STAGE_VERSIONS = {"grid": 5, "shapes": 3, "encoder": 3, "bank": 3}
 
 
-def grid_key(scene: Scene, sampler: GridSampler) -> StageKey:
+def make_grid_key(scene: Scene, sampler: GridSampler) -> StageKey:
     """Return the key under which the grid of `sampler` in `scene` is stored."""
     return StageKey("grid", STAGE_VERSIONS["grid"], {
         "object": scene.object.describe(), "sampler": sampler.describe(), "sensor": scene.geometry.describe(),
     }, scene.object.name)  # fmt: skip
 
 
-def shapes_key(grid: StageKey, scene: Scene) -> StageKey:
+def make_shapes_key(grid: StageKey, scene: Scene) -> StageKey:
     """Return the key under which the contact shapes of a grid are stored, as `scene` draws them."""
     return StageKey("shapes", STAGE_VERSIONS["shapes"], {
         "grid": grid.digest, "renderer": scene.renderer.describe(), "drawing": scene.drawing, "shard": SHARD,
@@ -58,17 +58,17 @@ class ShapeBank:
         press = np.float32(self.max_depth_m if press_depth_m is None else press_depth_m)
         for number, size in enumerate(self.artifact.load_json("sizes")):
             if size:  # of a whole shard perhaps no pose makes enough contact
-                yield self._decoded(self.artifact.load_array(_shard_name(number)), press)
+                yield self._decode(self.artifact.load_array(_name_shard(number)), press)
 
     def shape(self, index: int, press_depth_m: float) -> NDArray[np.float32]:
         """Return the contact depth (H, W) in metres of one pose of the grid, cut at `press_depth_m`."""
         ends = np.cumsum(self.artifact.load_json("sizes"))
         number = int(np.searchsorted(ends, index, side="right"))
         start = int(ends[number - 1]) if number else 0
-        code = self.artifact.load_array(_shard_name(number))[index - start]
-        return self._decoded(code, np.float32(press_depth_m))
+        code = self.artifact.load_array(_name_shard(number))[index - start]
+        return self._decode(code, np.float32(press_depth_m))
 
-    def _decoded(self, codes: NDArray[np.uint16], press_depth_m: np.float32) -> NDArray[np.float32]:
+    def _decode(self, codes: NDArray[np.uint16], press_depth_m: np.float32) -> NDArray[np.float32]:
         depths = codes * np.float32(self.max_depth_m / NO_CONTACT)
         return np.where(codes == NO_CONTACT, press_depth_m, np.minimum(depths, press_depth_m))
 
@@ -89,19 +89,19 @@ class ObjectPoseModel:
 
 def build_model(scene: Scene, sampler: GridSampler, store: StageStore, progress: Progress) -> ObjectPoseModel:
     """Build, or fetch from the store, the grid of `sampler` and its contact shapes in `scene`."""
-    grid = grid_key(scene, sampler)
+    grid = make_grid_key(scene, sampler)
     artifact = store.build(
         grid, lambda work: work.save_array("T_sensor_object", _grid(scene, sampler, progress), packed=True)
     )
     contact = PoseGrid(np.array(artifact.load_array("T_sensor_object")), PoseMetric(scene.object))
-    key = shapes_key(grid, scene)
+    key = make_shapes_key(grid, scene)
     percent = sampler.options.min_contact_percent
     rendered = store.build(key, lambda work: _render_all(work, contact, scene, percent, progress))
     shapes = ShapeBank(rendered, scene.geometry.max_depth_m)
     return ObjectPoseModel(PoseGrid(contact.T_sensor_object[shapes.kept], contact.metric), shapes, key)
 
 
-def bank_key(shapes: StageKey, encoder: Encoder, press_depth_m: float, trained: str = "") -> StageKey:
+def make_bank_key(shapes: StageKey, encoder: Encoder, press_depth_m: float, trained: str = "") -> StageKey:
     """Return the key under which the bank of contact shapes, cut at `press_depth_m` metres, is stored.
 
     `trained` identifies what the encoder has learned, empty if it needs no training.
@@ -117,24 +117,24 @@ def build_bank(
 ) -> NDArray[np.float32]:  # fmt: skip
     """Return the bank (N, D) of the model's contact shapes cut at `press_depth_m` metres, from the store if there.
 
-    `trained` is as for `bank_key`.
+    `trained` is as for `make_bank_key`.
     """
 
-    pressed = scene.pressed(press_depth_m)
+    pressed = scene.press(press_depth_m)
 
     def encode(work: Workspace) -> None:
         rows = []
         with progress.task("encoding contact shapes", model.size) as advance:
-            for depths in _pressed_shapes(model, pressed):
+            for depths in _press_shapes(model, pressed):
                 rows.append(encoder.encode(depths, press_depth_m, pressed.geometry))
                 advance(len(depths))
         # vectors of what is mostly empty, unless they were learned
         work.save_array("bank", np.concatenate(rows), packed=not encoder.capabilities.needs_training)
 
-    return np.asarray(store.build(bank_key(model.key, encoder, press_depth_m, trained), encode).load_array("bank"))
+    return np.asarray(store.build(make_bank_key(model.key, encoder, press_depth_m, trained), encode).load_array("bank"))
 
 
-def _pressed_shapes(model: ObjectPoseModel, pressed: Scene) -> Iterator[NDArray[np.float32]]:
+def _press_shapes(model: ObjectPoseModel, pressed: Scene) -> Iterator[NDArray[np.float32]]:
     """The contact depths (S, H, W), S > 0, of the grid's poses in a scene that presses them in; metres.
 
     Seen by parallel rays, or drawn where it just touches, a lighter press is a full one cut off. A pinhole camera sees
@@ -144,14 +144,14 @@ def _pressed_shapes(model: ObjectPoseModel, pressed: Scene) -> Iterator[NDArray[
     if press_m == deepest_m or not pressed.geometry.is_pinhole or pressed.drawing == "paper":
         yield from model.shapes.shards(press_m)
         return
-    poses = model.grid.raised(deepest_m - press_m).T_sensor_object
+    poses = model.grid.raise_level(deepest_m - press_m).T_sensor_object
     for start in range(0, len(poses), SHARD):
-        yield pressed.grid_depths(poses[start : start + SHARD])
+        yield pressed.render_grid_depths(poses[start : start + SHARD])
 
 
 def _grid(scene: Scene, sampler: GridSampler, progress: Progress) -> NDArray[np.float64]:
     with progress.task("sampling the pose grid", 1) as advance:
-        poses = contact_grid(sampler, scene).T_sensor_object
+        poses = make_contact_grid(sampler, scene).T_sensor_object
         advance(1)
     return poses
 
@@ -163,13 +163,13 @@ def _render_all(work: Workspace, grid: PoseGrid, scene: Scene, percent: float, p
     with progress.task("rendering contact shapes", len(grid)) as advance:
         for number, start in enumerate(range(0, len(grid), SHARD)):
             poses = grid.T_sensor_object[start : start + SHARD]
-            name = _shard_name(number)
+            name = _name_shard(number)
             codes = work.load(name)
             enough = work.load(f"{name}-enough", keep=False)
             if codes is None or enough is None:
-                depths = scene.grid_depths(poses)
-                enough = enough_contact(depths, scene, percent)
-                codes = _encoded(depths[enough], scene.geometry.max_depth_m)
+                depths = scene.render_grid_depths(poses)
+                enough = mark_contact(depths, scene, percent)
+                codes = _encode(depths[enough], scene.geometry.max_depth_m)
                 work.save_array(name, codes, packed=True)
                 work.save_array(f"{name}-enough", enough, keep=False)
             kept.append(start + np.flatnonzero(enough))
@@ -185,11 +185,11 @@ def _render_all(work: Workspace, grid: PoseGrid, scene: Scene, percent: float, p
     work.save_json("sizes", sizes)
 
 
-def _shard_name(number: int) -> str:
+def _name_shard(number: int) -> str:
     return f"depth-{number:05d}"
 
 
-def _encoded(depths_m: NDArray[np.float32], max_depth_m: float) -> NDArray[np.uint16]:
+def _encode(depths_m: NDArray[np.float32], max_depth_m: float) -> NDArray[np.uint16]:
     """Contact depths (S, H, W) as 16-bit shares of max_depth; a pixel in contact never rounds to no contact."""
     codes = np.rint(depths_m * np.float32(NO_CONTACT / max_depth_m))
     touching = depths_m < np.float32(max_depth_m)
@@ -199,7 +199,7 @@ def _encoded(depths_m: NDArray[np.float32], max_depth_m: float) -> NDArray[np.ui
 WEIGHTS = "encoder.safetensors"
 
 
-def encoder_key(shapes: StageKey, encoder: Encoder, sampler: GridSampler) -> StageKey | None:
+def make_encoder_key(shapes: StageKey, encoder: Encoder, sampler: GridSampler) -> StageKey | None:
     """Return the key under which what `encoder` learned from contact shapes is stored; None if it needs no training."""
     if not encoder.capabilities.needs_training:
         return None

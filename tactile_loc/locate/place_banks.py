@@ -59,14 +59,14 @@ class PlaceBanks:
         That of an encoder that learned is stored: a network takes longer to encode places than to read them.
         """
         if not self.trained:
-            return self._encoded(press_depth_m)
+            return self._encode(press_depth_m)
         key = StageKey("bank", STAGE_VERSIONS["bank"], {"trained": self.trained, "press_depth_m": press_depth_m})
         return np.asarray(self.store.build(key, lambda work: self._save(work, press_depth_m)).load_array("bank"))
 
     def _save(self, work: Workspace, press_depth_m: float) -> None:
-        work.save_array("bank", self._encoded(press_depth_m))
+        work.save_array("bank", self._encode(press_depth_m))
 
-    def _encoded(self, press_depth_m: float) -> Scores:
+    def _encode(self, press_depth_m: float) -> Scores:
         starts = range(0, len(self.places), ENCODED)
         depths = (self.places.depths(press_depth_m, slice(start, start + ENCODED)) for start in starts)
         return np.concatenate([self.encoder.encode(some, press_depth_m, CAMERA) for some in depths])

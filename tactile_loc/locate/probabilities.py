@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.core.simulation.noise import noise_level
+from tactile_loc.core.simulation.noise import make_noise
 
 STAGE, STAGE_VERSION = "temperature", 2
 TOUCHES, BATCH = 150, 25  # simulated, of known pose
@@ -177,7 +177,7 @@ def batches(touches: int, levels: Sequence[str]) -> Iterator[tuple[int, int, str
 
 def describe_touches(touches: int = TOUCHES, levels: Sequence[str] = (TOUCH_NOISE,)) -> dict[str, Any]:
     """Return what decides which touches are fitted to, but for what draws them, as JSON values."""
-    noise = [noise_level(level).describe() for level in levels]
+    noise = [make_noise(level).describe() for level in levels]
     return {"noise": noise, "touches": touches, "batch": BATCH, "seed": SEED}
 
 

@@ -64,6 +64,6 @@ class Refinement:
             return tuple(hypotheses)
         found = list(hypotheses)
         poses = np.stack([hypotheses[k].T_sensor_object for k in unknown])
-        for k, covariance in zip(unknown, self.registration.covariances(views, poses), strict=True):
+        for k, covariance in zip(unknown, self.registration.estimate_covariances(views, poses), strict=True):
             found[k] = replace(hypotheses[k], refined=replace(hypotheses[k].refined, covariance=covariance))
         return tuple(found)

@@ -46,7 +46,7 @@ class GridScores:
             numbers = [number for number, m in enumerate(press_m) if m == pressed_m]
             matcher = self.matcher(pressed_m)
             with times.stage("encode"):
-                queries = np.concatenate([self._encoded(touches[number], pressed_m) for number in numbers])
+                queries = np.concatenate([self._encode(touches[number], pressed_m) for number in numbers])
             with times.stage("match"):
                 rows = matcher.scores(queries)
             found |= dict(zip(numbers, rows, strict=True))
@@ -55,7 +55,7 @@ class GridScores:
     def matcher(self, press_depth_m: float) -> Matcher:
         """Return the matcher whose bank was cut at this press depth (metres), built at first use."""
         press_m = self.bank_press_m(press_depth_m)
-        matcher = self._matchers.pop(press_m, None) or self._indexed(press_m)
+        matcher = self._matchers.pop(press_m, None) or self._index(press_m)
         self._matchers[press_m] = matcher  # the last used comes last
         while len(self._matchers) > MOST_MATCHERS:
             del self._matchers[next(iter(self._matchers))]
@@ -67,14 +67,14 @@ class GridScores:
             return self.max_depth_m
         return round(max(1, int(press_depth_m / PRESS_STEP_M + 1e-6)) * PRESS_STEP_M, 9)
 
-    def _indexed(self, press_m: float) -> Matcher:
+    def _index(self, press_m: float) -> Matcher:
         matcher = self.new_matcher()
         matcher.index(self.bank(press_m))
         return matcher
 
-    def _encoded(self, touch: Touch, press_depth_m: float) -> Scores:
+    def _encode(self, touch: Touch, press_depth_m: float) -> Scores:
         """The embedding (1, D) of a touch."""
-        shape = touch.contact_shape.pressed_to(press_depth_m)
+        shape = touch.contact_shape.press_to(press_depth_m)
         # The press the shape is really cut at: below the bank's, its pixels without contact would count as contact.
         press_m = shape.press_depth_m
         embedding: Scores = self.encoder.encode(shape.depth_m[None], press_m, touch.geometry)

@@ -19,16 +19,16 @@ from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.priors import Prior, SeenFrom
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
-from tactile_loc.core.sensing.clouds import contact_cloud
+from tactile_loc.core.sensing.clouds import make_contact_cloud
 from tactile_loc.core.sensing.places import CAMERA, HIGHEST_M, Places
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.slots.common_poses import prior_weights
+from tactile_loc.core.slots.common_poses import compute_prior_weights
 from tactile_loc.core.slots.encoder import Encoder
 from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.io.options import SearchOptions
-from tactile_loc.locate.hypotheses import apart, explained
+from tactile_loc.locate.hypotheses import compute_imprint_ious, keep_apart
 from tactile_loc.locate.probabilities import TemperatureScaling
 from tactile_loc.locate.scoring import GridScores, Scores
 from tactile_loc.store.keys import StageKey
@@ -76,15 +76,15 @@ class PlaceSearch:
 
         With a `prior` half of the poses that are registered are those that it finds likeliest of many.
         """
-        view, options = View(touch, self.scene.of_touch(touch)), self.options
+        view, options = View(touch, self.scene.match_touch(touch)), self.options
         with times.stage("match"):
             groups = self.propose(touch, options.candidates, prior)
-        with times.stage("settle"):
+        with times.stage("register"):
             most = options.registered // len(groups)
-            poses = np.concatenate([p[apart(p, scores, self.metric, self.radius_m, most)] for p, scores in groups])
-            poses = self.registration.settle([view], poses)
-            ious = explained([view], poses, options.image_px)[:, 0]
-            kept = apart(poses, ious, self.metric, options.apart_mm * 1e-3, options.registered)
+            poses = np.concatenate([p[keep_apart(p, scores, self.metric, self.radius_m, most)] for p, scores in groups])
+            poses = self.registration.register_coarsely([view], poses)
+            ious = compute_imprint_ious([view], poses, options.image_px)[:, 0]
+            kept = keep_apart(poses, ious, self.metric, options.apart_mm * 1e-3, options.registered)
         return PoseGrid(poses[kept], self.metric), ious[kept].astype(np.float32)
 
     def describe(self) -> dict[str, Any]:
@@ -96,7 +96,7 @@ class PlaceSearch:
         }  # fmt: skip
 
     def propose(self, touch: Touch, count: int, prior: Prior | None = None) -> list[tuple[Poses, NDArray[np.float64]]]:
-        """Return the `count` most similar turned places, and as many that a prior finds likeliest of the `pool` ones.
+        """Return the `count` most similar rotated places, and as many that a prior finds likeliest of the `pool` ones.
 
         Each group are poses (K, 4, 4), metres, and by what they are ordered (K,).
         """
@@ -105,20 +105,20 @@ class PlaceSearch:
         poses, scores = self.alike(touch, self.options.pool)
         order = np.argsort(-scores, kind="stable")
         poses, scores = poses[order], scores[order]
-        weights = prior_weights(prior, PoseGrid(poses, self.metric))
+        weights = compute_prior_weights(prior, PoseGrid(poses, self.metric))
         likeliest = np.argsort(-weights, kind="stable")[:count]
         likeliest = likeliest[weights[likeliest] > -np.inf]
         alike = poses[:count], scores[:count]
         return [alike, (poses[likeliest], -np.arange(len(likeliest), dtype=float))] if len(likeliest) else [alike]
 
     def alike(self, touch: Touch, count: int) -> tuple[Poses, NDArray[np.float64]]:
-        """Return the poses (K, 4, 4), metres, of the `count` most alike turned places, and how alike they are (K,)."""
-        from tactile_loc.core.sensing.turned_patches import anchor, turned_patches
+        """Return the poses (K, 4, 4), metres, of the `count` most alike rotated places, and how alike they are (K,)."""
+        from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
 
         matcher = self._banks.matcher(touch.press_depth_m)
         press_m = min(self._banks.bank_press_m(touch.press_depth_m), touch.press_depth_m)
-        anchor_m, R_sensor_gel = anchor(touch)
-        depths_m, seen = turned_patches(touch, anchor_m, R_sensor_gel, self.yaws_rad)
+        anchor_m, R_sensor_gel = find_anchor(touch)
+        depths_m, seen = rotate_patches(touch, anchor_m, R_sensor_gel, self.yaws_rad)
         cut_m = np.minimum(depths_m, np.float32(press_m))
         queries, weights = self.encoder.encode_seen(cut_m, seen, press_m, CAMERA)
         scores = matcher.scores(queries, weights)
@@ -161,7 +161,7 @@ def search_together(
 ) -> FoundTogether:
     """Return the likeliest poses of several touches; adds to `times`. A `prior` is over poses of the first one's frame.
 
-    Every touch proposes the turned places that are most like it. Those are kept whose surface is nearest to what all
+    Every touch proposes the rotated places that are most like it. Those are kept whose surface is nearest to what all
     touches show, none near to a better one; they are registered to all touches, drawn, and compared with each touch.
     Where none of the best few explains the touches well, more are looked at.
     """
@@ -173,48 +173,50 @@ def search_together(
             for some, _ in one.propose(view.touch, one.options.candidates_together, _see_from(view, prior))
         ])  # fmt: skip
         poses = _keep_nearest(views, search, poses, options.registered_widely)
-    with times.stage("settle"):
-        settled, ious = _settle(views, search, poses[: options.registered_together])
+    with times.stage("register"):
+        registered, ious = _register(views, search, poses[: options.registered_together])
         if ious.mean(axis=1).max() < options.wide_below_iou:
-            more, more_ious = _settle(views, search, poses[options.registered_together :])
-            settled, ious = np.concatenate([settled, more]), np.concatenate([ious, more_ious])
-        kept = apart(settled, ious.mean(axis=1), search.metric, options.apart_mm * 1e-3, options.registered_widely)
-    return FoundTogether(settled[kept], ious[kept], search.metric)
+            more, more_ious = _register(views, search, poses[options.registered_together :])
+            registered, ious = np.concatenate([registered, more]), np.concatenate([ious, more_ious])
+        kept = keep_apart(
+            registered, ious.mean(axis=1), search.metric, options.apart_mm * 1e-3, options.registered_widely
+        )
+    return FoundTogether(registered[kept], ious[kept], search.metric)
 
 
-def rough_iou(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> float:
+def compute_rough_iou(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> float:
     """Return how well the best of poses (K, 4, 4), metres, explains several touches or one: imprint IoU, their mean.
 
     Those `count` whose surface is nearest to what the touches show are registered roughly, and drawn coarsely.
     """
-    _, ious = _settle(views, search, _keep_nearest(views, search, poses, count))
+    _, ious = _register(views, search, _keep_nearest(views, search, poses, count))
     return float(ious.mean(axis=1).max())
 
 
 def _keep_nearest(views: Sequence[View], search: PlaceSearch, poses: Poses, count: int) -> Poses:
     """Return at most `count` of poses (K, 4, 4) whose surface is nearest to the touches', none near to a better one."""
-    return poses[apart(poses, -_measure_gaps(views, poses), search.metric, search.radius_m, count)]
+    return poses[keep_apart(poses, -_measure_gaps(views, poses), search.metric, search.radius_m, count)]
 
 
 def _see_from(view: View, prior: Prior | None) -> Prior | None:
     return None if prior is None else SeenFrom(prior, invert(view.T_sensor_first))
 
 
-def _settle(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple[Poses, NDArray[np.float64]]:
+def _register(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple[Poses, NDArray[np.float64]]:
     """Register poses (K, 4, 4), metres, roughly to all touches; also return their imprint IoUs (K, N), coarsely."""
-    settled, options = search.registration.settle(views, poses), search.options
-    return settled, explained(views, settled, options.image_px, 1e-3 * options.free_z_mm)
+    registered, options = search.registration.register_coarsely(views, poses), search.options
+    return registered, compute_imprint_ious(views, registered, options.image_px, 1e-3 * options.free_z_mm)
 
 
 def _measure_gaps(views: Sequence[View], poses: Poses) -> NDArray[np.float64]:
     """Return how far the touches' points are from the object's surface at poses (K, 4, 4): sums (K,), metres."""
-    from tactile_loc.core.objects.surface_field import surface_field  # numba takes a while to import
+    from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
 
-    field, seen_from = surface_field(views[0].scene.object.mesh), invert(poses)
+    field, seen_from = build_surface_field(views[0].scene.object.mesh), invert(poses)
     gaps = np.zeros(len(poses))
     for view in views:
-        geometry, shape = view.touch.thinned(GAP_PX)
-        points_m = contact_cloud(shape, geometry)[0]
+        geometry, shape = view.touch.thin(GAP_PX)
+        points_m = make_contact_cloud(shape, geometry)[0]
         points_m = points_m[:: max(1, len(points_m) // GAP_POINTS)]
-        gaps += field.mean_gaps(points_m, seen_from @ invert(view.T_sensor_first), field.reach_m)
+        gaps += field.measure_gaps(points_m, seen_from @ invert(view.T_sensor_first), field.reach_m)
     return gaps

@@ -25,8 +25,8 @@ from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.io.options import HypothesisOptions
-from tactile_loc.locate.hypotheses import best_apart, propose_together
-from tactile_loc.locate.model import ObjectPoseModel, build_bank, build_model, encoder_key, train_encoder
+from tactile_loc.locate.hypotheses import choose_best_apart, propose_together
+from tactile_loc.locate.model import ObjectPoseModel, build_bank, build_model, make_encoder_key, train_encoder
 from tactile_loc.locate.place_banks import PlaceBanks
 from tactile_loc.locate.scoring import GridScores, NewMatcher, Scores
 from tactile_loc.locate.search import PlaceSearch
@@ -102,7 +102,7 @@ class PlaceSource(PoseSource):
     ) -> list[Mode]:  # fmt: skip
         """Return the most probable poses that are apart: a tenth of all, or `top`."""
         count = max(top, self.options.refined, len(fused.grid) // 10)
-        modes = best_apart(fused, self.options.start_radius * self.mode_radius_m, count)
+        modes = choose_best_apart(fused, self.options.start_radius * self.mode_radius_m, count)
         return modes if pose_set is None else modes + fused.modes(self.mode_radius_m, None, core=pose_set)
 
     def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
@@ -140,7 +140,7 @@ class GridSource(PoseSource):
             return ""
         model, scene, sampler = self.model, self.scene, self.sampler
         return train_encoder(
-            self.encoder, encoder_key(model.key, self.encoder, sampler),
+            self.encoder, make_encoder_key(model.key, self.encoder, sampler),
             lambda kept: ListedProblem(model.grid, scene, sampler, model.shapes.shards, self.progress, kept),
             self.store,
         )  # fmt: skip
@@ -159,16 +159,16 @@ class GridSource(PoseSource):
         """Return the matcher whose bank was cut at this press depth (metres), built at first use."""
         return self.banks.matcher(press_depth_m)
 
-    def grid_of(self, touch: Touch) -> PoseGrid:
+    def press_grid(self, touch: Touch) -> PoseGrid:
         """Return the grid's poses, in metres, pressed as deep as the touch."""
-        return self.model.grid.raised(self.scene.geometry.max_depth_m - touch.indentation_m)
+        return self.model.grid.raise_level(self.scene.geometry.max_depth_m - touch.indentation_m)
 
     def score(
         self, touches: Sequence[Touch], times: StageTimes, prior: Prior | None = None
     ) -> list[tuple[PoseGrid, Scores]]:
         """Match each touch with all poses of the grid."""
         scores = self.banks.scores(touches, times)
-        return list(zip(map(self.grid_of, touches), scores, strict=True))
+        return list(zip(map(self.press_grid, touches), scores, strict=True))
 
     def propose(
         self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int,

@@ -28,15 +28,15 @@ SURFACE_VERSION, SYMMETRY_VERSION = 1, 1  # raise them when the same file is rea
 Kept = TypeVar("Kept")
 
 
-def stored_object(path: str | Path, units: Units, symmetry: str, store: StageStore) -> ObjectModel:
+def load_stored_object(path: str | Path, units: Units, symmetry: str, store: StageStore) -> ObjectModel:
     """Load an object as `load_object` does, its surface and its symmetry from the store if they are there."""
     return load_object(
-        path, units, symmetry, read=lambda file: _stored_surface(file, store),
-        judge=lambda declared, mesh: _stored_symmetry(declared, mesh, Path(path).stem, store),
+        path, units, symmetry, read=lambda file: _load_surface(file, store),
+        judge=lambda declared, mesh: _load_symmetry(declared, mesh, Path(path).stem, store),
     )  # fmt: skip
 
 
-def _stored_surface(path: Path, store: StageStore) -> Surface:
+def _load_surface(path: Path, store: StageStore) -> Surface:
     if path.suffix.lower() not in SELF_CONTAINED:
         return read_surface(path)
     try:
@@ -56,10 +56,10 @@ def _stored_surface(path: Path, store: StageStore) -> Surface:
             np.array(kept.load_array("vertices")), np.array(kept.load_array("faces")), kept.load_json("watertight")
         )
 
-    return _kept(store, key, lambda: read_surface(path), save, load)
+    return _load_or_keep(store, key, lambda: read_surface(path), save, load)
 
 
-def _stored_symmetry(declared: str, mesh: TriangleMesh, name: str, store: StageStore) -> SymmetryGroup:
+def _load_symmetry(declared: str, mesh: TriangleMesh, name: str, store: StageStore) -> SymmetryGroup:
     key = StageKey("symmetry", SYMMETRY_VERSION, {"mesh": mesh.digest, "declared": declared}, name)
 
     def save(group: SymmetryGroup, work: Workspace) -> None:
@@ -71,10 +71,10 @@ def _stored_symmetry(declared: str, mesh: TriangleMesh, name: str, store: StageS
         terms = [SymmetryTerm((x, y, z), float(order)) for x, y, z, order in group["terms"]]
         return SymmetryGroup(np.array(group["centre_m"]), tuple(terms))
 
-    return _kept(store, key, lambda: find_symmetry(declared, mesh), save, load)
+    return _load_or_keep(store, key, lambda: find_symmetry(declared, mesh), save, load)
 
 
-def _kept(
+def _load_or_keep(
     store: StageStore, key: StageKey, make: Callable[[], Kept], save: Callable[[Kept, Workspace], None],
     load: Callable[[Artifact], Kept],
 ) -> Kept:  # fmt: skip

@@ -57,7 +57,7 @@ class LocatedFile:
     problem: str = ""
     verdict: Verdict | None = None
 
-    def row(self) -> dict[str, str]:
+    def make_row(self) -> dict[str, str]:
         """Return it as a row of results.csv, whose columns are COLUMNS: the best pose in mm and degrees."""
         if self.best is None:
             return {"touch": self.path.name, "verdict": self.verdict or "", "says": self.problem}
@@ -133,7 +133,7 @@ def write_table(path: Path, located: Iterable[LocatedFile]) -> Path:
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n", restval="")
     writer.writeheader()
-    writer.writerows(one.row() for one in located)
+    writer.writerows(one.make_row() for one in located)
     return write_atomically(path, lambda temporary: temporary.write_text(text.getvalue(), encoding="utf-8"))
 
 
@@ -143,12 +143,12 @@ def read_observations(localizer: Localizer, path: Path) -> list[Observation]:
     observations: list[Observation] = []
     for listed in read_touch_list(path):
         if listed.sensor not in of_sensor:
-            of_sensor[listed.sensor] = _with_sensor(localizer, str(listed.sensor))
+            of_sensor[listed.sensor] = _replace_sensor(localizer, str(listed.sensor))
         observations.append((of_sensor[listed.sensor], read_listed_touch(of_sensor[listed.sensor], listed)))
     return observations
 
 
-def _with_sensor(localizer: Localizer, sensor: str) -> Localizer:
+def _replace_sensor(localizer: Localizer, sensor: str) -> Localizer:
     """The same localizer, but for its sensor, which is given by name, folder or file."""
     kind = find_sensor_kind(sensor)
     chosen = SlotConfig(name=kind, options={"path": sensor}) if kind else SlotConfig(name=sensor)
@@ -165,10 +165,10 @@ def read_listed_touch(localizer: Localizer, listed: ListedTouch) -> Touch:
         touch = dataclasses.replace(touch, T_base_sensor_std_m=listed.T_base_sensor_std_m)
     if listed.T_base_sensor_std_rad is not None:
         touch = dataclasses.replace(touch, T_base_sensor_std_rad=listed.T_base_sensor_std_rad)
-    return touch if listed.mount is None else _with_mounts_error(touch, listed.mount)
+    return touch if listed.mount is None else _add_mount_error(touch, listed.mount)
 
 
-def _with_mounts_error(touch: Touch, mount: Mount) -> Touch:
+def _add_mount_error(touch: Touch, mount: Mount) -> Touch:
     """The touch, its sensor's pose known no better than the flange's and the mount together tell."""
     std_m, std_rad = mount.find_std_at(np.array([0.0, 0.0, touch.geometry.standoff_m]))
     return dataclasses.replace(

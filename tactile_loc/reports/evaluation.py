@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tactile_loc.core.errors import ResultError
-from tactile_loc.core.formatting import mm
+from tactile_loc.core.formatting import format_mm
 from tactile_loc.evaluation import fusion_tables, tables
 from tactile_loc.evaluation.metrics import LEVELS
 from tactile_loc.io.streams.records import read_document
@@ -112,7 +112,7 @@ def _choose_first(lines: Sequence[str]) -> str:
 def _list_numbers(runs: Sequence[Run], line: str) -> list[tuple[str, str, str]]:
     medians = [run["lines"][line]["add"] for run in runs]
     ambiguous = float(np.mean([run["ambiguity"]["ambiguous"] for run in runs]))
-    middle_mm = mm(float(np.median([m["metres"]["median"] for m in medians])))
+    middle_mm = format_mm(float(np.median([m["metres"]["median"] for m in medians])))
     share = float(np.median([m["normalised"]["median"] for m in medians]))
     covered = np.mean([run["posterior"]["coverage"] for run in runs], axis=0)
     of_all = f"the median of {len(runs)} medians" if len(runs) > 1 else f"of {runs[0]['object']}"
@@ -141,7 +141,7 @@ def _tabulate_medians(runs: Sequence[Run]) -> dict[str, Any]:
     lengths, shares = (
         [[run["name"], run["grid_poses"], *(write(run["lines"][line]["add"][unit]["median"]) for line in lines)]
          for run in runs]
-        for unit, write in (("metres", mm), ("normalised", "{:.3f}".format))
+        for unit, write in (("metres", format_mm), ("normalised", "{:.3f}".format))
     )  # fmt: skip
     return {"header": ["object", "grid poses", *lines], "lengths": lengths, "shares": shares}
 
@@ -165,7 +165,9 @@ def _tabulate_posteriors(runs: Sequence[Run]) -> dict[str, Any]:
         posterior = run["posterior"]
         held = [f"{100 * share:.0f} %" for share in posterior["coverage"]]
         nats = [f"{posterior[key]:.2f}" for key in ("nll", "uniform_nll", "entropy")]
-        rows.append([run["name"], *held, *nats, mm(posterior["expected_error_m"]), mm(posterior["spread_m"])])
+        rows.append(
+            [run["name"], *held, *nats, format_mm(posterior["expected_error_m"]), format_mm(posterior["spread_m"])]
+        )
     return {"header": header, "rows": rows}
 
 
@@ -209,13 +211,13 @@ def _round(value: float) -> float:
 
 def _summarise_contacts(run: Run) -> tuple[str, str, str]:
     first, last = (run["lines"][CONTACTS_LINE][k] for k in (0, -1))
-    medians = f"{mm(first['metres']['median'])} → {mm(last['metres']['median'])} mm"
+    medians = f"{format_mm(first['metres']['median'])} → {format_mm(last['metres']['median'])} mm"
     return run["name"], medians, f"median ADD from {_count_contacts(first)} to {_count_contacts(last)}"
 
 
 def _tabulate_contacts(runs: Sequence[Run]) -> dict[str, Any]:
     rows = [
-        [run["name"], line, *(f"{mm(e['metres']['median'])} ({e['normalised']['median']:.3f})" for e in entries)]
+        [run["name"], line, *(f"{format_mm(e['metres']['median'])} ({e['normalised']['median']:.3f})" for e in entries)]
         for run in runs
         for line, entries in run["lines"].items()
     ]

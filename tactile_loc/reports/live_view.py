@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import percent
-from tactile_loc.core.geometry.pose_words import pose_words
+from tactile_loc.core.formatting import format_percent
+from tactile_loc.core.geometry.pose_words import format_pose_words
 from tactile_loc.core.geometry.rigid import transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -53,7 +53,7 @@ def render_shape(result: LiveResult, localizer: Localizer) -> ContactShape | Non
     touch, T = result.touch, result.located.T_sensor_object
     if touch is None or T is None:
         return None
-    depths_m = localizer.scene.of_touch(touch).depths_explaining(T[None], touch)
+    depths_m = localizer.scene.match_touch(touch).render_depths_to_compare(T[None], touch)
     return ContactShape(depths_m[0], touch.press_depth_m)
 
 
@@ -85,7 +85,7 @@ def _write_texts(record: LiveRecord, rate_hz: float) -> dict[str, str]:
     return {
         "says": record.says or record.name, "verdict": record.word,
         "verdict-more": explain_verdict(record.verdict),
-        **{name: NOTHING if share is None else percent(share) for name, share in shares.items()},
+        **{name: NOTHING if share is None else format_percent(share) for name, share in shares.items()},
         **_write_pose(record), "rate": f"{rate_hz:.1f} Hz" if rate_hz else NOTHING,
         "rate-more": f"{record.number + 1} frames, {record.dropped} dropped as newer ones had come",
     }  # fmt: skip
@@ -95,7 +95,7 @@ def _write_pose(record: LiveRecord) -> dict[str, str]:
     """Where the object is, mm and degrees, and standard deviations."""
     if record.T_sensor_object is None:
         return {"place": NOTHING, "place-more": "", "turn": NOTHING, "turn-more": ""}
-    words = pose_words(np.array(record.T_sensor_object), record.std)
+    words = format_pose_words(np.array(record.T_sensor_object), record.std)
     std = "" if record.std is None else f"; std {words.turn_std} about x, y, z"
     return {
         "place": words.place, "place-more": words.place_std and f"std {words.place_std} mm",

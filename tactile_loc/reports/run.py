@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import millimetres, percent
+from tactile_loc.core.formatting import format_millimetres, format_percent
 from tactile_loc.core.geometry.rigid import format_pose
 from tactile_loc.io.toml import format_toml
 from tactile_loc.locate.doubts import list_doubts
@@ -121,11 +121,15 @@ def _list_numbers(record: ResultRecord) -> Iterator[tuple[str, str, str]]:
         yield f"{found.coverage:.1%} set", size, holds
     explains = "how well the best pose explains the touch, in depth and outline"
     yield "imprint IoU", f"{100 * best.imprint_iou:.0f} %", explains
-    yield "probability", percent(best.probability), f"of the best candidate, {best.grid_poses} grid poses together"
+    yield (
+        "probability",
+        format_percent(best.probability),
+        f"of the best candidate, {best.grid_poses} grid poses together",
+    )
     errors = record.errors
     if errors is not None:
-        closest = f"RMS of surface; the nearest grid pose: {millimetres(errors.closest_in_grid_m)}"
-        yield "error", millimetres(errors.best_m), closest
+        closest = f"RMS of surface; the nearest grid pose: {format_millimetres(errors.closest_in_grid_m)}"
+        yield "error", format_millimetres(errors.best_m), closest
 
 
 def _list_heads(record: ResultRecord) -> list[str]:
@@ -174,8 +178,8 @@ def _describe_touch(record: TouchRecord, imprint_iou: float, touch: TouchArrays)
 
 
 def _write_card(h: HypothesisRecord) -> str:
-    off = "" if h.error_m is None else f", {millimetres(h.error_m)} off"
-    return f"{percent(h.probability)}, IoU {100 * h.imprint_iou:.0f} %{off}"
+    off = "" if h.error_m is None else f", {format_millimetres(h.error_m)} off"
+    return f"{format_percent(h.probability)}, IoU {100 * h.imprint_iou:.0f} %{off}"
 
 
 def _draw_shown(number: int, touches: Sequence[TouchArrays]) -> list[tuple[str, str]]:

@@ -12,7 +12,7 @@ from typing import Any
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.simulation.noise import noise_level
+from tactile_loc.core.simulation.noise import make_noise
 from tactile_loc.core.slots.compatibility import require_compatible
 from tactile_loc.core.slots.component import Component
 from tactile_loc.core.slots.registry import SLOTS, registry
@@ -21,7 +21,7 @@ from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, TouchConfig
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.model import bank_key, encoder_key, grid_key, shapes_key
+from tactile_loc.locate.model import make_bank_key, make_encoder_key, make_grid_key, make_shapes_key
 from tactile_loc.store.keys import StageKey, write_canonical_json
 from tactile_loc.store.store import StageStore
 from tactile_loc.sweeps.plan import Plan
@@ -85,7 +85,7 @@ def make_combination_key(config: RunConfig, obj: ObjectModel, count: int, compon
     text = write_canonical_json({
         "version": ROW_VERSION, "tactile-loc": version("tactile-loc"), "protocol": PROTOCOL_VERSION, "count": count,
         "object": {"name": obj.name, **obj.describe()}, "settings": settings, "components": components,
-        "noise": noise_level(config.touch.noise).describe(),
+        "noise": make_noise(config.touch.noise).describe(),
     })  # fmt: skip
     return hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
 
@@ -134,11 +134,11 @@ def find_missing_stages(
 def list_model_keys(localizer: Localizer) -> list[StageKey]:
     """Return the keys of a localizer's model, in the order of building: the bank at full press comes last."""
     scene, encoder = localizer.coarse_scene, localizer.encoder
-    grid = grid_key(scene, localizer.sampler)
-    shapes = shapes_key(grid, scene)
-    training = encoder_key(shapes, encoder, localizer.sampler)
+    grid = make_grid_key(scene, localizer.sampler)
+    shapes = make_shapes_key(grid, scene)
+    training = make_encoder_key(shapes, encoder, localizer.sampler)
     trained = "" if training is None else training.digest
-    bank = bank_key(shapes, encoder, localizer.scene.geometry.max_depth_m, trained)
+    bank = make_bank_key(shapes, encoder, localizer.scene.geometry.max_depth_m, trained)
     return [grid, shapes, *([] if training is None else [training]), bank]
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.formatting import mm
+from tactile_loc.core.formatting import format_mm
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.evaluation.tabular import format_markdown, write_texts
 from tactile_loc.sweeps.plan import SETTINGS
@@ -154,4 +154,4 @@ def _find_differing(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str,
 
 
 def _format_mm(value: float) -> str:
-    return "" if np.isnan(value) else mm(1e-3 * value)
+    return "" if np.isnan(value) else format_mm(1e-3 * value)

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
-from tactile_loc.core.errors import ConfigError, did_you_mean, named
-from tactile_loc.core.simulation.noise import noise_level
+from tactile_loc.core.errors import ConfigError, did_you_mean, name_source
+from tactile_loc.core.simulation.noise import make_noise
 from tactile_loc.core.slots.registry import SLOTS, registry, validate_options
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.config import (
@@ -49,7 +49,7 @@ class Plan:
     @classmethod
     def from_toml(cls, path: str | Path) -> Plan:
         """Read a plan's file; see `from_values`."""
-        with named(path):
+        with name_source(path):
             return cls.from_values(read_toml(path), str(path))
 
     @classmethod
@@ -127,7 +127,7 @@ def _resolve_sensor(chosen: SlotConfig) -> SlotConfig:
 
 def _read_noises(values: Sequence[Any]) -> tuple[str, ...]:
     for value in values:
-        noise_level(str(value))
+        make_noise(str(value))
     return tuple(dict.fromkeys(map(str, values)))
 
 

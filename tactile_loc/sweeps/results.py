@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactile_loc.core.errors import ConfigError, OutputError, did_you_mean
-from tactile_loc.core.formatting import mm
+from tactile_loc.core.formatting import format_mm
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.drawing.pictures import save_figure
 from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION
@@ -154,8 +154,8 @@ def _format_pivot(errors_mm: pd.DataFrame) -> str:
 def _format_cell(error_mm: float, best_mm: float) -> str:
     if error_mm != error_mm:
         return FAILED
-    text = mm(1e-3 * error_mm)
-    return f"**{text}**" if text == mm(1e-3 * best_mm) else text
+    text = format_mm(1e-3 * error_mm)
+    return f"**{text}**" if text == format_mm(1e-3 * best_mm) else text
 
 
 def _list_failures(sweep: Sweep) -> Iterator[str]:

@@ -17,12 +17,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import ConfigError, StoreError, TactileLocError, TouchError
-from tactile_loc.core.sensing.imprints import explained
+from tactile_loc.core.sensing.imprints import compare_imprints
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.scene import IOU_PX, View
-from tactile_loc.locate.hypotheses import explained_where_seen
-from tactile_loc.locate.localizer import Localizer, localize_together, view_of
+from tactile_loc.locate.hypotheses import compare_where_seen
+from tactile_loc.locate.localizer import Localizer, localize_together, make_view
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.tasks.library import Glance, Library
 
@@ -35,6 +36,7 @@ TEMPERATURES = np.geomspace(0.3, 5, 15).round(2).tolist()
 LEAST = 1e-3  # probability of the truth, lest one touch decide alone
 
 
+@keep_old_names(shortfall="measure_misfit")
 @dataclass(frozen=True)
 class NullEvidence:
     """How well "none of these" explains touches, and by how many nats evidence has to differ to be believed e times as
@@ -52,20 +54,20 @@ class NullEvidence:
         if not min(self.alone, self.together, self.temperature) > 0:
             raise ConfigError(f"{self} cannot weigh objects; its numbers must be positive")
 
-    def shortfall(self, touches: int) -> float:
+    def measure_misfit(self, touches: int) -> float:
         """Return by how many nats "none of these" falls short of explaining so many touches."""
         return self.alone if touches == 1 else touches * self.together
 
-    def probabilities(self, shortfalls: Float64, touches: int) -> tuple[Float64, float]:
+    def probabilities(self, misfits: Float64, touches: int) -> tuple[Float64, float]:
         """Return the probabilities (K,) of objects that fall short by nats (K,), infinite: impossible; and of none."""
-        logits = -np.append(shortfalls, self.shortfall(touches)) / self.temperature
+        logits = -np.append(misfits, self.measure_misfit(touches)) / self.temperature
         weights = np.exp(logits - logits.max())
         p = weights / weights.sum()
         return p[:-1], float(p[-1])
 
     def loss(self, answers: Sequence[KnownAnswer]) -> float:
         """Return how improbable the truth of answers is, nats: the sum of negative log-likelihoods."""
-        said = [(*self.probabilities(answer.shortfalls, answer.touches), answer.truth) for answer in answers]
+        said = [(*self.probabilities(answer.misfits, answer.touches), answer.truth) for answer in answers]
         return -float(np.sum([np.log(max(none if k < 0 else p[k], LEAST)) for p, none, k in said]))
 
 
@@ -73,7 +75,7 @@ class KnownAnswer(NamedTuple):
     """What touches of a known object came to: by how many nats each of K objects falls short of explaining them, which
     of these it was, -1 if it was left out, and how many touches there were."""
 
-    shortfalls: Float64
+    misfits: Float64
     truth: int
     touches: int
 
@@ -92,13 +94,14 @@ def fit_null_evidence(answers: Sequence[KnownAnswer]) -> NullEvidence:
     return min(map(best_of, TEMPERATURES), key=lambda pair: pair[0])[1]
 
 
+@keep_old_names(shortfall="misfit")
 @dataclass(frozen=True, eq=False)
 class KnownObject:
     """One object of the library, and what touches say of it.
 
     `alike` is how alike the touches and its places are at a glance, their mean, unitless. The most alike are looked
     into: `rough_iou` is how well a rough search explains the touches, imprint IoU, their mean, 0 for the others. The
-    best of these are located: `found` is where it would be, None if it was not worth it or cannot be; `shortfall` by
+    best of these are located: `found` is where it would be, None if it was not worth it or cannot be; `misfit` by
     how many nats its best pose explains the touches less than fully, infinite where there is none; `probability` that
     it is this one, 0 to 1.
     """
@@ -107,7 +110,7 @@ class KnownObject:
     probability: float
     alike: float
     rough_iou: float
-    shortfall: float
+    misfit: float
     found: Localization | None
 
 
@@ -146,35 +149,37 @@ def identify(
     _require_poses(touches)
     glances = [library.glance(touch) for touch in touches]
     alike = np.mean([glance.alike for glance in glances], axis=0)
-    rough = _looked_into(library, glances, np.argsort(-alike, kind="stable")[:LOOKED_INTO])
+    rough = _look_into(library, glances, np.argsort(-alike, kind="stable")[:LOOKED_INTO])
     chosen = np.lexsort((-alike, -rough))[:located]
-    shortfalls = np.full(len(library), np.inf)
+    misfits = np.full(len(library), np.inf)
     found: dict[int, Localization] = {}
     with library.progress.task("locating objects", len(chosen)) as advance:
         for k in chosen:
-            answer = _located(library.models[k], touches)
+            answer = _locate(library.models[k], touches)
             if answer is not None:
-                found[int(k)], shortfalls[k] = answer, shortfall(library.models[k], answer)
+                found[int(k)], misfits[k] = answer, measure_misfit(library.models[k], answer)
             advance(1)
-    p, none = (null or NullEvidence()).probabilities(shortfalls, len(touches))
+    p, none = (null or NullEvidence()).probabilities(misfits, len(touches))
     objects = [
-        KnownObject(name, float(p[k]), float(alike[k]), float(rough[k]), float(shortfalls[k]), found.get(k))
+        KnownObject(name, float(p[k]), float(alike[k]), float(rough[k]), float(misfits[k]), found.get(k))
         for k, name in enumerate(library.names)
     ]
     return Identification(tuple(objects[k] for k in np.lexsort((-alike, -rough, -p))), none)
 
 
-def shortfall(model: Localizer, found: Localization) -> float:
+def measure_misfit(model: Localizer, found: Localization) -> float:
     """Return by how many nats the best hypothesis explains the touches less than a pose that explains them fully."""
-    views = [view_of(found.touch, model, touch) for touch in found.touches]
+    views = [make_view(found.touch, model, touch) for touch in found.touches]
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
-    seen = None if len(views) == 1 else _seen(views, found)
-    evidence = explained_where_seen(views, poses, seen)[1].sum(axis=1)
-    fully = sum(_full_evidence(touch) for touch in (*found.touches, *found.left_out))  # of these nothing is explained
+    seen = None if len(views) == 1 else _find_seen_poses(views, found)
+    evidence = compare_where_seen(views, poses, seen)[1].sum(axis=1)
+    fully = sum(
+        _compute_full_evidence(touch) for touch in (*found.touches, *found.left_out)
+    )  # of these nothing is explained
     return max(0.0, fully - float(evidence.max()))
 
 
-def _looked_into(library: Library, glances: Sequence[Glance], chosen: NDArray[np.int64]) -> Float64:
+def _look_into(library: Library, glances: Sequence[Glance], chosen: NDArray[np.int64]) -> Float64:
     """How well each object explains the touches, roughly (K,): imprint IoU; 0 for those that were not chosen."""
     rough = np.zeros(len(library))
     with library.progress.task("looking into objects", len(chosen)) as advance:
@@ -184,7 +189,7 @@ def _looked_into(library: Library, glances: Sequence[Glance], chosen: NDArray[np
     return rough
 
 
-def _located(model: Localizer, touches: Sequence[Touch]) -> Localization | None:
+def _locate(model: Localizer, touches: Sequence[Touch]) -> Localization | None:
     """Where an object would be; None where no pose of it makes these touches."""
     try:
         return localize_together([(model, touch) for touch in touches])
@@ -201,7 +206,7 @@ def _require_poses(touches: Sequence[Touch]) -> None:
         require_sensor_poses([touch.T_base_sensor for touch in touches])
 
 
-def _seen(views: Sequence[View], found: Localization) -> Float64:
+def _find_seen_poses(views: Sequence[View], found: Localization) -> Float64:
     """Where each of N sensors sees each of K hypotheses, (K, N, 4, 4), metres: as refined, or as said."""
     return np.stack([
         np.stack([view.T_sensor_first @ h.T_sensor_object for view in views])
@@ -211,9 +216,9 @@ def _seen(views: Sequence[View], found: Localization) -> Float64:
     ])  # fmt: skip
 
 
-def _full_evidence(touch: Touch) -> float:
+def _compute_full_evidence(touch: Touch) -> float:
     """The evidence, nats, of a pose whose contact is just what the touch shows."""
-    geometry, shape = touch.thinned(IOU_PX)
+    geometry, shape = touch.thin(IOU_PX)
     seen = shape.depth_m
-    fully = explained(seen[None], seen, touch.press_depth_m, geometry.observed_mask, geometry.pixel_pitch_m)
+    fully = compare_imprints(seen[None], seen, touch.press_depth_m, geometry.observed_mask, geometry.pixel_pitch_m)
     return float(fully.evidence[0])

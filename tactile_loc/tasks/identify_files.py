@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from pydantic import Field
+from pydantic import AliasChoices, Field
 
 from tactile_loc.core.errors import ObjectError
 from tactile_loc.core.progress import Progress
@@ -15,7 +15,7 @@ from tactile_loc.io.config import RunConfig
 from tactile_loc.io.streams.records import Record
 from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.stored_object import SELF_CONTAINED, stored_object
+from tactile_loc.locate.stored_object import SELF_CONTAINED, load_stored_object
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.identify import Identification
 from tactile_loc.tasks.library import Library
@@ -40,8 +40,9 @@ class KnownObjectRecord(Record):
     rough_iou: float = Field(
         description="how well a rough search of it explains the touches, 0 to 1; 0: it was not worth one"
     )
-    shortfall_nats: float | None = Field(
-        description="by how much its best pose explains the touches less than fully; null: it was not located"
+    misfit_nats: float | None = Field(
+        validation_alias=AliasChoices("misfit_nats", "shortfall_nats"),  # as it was once called
+        description="by how much its best pose explains the touches less than fully; null: it was not located",
     )
     poses: list[PoseRecord] = Field(description="where it would be, the most probable first")
 
@@ -74,18 +75,18 @@ def read_library(folder: Path, config: RunConfig, store: StageStore, progress: P
 def _models(files: list[Path], config: RunConfig, store: StageStore, progress: Progress) -> Iterator[Localizer]:
     for path in files:
         chosen = config.object.model_copy(update={"path": str(path)})
-        obj = stored_object(path, chosen.units, chosen.symmetry, store)
+        obj = load_stored_object(path, chosen.units, chosen.symmetry, store)
         yield Localizer(config.model_copy(update={"object": chosen}), obj, store, progress)
 
 
-def identification_record(found: Identification, touches: list[str]) -> IdentificationRecord:
+def make_identification_record(found: Identification, touches: list[str]) -> IdentificationRecord:
     """Gather what touches, given by their names, say of the objects."""
     return IdentificationRecord(
         touches=touches, identified=None if found.best is None else found.best.name, none=found.none,
         objects=[
             KnownObjectRecord(
                 name=one.name, probability=one.probability, alike=one.alike, rough_iou=one.rough_iou,
-                shortfall_nats=one.shortfall if np.isfinite(one.shortfall) else None,
+                misfit_nats=one.misfit if np.isfinite(one.misfit) else None,
                 poses=[
                     PoseRecord(
                         probability=h.probability, T_sensor_object=h.T_sensor_object.tolist(), imprint_iou=h.imprint_iou

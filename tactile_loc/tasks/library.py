@@ -14,14 +14,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.errors import ConfigError, ObjectError, quoted
+from tactile_loc.core.errors import ConfigError, ObjectError, quote
 from tactile_loc.core.geometry.rigid import Poses, invert, make_transform
 from tactile_loc.core.sensing.places import CAMERA
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.matcher import Matcher
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.locate.localizer import Localizer, view_of
-from tactile_loc.locate.search import PlaceSearch, rough_iou
+from tactile_loc.locate.localizer import Localizer, make_view
+from tactile_loc.locate.search import PlaceSearch, compute_rough_iou
 from tactile_loc.store.keys import StageKey
 
 Codes = NDArray[np.float16]  # (levels, places, D)
@@ -31,7 +31,7 @@ LEVELS_M = (1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3)  # press depths at which touches and
 MOST_PLACES = 2000  # of an object, evenly out of all
 TURNS = 36
 YAWS_RAD = 2 * np.pi * np.arange(TURNS) / TURNS
-PROPOSED, REGISTERED = 1000, 30  # turned places of an object that each touch is most like; poses of them all
+PROPOSED, REGISTERED = 1000, 30  # rotated places of an object that each touch is most like; poses of them all
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class Glance:
         return np.array([scores.max() for scores in self.scores], float)
 
     def poses(self, k: int, search: PlaceSearch, count: int) -> Poses:
-        """Return the poses (C, 4, 4), metres, of the `count` turned places of object k, searched so, most alike."""
+        """Return the poses (C, 4, 4), metres, of the `count` rotated places of object k, searched so, most alike."""
         scores = self.scores[k]
         best = np.argpartition(-scores, min(count, scores.size) - 1, axis=None)[:count]
         best = best[scores.ravel()[best] > -np.inf]  # a matcher may look at fewer
@@ -71,7 +71,7 @@ class Library:
             raise ObjectError("there is no object to identify; give one at least")
         others = [model for model in models if not isinstance(model, Localizer)]
         if others:
-            raise ObjectError(f"{quoted(others[0])} is no Localizer; make one of each object with Localizer.create")
+            raise ObjectError(f"{quote(others[0])} is no Localizer; make one of each object with Localizer.create")
         self.models = tuple(sorted(models, key=lambda model: model.object.name))
         self.names = [model.object.name for model in self.models]
         twice = sorted({name for name in self.names if self.names.count(name) > 1})
@@ -103,14 +103,14 @@ class Library:
 
     def glance(self, touch: Touch) -> Glance:
         """Return how alike a touch and some places of each object are. Raises TouchError for another sensor's."""
-        from tactile_loc.core.sensing.turned_patches import anchor, turned_patches
+        from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
 
         for model in self.models:
             model.require_own(touch)
         level_m = max([m for m in LEVELS_M if m <= touch.press_depth_m], default=LEVELS_M[0])
         press_m = min(level_m, touch.press_depth_m)
-        anchor_m, R_sensor_gel = anchor(touch)
-        depths_m, seen = turned_patches(touch, anchor_m, R_sensor_gel, YAWS_RAD)
+        anchor_m, R_sensor_gel = find_anchor(touch)
+        depths_m, seen = rotate_patches(touch, anchor_m, R_sensor_gel, YAWS_RAD)
         cut_m = np.minimum(depths_m, np.float32(press_m))
         queries, weights = self.models[0].encoder.encode_seen(cut_m, seen, press_m, CAMERA)
         scores = tuple(matcher.scores(queries, weights) for matcher in self._matchers_of(level_m))
@@ -122,12 +122,12 @@ class Library:
         Several touches know their `T_base_sensor`.
         """
         model, search = self.models[k], self.searches[k]
-        views = [view_of(glances[0].touch, model, glance.touch) for glance in glances]
+        views = [make_view(glances[0].touch, model, glance.touch) for glance in glances]
         poses = [
             invert(view.T_sensor_first) @ glance.poses(k, search, PROPOSED)
             for view, glance in zip(views, glances, strict=True)
         ]
-        return rough_iou(views, search, np.concatenate(poses), REGISTERED)
+        return compute_rough_iou(views, search, np.concatenate(poses), REGISTERED)
 
     def _matchers_of(self, level_m: float) -> list[Matcher]:
         """What compares touches with each object's codes of a level, an object each: it may look at some rows only.

@@ -15,17 +15,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import GridError, MountError, TouchError
 from tactile_loc.core.geometry.hand_eye import (
     TRUSTED,
     HandEyeFit,
+    compute_pose_errors,
+    estimate_typical_variance,
     fit_hand_eye,
-    flange_turns,
-    pose_errors,
-    predicted,
-    typical_variance,
+    measure_turns,
+    predict,
 )
-from tactile_loc.core.geometry.rigid import Poses, covariance_at, rotation_angle
+from tactile_loc.core.geometry.rigid import Poses, move_covariance, rotation_angle
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.sensing.touch import Touch
@@ -50,6 +51,7 @@ NOTHING = np.diag([0.03**2] * 3 + [3.0**2] * 3)  # the covariance (6, 6), m and 
 Floats = NDArray[np.float64]
 
 
+@keep_old_names(only="select")
 @dataclass(frozen=True, eq=False)
 class FlangeTouches:
     """Touches (N) of one object at rest by one sensor, and where the flange was: T_base_flange (N, 4, 4), metres.
@@ -63,7 +65,7 @@ class FlangeTouches:
     def __len__(self) -> int:
         return len(self.touches)
 
-    def only(self, some: NDArray[np.bool_]) -> FlangeTouches:
+    def select(self, some: NDArray[np.bool_]) -> FlangeTouches:
         """Return some (N,) of the touches."""
         return FlangeTouches(tuple(itertools.compress(self.touches, some)), self.T_base_flange[some])
 
@@ -85,6 +87,7 @@ class Measured:
     covariances: Floats
 
 
+@keep_old_names(why_left_out="explain_left_out")
 @dataclass(frozen=True, eq=False)
 class FoundMount:
     """A mount found from N touches: the `fit` of those `kept` (N,), and the `guess` that it began with.
@@ -119,11 +122,11 @@ class FoundMount:
 
     def _residuals(self, X: Floats, Y: Floats) -> Floats:
         S = self.measured.T_sensor_object
-        e = pose_errors(predicted(self.given.T_base_flange, X, Y), S)
+        e = compute_pose_errors(predict(self.given.T_base_flange, X, Y), S)
         shift = e[:, :3] + np.cross(e[:, 3:], self.given.gel_m - S[:, :3, 3])
         return np.stack([np.linalg.norm(shift, axis=1), np.linalg.norm(e[:, 3:], axis=1)], axis=1)
 
-    def why_left_out(self, number: int) -> str:
+    def explain_left_out(self, number: int) -> str:
         """Return, in words, why a touch had no say; nothing if it had."""
         if self.kept[number]:
             return ""
@@ -152,27 +155,27 @@ def find_mount(localizer: Localizer, given: FlangeTouches, nominal: Mount | None
     there are too few touches, too few agree, or the flange's motions do not determine the mount.
     """
     require_motions(given)
-    located = _located(localizer, given.touches)
+    located = _locate(localizer, given.touches)
     hypotheses = [np.array([h.T_sensor_object for h in some]).reshape(-1, 4, 4) for some in located]
     metric = PoseMetric(localizer.object)
-    allowed = None if nominal is None else lambda X: _near(X, nominal.T_flange_sensor)
+    allowed = None if nominal is None else lambda X: _is_near(X, nominal.T_flange_sensor)
     guesses = guess_mounts(given.T_base_flange, hypotheses, metric, GUESSES, allowed)
     best_ious = np.array([max((h.imprint_iou for h in some), default=0.0) for some in located])
     found = []
     with localizer.progress.task("refining the mount", len(guesses)) as advance:
         for guess in guesses:
-            found.append(_refined(localizer, given, guess, best_ious))
+            found.append(_refine(localizer, given, guess, best_ious))
             advance(1)
     best = max(found, key=lambda one: (one.kept.sum(), one.imprint_ious.mean()), default=None)
     return _require_known(best, given, nominal)
 
 
-def mount_record(localizer: Localizer, found: FoundMount) -> MountRecord:
+def make_mount_record(localizer: Localizer, found: FoundMount) -> MountRecord:
     """Return what is written of a mount: in SI units, with the residual of every touch."""
     touches = [
         MountTouchRecord(
             name=touch.name, residual_m=float(last[0]), residual_rad=float(last[1]), first_residual_m=float(first[0]),
-            first_residual_rad=float(first[1]), imprint_iou=float(iou), left_out=found.why_left_out(number),
+            first_residual_rad=float(first[1]), imprint_iou=float(iou), left_out=found.explain_left_out(number),
         )
         for number, (touch, last, first, iou) in enumerate(
             zip(found.given.touches, found.residuals, found.first_residuals, found.imprint_ious, strict=True)
@@ -181,17 +184,17 @@ def mount_record(localizer: Localizer, found: FoundMount) -> MountRecord:
     fit = found.fit
     return MountRecord(
         T_flange_sensor=fit.T_flange_sensor.tolist(), covariance=fit.covariance.tolist(),
-        T_base_object=fit.T_base_object.tolist(), object=localizer.object.name, sensor=_sensor_name(localizer),
+        T_base_object=fit.T_base_object.tolist(), object=localizer.object.name, sensor=_name_sensor(localizer),
         variance_factor=fit.variance, touch=touches,
     )  # fmt: skip
 
 
-def _sensor_name(localizer: Localizer) -> str:
+def _name_sensor(localizer: Localizer) -> str:
     sensor = localizer.config.sensor
     return Path(str(sensor.options["path"])).stem if "path" in sensor.options else sensor.name
 
 
-def _located(localizer: Localizer, touches: Sequence[Touch]) -> list[tuple[Hypothesis, ...]]:
+def _locate(localizer: Localizer, touches: Sequence[Touch]) -> list[tuple[Hypothesis, ...]]:
     """The hypotheses of each touch; none of one that no pose of the grid explains."""
     found: list[tuple[Hypothesis, ...]] = []
     with localizer.progress.task("locating the touches", len(touches)) as advance:
@@ -204,28 +207,30 @@ def _located(localizer: Localizer, touches: Sequence[Touch]) -> list[tuple[Hypot
     return found
 
 
-def _near(T_flange_sensor: Poses, nominal: Floats) -> NDArray[np.bool_]:
+def _is_near(T_flange_sensor: Poses, nominal: Floats) -> NDArray[np.bool_]:
     turned = rotation_angle(nominal[:3, :3].T @ T_flange_sensor[:, :3, :3])
     far_m = np.linalg.norm(T_flange_sensor[:, :3, 3] - nominal[:3, 3], axis=1)
     return np.asarray((far_m < NOMINAL_M) & (turned < NOMINAL_RAD))
 
 
-def _refined(localizer: Localizer, given: FlangeTouches, guess: MountGuess, best_ious: Floats) -> FoundMount:
+def _refine(localizer: Localizer, given: FlangeTouches, guess: MountGuess, best_ious: Floats) -> FoundMount:
     """The mount near a guess that explains the touches best."""
     registration = _Registration.of(localizer, given)
     kept = np.ones(len(given), bool)
-    X, Y = registration.converged(guess.T_flange_sensor, guess.T_base_object, kept)
+    X, Y = registration.converge(guess.T_flange_sensor, guess.T_base_object, kept)
     for _ in range(REJECTIONS):
-        trusted = registration.trusted(X, Y, best_ious)
+        trusted = registration.find_trusted(X, Y, best_ious)
         if (trusted == kept).all() or trusted.sum() < LEAST:
             break
         kept = trusted
-        X, Y = registration.converged(X, Y, kept, finely=True)
-    measured = registration.measured(X, Y)
+        X, Y = registration.converge(X, Y, kept, finely=True)
+    measured = registration.measure(X, Y)
     fit = fit_hand_eye(given.T_base_flange[kept], measured.T_sensor_object[kept], measured.covariances[kept], X, Y)
-    kept = kept & registration.trusted(X, Y, best_ious)
-    fit = dataclasses.replace(fit, variance=typical_variance(fit.chi2))  # registration takes up a part of an error
-    return FoundMount(given, guess, fit, kept, measured, registration.imprint_ious(X, Y), best_ious)
+    kept = kept & registration.find_trusted(X, Y, best_ious)
+    fit = dataclasses.replace(
+        fit, variance=estimate_typical_variance(fit.chi2)
+    )  # registration takes up a part of an error
+    return FoundMount(given, guess, fit, kept, measured, registration.compute_imprint_ious(X, Y), best_ious)
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,50 +248,52 @@ class _Registration:
 
     @classmethod
     def of(cls, localizer: Localizer, given: FlangeTouches) -> _Registration:
-        views = [View(touch, localizer.scene.of_touch(touch)) for touch in given.touches]
+        views = [View(touch, localizer.scene.match_touch(touch)) for touch in given.touches]
         return cls(given, views, localizer.refinement.registration, PoseMetric(localizer.object))
 
-    def converged(self, X: Floats, Y: Floats, some: NDArray[np.bool_], finely: bool = False) -> tuple[Floats, Floats]:
+    def converge(self, X: Floats, Y: Floats, some: NDArray[np.bool_], finely: bool = False) -> tuple[Floats, Floats]:
         """X and Y that explain some of the touches (N,) best; `finely` from near there, else from a first guess."""
-        scales_mm = self.registration.scales_mm(ROUNDS)
+        scales_mm = self.registration.list_scales_mm(ROUNDS)
         F = self.given.T_base_flange[some]
         for scale_mm in scales_mm[ROUNDS // 2 :] if finely else scales_mm:
-            measured, before = self.measured(X, Y, float(scale_mm)), self.predicted(X, Y)
+            measured, before = self.measure(X, Y, float(scale_mm)), self.predict(X, Y)
             fit = fit_hand_eye(F, measured.T_sensor_object[some], measured.covariances[some], X, Y, robust=True)
             X, Y = fit.T_flange_sensor, fit.T_base_object
-            if self.metric.distance(before, self.predicted(X, Y)).max() < STILL_M:
+            if self.metric.distance(before, self.predict(X, Y)).max() < STILL_M:
                 break
         return X, Y
 
-    def measured(self, X: Floats, Y: Floats, scale_mm: float | None = None) -> Measured:
+    def measure(self, X: Floats, Y: Floats, scale_mm: float | None = None) -> Measured:
         """What the touches say of where the object is, near where X and Y predict it; by default as fine as can be."""
-        scale_mm = float(self.registration.scales_mm(ROUNDS)[-1]) if scale_mm is None else scale_mm
-        pairs = zip(self.views, self.predicted(X, Y), strict=True)
+        scale_mm = float(self.registration.list_scales_mm(ROUNDS)[-1]) if scale_mm is None else scale_mm
+        pairs = zip(self.views, self.predict(X, Y), strict=True)
         stepped = [self.registration.step([view], T[None], scale_mm) for view, T in pairs]
         S = np.concatenate([poses for poses, _ in stepped])
         own = np.stack([NOTHING if covariance is None else covariance for _, (covariance,) in stepped])
-        return Measured(S, own + _flange_errors(self.given, S))
+        return Measured(S, own + _estimate_flange_errors(self.given, S))
 
-    def trusted(self, X: Floats, Y: Floats, best_ious: Floats) -> NDArray[np.bool_]:
+    def find_trusted(self, X: Floats, Y: Floats, best_ious: Floats) -> NDArray[np.bool_]:
         """Which touches (N,) contradict X and Y neither by where the object is nor by what it looks like from there."""
-        measured = self.measured(X, Y)
+        measured = self.measure(X, Y)
         F = self.given.T_base_flange
         chi2 = fit_hand_eye(F, measured.T_sensor_object, measured.covariances, X, Y, robust=True).chi2
-        return (chi2 < TRUSTED * typical_variance(chi2)) & (self.imprint_ious(X, Y) > best_ious - SHORT)
+        return (chi2 < TRUSTED * estimate_typical_variance(chi2)) & (
+            self.compute_imprint_ious(X, Y) > best_ious - SHORT
+        )
 
-    def predicted(self, X: Floats, Y: Floats) -> Poses:
-        return predicted(self.given.T_base_flange, X, Y)
+    def predict(self, X: Floats, Y: Floats) -> Poses:
+        return predict(self.given.T_base_flange, X, Y)
 
-    def imprint_ious(self, X: Floats, Y: Floats) -> Floats:
+    def compute_imprint_ious(self, X: Floats, Y: Floats) -> Floats:
         """How well the object explains each touch (N,), where X and Y predict it."""
-        pairs = zip(self.views, self.predicted(X, Y), strict=True)
+        pairs = zip(self.views, self.predict(X, Y), strict=True)
         return np.array([float(view.imprint_ious(T[None])[0]) for view, T in pairs])
 
 
-def _flange_errors(given: FlangeTouches, T_sensor_object: Poses) -> Floats:
+def _estimate_flange_errors(given: FlangeTouches, T_sensor_object: Poses) -> Floats:
     """What errors of the flange's pose add (N, 6, 6) to the covariance of where a sensor sees the object."""
     std = np.array([[t.T_base_sensor_std_m] * 3 + [t.T_base_sensor_std_rad] * 3 for t in given.touches])
-    return covariance_at(std[:, None] ** 2 * np.eye(6), T_sensor_object[:, :3, 3] - given.gel_m)
+    return move_covariance(std[:, None] ** 2 * np.eye(6), T_sensor_object[:, :3, 3] - given.gel_m)
 
 
 def require_motions(given: FlangeTouches) -> None:
@@ -296,7 +303,7 @@ def require_motions(given: FlangeTouches) -> None:
             f"a mount takes at least {LEAST} touches, better ten, but there are {len(given)}; of fewer nobody can say "
             "whether they agree"
         )
-    (most, second, _), axes = flange_turns(given.T_base_flange)
+    (most, second, _), axes = measure_turns(given.T_base_flange)
     if most < TURNED_RAD:
         raise MountError(
             "the flange was hardly turned between the touches: what a shift of the sensor or of the part would look "
@@ -304,7 +311,7 @@ def require_motions(given: FlangeTouches) -> None:
         )
     if second < TURNED_RAD:
         raise MountError(
-            f"the flange was turned about one axis only, {_axis(axes[0])} of the flange: the sensor's place along it "
+            f"the flange was turned about one axis only, {_name_axis(axes[0])} of the flange: the sensor's place along "
             "is not known; add touches with the flange turned about another axis"
         )
 
@@ -318,7 +325,7 @@ def _require_known(found: FoundMount | None, given: FlangeTouches, nominal: Moun
             f"only {agreeing} of {len(given)} touches agree on a mount{near}; check that each T_base_flange is that of "
             "its touch (metres, from flange to base), that the part did not move, and the object's mesh and units"
         )
-    require_motions(given.only(found.kept))
+    require_motions(given.select(found.kept))
     require_determined(found.fit.covariance)
     return found
 
@@ -332,14 +339,14 @@ def require_determined(covariance: Floats) -> None:
         variances, directions = np.linalg.eigh(part)
         std = float(np.sqrt(variances[-1]))
         if std > limit:
-            where = f"{_axis(directions[:, -1])} of the flange"
+            where = f"{_name_axis(directions[:, -1])} of the flange"
             raise MountError(
                 f"the sensor's {what} {where} is known to {unit * std:.1f} {name} only; add touches with the flange "
                 "turned about other axes, of edges and corners rather than of flat faces"
             )
 
 
-def _axis(v: Floats) -> str:
+def _name_axis(v: Floats) -> str:
     """A direction in words: x, y or z where it is next to one, else its numbers."""
     k = int(np.abs(v).argmax())
     if abs(v[k]) > np.cos(np.radians(5.0)):

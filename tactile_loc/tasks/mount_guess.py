@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.hand_eye import closed_form, predicted, screws_agree
+from tactile_loc.core.geometry.hand_eye import predict, screws_agree, solve_closed_form
 from tactile_loc.core.geometry.rigid import Poses, rotation_angle
-from tactile_loc.core.poses.metric import PoseMetric, distances_between
+from tactile_loc.core.poses.metric import PoseMetric, measure_distances
 
 AGREES_M = 4e-3  # of surface between a hypothesis and where a mount predicts the object
 ANGLE_RAD, SLIDE_M = np.radians(5.0), 5e-3  # by which the screws of hypotheses may differ
@@ -46,7 +46,7 @@ class MountGuess:
     @property
     def score(self) -> float:
         """How many touches agree, those that agree less well counted less."""
-        return float(_scores(self.off_m))
+        return float(_score(self.off_m))
 
     def is_another(self, other: MountGuess) -> bool:
         """Whether the other guess is of another mount."""
@@ -70,32 +70,32 @@ def guess_mounts(
         triples = nodes.triples(anchor)
         if not len(triples):
             continue
-        X, Y = closed_form(T_base_flange[nodes.touch[triples]], nodes.poses[triples])
+        X, Y = solve_closed_form(T_base_flange[nodes.touch[triples]], nodes.poses[triples])
         if allowed is not None:
             right = allowed(X)
             X, Y = X[right], Y[right]
-        off_m = distances_to_hypotheses(predicted(T_base_flange, X, Y), hypotheses, metric)
-        found += [MountGuess(X[k], Y[k], off_m[k]) for k in np.argsort(-_scores(off_m), kind="stable")[:count]]
-    return _different(found, count)
+        off_m = measure_distances_to_hypotheses(predict(T_base_flange, X, Y), hypotheses, metric)
+        found += [MountGuess(X[k], Y[k], off_m[k]) for k in np.argsort(-_score(off_m), kind="stable")[:count]]
+    return _choose_different(found, count)
 
 
-def distances_to_hypotheses(T_sensor_object: Poses, hypotheses: Sequence[Poses], metric: PoseMetric) -> Floats:
+def measure_distances_to_hypotheses(T_sensor_object: Poses, hypotheses: Sequence[Poses], metric: PoseMetric) -> Floats:
     """Return how far (B, N), metres of surface, poses (B, N, 4, 4) are from the nearest hypothesis of each touch."""
     off_m = np.full(T_sensor_object.shape[:2], np.inf)
     for k, poses in enumerate(hypotheses):
         if len(poses) and len(off_m):
             points = metric.embed_orbits(T_sensor_object[:, k])[0]
             same = metric.embed_orbits(poses)
-            off_m[:, k] = distances_between(points, same.reshape(-1, same.shape[-1])).min(axis=1)
+            off_m[:, k] = measure_distances(points, same.reshape(-1, same.shape[-1])).min(axis=1)
     return off_m
 
 
-def _scores(off_m: Floats) -> Floats:
+def _score(off_m: Floats) -> Floats:
     """How many touches agree, (...,) of (..., N), those that agree less well counted less (MSAC)."""
     return np.maximum(0.0, 1.0 - (off_m / AGREES_M) ** 2).sum(axis=-1)
 
 
-def _different(found: list[MountGuess], count: int) -> list[MountGuess]:
+def _choose_different(found: list[MountGuess], count: int) -> list[MountGuess]:
     best: list[MountGuess] = []
     for guess in sorted(found, key=lambda one: -one.score):
         if len(best) == count:
@@ -119,7 +119,7 @@ class _Nodes:
 
     @classmethod
     def of(cls, T_base_flange: Poses, hypotheses: Sequence[Poses], metric: PoseMetric) -> _Nodes:
-        S = metric.object.symmetry.elements(TURN_RAD)
+        S = metric.object.symmetry.list_elements(TURN_RAD)
         most = max(1, MOST_SEEN // (len(S) * len(hypotheses)))
         poses = [(some[:most, None] @ S).reshape(-1, 4, 4) for some in hypotheses]
         touch = np.repeat(np.arange(len(poses)), [len(some) for some in poses])

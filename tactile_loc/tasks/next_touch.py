@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.deprecation import make_getattr
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.sensing.imprints import AREA_NATS, DEPTH_NATS, IOU_NATS, OUTLINE_SHARE
@@ -26,7 +27,7 @@ from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.locate.results.localization import Localization
-from tactile_loc.tasks.pose_modes import PoseModes, entropy_of
+from tactile_loc.tasks.pose_modes import PoseModes, compute_entropy
 
 Float64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -102,9 +103,9 @@ class NextTouch:
         apart = np.zeros((count, count))
         for start in range(0, len(self.ranked), max(1, MOST_DRAWN // count)):
             some = [rated.approach for rated in self.ranked[start : start + max(1, MOST_DRAWN // count)]]
-            nats = _nats(self.scene, some, foreseen(self.scene, self.modes, some), self.modes)
+            nats = _compute_nats(self.scene, some, foresee(self.scene, self.modes, some), self.modes)
             apart = np.maximum(apart, nats.max(axis=0))
-        return groups_of(apart < ALIKE_NATS)
+        return find_groups(apart < ALIKE_NATS)
 
     @property
     def doubt_left(self) -> float:
@@ -114,16 +115,16 @@ class NextTouch:
 
     def contacts(self, rated: RatedApproach) -> NDArray[np.float32]:
         """Return the contact depths (K, H, W), metres, that each mode would show, all at the press depth: nothing."""
-        seen = foreseen(self.scene, self.modes, [rated.approach])
-        scene = _pressed(self.scene, rated.approach, self.modes)
+        seen = foresee(self.scene, self.modes, [rated.approach])
+        scene = _press(self.scene, rated.approach, self.modes)
         depths = np.full((len(self.modes.probabilities), *scene.geometry.shape), scene.geometry.max_depth_m, np.float32)
         met = seen.meets[0]
         if met.any():
-            depths[met] = scene.contact_depths(seen.T_sensor_object[0, met])
+            depths[met] = scene.render_contact_depths(seen.T_sensor_object[0, met])
         return depths
 
 
-def next_touch(
+def choose_next_touch(
     found: Localization | PoseModes, approaches: Sequence[Approach | Float64], cost: Cost | None = None,
     renderer: Renderer | None = None,
 ) -> NextTouch:  # fmt: skip
@@ -143,13 +144,13 @@ def next_touch(
     made = [a if isinstance(a, Approach) else Approach(a, name=str(k)) for k, a in enumerate(approaches, 1)]
     costs = np.array([approach.cost if cost is None else cost(approach) for approach in made], float)
     _require_usable(made, costs, modes)
-    seen = foreseen(scene, modes, made)
-    reasons = _out_of_reach(seen, modes, costs)
+    seen = foresee(scene, modes, made)
+    reasons = _explain_out_of_reach(seen, modes, costs)
     left = [k for k, reason in enumerate(reasons) if not reason]
     outside = tuple((made[k], reason) for k, reason in enumerate(reasons) if reason)
     if not left:
         raise ConfigError(f"none of the {len(made)} approaches is within reach; the first {reasons[0]}")
-    expected = _expected_entropy(scene, [made[k] for k in left], _some(seen, left), modes, costs[left])
+    expected = _expect_entropy(scene, [made[k] for k in left], _select(seen, left), modes, costs[left])
     rated = [
         RatedApproach(
             made[k], max(0.0, modes.entropy - float(after)), float(after),
@@ -162,26 +163,26 @@ def next_touch(
     return NextTouch(modes, tuple(rated[k] for k in order), outside, scene)
 
 
-def foreseen(scene: Scene, modes: PoseModes, approaches: Sequence[Approach]) -> Foreseen:
+def foresee(scene: Scene, modes: PoseModes, approaches: Sequence[Approach]) -> Foreseen:
     """Return what approaches would meet, were each of the modes the truth."""
     T = invert(np.stack([a.T_base_sensor for a in approaches]))[:, None] @ modes.T_base_object[None]
-    touching, over = _unpressed(scene).in_contact(T.reshape(-1, 4, 4))
+    touching, over = _release(scene).bring_to_contact(T.reshape(-1, 4, 4))
     T_contact = touching.reshape(T.shape)
     travel_m = T[..., 2, 3] - T_contact[..., 2, 3]
     over = over.reshape(travel_m.shape)
-    T_contact[..., 2, 3] -= np.array([_press_m(a, modes) for a in approaches])[:, None]
+    T_contact[..., 2, 3] -= np.array([_find_press_m(a, modes) for a in approaches])[:, None]
     longest_m = np.array([a.travel_m for a in approaches])[:, None]
     return Foreseen(T_contact, travel_m, over & (travel_m >= 0) & (travel_m <= longest_m), over & (travel_m < 0))
 
 
-def _unpressed(scene: Scene) -> Scene:
+def _release(scene: Scene) -> Scene:
     """The scene of a sensor that nothing is pressed into."""
     geometry = scene.geometry
     bare = dataclasses.replace(geometry, standoff_m=geometry.surface_m, indentation_m=0.0)
     return dataclasses.replace(scene, geometry=bare)
 
 
-def expected_entropy(nats: Float64, probabilities: Float64, tells: Bools) -> Float64:
+def compute_expected_entropy(nats: Float64, probabilities: Float64, tells: Bools) -> Float64:
     """Return the entropy (A,), nats, that is expected after each of A touches, of modes with probabilities (K,).
 
     `nats` (A, K, K) is by how much the touch that mode i makes speaks for i against j; `tells` (A, K) whether that of
@@ -190,16 +191,16 @@ def expected_entropy(nats: Float64, probabilities: Float64, tells: Bools) -> Flo
     with np.errstate(divide="ignore"):
         logits = np.log(probabilities) - nats
     after = np.exp(logits - logits.max(axis=-1, keepdims=True))
-    left = entropy_of(after / after.sum(axis=-1, keepdims=True))
-    return np.asarray(np.where(tells, left, entropy_of(probabilities)) @ probabilities)
+    left = compute_entropy(after / after.sum(axis=-1, keepdims=True))
+    return np.asarray(np.where(tells, left, compute_entropy(probabilities)) @ probabilities)
 
 
-def contact_nats(depth_m: NDArray[np.float32], press_m: float, observed: Bools, pixel_pitch_m: float) -> Float64:
+def compare_contacts(depth_m: NDArray[np.float32], press_m: float, observed: Bools, pixel_pitch_m: float) -> Float64:
     """Return by how many nats each of K contacts speaks for what made it against what made another: (K, K).
 
     That is how much less evidence contact depths j (K, H, W), metres, have of the contact i, than i itself has: see
-    `core.explained.explained`. All pairs are compared at once: what is common to two contacts follows from their sums
-    and the sum of their differences.
+    `core.sensing.imprints.compare_imprints`. All pairs are compared at once: what is common to two contacts follows
+    from their sums and the sum of their differences.
     """
     from scipy.spatial.distance import pdist, squareform
 
@@ -218,7 +219,7 @@ def contact_nats(depth_m: NDArray[np.float32], press_m: float, observed: Bools, 
     return np.asarray(np.maximum(np.diag(evidence)[:, None] - evidence, 0.0))
 
 
-def groups_of(alike: Bools) -> tuple[tuple[int, ...], ...]:
+def find_groups(alike: Bools) -> tuple[tuple[int, ...], ...]:
     """Return the groups of two and more of K things that are alike (K, K), directly or by others; largest first."""
     from scipy.sparse.csgraph import connected_components
 
@@ -227,45 +228,45 @@ def groups_of(alike: Bools) -> tuple[tuple[int, ...], ...]:
     return tuple(sorted((group for group in found if len(group) > 1), key=len, reverse=True))
 
 
-def _expected_entropy(
+def _expect_entropy(
     scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes, costs: Float64
 ) -> Float64:
     """The entropy (A,) to expect, nats: by travel alone, and for the most promising approaches by contact as well."""
     p = modes.probabilities
-    after = expected_entropy(_travel_nats(seen), p, seen.meets)
+    after = compute_expected_entropy(_compare_travels(seen), p, seen.meets)
     promising = np.argsort(-(modes.entropy - after) / costs, kind="stable")[: max(1, MOST_DRAWN // len(p))]
     chosen = [approaches[k] for k in promising]
-    after[promising] = expected_entropy(*_told(scene, chosen, _some(seen, promising), modes))
+    after[promising] = compute_expected_entropy(*_compare_drawn(scene, chosen, _select(seen, promising), modes))
     return after
 
 
-def _told(
+def _compare_drawn(
     scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes
 ) -> tuple[Float64, Float64, Bools]:
-    """What `expected_entropy` takes of approaches whose contacts are drawn."""
-    nats, tells = _travel_nats(seen), seen.meets.copy()
-    for press_m in {_press_m(a, modes) for a in approaches}:
-        some = [k for k, a in enumerate(approaches) if _press_m(a, modes) == press_m]
-        glance = _glance(scene, press_m)
+    """What `compute_expected_entropy` takes of approaches whose contacts are drawn."""
+    nats, tells = _compare_travels(seen), seen.meets.copy()
+    for press_m in {_find_press_m(a, modes) for a in approaches}:
+        some = [k for k, a in enumerate(approaches) if _find_press_m(a, modes) == press_m]
+        glance = _press_coarsely(scene, press_m)
         observed, pitch_m = glance.geometry.observed_mask, glance.geometry.pixel_pitch_m
-        for k, (rows, depths) in zip(some, _drawn(glance, _some(seen, some)), strict=True):
+        for k, (rows, depths) in zip(some, _draw(glance, _select(seen, some)), strict=True):
             if len(rows):
-                tells[k, rows] = _usable(depths, glance.geometry)
-                told = contact_nats(depths, press_m, observed, pitch_m)
+                tells[k, rows] = _is_usable(depths, glance.geometry)
+                told = compare_contacts(depths, press_m, observed, pitch_m)
                 nats[k][np.ix_(rows, rows)] += modes.sharpness * told
     return np.minimum(nats, MOST_NATS), modes.probabilities, tells
 
 
-def _nats(scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes) -> Float64:
+def _compute_nats(scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes) -> Float64:
     """By how many nats the touch of mode i speaks against mode j: (A, K, K); 0 where it cannot be located."""
-    nats, _, tells = _told(scene, approaches, seen, modes)
+    nats, _, tells = _compare_drawn(scene, approaches, seen, modes)
     return nats * tells[:, :, None]
 
 
-def _drawn(glance: Scene, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArray[np.float32]]]:
+def _draw(glance: Scene, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArray[np.float32]]]:
     """The modes that each approach meets, and the contact depths (M, h, w), metres, that it would see of them."""
     poses = seen.T_sensor_object[seen.meets]
-    depths = [glance.contact_depths(poses[start : start + AT_ONCE]) for start in range(0, len(poses), AT_ONCE)]
+    depths = [glance.render_contact_depths(poses[start : start + AT_ONCE]) for start in range(0, len(poses), AT_ONCE)]
     every = np.concatenate(depths) if depths else np.empty((0, *glance.geometry.shape), np.float32)
     ends = np.cumsum(seen.meets.sum(axis=1))
     return [
@@ -273,14 +274,14 @@ def _drawn(glance: Scene, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArr
     ]  # fmt: skip
 
 
-def _usable(depth_m: NDArray[np.float32], geometry: SensorGeometry) -> Bools:
+def _is_usable(depth_m: NDArray[np.float32], geometry: SensorGeometry) -> Bools:
     """Which contacts (M, h, w) are touches: large enough, and more than a flat face all over the sensor."""
     seen = depth_m[:, geometry.observed_mask]
     share = (seen < np.float32(geometry.max_depth_m)).mean(axis=1)
     return np.asarray((share >= LEAST_PERCENT / 100) & (share < 1))
 
 
-def _travel_nats(seen: Foreseen) -> Float64:
+def _compare_travels(seen: Foreseen) -> Float64:
     """By how many nats where a sensor is stopped speaks for mode i against j: (A, K, K)."""
     apart_m = seen.travel_m[:, :, None] - seen.travel_m[:, None, :]
     both = seen.meets[:, :, None] & seen.meets[:, None, :]
@@ -289,7 +290,7 @@ def _travel_nats(seen: Foreseen) -> Float64:
     return np.asarray(np.minimum(nats, MOST_NATS))
 
 
-def _out_of_reach(seen: Foreseen, modes: PoseModes, costs: Float64) -> list[str]:
+def _explain_out_of_reach(seen: Foreseen, modes: PoseModes, costs: Float64) -> list[str]:
     """Why each approach (A,) cannot be made, in words; empty where it can."""
     inside = seen.blocked @ modes.probabilities
     return [
@@ -305,25 +306,28 @@ def _require_usable(approaches: Sequence[Approach], costs: Float64, modes: PoseM
         name = approach.name or f"approach {number}"
         if not price > 0:
             raise ConfigError(f"{name} costs {price:g}; a cost must be above 0, and infinite where it is out of reach")
-        press_m = _press_m(approach, modes)
+        press_m = _find_press_m(approach, modes)
         if not 0 < press_m < modes.geometry.surface_m:
             raise ConfigError(f"{name} presses by {1e3 * press_m:.3g} mm, which the sensor cannot")
 
 
-def _press_m(approach: Approach, modes: PoseModes) -> float:
+def _find_press_m(approach: Approach, modes: PoseModes) -> float:
     return modes.press_m if approach.press_m is None else approach.press_m
 
 
-def _pressed(scene: Scene, approach: Approach, modes: PoseModes) -> Scene:
-    return scene.pressed(_press_m(approach, modes))
+def _press(scene: Scene, approach: Approach, modes: PoseModes) -> Scene:
+    return scene.press(_find_press_m(approach, modes))
 
 
-def _glance(scene: Scene, press_m: float) -> Scene:
+def _press_coarsely(scene: Scene, press_m: float) -> Scene:
     """The scene of a pressed sensor at few pixels."""
-    geometry = scene.geometry.pressed(press_m)
+    geometry = scene.geometry.press(press_m)
     step = max(1, round(max(geometry.shape) / LOOKED_AT_PX))
-    return dataclasses.replace(scene, geometry=geometry.every(step))
+    return dataclasses.replace(scene, geometry=geometry.subsample(step))
 
 
-def _some(seen: Foreseen, which: Sequence[int] | NDArray[np.int64]) -> Foreseen:
+def _select(seen: Foreseen, which: Sequence[int] | NDArray[np.int64]) -> Foreseen:
     return Foreseen(*(getattr(seen, field.name)[which] for field in dataclasses.fields(seen)))
+
+
+__getattr__ = make_getattr(__name__)

@@ -17,7 +17,7 @@ from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.results.result_arrays import NAME, read_arrays
 from tactile_loc.locate.results.result_json import read_record
 from tactile_loc.tasks.next_touch import NextTouch, RatedApproach
-from tactile_loc.tasks.pose_modes import PoseModes, distinct_modes, sharpness_of
+from tactile_loc.tasks.pose_modes import PoseModes, find_distinct_modes, measure_sharpness
 
 SCHEMA_VERSION = 1
 
@@ -86,12 +86,12 @@ def read_modes(path: str | Path) -> tuple[PoseModes, NDArray[np.float64] | None]
     if T_base_sensor is not None:
         poses = T_base_sensor @ poses
     p = np.array([h.probability for h in record.hypotheses])
-    modes = distinct_modes(obj, poses, p, arrays.touches[0].geometry, record.touch.indentation_m)
-    sharpness = sharpness_of([h.imprint_iou for h in record.hypotheses])
+    modes = find_distinct_modes(obj, poses, p, arrays.touches[0].geometry, record.touch.indentation_m)
+    sharpness = measure_sharpness([h.imprint_iou for h in record.hypotheses])
     return dataclasses.replace(modes, sharpness=sharpness), T_base_sensor
 
 
-def next_touch_record(found: NextTouch) -> NextTouchRecord:
+def make_next_touch_record(found: NextTouch) -> NextTouchRecord:
     """Gather what is to be expected of approaches."""
     modes = found.modes
     return NextTouchRecord(
@@ -100,13 +100,13 @@ def next_touch_record(found: NextTouch) -> NextTouchRecord:
             ModeRecord(probability=float(p), T_base_object=T.tolist())
             for p, T in zip(modes.probabilities, modes.T_base_object, strict=True)
         ],
-        entropy_nats=modes.entropy, ranked=[_rated(k, one) for k, one in enumerate(found.ranked, start=1)],
+        entropy_nats=modes.entropy, ranked=[_record_rated(k, one) for k, one in enumerate(found.ranked, start=1)],
         out_of_reach=[OutOfReachRecord(name=one.name, reason=reason) for one, reason in found.out_of_reach],
         alike=[[number + 1 for number in group] for group in found.alike], doubt_left=found.doubt_left,
     )  # fmt: skip
 
 
-def _rated(rank: int, one: RatedApproach) -> RatedRecord:
+def _record_rated(rank: int, one: RatedApproach) -> RatedRecord:
     return RatedRecord(
         rank=rank, name=one.approach.name, T_base_sensor=one.approach.T_base_sensor.tolist(),
         press_m=one.approach.press_m, information_nats=one.information, entropy_nats=one.entropy, meets=one.meets,

@@ -1,7 +1,7 @@
 """A Kalman filter of one object's pose, by touches whose errors are partly the same from frame to frame.
 
 An error (6,) of a pose is that of x, y, z of the object frame's origin (m) before a rotation vector (rad), both along
-the axes of the frame that the pose is seen from: `hand_eye.pose_errors`, and the order of `RefinedPose.covariance`.
+the axes of the frame the pose is seen from: `hand_eye.compute_pose_errors`, and the order of `RefinedPose.covariance`.
 
 Frames of one contact err alike: counted as independent, a thousand of them would be thirty times as exact as one. So
 what touches err in common, and what the sensor's reported pose is off by, are unknowns of the filter beside the pose,
@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.hand_eye import UNIT, moved, pose_errors
-from tactile_loc.core.geometry.rigid import covariance_at, cross_matrix, invert
+from tactile_loc.core.geometry.hand_eye import UNIT, compute_pose_errors, move
+from tactile_loc.core.geometry.rigid import cross_matrix, invert, move_covariance
 
 Floats = NDArray[np.float64]
 
@@ -55,29 +55,29 @@ class PoseFilter:
     def known(cls, T_base_object: Floats, covariance: Floats) -> PoseFilter:
         """Begin with a pose (4, 4) that is known with a covariance (6, 6)."""
         P = np.zeros((18, 18))
-        P[POSE, POSE] = _in_unit(covariance)
+        P[POSE, POSE] = _to_unit(covariance)
         return cls(T_base_object, np.zeros(12), P)
 
     @classmethod
     def of_touch(cls, seen: SeenPose) -> PoseFilter:
         """Begin with what one touch says."""
         T = seen.T_base_sensor @ seen.T_sensor_object
-        return cls.known(T, np.diag(np.square(UNKNOWN))).touched(seen, 1.0)
+        return cls.known(T, np.diag(np.square(UNKNOWN))).update(seen, 1.0)
 
-    def later(self, creep: Floats) -> PoseFilter:
+    def predict(self, creep: Floats) -> PoseFilter:
         """Return the filter when the object may have moved, by a covariance (6, 6) along the base's axes."""
         P = self.covariance.copy()
-        P[POSE, POSE] += _in_unit(creep)
+        P[POSE, POSE] += _to_unit(creep)
         return replace(self, covariance=P)
 
-    def seen_from(self, T_base_sensor: Floats, at_m: Floats) -> tuple[Floats, Floats]:
+    def view_from(self, T_base_sensor: Floats, at_m: Floats) -> tuple[Floats, Floats]:
         """Return T_sensor_object (4, 4), and its covariance (6, 6), where a sensor said to be at (4, 4) sees it."""
         T = invert(T_base_sensor) @ self.T_base_object
-        G = _observed(T_base_sensor, T, at_m)
+        G = _propagate_errors(T_base_sensor, T, at_m)
         G[:, TOUCH] = 0.0
-        return moved(T, UNIT * (G[:, 6:] @ self.errors)), _from_unit(G @ self.covariance @ G.T)
+        return move(T, UNIT * (G[:, 6:] @ self.errors)), _from_unit(G @ self.covariance @ G.T)
 
-    def touched(self, seen: SeenPose, share: float) -> PoseFilter:
+    def update(self, seen: SeenPose, share: float) -> PoseFilter:
         """Return the filter after a touch.
 
         A `share`, 0 to 1, of the errors that touches and sensor poses have in common is new since the touch before.
@@ -85,23 +85,23 @@ class PoseFilter:
         kept = np.concatenate([np.ones(6), np.full(12, 1 - share)])
         P = kept[:, None] * self.covariance * kept
         fresh = 1 - (1 - share) ** 2
-        P[SENSOR, SENSOR] += fresh * _in_unit(seen.sensor)
+        P[SENSOR, SENSOR] += fresh * _to_unit(seen.sensor)
         errors = (1 - share) * self.errors
         T = invert(seen.T_base_sensor) @ self.T_base_object
-        H = _observed(seen.T_base_sensor, T, seen.at_m)
-        e = pose_errors(seen.T_sensor_object, T) / UNIT - H[:, 6:] @ errors
+        H = _propagate_errors(seen.T_base_sensor, T, seen.at_m)
+        e = compute_pose_errors(seen.T_sensor_object, T) / UNIT - H[:, 6:] @ errors
         known = H @ P @ H.T
-        doubt = _doubt(e, known + fresh * _in_unit(seen.common) + _in_unit(seen.own))
-        P[TOUCH, TOUCH] += doubt * fresh * _in_unit(seen.common)
-        own = doubt * _in_unit(seen.own)
+        doubt = _measure_doubt(e, known + fresh * _to_unit(seen.common) + _to_unit(seen.own))
+        P[TOUCH, TOUCH] += doubt * fresh * _to_unit(seen.common)
+        own = doubt * _to_unit(seen.own)
         S = H @ P @ H.T + own
         K = np.linalg.solve(S, H @ P).T
         kept_back = np.eye(18) - K @ H
         P = kept_back @ P @ kept_back.T + K @ own @ K.T  # Joseph's form: stays positive
-        return PoseFilter(moved(self.T_base_object, UNIT * (K[POSE] @ e)), errors + K[6:] @ e, (P + P.T) / 2)
+        return PoseFilter(move(self.T_base_object, UNIT * (K[POSE] @ e)), errors + K[6:] @ e, (P + P.T) / 2)
 
 
-def _doubt(e: Floats, S: Floats) -> float:
+def _measure_doubt(e: Floats, S: Floats) -> float:
     """By how much a touch's covariance is too small, at least 1.
 
     Its error (6,), which should have the covariance S (6, 6), is taken for one of Student's t, whose tails are as heavy
@@ -110,7 +110,7 @@ def _doubt(e: Floats, S: Floats) -> float:
     return max(1.0, (FREEDOM + float(e @ np.linalg.solve(S, e))) / (FREEDOM + 6))
 
 
-def _observed(T_base_sensor: Floats, T_sensor_object: Floats, at_m: Floats) -> Floats:
+def _propagate_errors(T_base_sensor: Floats, T_sensor_object: Floats, at_m: Floats) -> Floats:
     """What errors (18,) of the pose, the touch and the sensor make of the pose that is seen: (6, 18), in UNIT."""
     H = np.zeros((6, 18))
     H[:3, :3] = H[3:, 3:6] = T_base_sensor[:3, :3].T
@@ -120,7 +120,7 @@ def _observed(T_base_sensor: Floats, T_sensor_object: Floats, at_m: Floats) -> F
     return H
 
 
-def _in_unit(covariance: Floats) -> Floats:
+def _to_unit(covariance: Floats) -> Floats:
     return covariance / UNIT / UNIT[:, None]
 
 
@@ -128,7 +128,7 @@ def _from_unit(covariance: Floats) -> Floats:
     return covariance * UNIT * UNIT[:, None]
 
 
-def motion_errors(covariance: Floats, T_base_sensor: Floats, T_base_object: Floats) -> Floats:
+def estimate_motion_errors(covariance: Floats, T_base_sensor: Floats, T_base_object: Floats) -> Floats:
     """Return the covariance (6, 6) of T_base_object (4, 4), along the base's axes, of an object that was seen by a
     sensor whose motion to (4, 4) errs by a covariance (6, 6), along the base's axes, at the sensor frame's origin."""
-    return covariance_at(covariance, T_base_object[:3, 3] - T_base_sensor[:3, 3])
+    return move_covariance(covariance, T_base_object[:3, 3] - T_base_sensor[:3, 3])

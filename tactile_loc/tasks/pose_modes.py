@@ -16,7 +16,7 @@ from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.locate.hypotheses import best_apart
+from tactile_loc.locate.hypotheses import choose_best_apart
 from tactile_loc.locate.results.localization import Localization
 
 Float64 = NDArray[np.float64]
@@ -32,7 +32,7 @@ class PoseModes:
 
     These sum to one; `unlisted` is what had to be left out, 0 to 1, and speaks for no approach. `geometry` is that of
     the sensor that touches next, `press_m` metres how deep it presses unless an approach says otherwise. `sharpness` is
-    how much more contacts tell than with strong noise, 1 or more: see `sharpness_of`.
+    how much more contacts tell than with strong noise, 1 or more: see `measure_sharpness`.
     """
 
     object: ObjectModel
@@ -51,8 +51,8 @@ class PoseModes:
         poses = np.stack([h.T_sensor_object for h in found.hypotheses])
         p = np.array([h.probability for h in found.hypotheses])
         obj = found.posterior.grid.metric.object
-        modes = distinct_modes(obj, T_base_sensor @ poses, p, touch.geometry, touch.indentation_m)
-        return dataclasses.replace(modes, sharpness=sharpness_of([h.imprint_iou for h in found.hypotheses]))
+        modes = find_distinct_modes(obj, T_base_sensor @ poses, p, touch.geometry, touch.indentation_m)
+        return dataclasses.replace(modes, sharpness=measure_sharpness([h.imprint_iou for h in found.hypotheses]))
 
     @classmethod
     def of_posterior(
@@ -60,19 +60,19 @@ class PoseModes:
         T_base_sensor: Float64 | None = None, radius_m: float = 1.5e-3,
     ) -> PoseModes:  # fmt: skip
         """Return the most probable poses of a posterior, none within `radius_m` metres of a more probable one."""
-        modes = best_apart(posterior, radius_m, MOST_MODES)
+        modes = choose_best_apart(posterior, radius_m, MOST_MODES)
         T = np.eye(4) if T_base_sensor is None else T_base_sensor
         p = np.array([mode.probability for mode in modes])
         poses = T @ np.stack([mode.T_sensor_object for mode in modes])
-        return distinct_modes(posterior.grid.metric.object, poses, p, geometry, press_m)
+        return find_distinct_modes(posterior.grid.metric.object, poses, p, geometry, press_m)
 
     @property
     def entropy(self) -> float:
         """The doubt between the modes, nats: 0 when one is certain."""
-        return float(entropy_of(self.probabilities))
+        return float(compute_entropy(self.probabilities))
 
 
-def sharpness_of(imprint_ious: Sequence[float]) -> float:
+def measure_sharpness(imprint_ious: Sequence[float]) -> float:
     """Return how much more contacts tell than with strong noise, by the imprint IoUs of a result's hypotheses, 0 to 1.
 
     The nats of evidence were fitted to touches of which the true pose leaves a share NOISY unexplained; of touches that
@@ -81,7 +81,7 @@ def sharpness_of(imprint_ious: Sequence[float]) -> float:
     return float(np.clip(NOISY / max(1 - max(imprint_ious), 1e-6), 1.0, SHARPEST))
 
 
-def distinct_modes(
+def find_distinct_modes(
     obj: ObjectModel, T_base_object: Poses, probabilities: Float64, geometry: SensorGeometry, press_m: float
 ) -> PoseModes:
     """Return poses (K, 4, 4), metres, and probabilities (K,) as modes: at most MOST_MODES, equivalent poses as one.
@@ -100,6 +100,6 @@ def distinct_modes(
     return PoseModes(obj, poses, p / p.sum(), geometry, press_m, max(0.0, 1 - float(p.sum())))
 
 
-def entropy_of(p: Float64) -> Float64:
+def compute_entropy(p: Float64) -> Float64:
     """Return the Shannon entropy (...,) in nats of probabilities (..., K)."""
     return np.asarray(-(p * np.log(np.where(p > 0, p, 1.0))).sum(axis=-1))

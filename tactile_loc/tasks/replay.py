@@ -16,7 +16,7 @@ from tactile_loc.core.errors import FrameError, RecordingError, StoreError, Tact
 from tactile_loc.core.geometry.frame_tree import FrameTree
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.streams.recordings import Message, Recording
-from tactile_loc.io.streams.ros_messages import Topic, image_array, read_stamp_ns
+from tactile_loc.io.streams.ros_messages import Topic, decode_image, read_stamp_ns
 from tactile_loc.io.toml import Matrix
 from tactile_loc.io.touches import touch_from_image
 from tactile_loc.locate.localizer import Localizer
@@ -80,8 +80,12 @@ class Replay:
             image = message.decode()
             T = None
             with suppress(FrameError):
-                T = self._base_from(self._frame_of(image), read_stamp_ns(image.header)) if self.base_frame else None
-            yield FrameView(image_array(image), T)
+                T = (
+                    self._find_base_pose(self._find_frame(image), read_stamp_ns(image.header))
+                    if self.base_frame
+                    else None
+                )
+            yield FrameView(decode_image(image), T)
 
     def touch(self, image: NDArray[Any]) -> Touch:
         """Return what the sensor reads in an image. Raises NoContactError or TouchError."""
@@ -89,15 +93,15 @@ class Replay:
 
     def _locate(self, number: int, message: Message, estimator: Estimator) -> FrameRecord:
         image = message.decode()
-        frame = self._frame_of(image)
+        frame = self._find_frame(image)
         given: dict[str, Any] = {
             "number": number, "stamp_ns": read_stamp_ns(image.header), "log_time_ns": message.log_time_ns,
             "frame": self.base_frame or frame,
         }  # fmt: skip
         T_base_frame = np.eye(4)
         try:
-            touch = self.touch(image_array(image))
-            T_base_frame = self._base_from(frame, given["stamp_ns"])
+            touch = self.touch(decode_image(image))
+            T_base_frame = self._find_base_pose(frame, given["stamp_ns"])
             located = estimator(touch)
         except (RecordingError, StoreError):  # of no frame's making: they would be refused for good
             raise
@@ -105,7 +109,7 @@ class Replay:
             located = LocatedFrame.of_error(error)
         return _make_record(given, located, T_base_frame)
 
-    def _frame_of(self, image: Any) -> str:
+    def _find_frame(self, image: Any) -> str:
         frame = self.frame or str(image.header.frame_id)
         if self.base_frame and self.frame_tree is not None:
             if not frame:
@@ -113,14 +117,14 @@ class Replay:
             self.frame_tree.require(self.base_frame, frame)
         return frame
 
-    def _base_from(self, frame: str, stamp: int) -> NDArray[np.float64]:
+    def _find_base_pose(self, frame: str, stamp: int) -> NDArray[np.float64]:
         if not self.base_frame or self.frame_tree is None:
             return np.eye(4)
-        return self.frame_tree.lookup(self.base_frame, frame, stamp)
+        return self.frame_tree.look_up(self.base_frame, frame, stamp)
 
 
 def _make_record(given: dict[str, Any], located: LocatedFrame, T_base_frame: NDArray[np.float64]) -> FrameRecord:
-    moved = located.seen_from(T_base_frame)
+    moved = located.view_from(T_base_frame)
     T = moved.T_sensor_object
     return FrameRecord(**given, T_frame_object=None if T is None else T.tolist(), **record_fields(moved))
 

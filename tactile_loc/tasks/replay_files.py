@@ -17,7 +17,7 @@ from tactile_loc.io.streams.ros_messages import POSE, RosPose, make_pose
 from tactile_loc.locate.results.located_frame import LocatedFrame
 from tactile_loc.store.files import write_atomically, write_json
 from tactile_loc.tasks.replay import Estimator, FrameRecord, Replay, ReplaySummary, require_located
-from tactile_loc.tasks.replay_journal import Journal, journal
+from tactile_loc.tasks.replay_journal import Journal, open_journal
 
 log = logging.getLogger(__name__)
 
@@ -51,7 +51,7 @@ def replay_to(
     remembers of earlier frames is not kept. Raises RecordingError when no frame has a pose, OutputError.
     """
     path = out.with_name(f"{out.name}.journal")
-    with journal(path, replay) as kept:
+    with open_journal(path, replay) as kept:
         if kept.stale:
             log.warning(
                 "%s is of another replay, another recording or another version; all images are located anew", path
@@ -114,11 +114,11 @@ def write_table(path: Path, records: Sequence[FrameRecord]) -> Path:
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n", restval="")
     writer.writeheader()
-    writer.writerows(row(record) for record in records)
+    writer.writerows(make_row(record) for record in records)
     return write_atomically(path, lambda temporary: temporary.write_text(text.getvalue(), encoding="utf-8"))
 
 
-def row(record: FrameRecord) -> dict[str, str]:
+def make_row(record: FrameRecord) -> dict[str, str]:
     """Return a frame as a row of the table; standard deviations are root mean squares over the three axes."""
     cells = {
         "number": str(record.number), "stamp_s": f"{record.stamp_ns / 1e9:.9f}", "verdict": record.verdict or "",

@@ -28,7 +28,7 @@ class Journal:
         lines = file.read().splitlines(keepends=True)
         head = json.dumps({"replay": key})
         self.stale = bool(lines) and lines[0] != head.encode() + b"\n"
-        self.records = [] if self.stale else list(_whole(lines[1:]))
+        self.records = [] if self.stale else list(_keep_whole(lines[1:]))
         file.truncate(0 if self.stale else sum(map(len, lines[: 1 + len(self.records)])))
         if self.stale or not lines:
             add_line(file, head)
@@ -40,14 +40,14 @@ class Journal:
 
 
 @contextmanager
-def journal(path: Path, replay: Replay) -> Iterator[Journal]:
+def open_journal(path: Path, replay: Replay) -> Iterator[Journal]:
     """Open the journal of a replay, and lock it; one without any pose is not kept.
 
     Raises OutputError when it cannot be written, or another process is at work on it.
     """
     with open_locked(path) as file:
         file.seek(0)
-        kept = Journal(file, replay_key(replay))
+        kept = Journal(file, make_replay_key(replay))
         try:
             yield kept
         finally:
@@ -55,23 +55,23 @@ def journal(path: Path, replay: Replay) -> Iterator[Journal]:
                 path.unlink()
 
 
-def replay_key(replay: Replay) -> str:
+def make_replay_key(replay: Replay) -> str:
     """Return a digest of all that decides what the frames come to: the recording and how it is located."""
     localizer = replay.localizer
     return StageKey("replay", VERSION, {
-        "recording": _identity(replay.recording.path), "topic": replay.topic.name, "frame": replay.frame,
+        "recording": _identify(replay.recording.path), "topic": replay.topic.name, "frame": replay.frame,
         "base_frame": replay.base_frame, "press_depth_m": replay.press_depth_m, "object": localizer.object.describe(),
         "sensor": localizer.sensor.describe(), "configuration": localizer.config.resolve(),
     }).digest  # fmt: skip
 
 
-def _identity(path: Path) -> list[Any]:
+def _identify(path: Path) -> list[Any]:
     """What tells a recording from another, or from a longer one, without reading it."""
     files = sorted(path.rglob("*")) if path.is_dir() else [path]
     return [[file.name, file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.is_file()]
 
 
-def _whole(lines: list[bytes]) -> Iterator[FrameRecord]:
+def _keep_whole(lines: list[bytes]) -> Iterator[FrameRecord]:
     """The records of lines, up to one that is not whole."""
     for number, line in enumerate(lines):
         try:

@@ -2,9 +2,9 @@
 
 A few poses of the object, its modes, are predicted by the sensor's motion and registered to each touch; prediction and
 touch are fused, so that what the touch does not show, such as how a bolt is turned, is held by the prediction. The
-touches of places that are apart, key touches, decide between modes. Where none explains the touch, poses nearby are
+touches of places that are apart, keyframes, decide between modes. Where none explains the touch, poses nearby are
 tried, to which the object may have slipped; where that does not help, or no mode is sure, the whole object is searched
-again, by the key touches together.
+again, by the keyframes together.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.errors import ConfigError, GridError, TouchError
 from tactile_loc.core.geometry.rigid import (
-    covariance_along,
     invert,
     make_transform,
+    make_translation,
     require_covariance,
     require_rigid,
+    rotate_covariance,
     rotation_angle,
-    translation,
 )
 from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
@@ -36,7 +36,7 @@ from tactile_loc.core.slots.scene import View
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.results.located_frame import LocatedFrame
 from tactile_loc.locate.results.verdict import Verdict, judge
-from tactile_loc.tasks.pose_filter import PoseFilter, SeenPose, motion_errors
+from tactile_loc.tasks.pose_filter import PoseFilter, SeenPose, estimate_motion_errors
 
 Floats = NDArray[np.float64]
 
@@ -129,7 +129,7 @@ class Tracker:
         self._slip_std = np.array([1e-3 * options.slip_mm] * 3 + [math.radians(options.slip_deg)] * 3)
         self._metric = PoseMetric(localizer.object)
         self._modes: list[_Mode] = []
-        self._keys: list[Touch] = []
+        self._keyframes: list[Touch] = []
         self._time_s = -math.inf
         self._T_base_sensor: Floats | None = None
         self._relative = False
@@ -145,7 +145,7 @@ class Tracker:
         T = require_rigid(T_base_object, "T_base_object", TouchError)
         covariance = require_covariance(covariance, "the covariance of T_base_object", TouchError)
         known = PoseFilter.known(T, covariance)
-        self._modes, self._keys, self._elsewhere = [_Mode(known, known.T_base_object, covariance)], [], 0.0
+        self._modes, self._keyframes, self._elsewhere = [_Mode(known, known.T_base_object, covariance)], [], 0.0
         self._time_s, self._T_base_sensor, self._usual, self._alike = -math.inf, None, 0.0, 0.0
 
     def update(
@@ -173,19 +173,27 @@ class Tracker:
         return self._update_touched(replace(touch, T_base_sensor=T))
 
     def _update_touched(self, touch: Touch) -> TrackedPose:
-        """Follow the modes to a touch; search where they do not explain it, or are not certain of a new key touch."""
-        is_key = (
-            not self._keys
-            or self._motion_m(self._keys[-1].T_base_sensor, touch.T_base_sensor) > 1e-3 * self.options.key_mm
+        """Follow the modes to a touch; search where they do not explain it, or are not certain of a new keyframe."""
+        is_keyframe = (
+            not self._keyframes
+            or self._motion_m(self._keyframes[-1].T_base_sensor, touch.T_base_sensor) > 1e-3 * self.options.keyframe_mm
         )
-        self._modes = self._follow(touch, is_key)
-        slips = bool(self._modes) and self._is_contradicted(is_key)
-        slipped = slips and self._slip(touch, is_key)
-        contradicted = not self._modes or self._is_contradicted(is_key)
-        search = contradicted or (is_key and not self._is_certain and len(self._keys) < self.options.key_touches)
-        keys = [touch] if slipped else [*self._keys, touch][-self.options.key_touches :] if is_key else self._keys
+        self._modes = self._follow(touch, is_keyframe)
+        slips = bool(self._modes) and self._is_contradicted(is_keyframe)
+        slipped = slips and self._slip(touch, is_keyframe)
+        contradicted = not self._modes or self._is_contradicted(is_keyframe)
+        search = contradicted or (
+            is_keyframe and not self._is_certain and len(self._keyframes) < self.options.keyframes
+        )
+        keys = (
+            [touch]
+            if slipped
+            else [*self._keyframes, touch][-self.options.keyframes :]
+            if is_keyframe
+            else self._keyframes
+        )
         lost = search and self._search(touch, [touch] if contradicted else keys)
-        self._keys = [touch] if contradicted and lost else keys
+        self._keyframes = [touch] if contradicted and lost else keys
         search = search or slips
         if not self._modes:
             return self._result(0.0, search)
@@ -237,18 +245,18 @@ class Tracker:
         if before is None or motion is None:
             return np.eye(4), None
         T = before @ motion.T_previous_sensor
-        return T, covariance_along(motion.covariance, before[:3, :3])
+        return T, rotate_covariance(motion.covariance, before[:3, :3])
 
     def _predict(self, mode: _Mode, T: Floats, passed_s: float, added: Floats | None) -> _Mode:
         """A mode as predicted for a sensor at T (4, 4), `passed_s` seconds later."""
         creep = self._creep * passed_s
         if added is not None:
-            creep = creep + motion_errors(added, T, mode.known.T_base_object)
-        return self._see_from(replace(mode, known=mode.known.later(creep)), T)
+            creep = creep + estimate_motion_errors(added, T, mode.known.T_base_object)
+        return self._see_from(replace(mode, known=mode.known.predict(creep)), T)
 
     def _see_from(self, mode: _Mode, T_base_sensor: Floats) -> _Mode:
         """A mode as a sensor at (4, 4) sees it."""
-        T, covariance = mode.known.seen_from(T_base_sensor, self._gel_m)
+        T, covariance = mode.known.view_from(T_base_sensor, self._gel_m)
         return replace(mode, T_sensor_object=T, covariance=covariance)
 
     def _see(self, touch: Touch, T_sensor_object: Floats, covariance: Floats) -> SeenPose:
@@ -259,32 +267,32 @@ class Tracker:
         common = self.options.common
         return SeenPose(T, T_sensor_object, common * covariance, (1 - common) * covariance, sensor, self._gel_m)
 
-    def _follow(self, touch: Touch, is_key: bool) -> list[_Mode]:
-        """The modes, registered to a touch and fused with it, merged; a key touch's evidence counts."""
+    def _follow(self, touch: Touch, is_keyframe: bool) -> list[_Mode]:
+        """The modes, registered to a touch and fused with it, merged; a keyframe's evidence counts."""
         if not self._modes:
             return []
-        view = View(touch, self.localizer.scene.of_touch(touch))
+        view = View(touch, self.localizer.scene.match_touch(touch))
         registration = self._registration if self._alike > 0 else self._first_registration
         poses, covariances = registration.follow([view], np.stack([mode.T_sensor_object for mode in self._modes]))
         modes = []
         for mode, T, covariance in zip(self._modes, poses, covariances, strict=True):
             if covariance is not None:
-                known = mode.known.touched(self._see(touch, T, covariance), 1 - self._alike)
+                known = mode.known.update(self._see(touch, T, covariance), 1 - self._alike)
                 mode = self._see_from(replace(mode, known=known), np.asarray(touch.T_base_sensor))
             modes.append(mode)
         self._alike = 1.0
-        found = view.explained(np.stack([mode.T_sensor_object for mode in modes]), self.options.image_px)
+        found = view.compare_imprints(np.stack([mode.T_sensor_object for mode in modes]), self.options.image_px)
         told = [
-            replace(mode, imprint_iou=float(iou), evidence=mode.evidence + is_key * float(nats))
+            replace(mode, imprint_iou=float(iou), evidence=mode.evidence + is_keyframe * float(nats))
             for mode, iou, nats in zip(modes, found.imprint_ious, found.evidence, strict=True)
         ]
         return self._keep_distinct(told)
 
-    def _is_contradicted(self, is_key: bool) -> bool:
-        """Whether the likeliest mode explains a touch far worse than those before, or does not explain a key touch."""
+    def _is_contradicted(self, is_keyframe: bool) -> bool:
+        """Whether the likeliest mode explains a touch far worse than those before, or does not explain a keyframe."""
         iou = self._modes[0].imprint_iou
         return iou < self._usual - min(self.options.fall_iou, self._usual / 2) or (
-            is_key and iou < self.options.least_iou
+            is_keyframe and iou < self.options.least_iou
         )
 
     def _keep_distinct(self, modes: Sequence[_Mode]) -> list[_Mode]:
@@ -296,22 +304,22 @@ class Tracker:
         of = merge_modes(poses, self._metric, self.localizer.merge_radius_m, self.options.modes)
         return [ordered[k] for k in np.unique(of[of >= 0])]
 
-    def _slip(self, touch: Touch, is_key: bool) -> bool:
+    def _slip(self, touch: Touch, is_keyframe: bool) -> bool:
         """Look where the likeliest modes may have slipped to; return whether one of these poses is the pose now."""
-        view = View(touch, self.localizer.scene.of_touch(touch))
+        view = View(touch, self.localizer.scene.match_touch(touch))
         slipped = self._guess_slips(view)
         poses, covariances = self._first_registration.follow([view], np.stack([m.T_sensor_object for m in slipped]))
         T_base_sensor = np.asarray(touch.T_base_sensor)
-        T_base_gel = T_base_sensor @ translation(self._gel_m)
+        T_base_gel = T_base_sensor @ make_translation(self._gel_m)
         new = []
         for mode, T, covariance in zip(slipped, poses, covariances, strict=True):
             if covariance is not None:
-                creep = motion_errors(np.diag(self._slip_std**2), T_base_gel, mode.known.T_base_object)
-                known = mode.known.later(creep).touched(self._see(touch, T, covariance), 1.0)
+                creep = estimate_motion_errors(np.diag(self._slip_std**2), T_base_gel, mode.known.T_base_object)
+                known = mode.known.predict(creep).update(self._see(touch, T, covariance), 1.0)
                 new.append(self._see_from(replace(mode, known=known, evidence=self.options.slip_nats), T_base_sensor))
         before, tracked = self._modes, self._weigh_staying([touch])
         self._modes = self._keep_distinct([*tracked, *self._weigh(new, [touch])])
-        if self._modes[0] not in tracked and not self._is_contradicted(is_key):
+        if self._modes[0] not in tracked and not self._is_contradicted(is_keyframe):
             return True
         self._modes = before  # the touch is at fault, or the object is far away
         return False
@@ -324,15 +332,17 @@ class Tracker:
         moves = rng.normal(size=(slips, 6)) * self._slip_std
         R = Rotation.from_rotvec(moves[:, 3:]).as_matrix()
         turned = make_transform(R, self._gel_m - R @ self._gel_m + moves[:, :3])
-        ends = self._first_registration.settle([view], turned @ np.stack([mode.T_sensor_object for mode in modes]))
-        found = view.explained(ends, self.options.image_px)
+        ends = self._first_registration.register_coarsely(
+            [view], turned @ np.stack([mode.T_sensor_object for mode in modes])
+        )
+        found = view.compare_imprints(ends, self.options.image_px)
         return self._keep_distinct([
             replace(mode, T_sensor_object=T, evidence=float(nats))
             for mode, T, nats in zip(modes, ends, found.evidence, strict=True)
         ])  # fmt: skip
 
     def _search(self, touch: Touch, keys: Sequence[Touch]) -> bool:
-        """Search the whole object by key touches, and weigh what is found beside the modes that there are.
+        """Search the whole object by keyframes, and weigh what is found beside the modes that there are.
 
         Return whether none of these is the likeliest any more.
         """
@@ -345,7 +355,7 @@ class Tracker:
             covariance = hypothesis.refined.covariance
             if covariance is not None:
                 known = PoseFilter.of_touch(self._see(keys[0], hypothesis.T_sensor_object, covariance))
-                new.append(_Mode(known, *known.seen_from(np.asarray(touch.T_base_sensor), self._gel_m)))
+                new.append(_Mode(known, *known.view_from(np.asarray(touch.T_base_sensor), self._gel_m)))
         self._alike = 1.0
         tracked = self._weigh_staying(keys)
         self._modes = self._keep_distinct([*tracked, *self._weigh(new, keys)])
@@ -357,22 +367,22 @@ class Tracker:
         return lost
 
     def _weigh_staying(self, keys: Sequence[Touch]) -> list[_Mode]:
-        """The modes that there are, weighed by key touches, with what speaks for their staying."""
+        """The modes that there are, weighed by keyframes, with what speaks for their staying."""
         best = max((mode.evidence for mode in self._modes), default=0.0)
         return self._weigh(
             [replace(mode, evidence=self.options.stay_nats + mode.evidence - best) for mode in self._modes], keys
         )
 
     def _weigh(self, modes: Sequence[_Mode], keys: Sequence[Touch]) -> list[_Mode]:
-        """Modes with the evidence of all key touches added, and how well they explain the last one."""
+        """Modes with the evidence of all keyframes added, and how well they explain the last one."""
         if not modes:
             return []
         poses = np.stack([mode.known.T_base_object for mode in modes])
         nats = np.array([mode.evidence for mode in modes])
         ious = np.zeros(len(modes))
         for key in keys:
-            scene = self.localizer.scene.of_touch(key)
-            found = scene.explained(invert(np.asarray(key.T_base_sensor)) @ poses, key, self.options.image_px)
+            scene = self.localizer.scene.match_touch(key)
+            found = scene.compare_imprints(invert(np.asarray(key.T_base_sensor)) @ poses, key, self.options.image_px)
             nats, ious = nats + found.evidence, found.imprint_ious
         return [replace(m, evidence=float(n), imprint_iou=float(i)) for m, n, i in zip(modes, nats, ious, strict=True)]
 

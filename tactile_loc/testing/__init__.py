@@ -14,7 +14,7 @@ A check takes the component and raises ContractError, a sentence that says what 
 Which checks apply follows from the slot and the declared capabilities. A property is a check of what must hold whatever
 is drawn, frames, orders, symmetric copies, image sizes and mirror images: a few drawn cases are tried, always the same,
 and the sentence names a simple one that fails. Properties need hypothesis: pip install 'tactile-loc[testing]'. An
-encoder that needs training is passed trained, for instance on `tactile_loc.testing.problems.training_problem()`.
+encoder that needs training is passed trained, for instance on `tactile_loc.testing.problems.make_training_problem()`.
 """
 
 from __future__ import annotations
@@ -23,17 +23,23 @@ import importlib
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from tactile_loc.core.deprecation import make_getattr
 from tactile_loc.core.slots.component import Component
 from tactile_loc.core.slots.registry import SLOTS
 from tactile_loc.testing import contract
 from tactile_loc.testing.contract import Check, ContractError
 
 __all__ = [
-    "Check", "ContractError", "checks_for", "parametrize_with_checks", "parametrize_with_properties", "properties_for",
+    "Check",
+    "ContractError",
+    "list_checks",
+    "list_properties",
+    "parametrize_with_checks",
+    "parametrize_with_properties",
 ]  # fmt: skip
 
 
-def checks_for(component: Component) -> list[Check]:
+def list_checks(component: Component) -> list[Check]:
     """Return the checks (functions of one component) for the component's slot and declared capabilities.
 
     Raises TypeError for anything that is no component, such as a class instead of an instance.
@@ -43,7 +49,7 @@ def checks_for(component: Component) -> list[Check]:
     return common if of_slot is None else [*common, *of_slot.checks(component.capabilities)]
 
 
-def properties_for(component: Component) -> list[Check]:
+def list_properties(component: Component) -> list[Check]:
     """Return the properties (functions of one component) for the component's slot and declared capabilities.
 
     A property raises MissingLibraryError without hypothesis. Raises TypeError for anything that is no component.
@@ -54,12 +60,12 @@ def properties_for(component: Component) -> list[Check]:
 
 def parametrize_with_checks(components: Iterable[Component]) -> Any:
     """Return the pytest mark that makes one case for every component and check: arguments `component` and `check`."""
-    return _parametrize(components, checks_for)
+    return _parametrize(components, list_checks)
 
 
 def parametrize_with_properties(components: Iterable[Component]) -> Any:
     """Return the pytest mark that makes one case for every component and property, named as checks are."""
-    return _parametrize(components, properties_for)
+    return _parametrize(components, list_properties)
 
 
 def _find_slot_module(component: Component) -> Any:
@@ -78,3 +84,6 @@ def _parametrize(components: Iterable[Component], chosen: Callable[[Component], 
         for check in chosen(component)
     ]
     return pytest.mark.parametrize(("component", "check"), cases)
+
+
+__getattr__ = make_getattr(__name__)

@@ -7,21 +7,21 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import translation
+from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import contact_depth
+from tactile_loc.core.sensing.touch import compute_contact_depth
 from tactile_loc.core.slots.component import Capabilities, Float32
 from tactile_loc.core.slots.encoder import Encoder
 from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
 from tactile_loc.testing.problems import (
     LOPSIDED_CAMERAS,
     ReferenceRenderer,
-    block_scene,
-    contact_poses,
-    mirrored,
-    place_training_problem,
-    stepped_block,
+    make_block_scene,
+    make_contact_poses,
+    make_place_training_problem,
+    make_stepped_block,
+    mirror_mesh,
 )
 from tactile_loc.testing.properties import Place, hold, one_of, orders, places
 
@@ -80,8 +80,8 @@ def check_shapes_untouched(encoder: Encoder) -> None:
 
 def check_distances_order_poses(encoder: Encoder) -> None:
     """The same shape is nearest, a shape half a millimetre away is nearer than a clearly different pose."""
-    poses = contact_poses(block_scene())
-    here, moved = _render(poses), _render(translation([0.0004, 0.0003, 0.0]) @ poses)
+    poses = make_contact_poses(make_block_scene())
+    here, moved = _render(poses), _render(make_translation([0.0004, 0.0003, 0.0]) @ poses)
     bank = encoder.encode(here, PRESS_M, CAMERA)
     found = _find_nearest(encoder.encode(here.copy(), PRESS_M, CAMERA), bank)
     require(_is_order(found), f"every shape must be nearest to itself; the nearest rows are {found.tolist()}")
@@ -110,7 +110,7 @@ def check_light_press_finds_its_pose(encoder: Encoder) -> None:
 
 def check_image_size(encoder: Encoder) -> None:
     """Shapes of another image size of the same sensor have embeddings of the same D, and find their pose."""
-    fine = CAMERA.resized(2 * CAMERA.width_px, 2 * CAMERA.height_px)
+    fine = CAMERA.resize(2 * CAMERA.width_px, 2 * CAMERA.height_px)
     bank = encoder.encode(_draw_shapes(), PRESS_M, CAMERA)
     queries = encoder.encode(_draw_shapes(fine), PRESS_M, fine)
     same = queries.shape == bank.shape
@@ -187,7 +187,7 @@ def check_deterministic(encoder: Encoder) -> None:
 
 def check_learns_places(encoder: Encoder) -> None:
     """Trained on the places of a whole object, which touches show in part, it embeds what is seen of them."""
-    problem, learner = place_training_problem(), type(encoder)(encoder.options)  # the one given stays as trained
+    problem, learner = make_place_training_problem(), type(encoder)(encoder.options)  # the one given stays as trained
     learner.fit(problem)
     press_m = float(problem.key_presses_m[-1])
     keys = np.concatenate(list(problem.clean_keys(press_m)))[:8]
@@ -220,8 +220,8 @@ def property_image_size(encoder: Encoder) -> None:
     """Two or three times the image, of any place, finds its pose in a bank of images of the usual size."""
 
     def claim(times: int, place: Place) -> None:
-        fine = CAMERA.resized(times * CAMERA.width_px, times * CAMERA.height_px)
-        poses = place.pose @ contact_poses(block_scene(), count=4)
+        fine = CAMERA.resize(times * CAMERA.width_px, times * CAMERA.height_px)
+        poses = place.pose @ make_contact_poses(make_block_scene(), count=4)
         bank = encoder.encode(_render(poses), PRESS_M, CAMERA)
         found = _find_nearest(encoder.encode(_render(poses, fine), PRESS_M, fine), bank)
         require(_is_order(found), f"an image of another size must find its pose; the nearest rows are {found.tolist()}")
@@ -237,9 +237,9 @@ def property_mirror_image(encoder: Encoder) -> None:
     """
 
     def claim(place: Place) -> None:
-        poses = place.pose @ contact_poses(block_scene(), count=4)
-        here, beside = (_encode_light(encoder, _render(T)) for T in (poses, translation(BESIDE_M) @ poses))
-        image = _encode_light(encoder, _render(poses, mesh=mirrored(stepped_block())))
+        poses = place.pose @ make_contact_poses(make_block_scene(), count=4)
+        here, beside = (_encode_light(encoder, _render(T)) for T in (poses, make_translation(BESIDE_M) @ poses))
+        image = _encode_light(encoder, _render(poses, mesh=mirror_mesh(make_stepped_block())))
         near, far = (np.linalg.norm(other - here, axis=1) for other in (beside, image))
         require((near < far).all(), "a part must be nearer to itself, 0.3 mm beside, than to its mirror image; "
                 f"distances are up to {(near / np.maximum(far, 1e-12)).max():.2f} of those")  # fmt: skip
@@ -253,14 +253,14 @@ def _encode_light(encoder: Encoder, depth_m: Float32) -> Float32:
 
 
 def _draw_shapes(camera: SensorGeometry = CAMERA) -> Float32:
-    return _render(contact_poses(block_scene()), camera)
+    return _render(make_contact_poses(make_block_scene()), camera)
 
 
 def _render(poses: np.ndarray, camera: SensorGeometry = CAMERA, mesh: TriangleMesh | None = None) -> Float32:
     """Full contact depths (N, H, W) in metres of the block, or a mesh, at poses that touch the block scene's sensor."""
-    there = translation([0.0, 0.0, camera.standoff_m - block_scene().geometry.standoff_m]) @ poses
-    drawn = ReferenceRenderer().render(stepped_block() if mesh is None else mesh, there, camera)
-    return contact_depth(drawn, camera, camera.max_depth_m)
+    there = make_translation([0.0, 0.0, camera.standoff_m - make_block_scene().geometry.standoff_m]) @ poses
+    drawn = ReferenceRenderer().render(make_stepped_block() if mesh is None else mesh, there, camera)
+    return compute_contact_depth(drawn, camera, camera.max_depth_m)
 
 
 def _find_nearest(queries: Float32, bank: Float32) -> np.ndarray:

@@ -16,7 +16,14 @@ from tactile_loc.core.slots.component import Capabilities
 from tactile_loc.core.slots.fuser import Fuser
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.testing.contract import Check, Untouched, require, require_close
-from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, plain_object, prism, small_grid, transformed
+from tactile_loc.testing.problems import (
+    CAMERAS,
+    ReferenceRenderer,
+    make_plain_object,
+    make_prism,
+    make_small_grid,
+    transform_mesh,
+)
 from tactile_loc.testing.properties import RigidMotion, hold, motions, orders, whole
 
 TOLERANCE = 1e-9  # of probabilities
@@ -40,7 +47,7 @@ def properties(capabilities: Capabilities) -> list[Check]:
 
 def check_contact_alone(fuser: Fuser) -> None:
     """A fuser that asks for contact only makes all poses of one touch's grid alike, however probable they are."""
-    posterior = _draw_posterior(small_grid())
+    posterior = _draw_posterior(make_small_grid())
     fused = fuser.fuse([posterior], [None])
     uniform = np.full(len(posterior.grid), 1 / len(posterior.grid))
     _require_equal(fused, uniform, "with contact_only=True, the poses of one touch must be equally probable")
@@ -48,7 +55,7 @@ def check_contact_alone(fuser: Fuser) -> None:
 
 def check_one_touch(fuser: Fuser) -> None:
     """One touch without a prior is returned as it is: normalised, over the same grid."""
-    posterior = _draw_posterior(small_grid())
+    posterior = _draw_posterior(make_small_grid())
     fused = fuser.fuse([posterior], [None])
     require(isinstance(fused, PosePosterior), f"fuse must return a PosePosterior, not {type(fused).__name__}")
     same = np.array_equal(fused.grid.T_sensor_object, posterior.grid.T_sensor_object)
@@ -59,14 +66,14 @@ def check_one_touch(fuser: Fuser) -> None:
 
 def check_flat_prior(fuser: Fuser) -> None:
     """A prior that weighs all poses alike changes nothing, whatever the weight."""
-    posterior = _draw_posterior(small_grid())
+    posterior = _draw_posterior(make_small_grid())
     fused = fuser.fuse([posterior], [None], lambda poses: np.full(len(poses), -3.0))
     _require_equal(fused, fuser.fuse([posterior], [None]).probabilities, "a flat prior must change nothing")
 
 
 def check_prior_multiplies(fuser: Fuser) -> None:
     """A prior gives log-weights of poses (N, 4, 4), and counts once."""
-    posterior = _draw_posterior(small_grid())
+    posterior = _draw_posterior(make_small_grid())
 
     def prior(poses: Poses) -> NDArray[np.float64]:
         return -((poses[:, 0, 3] / 0.002) ** 2)
@@ -80,7 +87,7 @@ def check_prior_multiplies(fuser: Fuser) -> None:
 
 def check_certain_prior(fuser: Fuser) -> None:
     """A prior that allows one pose alone makes it certain."""
-    posterior = _draw_posterior(small_grid())
+    posterior = _draw_posterior(make_small_grid())
     fused = fuser.fuse([posterior], [None], lambda poses: np.where(np.arange(len(poses)) == 7, 0.0, -np.inf))
     _require_equal(fused, np.arange(len(posterior.grid)) == 7, "the only pose that the prior allows must be certain")
 
@@ -88,7 +95,7 @@ def check_certain_prior(fuser: Fuser) -> None:
 def check_impossible_prior(fuser: Fuser) -> None:
     """A prior that allows no pose raises a TactileLocError, rather than return NaN."""
     try:
-        fuser.fuse([_draw_posterior(small_grid())], [None], lambda poses: np.full(len(poses), -np.inf))
+        fuser.fuse([_draw_posterior(make_small_grid())], [None], lambda poses: np.full(len(poses), -np.inf))
     except TactileLocError:
         return
     require(False, "a prior that allows no pose must raise a TactileLocError, as PosePosterior does")
@@ -96,7 +103,7 @@ def check_impossible_prior(fuser: Fuser) -> None:
 
 def check_order(fuser: Fuser) -> None:
     """Two touches at one sensor pose say the same in either order."""
-    grid = small_grid()
+    grid = make_small_grid()
     first, second = _draw_posterior(grid, seed=1), _draw_posterior(grid, seed=2)
     one, other = (_fuse_several(fuser, pair, [np.eye(4)] * 2) for pair in ([first, second], [second, first]))
     _require_both(one, other, "the order of touches must not matter")
@@ -104,7 +111,7 @@ def check_order(fuser: Fuser) -> None:
 
 def check_sensor_poses(fuser: Fuser) -> None:
     """Touches are compared in the base frame: what one leaves open, another from elsewhere decides."""
-    here, there = small_grid(), _move_to_second(small_grid())
+    here, there = make_small_grid(), _move_to_second(make_small_grid())
     open_ = PosePosterior(here, np.where(np.isin(np.arange(len(here)), [3, 11]), 0.0, -30.0))
     decides = PosePosterior(there, np.where(np.arange(len(here)) == 11, 0.0, -8.0))
     fused = _fuse_several(fuser, [open_, decides], [T_BASE_FIRST, T_BASE_SECOND])
@@ -115,7 +122,7 @@ def check_sensor_poses(fuser: Fuser) -> None:
 
 def check_no_contact_is_dropped(fuser: Fuser) -> None:
     """A pose that another sensor's grid does not have, not even nearly, touches nothing there and is excluded."""
-    here = small_grid()
+    here = make_small_grid()
     side = here.T_sensor_object[:, 0, 3] > 0.002
     far = here.metric.distance(here.T_sensor_object[:, None], here.T_sensor_object[side][None]).min(axis=1) > 0.0065
     there = _move_to_second(PoseGrid(here.T_sensor_object[side], here.metric))
@@ -128,7 +135,7 @@ def check_no_contact_is_dropped(fuser: Fuser) -> None:
 
 def check_no_common_pose(fuser: Fuser) -> None:
     """Sensors that no pose touches at once raise a TactileLocError, rather than give NaN."""
-    grid = small_grid()
+    grid = make_small_grid()
     T_base_far = make_transform(np.eye(3), [5.0, 0.0, 0.0])
     try:
         fuser.fuse([_draw_posterior(grid, seed=1), _draw_posterior(grid, seed=2)], [np.eye(4), T_base_far])
@@ -144,7 +151,7 @@ def check_base_frame(fuser: Fuser) -> None:
 
 def check_posteriors_untouched(fuser: Fuser) -> None:
     """Neither posteriors nor grids are written to."""
-    posterior = _draw_posterior(small_grid())
+    posterior = _draw_posterior(make_small_grid())
     before = Untouched(log_p=posterior.log_p, T_sensor_object=posterior.grid.T_sensor_object)
     fuser.fuse([posterior], [np.eye(4)], lambda poses: -poses[:, 0, 3])
     before.require()
@@ -153,19 +160,19 @@ def check_posteriors_untouched(fuser: Fuser) -> None:
 def check_deterministic(fuser: Fuser) -> None:
     """The same posteriors and prior give the same posterior."""
     prior: Prior = lambda poses: 100 * poses[:, 0, 3]  # noqa: E731
-    first, again = (fuser.fuse([_draw_posterior(small_grid())], [None], prior) for _ in range(2))
+    first, again = (fuser.fuse([_draw_posterior(make_small_grid())], [None], prior) for _ in range(2))
     same = np.array_equal(first.log_p, again.log_p)
     require(same, "the same posteriors must give the same answer, or deterministic=False be declared")
 
 
 def property_object_frame(fuser: Fuser) -> None:
     """The object moved by X in its own frame, poses T @ inv(X) in every grid: the same probabilities, to TOLERANCE."""
-    here = small_grid()
+    here = make_small_grid()
     sensors, grids = [T_BASE_FIRST, T_BASE_SECOND], [here, _move_to_second(here)]
     plain = _fuse_several(fuser, _draw_posteriors(grids), sensors)
 
     def claim(motion: RigidMotion) -> None:
-        metric = PoseMetric(plain_object("moved block", transformed(here.metric.object.mesh, motion.T)))
+        metric = PoseMetric(make_plain_object("moved block", transform_mesh(here.metric.object.mesh, motion.T)))
         moved = [PoseGrid(grid.T_sensor_object @ invert(motion.T), metric) for grid in grids]
         _require_both(
             _fuse_several(fuser, _draw_posteriors(moved), sensors), plain, "the object's own frame must not matter"
@@ -185,7 +192,7 @@ def property_touch_order(fuser: Fuser) -> None:
     Their grids hold the same poses of the base frame, so that the first one's are the same, and the sensors are
     wherever they are drawn.
     """
-    grid = small_grid()
+    grid = make_small_grid()
 
     def claim(order: list[int], second: RigidMotion, third: RigidMotion) -> None:
         sensors = [np.eye(4), second.T, third.T]
@@ -203,8 +210,8 @@ def property_symmetric_copies(fuser: Fuser) -> None:
 
     The same probabilities, to TOLERANCE, whichever copy of each pose a grid holds.
     """
-    grid = small_grid(scene=Scene(prism(), CAMERAS["orthographic"], ReferenceRenderer()))
-    elements, sensors = prism().symmetry.elements(), [T_BASE_FIRST, T_BASE_SECOND]
+    grid = make_small_grid(scene=Scene(make_prism(), CAMERAS["orthographic"], ReferenceRenderer()))
+    elements, sensors = make_prism().symmetry.list_elements(), [T_BASE_FIRST, T_BASE_SECOND]
     there = _move_to_second(grid)
     plain = _fuse_several(fuser, _draw_posteriors([grid, there]), sensors)
 
@@ -219,7 +226,7 @@ def property_symmetric_copies(fuser: Fuser) -> None:
 
 def _require_any_base(fuser: Fuser, T: Poses) -> None:
     """Raise ContractError unless sensors that are all moved by T (4, 4), metres, have the same answer."""
-    here = small_grid()
+    here = make_small_grid()
     touches = [_draw_posterior(here, seed=1), _draw_posterior(_move_to_second(here), seed=2)]
     one = _fuse_several(fuser, touches, [T_BASE_FIRST, T_BASE_SECOND])
     other = _fuse_several(fuser, touches, [T @ T_BASE_FIRST, T @ T_BASE_SECOND])

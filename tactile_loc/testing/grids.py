@@ -6,27 +6,27 @@ import dataclasses
 
 import numpy as np
 
-from tactile_loc.core.geometry.rigid import Poses, is_rigid, translation
+from tactile_loc.core.geometry.rigid import Poses, is_rigid, make_translation
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.objects.symmetry import SymmetryGroup
-from tactile_loc.core.poses.metric import PoseGrid, PoseMetric, distances_between
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric, measure_distances
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.places import CAMERA as PATCH_CAMERA
-from tactile_loc.core.sensing.touch import contact_depth
+from tactile_loc.core.sensing.touch import compute_contact_depth
 from tactile_loc.core.slots.component import Capabilities
 from tactile_loc.core.slots.grid import GridSampler
 from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
 from tactile_loc.testing.problems import (
     CAMERAS,
     ReferenceRenderer,
-    block,
-    copied,
-    larger,
-    plain_object,
-    prism,
-    rod,
-    transformed,
+    copy_mesh,
+    make_block,
+    make_plain_object,
+    make_prism,
+    make_rod,
+    scale_sensor,
+    transform_mesh,
 )
 from tactile_loc.testing.properties import hold, one_of, shifts, whole
 
@@ -89,7 +89,7 @@ def check_denser_grid_has_more_poses(sampler: GridSampler) -> None:
 def check_poses_reach_contact(sampler: GridSampler) -> None:
     """Moved along z alone, a good share of the poses touches the sensing rectangle."""
     for what, poses in _list_kinds(sampler, 200):
-        share = float(bring_to_contact(block().mesh, poses, CAMERAS["orthographic"])[1].mean())
+        share = float(bring_to_contact(make_block().mesh, poses, CAMERAS["orthographic"])[1].mean())
         require(share >= LEAST_TOUCHING, f"only {100 * share:.0f} % of the poses of {what} can touch the sensor")
 
 
@@ -105,7 +105,7 @@ def check_covers_random_poses(sampler: GridSampler) -> None:
 
 def check_random_is_uniform_over_the_grid(sampler: GridSampler) -> None:
     """Of a rod's drawn poses, as many are near the half of the grid in which it spans more as that half has poses."""
-    obj, camera = rod(), CAMERAS["orthographic"]
+    obj, camera = make_rod(), CAMERAS["orthographic"]
     grid = _bring_to_contact(sampler.sample(obj, camera, SPACING_M), obj)
     drawn = _bring_to_contact(sampler.random(obj, camera, DRAWN, np.random.default_rng(0)), obj).T_sensor_object
     turned = obj.mesh.vertices_m @ np.swapaxes(grid.T_sensor_object[:, :3, :3], -1, -2)
@@ -115,7 +115,7 @@ def check_random_is_uniform_over_the_grid(sampler: GridSampler) -> None:
     error = float(np.sqrt(wanted * (1 - wanted) / len(drawn)))
     require(abs(found - wanted) <= SIGMAS * error, "random must draw as many poses about each pose of the grid; "
             f"{100 * found:.0f} % are nearest to {100 * wanted:.0f} % of them: draw a rotation as often as it has "
-            "places over the sensor, as tactile_loc.plugin.random_places does")  # fmt: skip
+            "places over the sensor, as tactile_loc.plugin.draw_places does")  # fmt: skip
 
 
 def check_random_follows_the_seed(sampler: GridSampler) -> None:
@@ -127,7 +127,7 @@ def check_random_follows_the_seed(sampler: GridSampler) -> None:
 def check_random_poses_differ(sampler: GridSampler) -> None:
     """Drawn poses differ from one another and from those of another seed."""
     poses = _draw_random(sampler, 20)
-    distances = PoseMetric(block()).distance(poses[:, None], poses[None]) + np.eye(20)
+    distances = PoseMetric(make_block()).distance(poses[:, None], poses[None]) + np.eye(20)
     require((distances > 0).all(), "random must draw different poses: it samples a continuous set")
     require(
         not np.array_equal(poses, _draw_random(sampler, 20, seed=1)), "random must draw other poses for another seed"
@@ -136,8 +136,8 @@ def check_random_poses_differ(sampler: GridSampler) -> None:
 
 def check_object_untouched(sampler: GridSampler) -> None:
     """The object's mesh is not written to."""
-    mesh = copied(block().mesh)
-    obj, camera = dataclasses.replace(block(), mesh=mesh), CAMERAS["orthographic"]
+    mesh = copy_mesh(make_block().mesh)
+    obj, camera = dataclasses.replace(make_block(), mesh=mesh), CAMERAS["orthographic"]
     before = Untouched(vertices_m=mesh.vertices_m, faces=mesh.faces)
     if sampler.capabilities.places:
         sampler.places(obj, Progress())
@@ -160,12 +160,14 @@ def check_deterministic(sampler: GridSampler) -> None:
 
 def check_places_are_as_drawn(sampler: GridSampler) -> None:
     """A place's patch is what parallel rays see of the object around it, in the frame of the place."""
-    places = sampler.places(block(), Progress())
+    places = sampler.places(make_block(), Progress())
     require(is_rigid(places.T_place_object), "the poses of places must be rigid: proper rotations, finite")
     some = np.linspace(0, len(places) - 1, 12).astype(int)
     found = places.depths(PRESS_M)[some]
-    lifted = translation([0.0, 0.0, PATCH_CAMERA.standoff_m]) @ places.T_place_object[some]
-    drawn = contact_depth(ReferenceRenderer().render(block().mesh, lifted, PATCH_CAMERA), PATCH_CAMERA, PRESS_M)
+    lifted = make_translation([0.0, 0.0, PATCH_CAMERA.standoff_m]) @ places.T_place_object[some]
+    drawn = compute_contact_depth(
+        ReferenceRenderer().render(make_block().mesh, lifted, PATCH_CAMERA), PATCH_CAMERA, PRESS_M
+    )
     off_m = np.abs(found - drawn)
     alike = float((off_m < ROUNDED_M).mean())
     require(alike > LEAST_ALIKE, f"only {100 * alike:.0f} % of the pixels of patches are as the object is drawn there")
@@ -175,7 +177,7 @@ def check_places_are_as_drawn(sampler: GridSampler) -> None:
 
 def check_places_are_in_random_poses(sampler: GridSampler) -> None:
     """What touches first of a drawn pose is near one of the places, seen nearly along the same direction."""
-    obj = block()
+    obj = make_block()
     places = sampler.places(obj, Progress()).T_place_object
     where, along = -np.einsum("nji,nj->ni", places[:, :3, :3], places[:, :3, 3]), places[:, 2, :3]
     T = _bring_to_contact(_draw_random(sampler, 60)).T_sensor_object
@@ -199,8 +201,8 @@ def property_object_origin(sampler: GridSampler) -> None:
     plain = _bring_to_contact(_sample(sampler)).T_sensor_object
 
     def claim(shift_mm: tuple[int, int, int]) -> None:
-        x = translation(1e-3 * np.array(shift_mm))
-        other = plain_object("shifted block", transformed(block().mesh, x))
+        x = make_translation(1e-3 * np.array(shift_mm))
+        other = make_plain_object("shifted block", transform_mesh(make_block().mesh, x))
         found = _bring_to_contact(sampler.sample(other, CAMERAS["orthographic"], SPACING_M), other).T_sensor_object @ x
         require_close(found, plain, SAME_M, "poses must be the same wherever the origin of the object's frame is")
 
@@ -217,7 +219,7 @@ def property_symmetric_copies(sampler: GridSampler) -> None:
         spacing_m, obj = 1e-4 * spacing_tenths_mm, _declare_symmetry(symmetry)
         poses = _bring_to_contact(sampler.sample(obj, CAMERAS["orthographic"], spacing_m), obj).T_sensor_object
         orbits = PoseMetric(obj).embed_orbits(poses)
-        apart_m = np.min([distances_between(orbit, orbits[0]) for orbit in orbits], axis=0)
+        apart_m = np.min([measure_distances(orbit, orbits[0]) for orbit in orbits], axis=0)
         apart_m[(apart_m < ROUNDED_M) | np.eye(len(poses), dtype=bool)] = np.inf
         require(apart_m.min() >= LEAST_APART * spacing_m, "poses that symmetry makes alike must coincide or be left "
                 f"out; two are {1e3 * apart_m.min():.2g} mm apart at a spacing of {1e3 * spacing_m:g} mm")  # fmt: skip
@@ -232,11 +234,11 @@ def property_scale(sampler: GridSampler) -> None:
 
 def property_place_origin(sampler: GridSampler) -> None:
     """The mesh shifted by x in its own frame has the places T @ inv(x), to 10 nm, with the same patches."""
-    plain = sampler.places(block(), Progress())
+    plain = sampler.places(make_block(), Progress())
 
     def claim(shift_mm: tuple[int, int, int]) -> None:
-        x = translation(1e-3 * np.array(shift_mm))
-        found = sampler.places(plain_object("shifted block", transformed(block().mesh, x)), Progress())
+        x = make_translation(1e-3 * np.array(shift_mm))
+        found = sampler.places(make_plain_object("shifted block", transform_mesh(make_block().mesh, x)), Progress())
         sentence = "places must be the same wherever the origin of the object's frame is"
         require_close(found.T_place_object @ x, plain.T_place_object, SAME_M, sentence)
         require(np.array_equal(found.patches, plain.patches), sentence)
@@ -259,14 +261,14 @@ def property_symmetric_places(sampler: GridSampler) -> None:
 
 def _require_any_scale(sampler: GridSampler, scale: float) -> None:
     small = _sample(sampler)
-    large = sampler.sample(block(scale), larger(CAMERAS["orthographic"], scale), scale * SPACING_M)
+    large = sampler.sample(make_block(scale), scale_sensor(CAMERAS["orthographic"], scale), scale * SPACING_M)
     alike = abs(len(large) / len(small) - 1) <= 0.05
     require(alike, f"everything made larger must have as many poses; there are {len(large)} instead of {len(small)}")
 
 
 def _declare_symmetry(symmetry: str) -> ObjectModel:
     """The prism, with some of its rotations declared."""
-    return dataclasses.replace(prism(), symmetry=SymmetryGroup.parse(symmetry, prism().mesh.centroid_m))
+    return dataclasses.replace(make_prism(), symmetry=SymmetryGroup.parse(symmetry, make_prism().mesh.centroid_m))
 
 
 def _list_kinds(sampler: GridSampler, count: int) -> list[tuple[str, Poses]]:
@@ -276,16 +278,16 @@ def _list_kinds(sampler: GridSampler, count: int) -> list[tuple[str, Poses]]:
 
 
 def _sample(sampler: GridSampler, spacing_m: float = SPACING_M) -> Poses:
-    return sampler.sample(block(), CAMERAS["orthographic"], spacing_m)
+    return sampler.sample(make_block(), CAMERAS["orthographic"], spacing_m)
 
 
 def _draw_random(sampler: GridSampler, count: int, seed: int = 0) -> Poses:
-    return sampler.random(block(), CAMERAS["orthographic"], count, np.random.default_rng(seed))
+    return sampler.random(make_block(), CAMERAS["orthographic"], count, np.random.default_rng(seed))
 
 
 def _bring_to_contact(poses: Poses, obj: ObjectModel | None = None) -> PoseGrid:
     """Bring poses of an object (by default the block) to contact and keep those that have any."""
-    obj = block() if obj is None else obj
+    obj = make_block() if obj is None else obj
     contact, touching = bring_to_contact(obj.mesh, poses, CAMERAS["orthographic"])
     require(touching.sum() > 1, "hardly any pose can touch the sensor")
     return PoseGrid(contact[touching], PoseMetric(obj))

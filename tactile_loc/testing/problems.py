@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.deprecation import keep_old_names, make_getattr
 from tactile_loc.core.geometry.rigid import Poses, make_transform, rotation_about, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
@@ -96,14 +97,14 @@ def _intersect(rays: Array, triangles_m: Array, is_pinhole: bool) -> Array:
     return np.where(inside, z, np.inf).min(axis=1, initial=np.inf)
 
 
-def box(low_m: tuple[float, float, float], high_m: tuple[float, float, float]) -> TriangleMesh:
+def make_box(low_m: tuple[float, float, float], high_m: tuple[float, float, float]) -> TriangleMesh:
     """Return a closed box between two corners, metres."""
     corners = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], float)
     low, high = np.array(low_m), np.array(high_m)
     return TriangleMesh(low + corners * (high - low), _BOX_FACES.copy())
 
 
-def cylinder(radius_m: float, z_m: tuple[float, float], sides: int = 16) -> TriangleMesh:
+def make_cylinder(radius_m: float, z_m: tuple[float, float], sides: int = 16) -> TriangleMesh:
     """Return a closed prism about the z axis, metres; `sides` faces approximate the cylinder from within."""
     turn = 2 * np.pi * np.arange(sides) / sides
     ring = radius_m * np.column_stack([np.cos(turn), np.sin(turn)])
@@ -116,32 +117,32 @@ def cylinder(radius_m: float, z_m: tuple[float, float], sides: int = 16) -> Tria
     return TriangleMesh(np.concatenate([*rims, poles]), np.concatenate(walls + caps))
 
 
-def moved(mesh: TriangleMesh, by_m: tuple[float, float, float]) -> TriangleMesh:
+def move_mesh(mesh: TriangleMesh, by_m: tuple[float, float, float]) -> TriangleMesh:
     """Return the mesh shifted by a vector in metres."""
     return TriangleMesh(mesh.vertices_m + np.array(by_m), mesh.faces)
 
 
-def transformed(mesh: TriangleMesh, T: NDArray[np.float64]) -> TriangleMesh:
+def transform_mesh(mesh: TriangleMesh, T: NDArray[np.float64]) -> TriangleMesh:
     """Return the mesh seen from another frame, T (4, 4), metres: a point p of it is T p there."""
     return TriangleMesh(transform_points(T, mesh.vertices_m), mesh.faces)
 
 
-def mirrored(mesh: TriangleMesh) -> TriangleMesh:
+def mirror_mesh(mesh: TriangleMesh) -> TriangleMesh:
     """Return the mesh's mirror image, x to -x; outward normals stay outward."""
     return TriangleMesh(mesh.vertices_m * [-1.0, 1.0, 1.0], mesh.faces[:, ::-1].copy())
 
 
-def copied(mesh: TriangleMesh) -> TriangleMesh:
+def copy_mesh(mesh: TriangleMesh) -> TriangleMesh:
     """Return the mesh in memory of its own, for checks of who writes to it."""
     return TriangleMesh(mesh.vertices_m.copy(), mesh.faces.copy())
 
 
-def scaled(mesh: TriangleMesh, factor: float) -> TriangleMesh:
+def scale_mesh(mesh: TriangleMesh, factor: float) -> TriangleMesh:
     """Return the mesh made larger by a factor, about the origin."""
     return TriangleMesh(mesh.vertices_m * factor, mesh.faces)
 
 
-def joined(*meshes: TriangleMesh) -> TriangleMesh:
+def join_meshes(*meshes: TriangleMesh) -> TriangleMesh:
     """Return several surfaces as one mesh; they may intersect."""
     starts = np.cumsum([0, *(len(m.vertices_m) for m in meshes[:-1])])
     faces = [m.faces + start for m, start in zip(meshes, starts, strict=True)]
@@ -149,26 +150,26 @@ def joined(*meshes: TriangleMesh) -> TriangleMesh:
 
 
 @lru_cache(maxsize=1)
-def stepped_block() -> TriangleMesh:
+def make_stepped_block() -> TriangleMesh:
     """Return a block of 16 x 10 x 6 mm whose underside (towards -z) has a boss, a ramp and a post, all different.
 
     Nothing about it is symmetric, and each feature shows at another press depth: from 0 (boss) to 1.2 mm (body).
     """
-    body = box((-0.008, -0.005, 0.0012), (0.008, 0.005, 0.006))
-    boss = box((-0.007, -0.004, 0.0), (-0.002, 0.001, 0.002))
-    post = moved(cylinder(0.0015, (0.0005, 0.003)), (0.004, -0.0025, 0.0))
-    return joined(body, boss, _make_ramp(), post)
+    body = make_box((-0.008, -0.005, 0.0012), (0.008, 0.005, 0.006))
+    boss = make_box((-0.007, -0.004, 0.0), (-0.002, 0.001, 0.002))
+    post = move_mesh(make_cylinder(0.0015, (0.0005, 0.003)), (0.004, -0.0025, 0.0))
+    return join_meshes(body, boss, _make_ramp(), post)
 
 
 def _make_ramp() -> TriangleMesh:
-    wedge = box((0.001, 0.001, 0.0002), (0.007, 0.004, 0.002))
+    wedge = make_box((0.001, 0.001, 0.0002), (0.007, 0.004, 0.002))
     x, y, z = wedge.vertices_m.T
     sloping = np.where(z < 0.001, z + (x - 0.001) / 6, z)
     return TriangleMesh(np.column_stack([x, y, sloping]), wedge.faces)
 
 
 @lru_cache(maxsize=1)
-def ball(radius_m: float = 0.008, rounds: int = 5) -> TriangleMesh:
+def make_ball(radius_m: float = 0.008, rounds: int = 5) -> TriangleMesh:
     """Return a sphere about the origin, metres: an octahedron whose faces are cut in four `rounds` times."""
     corners = np.concatenate([np.eye(3), -np.eye(3)])
     signs = np.array([[x, y, z] for x in (0, 3) for y in (0, 3) for z in (0, 3)])
@@ -182,16 +183,16 @@ def ball(radius_m: float = 0.008, rounds: int = 5) -> TriangleMesh:
     return TriangleMesh(radius_m * triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
 
 
-def plate(half_m: float = 0.1) -> TriangleMesh:
+def make_plate(half_m: float = 0.1) -> TriangleMesh:
     """Return a square without thickness in the plane z = 0, metres."""
     corners = half_m * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
     return TriangleMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
 
 
-def overhang() -> TriangleMesh:
+def make_overhang() -> TriangleMesh:
     """Return a thin foot, 0.3 mm thick, that hangs 1.2 mm before a plate: off its axis, a pinhole sees behind it."""
-    foot = box((0.005, -0.006, 0.0), (0.009, 0.006, 0.0003))
-    return joined(foot, box((-0.002, -0.008, 0.0015), (0.012, 0.008, 0.004)))
+    foot = make_box((0.005, -0.006, 0.0), (0.009, 0.006, 0.0003))
+    return join_meshes(foot, make_box((-0.002, -0.008, 0.0015), (0.012, 0.008, 0.004)))
 
 
 # The first two are square and centred, so that a quarter turn maps the image to itself; the others have nothing
@@ -209,6 +210,7 @@ POSE = (0.0012, -0.0009, np.radians(25.0))  # x, y in metres and yaw: where the 
 OFFSETS = ((0.0008, -0.0006, 0.0), (-0.0007, 0.0, np.radians(4.0)), (0.0, 0.0009, np.radians(-5.0)))
 
 
+@keep_old_names(candidate="make_candidate", error_m="measure_error_m")
 @dataclass(frozen=True, eq=False)
 class PressedBlock:
     """A touch, the scene it was made in, and the true T_sensor_object (4, 4), metres."""
@@ -217,48 +219,48 @@ class PressedBlock:
     touch: Touch
     truth: NDArray[np.float64]
 
-    def candidate(self, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Candidate:
+    def make_candidate(self, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Candidate:
         """Return the truth moved by (x, y, yaw), metres and radians, and brought to contact."""
         x, y, yaw = offset
         turned = make_transform(self.truth[:3, :3] @ rotation_about([0, 0, 1], yaw), self.truth[:3, 3] + [x, y, 0.0])
-        return Candidate(self.scene.in_contact(turned[None])[0][0], index=0, log_p=0.0)
+        return Candidate(self.scene.bring_to_contact(turned[None])[0][0], index=0, log_p=0.0)
 
-    def error_m(self, pose: Candidate | RefinedPose) -> float:
+    def measure_error_m(self, pose: Candidate | RefinedPose) -> float:
         """Return the root mean square distance of the block's surface from where it is, metres."""
         return float(PoseMetric(self.scene.object).distance(pose.T_sensor_object, self.truth))
 
 
 @lru_cache(maxsize=8)
-def block(scale: float = 1.0) -> ObjectModel:
+def make_block(scale: float = 1.0) -> ObjectModel:
     """Return the stepped block as an object without symmetry, made larger by a factor."""
-    return plain_object("stepped block", scaled(stepped_block(), scale))
+    return make_plain_object("stepped block", scale_mesh(make_stepped_block(), scale))
 
 
-def plain_object(name: str, mesh: TriangleMesh) -> ObjectModel:
+def make_plain_object(name: str, mesh: TriangleMesh) -> ObjectModel:
     """Return a mesh as an object without symmetry."""
     return ObjectModel(name, mesh, SymmetryGroup.parse("none", mesh.centroid_m))
 
 
 @lru_cache(maxsize=1)
-def prism() -> ObjectModel:
+def make_prism() -> ObjectModel:
     """Return a six-sided prism, 10 mm across corners and 8 mm long, with its twelve rotations: `z6*x2`."""
-    mesh = cylinder(0.005, (-0.004, 0.004), sides=6)
+    mesh = make_cylinder(0.005, (-0.004, 0.004), sides=6)
     return ObjectModel("prism", mesh, SymmetryGroup.parse("z6*x2", mesh.centroid_m))
 
 
 @lru_cache(maxsize=1)
-def mirrored_block() -> ObjectModel:
+def make_mirrored_block() -> ObjectModel:
     """Return the mirror image of the block: another part, which no rotation makes of it."""
-    return plain_object("mirrored block", mirrored(stepped_block()))
+    return make_plain_object("mirrored block", mirror_mesh(make_stepped_block()))
 
 
 @lru_cache(maxsize=1)
-def rod() -> ObjectModel:
+def make_rod() -> ObjectModel:
     """Return a rod of 60 x 8 x 6 mm, declared without symmetry: how much of a sensor it spans depends on its yaw."""
-    return plain_object("rod", box((-0.030, -0.004, -0.003), (0.030, 0.004, 0.003)))
+    return make_plain_object("rod", make_box((-0.030, -0.004, -0.003), (0.030, 0.004, 0.003)))
 
 
-def larger(geometry: SensorGeometry, scale: float) -> SensorGeometry:
+def scale_sensor(geometry: SensorGeometry, scale: float) -> SensorGeometry:
     """Return the sensor with all its lengths multiplied by a factor; the image stays as large in pixels."""
     k = 1.0 if geometry.is_pinhole else scale
     return dataclasses.replace(
@@ -268,78 +270,81 @@ def larger(geometry: SensorGeometry, scale: float) -> SensorGeometry:
 
 
 @lru_cache(maxsize=8)
-def block_scene(camera: str = "orthographic", scale: float = 1.0) -> Scene:
+def make_block_scene(camera: str = "orthographic", scale: float = 1.0) -> Scene:
     """Return the block before one of the CAMERAS, all lengths times `scale`, drawn by the reference renderer."""
-    return Scene(block(scale), larger(CAMERAS[camera], scale), ReferenceRenderer())
+    return Scene(make_block(scale), scale_sensor(CAMERAS[camera], scale), ReferenceRenderer())
 
 
-def pressed_block(camera: str = "orthographic", scale: float = 1.0, press: float = 1.0) -> PressedBlock:
+def press_block(camera: str = "orthographic", scale: float = 1.0, press: float = 1.0) -> PressedBlock:
     """Return the block pressed at POSE; `press` is the share (0 to 1) of the deepest press."""
     x, y, yaw = POSE
-    return _press(block_scene(camera, scale), planar_pose(x * scale, y * scale, yaw), press)
+    return _press(make_block_scene(camera, scale), make_planar_pose(x * scale, y * scale, yaw), press)
 
 
-def pressed_prism(camera: str = "orthographic") -> PressedBlock:
+def press_prism(camera: str = "orthographic") -> PressedBlock:
     """Return the prism, an end of it, pressed at POSE: twelve poses explain the touch alike."""
-    return _press(Scene(prism(), CAMERAS[camera], ReferenceRenderer()), planar_pose(*POSE), 1.0)
+    return _press(Scene(make_prism(), CAMERAS[camera], ReferenceRenderer()), make_planar_pose(*POSE), 1.0)
 
 
 def _press(scene: Scene, T_sensor_object: NDArray[np.float64], press: float) -> PressedBlock:
-    scene = scene.pressed(press * scene.geometry.max_depth_m)
-    truth = scene.in_contact(T_sensor_object[None])[0][0]
-    return PressedBlock(scene, touch_at(scene, truth, scene.geometry.indentation_m), truth)
+    scene = scene.press(press * scene.geometry.max_depth_m)
+    truth = scene.bring_to_contact(T_sensor_object[None])[0][0]
+    return PressedBlock(scene, make_touch(scene, truth, scene.geometry.indentation_m), truth)
 
 
-def planar_pose(x_m: float, y_m: float, yaw_rad: float) -> NDArray[np.float64]:
+def make_planar_pose(x_m: float, y_m: float, yaw_rad: float) -> NDArray[np.float64]:
     """Return a pose (4, 4) with the features towards the sensor: x, y in metres, yaw in radians; z is zero."""
     return make_transform(rotation_about([0, 0, 1], yaw_rad), [x_m, y_m, 0.0])
 
 
-def touch_at(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> Touch:
+def make_touch(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> Touch:
     """Return the touch that the object at a pose (4, 4) makes that is pressed in by `press_depth_m` metres."""
-    pressed = scene.pressed(press_depth_m)
-    T = pressed.in_contact(T_sensor_object[None])[0]
-    shape = ContactShape(pressed.contact_depths(T)[0], press_depth_m)
+    pressed = scene.press(press_depth_m)
+    T = pressed.bring_to_contact(T_sensor_object[None])[0]
+    shape = ContactShape(pressed.render_contact_depths(T)[0], press_depth_m)
     return Touch(shape, pressed.geometry, "pressed block", T_sensor_object=T[0])
 
 
-def with_depth(touch: Touch, depth_m: NDArray[np.float32]) -> Touch:
+def replace_depth(touch: Touch, depth_m: NDArray[np.float32]) -> Touch:
     """Return the touch with other depths (H, W), metres."""
     return dataclasses.replace(touch, contact_shape=ContactShape(depth_m, touch.press_depth_m))
 
 
-def contact_poses(scene: Scene, count: int = 6) -> Poses:
+def make_contact_poses(scene: Scene, count: int = 6) -> Poses:
     """Return `count` clearly different contact poses (count, 4, 4), metres: a circle of places and yaws."""
     turn = 2 * np.pi * np.arange(count) / count
-    poses = [planar_pose(0.003 * np.cos(a), 0.003 * np.sin(a), 1.7 * a) for a in turn]
-    return scene.in_contact(np.stack(poses))[0]
+    poses = [make_planar_pose(0.003 * np.cos(a), 0.003 * np.sin(a), 1.7 * a) for a in turn]
+    return scene.bring_to_contact(np.stack(poses))[0]
 
 
-def small_grid(count: int = 40, seed: int = 0, scene: Scene | None = None) -> PoseGrid:
+def make_small_grid(count: int = 40, seed: int = 0, scene: Scene | None = None) -> PoseGrid:
     """Return a grid of `count` different contact poses of the block in a scene, in no order."""
     rng = np.random.default_rng(seed)
     x, y, yaw = rng.uniform(-0.004, 0.004, count), rng.uniform(-0.004, 0.004, count), rng.uniform(0, 2 * np.pi, count)
-    scene = scene or block_scene()
-    poses = scene.in_contact(np.stack([planar_pose(*p) for p in zip(x, y, yaw, strict=True)]))[0]
+    scene = scene or make_block_scene()
+    poses = scene.bring_to_contact(np.stack([make_planar_pose(*p) for p in zip(x, y, yaw, strict=True)]))[0]
     return PoseGrid(poses, PoseMetric(scene.object))
 
 
-def training_problem(seed: int = 0) -> TrainingProblem:
+def make_training_problem(seed: int = 0) -> TrainingProblem:
     """Return a tiny problem for an encoder to be trained on before it is checked: the checks' object and camera."""
-    scene = Scene(block(), LOPSIDED_CAMERAS["orthographic"], ReferenceRenderer())
-    grid = small_grid(seed=seed, scene=scene)
-    shapes = scene.grid_depths(grid.T_sensor_object)
+    scene = Scene(make_block(), LOPSIDED_CAMERAS["orthographic"], ReferenceRenderer())
+    grid = make_small_grid(seed=seed, scene=scene)
+    shapes = scene.render_grid_depths(grid.T_sensor_object)
     sampler = registry().create("grid", "face", {"spacing_mm": 4.0, "face": "-z"})
     return ListedProblem(grid, scene, sampler, lambda: iter([shapes]))
 
 
-def place_training_problem(symmetry: str = "none") -> PlaceProblem:
+def make_place_training_problem(symmetry: str = "none") -> PlaceProblem:
     """Return a tiny problem of an object's places, for an encoder that learns: the checks' object and camera.
 
     The object is said to have a symmetry, which it need not have.
     """
-    obj = block()
+    obj = make_block()
     obj = dataclasses.replace(obj, symmetry=SymmetryGroup.parse(symmetry, obj.mesh.centroid_m))
     scene = Scene(obj, LOPSIDED_CAMERAS["orthographic"], ReferenceRenderer())
     sampler = registry().create("grid", "whole", {"directions": 100})
     return PlaceProblem(sampler.places(obj, Progress()), scene, sampler)
+
+
+__getattr__ = make_getattr(__name__)

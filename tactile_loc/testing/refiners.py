@@ -17,14 +17,14 @@ from tactile_loc.testing.problems import (
     CAMERAS,
     OFFSETS,
     PressedBlock,
-    copied,
-    mirrored_block,
-    plain_object,
-    pressed_block,
-    pressed_prism,
-    prism,
-    transformed,
-    with_depth,
+    copy_mesh,
+    make_mirrored_block,
+    make_plain_object,
+    make_prism,
+    press_block,
+    press_prism,
+    replace_depth,
+    transform_mesh,
 )
 from tactile_loc.testing.properties import Place, RigidMotion, Strategy, hold, motions, one_of, slides, whole
 
@@ -68,14 +68,14 @@ def check_output(refiner: Refiner) -> None:
 def check_truth_stays(refiner: Refiner) -> None:
     """A candidate that is the truth stays where it is."""
     for problem in _list_problems():
-        error_px = problem.error_m(_refine(refiner, problem)) / problem.touch.geometry.pixel_pitch_m
+        error_px = problem.measure_error_m(_refine(refiner, problem)) / problem.touch.geometry.pixel_pitch_m
         require(error_px <= TOLERANCE_PX, f"the true pose must stay; it moved by {error_px:.2g} pixels")
 
 
 def check_touch_and_candidate_untouched(refiner: Refiner) -> None:
     """Neither touch, candidate nor mesh are written to, and the result has its own memory."""
-    problem = pressed_block()
-    candidate, mesh = problem.candidate(OFFSETS[0]), copied(problem.scene.object.mesh)
+    problem = press_block()
+    candidate, mesh = problem.make_candidate(OFFSETS[0]), copy_mesh(problem.scene.object.mesh)
     scene = dataclasses.replace(problem.scene, object=dataclasses.replace(problem.scene.object, mesh=mesh))
     before = Untouched(
         T_sensor_object=candidate.T_sensor_object, depth_m=problem.touch.contact_shape.depth_m,
@@ -91,9 +91,9 @@ def check_quarter_turn(refiner: Refiner) -> None:
     """Turning the sensor under touch and candidate turns the answer: no direction of the image is special."""
     turn = make_transform(rotation_about([0, 0, 1], np.pi / 2), np.zeros(3))
     for problem in _list_problems():
-        turned = with_depth(problem.touch, np.ascontiguousarray(np.rot90(problem.touch.contact_shape.depth_m, -1)))
+        turned = replace_depth(problem.touch, np.ascontiguousarray(np.rot90(problem.touch.contact_shape.depth_m, -1)))
         for offset in OFFSETS:
-            candidate = problem.candidate(offset)
+            candidate = problem.make_candidate(offset)
             plain = refiner.refine(problem.touch, candidate, problem.scene)
             moved = dataclasses.replace(candidate, T_sensor_object=turn @ candidate.T_sensor_object)
             other = refiner.refine(turned, moved, problem.scene)
@@ -103,7 +103,7 @@ def check_quarter_turn(refiner: Refiner) -> None:
 def check_scale(refiner: Refiner) -> None:
     """Twice the object on twice the sensor has the answer twice as far: no length is built in."""
     for camera in CAMERAS:
-        small, large = pressed_block(camera), pressed_block(camera, scale=2.0)
+        small, large = press_block(camera), press_block(camera, scale=2.0)
         for x, y, yaw in OFFSETS:
             shrunk = _refine(refiner, large, (2 * x, 2 * y, yaw)).T_sensor_object.copy()
             shrunk[:3, 3] /= 2
@@ -119,31 +119,31 @@ def check_object_frame(refiner: Refiner) -> None:
 
 def check_ignores_masked_pixels(refiner: Refiner) -> None:
     """What unobserved pixels hold changes nothing."""
-    problem = pressed_block()
+    problem = press_block()
     observed = np.ones(problem.touch.geometry.shape, bool)
     observed[:, :20] = False
     geometry = dataclasses.replace(problem.touch.geometry, observed=observed)
     masked = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, geometry=geometry))
     plain = dataclasses.replace(problem.touch, geometry=geometry)
-    garbage = with_depth(plain, np.where(observed, plain.contact_shape.depth_m, np.float32(1e-4)))
-    answers = [refiner.refine(touch, masked.candidate(OFFSETS[0]), masked.scene) for touch in (plain, garbage)]
+    garbage = replace_depth(plain, np.where(observed, plain.contact_shape.depth_m, np.float32(1e-4)))
+    answers = [refiner.refine(touch, masked.make_candidate(OFFSETS[0]), masked.scene) for touch in (plain, garbage)]
     sentence = "pixels outside geometry.observed_mask carry no information"
     _require_same(answers[0].T_sensor_object, answers[1], problem, sentence, 1e-3)
 
 
 def check_nearly_empty_contact(refiner: Refiner) -> None:
     """A contact of one to a few pixels is answered by a sound result, never by an exception."""
-    problem = pressed_block()
+    problem = press_block()
     for pixels in ([(30, 30)], [(30, 30), (30, 31)], [(5, 5), (40, 50), (60, 3)], [(30, c) for c in range(20, 40)]):
         depth = np.full(problem.touch.geometry.shape, problem.touch.press_depth_m, np.float32)
         depth[tuple(np.transpose(pixels))] = 0
-        sparse = dataclasses.replace(problem, touch=with_depth(problem.touch, depth))
-        _require_sound(_survives(refiner, sparse, sparse.candidate(), f"a contact of {len(pixels)} pixels"))
+        sparse = dataclasses.replace(problem, touch=replace_depth(problem.touch, depth))
+        _require_sound(_survives(refiner, sparse, sparse.make_candidate(), f"a contact of {len(pixels)} pixels"))
 
 
 def check_degenerate_contact(refiner: Refiner) -> None:
     """A contact that fixes hardly a direction is answered by a sound result: lines, bare planes, lone pixels."""
-    problem = pressed_block()
+    problem = press_block()
     rows, columns = np.indices(problem.touch.geometry.shape)
     contacts = {
         "one row of pixels": rows == 30,
@@ -156,22 +156,22 @@ def check_degenerate_contact(refiner: Refiner) -> None:
     for what, contact in contacts.items():
         deep = np.float32(0.5 * problem.touch.press_depth_m)
         depth = np.where(contact, deep, np.float32(problem.touch.press_depth_m))
-        flat = dataclasses.replace(problem, touch=with_depth(problem.touch, depth))
-        _require_sound(_survives(refiner, flat, flat.candidate(), f"a contact of {what}"))
+        flat = dataclasses.replace(problem, touch=replace_depth(problem.touch, depth))
+        _require_sound(_survives(refiner, flat, flat.make_candidate(), f"a contact of {what}"))
 
 
 def check_candidate_without_contact(refiner: Refiner) -> None:
     """A candidate that is nowhere near the sensor is answered by a sound result that does not claim to explain it."""
-    problem = pressed_block()
+    problem = press_block()
     result = _survives(refiner, problem, _move_candidate(problem), "a candidate without contact")
     _require_sound(result)
-    claims = result.contact_iou > 0 and problem.error_m(result) > 0.1
+    claims = result.contact_iou > 0 and problem.measure_error_m(result) > 0.1
     require(not claims, f"a pose without contact explains nothing, but its contact_iou is {result.contact_iou:.2g}")
 
 
 def check_failure_is_said(refiner: Refiner) -> None:
     """A candidate that is nowhere near the sensor, and left there, has not converged."""
-    problem = pressed_block()
+    problem = press_block()
     result = _survives(refiner, problem, _move_candidate(problem), "a candidate without contact")
     claims = result.converged and result.contact_iou == 0
     require(not claims, "a refiner that found nothing must say so by converged=False; the contacts do not even overlap")
@@ -180,7 +180,11 @@ def check_failure_is_said(refiner: Refiner) -> None:
 def check_many_are_one_by_one(refiner: Refiner) -> None:
     """`refine_many` returns what `refine` does, candidate by candidate in their order; nothing for no candidates."""
     for problem in _list_problems():
-        candidates = [*(problem.candidate(offset) for offset in OFFSETS), _move_candidate(problem), problem.candidate()]
+        candidates = [
+            *(problem.make_candidate(offset) for offset in OFFSETS),
+            _move_candidate(problem),
+            problem.make_candidate(),
+        ]
         many = refiner.refine_many(problem.touch, candidates, problem.scene)
         require(len(many) == len(candidates), f"{len(candidates)} candidates must give as many poses, not {len(many)}")
         for candidate, result in zip(candidates, many, strict=True):
@@ -202,7 +206,7 @@ def check_many_are_one_by_one(refiner: Refiner) -> None:
 
 def check_deterministic(refiner: Refiner) -> None:
     """The same touch and candidate give the same pose, to the bit."""
-    problem = pressed_block()
+    problem = press_block()
     first, again = (_refine(refiner, problem, OFFSETS[1]) for _ in range(2))
     same = np.array_equal(first.T_sensor_object, again.T_sensor_object)
     require(same, "the same touch and candidate must give the same pose, or deterministic=False be declared")
@@ -215,14 +219,14 @@ def check_offsets_shrink(refiner: Refiner) -> None:
 
 def check_offsets_shrink_after_a_light_press(refiner: Refiner) -> None:
     """The same for a press of 40 %, which shows less of the object: candidates are cut at the touch's press depth."""
-    _require_shrinking(refiner, [pressed_block(camera, press=0.4) for camera in CAMERAS], "a light press")
+    _require_shrinking(refiner, [press_block(camera, press=0.4) for camera in CAMERAS], "a light press")
 
 
 def property_object_frame(refiner: Refiner) -> None:
     """The mesh moved by X in its own frame, candidates at T @ inv(X): the answer @ X is the same, to TOLERANCE_PX."""
 
     def claim(motion: RigidMotion, off: Place, camera: str) -> None:
-        _require_any_frame(refiner, pressed_block(camera), off.slide, motion.T)
+        _require_any_frame(refiner, press_block(camera), off.slide, motion.T)
 
     hold(claim, motion=motions(), off=slides(), camera=_draw_cameras())
 
@@ -231,14 +235,14 @@ def property_symmetric_copies(refiner: Refiner) -> None:
     """Of a symmetric part, a candidate T @ S, S one of its rotations, has T's answer @ S, to TOLERANCE_PX."""
 
     def claim(element: int, off: Place, camera: str) -> None:
-        problem, S = pressed_prism(camera), prism().symmetry.elements()[element]
-        candidate = problem.candidate(off.slide)
+        problem, S = press_prism(camera), make_prism().symmetry.list_elements()[element]
+        candidate = problem.make_candidate(off.slide)
         copy = dataclasses.replace(candidate, T_sensor_object=candidate.T_sensor_object @ S)
         plain, other = (refiner.refine(problem.touch, c, problem.scene) for c in (candidate, copy))
         sentence = "poses that symmetry makes alike must have alike answers"
         _require_same(plain.T_sensor_object @ S, other, problem, sentence)
 
-    hold(claim, element=whole(1, len(prism().symmetry.rotations) - 1), off=slides(), camera=_draw_cameras())
+    hold(claim, element=whole(1, len(make_prism().symmetry.rotations) - 1), off=slides(), camera=_draw_cameras())
 
 
 def property_mirrored_part(refiner: Refiner) -> None:
@@ -248,8 +252,8 @@ def property_mirrored_part(refiner: Refiner) -> None:
     """
 
     def claim(yaw_deg: int, camera: str) -> None:
-        problem = pressed_block(camera)
-        other = dataclasses.replace(problem.scene, object=mirrored_block())
+        problem = press_block(camera)
+        other = dataclasses.replace(problem.scene, object=make_mirrored_block())
         answer, image = _refine(refiner, problem), _refine_turned(refiner, problem, other, np.radians(yaw_deg))
         _require_sound(image)
         right, wrong = (
@@ -270,8 +274,8 @@ def _require_any_frame(
     refiner: Refiner, problem: PressedBlock, offset: tuple[float, float, float], X: NDArray[np.float64]
 ) -> None:
     """Raise ContractError unless the object in another frame, X (4, 4), metres, has the same answer at the sensor."""
-    moved = plain_object("moved block", transformed(problem.scene.object.mesh, X))
-    candidate = problem.candidate(offset)
+    moved = make_plain_object("moved block", transform_mesh(problem.scene.object.mesh, X))
+    candidate = problem.make_candidate(offset)
     there = dataclasses.replace(candidate, T_sensor_object=candidate.T_sensor_object @ invert(X))
     answer = refiner.refine(problem.touch, there, dataclasses.replace(problem.scene, object=moved)).T_sensor_object @ X
     sentence = "the answer must not depend on the object's own frame"
@@ -283,11 +287,11 @@ def _refine_turned(refiner: Refiner, problem: PressedBlock, scene: Scene, yaw_ra
     R = problem.truth[:3, :3] @ rotation_about([0, 0, 1], yaw_rad)
     centroid_m = problem.truth[:3, :3] @ problem.scene.object.mesh.centroid_m + problem.truth[:3, 3]
     start = make_transform(R, centroid_m - R @ scene.object.mesh.centroid_m)
-    return refiner.refine(problem.touch, Candidate(scene.in_contact(start[None])[0][0], 0, 0.0), scene)
+    return refiner.refine(problem.touch, Candidate(scene.bring_to_contact(start[None])[0][0], 0, 0.0), scene)
 
 
 def _list_problems() -> list[PressedBlock]:
-    return [pressed_block(camera) for camera in CAMERAS]
+    return [press_block(camera) for camera in CAMERAS]
 
 
 def _move_candidate(problem: PressedBlock) -> Candidate:
@@ -298,7 +302,7 @@ def _move_candidate(problem: PressedBlock) -> Candidate:
 
 
 def _refine(refiner: Refiner, problem: PressedBlock, offset: tuple[float, float, float] = (0, 0, 0)) -> RefinedPose:
-    return refiner.refine(problem.touch, problem.candidate(offset), problem.scene)
+    return refiner.refine(problem.touch, problem.make_candidate(offset), problem.scene)
 
 
 def _survives(refiner: Refiner, problem: PressedBlock, candidate: Candidate, what: str) -> RefinedPose:
@@ -335,8 +339,8 @@ def _require_same(
 
 
 def _require_shrinking(refiner: Refiner, problems: list[PressedBlock], press: str) -> None:
-    before = np.mean([p.error_m(p.candidate(o)) for p in problems for o in OFFSETS])
-    after = np.mean([p.error_m(_refine(refiner, p, o)) for p in problems for o in OFFSETS])
+    before = np.mean([p.measure_error_m(p.make_candidate(o)) for p in problems for o in OFFSETS])
+    after = np.mean([p.measure_error_m(_refine(refiner, p, o)) for p in problems for o in OFFSETS])
     require(
         after <= LEFT_OVER * before, f"after {press}, candidates {before * 1e3:.2f} mm off on average must come "
         f"nearer; they are {after * 1e3:.2f} mm off (refines=False declares a refiner that leaves poses)",

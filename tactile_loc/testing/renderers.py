@@ -11,7 +11,7 @@ from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotat
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import contact_depth
+from tactile_loc.core.sensing.touch import compute_contact_depth
 from tactile_loc.core.slots.component import Capabilities, Float32
 from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close
@@ -19,17 +19,17 @@ from tactile_loc.testing.problems import (
     CAMERAS,
     LOPSIDED_CAMERAS,
     ReferenceRenderer,
-    ball,
-    copied,
-    larger,
-    mirrored,
-    overhang,
-    planar_pose,
-    plate,
-    prism,
-    scaled,
-    stepped_block,
-    transformed,
+    copy_mesh,
+    make_ball,
+    make_overhang,
+    make_planar_pose,
+    make_plate,
+    make_prism,
+    make_stepped_block,
+    mirror_mesh,
+    scale_mesh,
+    scale_sensor,
+    transform_mesh,
 )
 from tactile_loc.testing.properties import Place, RigidMotion, Strategy, hold, motions, one_of, orders, places, whole
 
@@ -64,12 +64,12 @@ def properties(capabilities: Capabilities) -> list[Check]:
 def check_output(renderer: Renderer) -> None:
     """`render` returns (N, H, W) float32 without NaN, also for no pose; pixels without surface lie beyond the band."""
     for camera in LOPSIDED_CAMERAS.values():
-        T = _render_contact(stepped_block(), _make_poses(), camera)
+        T = _render_contact(make_stepped_block(), _make_poses(), camera)
         for count in (0, 1, 3):
-            depth = renderer.render(stepped_block(), T[:count], camera)
+            depth = renderer.render(make_stepped_block(), T[:count], camera)
             require_array(depth, (count, *camera.shape), np.float32, f"the depths of {count} poses")
         require(not np.isnan(depth).any(), "a depth must not be NaN; a ray that meets nothing has depth inf")
-        misses = np.isinf(ReferenceRenderer().render(stepped_block(), T, camera))
+        misses = np.isinf(ReferenceRenderer().render(make_stepped_block(), T, camera))
         beyond = depth[misses] > camera.standoff_m + camera.max_depth_m
         require(beyond.mean() > 1 - STRAY, "pixels without surface must be deeper than standoff + max_depth, as inf is")
 
@@ -78,7 +78,7 @@ def check_sphere(renderer: Renderer) -> None:
     """A sphere has the depth that the formula says, in the contact band and at pixel centres."""
     for camera in LOPSIDED_CAMERAS.values():
         centre = np.array([0.0013, -0.0021, camera.standoff_m + 0.008])
-        depth = renderer.render(ball(), make_transform(np.eye(3), centre)[None], camera)[0]
+        depth = renderer.render(make_ball(), make_transform(np.eye(3), centre)[None], camera)[0]
         _compare(depth, _intersect_sphere(camera, centre, 0.008), camera, "a sphere's depth must be the formula's")
 
 
@@ -86,7 +86,7 @@ def check_plane(renderer: Renderer) -> None:
     """A tilted plane has the depth that the formula says."""
     for camera in LOPSIDED_CAMERAS.values():
         T = make_transform(rotation_about([1, 0.4, 0], 0.08), [0.001, 0.002, camera.standoff_m + 0.001])
-        depth = renderer.render(plate(), T[None], camera)[0]
+        depth = renderer.render(make_plate(), T[None], camera)[0]
         origin, direction = _make_rays(camera)
         truth = ((T[:3, 3] - origin) @ T[:3, 2]) / (direction @ T[:3, 2])
         _compare(depth, truth, camera, "a tilted plane's depth must be the formula's")
@@ -95,31 +95,31 @@ def check_plane(renderer: Renderer) -> None:
 def check_hidden_surfaces(renderer: Renderer) -> None:
     """Of several surfaces along a ray, the nearest is seen: the block looks as the reference renderer draws it."""
     for camera in LOPSIDED_CAMERAS.values():
-        T = _render_contact(stepped_block(), _make_poses(), camera)
-        depth, truth = (r.render(stepped_block(), T, camera) for r in (renderer, ReferenceRenderer()))
+        T = _render_contact(make_stepped_block(), _make_poses(), camera)
+        depth, truth = (r.render(make_stepped_block(), T, camera) for r in (renderer, ReferenceRenderer()))
         _same(depth, truth, camera, "each pixel must show the nearest surface")
 
 
 def check_batch_is_singles(renderer: Renderer) -> None:
     """Rendering poses together gives what rendering each alone gives, in the same order."""
     camera = LOPSIDED_CAMERAS["pinhole"]
-    T = _render_contact(stepped_block(), _make_poses(), camera)
-    together = renderer.render(stepped_block(), T, camera)
-    singly = np.concatenate([renderer.render(stepped_block(), t[None], camera) for t in T])
+    T = _render_contact(make_stepped_block(), _make_poses(), camera)
+    together = renderer.render(make_stepped_block(), T, camera)
+    singly = np.concatenate([renderer.render(make_stepped_block(), t[None], camera) for t in T])
     _same(together, singly, camera, "a batch must be the same as its poses one by one")
 
 
 def check_apart_is_together(renderer: Renderer) -> None:
     """Poses drawn as ones that share no rotation look as those of a grid do."""
     for camera in LOPSIDED_CAMERAS.values():
-        T = _render_contact(stepped_block(), _make_poses(), camera)
-        apart, together = (draw(stepped_block(), T, camera) for draw in (renderer.render_apart, renderer.render))
+        T = _render_contact(make_stepped_block(), _make_poses(), camera)
+        apart, together = (draw(make_stepped_block(), T, camera) for draw in (renderer.render_apart, renderer.render))
         _same(apart, together, camera, "`render_apart` must draw what `render` draws")
 
 
 def check_mesh_and_poses_untouched(renderer: Renderer) -> None:
     """Neither the mesh nor the poses are written to."""
-    camera, mesh = CAMERAS["orthographic"], copied(stepped_block())
+    camera, mesh = CAMERAS["orthographic"], copy_mesh(make_stepped_block())
     T = _render_contact(mesh, _make_poses(), camera)
     before = Untouched(vertices_m=mesh.vertices_m, faces=mesh.faces, T_sensor_object=T)
     renderer.render(mesh, T, camera)
@@ -130,38 +130,38 @@ def check_shift_moves_the_picture(renderer: Renderer) -> None:
     """An orthographic picture of an object that moves by whole pixels moves by these: x to the right, y down."""
     camera = LOPSIDED_CAMERAS["orthographic"]
     right, down = 4, 3
-    poses = _render_contact(stepped_block(), _make_poses(), camera)
+    poses = _render_contact(make_stepped_block(), _make_poses(), camera)
     shifted = poses.copy()
     shifted[:, :2, 3] += [right / camera.fx, down / camera.fy]
-    before, after = (renderer.render(stepped_block(), T, camera) for T in (poses, shifted))
+    before, after = (renderer.render(make_stepped_block(), T, camera) for T in (poses, shifted))
     _same(after[:, down:, right:], before[:, :-down, :-right], camera, "+x must be right and +y down in the picture")
 
 
 def check_quarter_turn_turns_the_picture(renderer: Renderer) -> None:
     """A quarter turn of the object about the optical axis turns a square picture: +x goes to +y, right to down."""
     for camera in CAMERAS.values():
-        poses = _render_contact(stepped_block(), _make_poses(), camera)
+        poses = _render_contact(make_stepped_block(), _make_poses(), camera)
         turned = make_transform(rotation_about([0, 0, 1], np.pi / 2), np.zeros(3)) @ poses
-        before, after = (renderer.render(stepped_block(), T, camera) for T in (poses, turned))
+        before, after = (renderer.render(make_stepped_block(), T, camera) for T in (poses, turned))
         _same(after, np.rot90(before, -1, axes=(1, 2)), camera, "a turn about +z must turn the picture from x to y")
 
 
 def check_scale(renderer: Renderer) -> None:
     """Twice the object before twice the sensor has twice the depths: no length is built in."""
     for camera in LOPSIDED_CAMERAS.values():
-        poses = _render_contact(stepped_block(), _make_poses(), camera)
+        poses = _render_contact(make_stepped_block(), _make_poses(), camera)
         double = poses.copy()
         double[:, :3, 3] *= 2
-        small = renderer.render(stepped_block(), poses, camera)
-        large = renderer.render(scaled(stepped_block(), 2.0), double, larger(camera, 2.0))
+        small = renderer.render(make_stepped_block(), poses, camera)
+        large = renderer.render(scale_mesh(make_stepped_block(), 2.0), double, scale_sensor(camera, 2.0))
         _same(large / 2, small, camera, "depths must scale with the object and the sensor")
 
 
 def check_deterministic(renderer: Renderer) -> None:
     """The same poses give the same depths, to the bit."""
     camera = LOPSIDED_CAMERAS["pinhole"]
-    T = _render_contact(stepped_block(), _make_poses(), camera)
-    first, again = (renderer.render(stepped_block(), T, camera) for _ in range(2))
+    T = _render_contact(make_stepped_block(), _make_poses(), camera)
+    first, again = (renderer.render(make_stepped_block(), T, camera) for _ in range(2))
     require(
         np.array_equal(first, again), "the same poses must give the same depths, or deterministic=False be declared"
     )
@@ -170,8 +170,8 @@ def check_deterministic(renderer: Renderer) -> None:
 def check_undercuts(renderer: Renderer) -> None:
     """Off the axis, a pinhole camera sees what lies behind an overhang."""
     camera = SensorGeometry("pinhole", 64, 64, 32.0, 32.0, 32.0, 32.0, 0.010, 0.002)  # sees 90 degrees
-    T = _render_contact(overhang(), planar_pose(0.0, 0.0, 0.0)[None], camera)
-    depth, truth = (r.render(overhang(), T, camera) for r in (renderer, ReferenceRenderer()))
+    T = _render_contact(make_overhang(), make_planar_pose(0.0, 0.0, 0.0)[None], camera)
+    depth, truth = (r.render(make_overhang(), T, camera) for r in (renderer, ReferenceRenderer()))
     _same(
         depth, truth, camera, "the surface behind an overhang must be seen, or exact_undercuts=False be declared", 0.01
     )
@@ -182,9 +182,9 @@ def property_object_frame(renderer: Renderer) -> None:
 
     def claim(motion: RigidMotion, place: Place, camera_name: str) -> None:
         camera = LOPSIDED_CAMERAS[camera_name]
-        T = _render_contact(stepped_block(), place.pose[None], camera)
-        here = renderer.render(stepped_block(), T, camera)
-        there = renderer.render(transformed(stepped_block(), motion.T), T @ invert(motion.T), camera)
+        T = _render_contact(make_stepped_block(), place.pose[None], camera)
+        here = renderer.render(make_stepped_block(), T, camera)
+        there = renderer.render(transform_mesh(make_stepped_block(), motion.T), T @ invert(motion.T), camera)
         _same(there, here, camera, "the object's own frame must not matter")
 
     hold(claim, motion=motions(), place=places(most_tilt_deg=10), camera_name=_draw_camera_names())
@@ -198,12 +198,12 @@ def property_mirror_image(renderer: Renderer) -> None:
 
     def claim(place: Place, camera_name: str) -> None:
         camera = LOPSIDED_CAMERAS[camera_name]
-        T = _render_contact(stepped_block(), place.pose[None], camera)
+        T = _render_contact(make_stepped_block(), place.pose[None], camera)
         flipped = dataclasses.replace(camera, cx=camera.width_px - camera.cx)
-        picture = renderer.render(stepped_block(), T, camera)
-        image = renderer.render(mirrored(stepped_block()), MIRROR @ T @ MIRROR, flipped)
+        picture = renderer.render(make_stepped_block(), T, camera)
+        image = renderer.render(mirror_mesh(make_stepped_block()), MIRROR @ T @ MIRROR, flipped)
         _same(image[:, :, ::-1], picture, camera, "a mirrored part at a mirrored pose must be the mirrored picture")
-        turned = renderer.render(mirrored(stepped_block()), _turn_mirror_images(T, camera), camera)
+        turned = renderer.render(mirror_mesh(make_stepped_block()), _turn_mirror_images(T, camera), camera)
         unlike = min(_share_unlike(one[None], picture, camera) for one in turned)
         require(unlike >= LEAST_CHIRAL, "a part and its mirror image must look different at every yaw; "
                 f"at one only {100 * unlike:.1f} % of the pixels do, least {100 * LEAST_CHIRAL:g} %")  # fmt: skip
@@ -216,23 +216,25 @@ def property_symmetric_copies(renderer: Renderer) -> None:
 
     def claim(element: int, place: Place, camera_name: str) -> None:
         camera = LOPSIDED_CAMERAS[camera_name]
-        obj = prism()
+        obj = make_prism()
         T = _render_contact(obj.mesh, place.pose[None], camera)
-        here, there = (renderer.render(obj.mesh, pose, camera) for pose in (T, T @ obj.symmetry.elements()[element]))
+        here, there = (
+            renderer.render(obj.mesh, pose, camera) for pose in (T, T @ obj.symmetry.list_elements()[element])
+        )
         _same(there, here, camera, "poses that symmetry makes alike must look alike")
 
-    hold(claim, element=whole(1, len(prism().symmetry.rotations) - 1), place=places(most_tilt_deg=10),
+    hold(claim, element=whole(1, len(make_prism().symmetry.rotations) - 1), place=places(most_tilt_deg=10),
          camera_name=_draw_camera_names())  # fmt: skip
 
 
 def property_pose_order(renderer: Renderer) -> None:
     """Poses in another order are the same pictures in that order, up to pixels at edges; also by `render_apart`."""
     camera = LOPSIDED_CAMERAS["pinhole"]
-    T = _render_contact(stepped_block(), _make_poses(), camera)
+    T = _render_contact(make_stepped_block(), _make_poses(), camera)
 
     def claim(order: list[int]) -> None:
         for draw in (renderer.render, renderer.render_apart):
-            plain, ordered = (draw(stepped_block(), poses, camera) for poses in (T, T[order]))
+            plain, ordered = (draw(make_stepped_block(), poses, camera) for poses in (T, T[order]))
             _same(ordered, plain[order], camera, "each picture must be that of its own pose, in any order")
 
     hold(claim, order=orders(len(T)))
@@ -243,11 +245,16 @@ def property_image_size(renderer: Renderer) -> None:
 
     def claim(times: int, place: Place, camera_name: str) -> None:
         camera = LOPSIDED_CAMERAS[camera_name]
-        small = camera.resized(27, 19)
-        T = _render_contact(stepped_block(), place.pose[None], small)
-        fine = renderer.render(stepped_block(), T, small.resized(times * small.width_px, times * small.height_px))
+        small = camera.resize(27, 19)
+        T = _render_contact(make_stepped_block(), place.pose[None], small)
+        fine = renderer.render(make_stepped_block(), T, small.resize(times * small.width_px, times * small.height_px))
         middles = fine[:, times // 2 :: times, times // 2 :: times]
-        _same(middles, renderer.render(stepped_block(), T, small), small, "intrinsics must scale with the image's size")
+        _same(
+            middles,
+            renderer.render(make_stepped_block(), T, small),
+            small,
+            "intrinsics must scale with the image's size",
+        )
 
     hold(claim, times=one_of([3, 5]), place=places(most_tilt_deg=10), camera_name=_draw_camera_names())
 
@@ -258,17 +265,17 @@ def _draw_camera_names() -> Strategy:
 
 def _turn_mirror_images(T: Poses, camera: SensorGeometry) -> Poses:
     """Contact poses (K, 4, 4) of the mirrored block, turned by TURNED_RAD, its centroid over that of the block at T."""
-    mesh = mirrored(stepped_block())
+    mesh = mirror_mesh(make_stepped_block())
     R = rotation_about([0, 0, 1], TURNED_RAD) @ T[0, :3, :3]
-    centroid_m = T[0, :3, :3] @ stepped_block().centroid_m + T[0, :3, 3]
+    centroid_m = T[0, :3, :3] @ make_stepped_block().centroid_m + T[0, :3, 3]
     return _render_contact(mesh, make_transform(R, centroid_m - R @ mesh.centroid_m), camera)
 
 
 def _make_poses() -> Poses:
     """Poses (3, 4, 4) of the block: two with one rotation, one tilted."""
-    tilted = planar_pose(-0.001, 0.0015, 2.0)
+    tilted = make_planar_pose(-0.001, 0.0015, 2.0)
     tilted[:3, :3] = rotation_about([1, 0.5, 0], 0.12) @ tilted[:3, :3]
-    return np.stack([planar_pose(0.0006, -0.0011, 0.3), planar_pose(-0.0023, 0.0004, 0.3), tilted])
+    return np.stack([make_planar_pose(0.0006, -0.0011, 0.3), make_planar_pose(-0.0023, 0.0004, 0.3), tilted])
 
 
 def _render_contact(mesh: TriangleMesh, poses: Poses, camera: SensorGeometry) -> Poses:
@@ -312,5 +319,5 @@ def _same(depth: Depths, truth: Depths, camera: SensorGeometry, sentence: str, s
 
 def _share_unlike(depth: Depths, truth: Depths, camera: SensorGeometry) -> float:
     """The share of the pixels of two pictures (N, H, W) whose contact depths differ."""
-    a, b = (contact_depth(d, camera, camera.max_depth_m) for d in (depth, truth))
+    a, b = (compute_contact_depth(d, camera, camera.max_depth_m) for d in (depth, truth))
     return float((np.abs(a - b) > TOLERANCE_M).mean())

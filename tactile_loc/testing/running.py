@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tactile_loc.core.slots.component import Capabilities, Component
 from tactile_loc.core.slots.encoder import Encoder
-from tactile_loc.testing import checks_for, contract, properties_for
+from tactile_loc.testing import contract, list_checks, list_properties
 from tactile_loc.testing.contract import Check, ContractError
 from tactile_loc.testing.properties import require_hypothesis
 
@@ -34,7 +34,7 @@ class CheckResult:
 def run_checks(component: Component, properties: bool = False) -> list[CheckResult]:
     """Run all checks that apply to the component, in their order, and properties if asked for; say what came of each.
 
-    An encoder that needs training is trained first, on `problems.training_problem()`; that is a result of its own where
+    An encoder that needs training is trained first, on `make_training_problem()`; that is a result of its own where
     it fails, and no other follows. A check that raises anything but ContractError has failed, and the exception is
     named. Raises TypeError for anything that is no component, such as a class instead of an instance, and
     MissingLibraryError for properties without hypothesis.
@@ -58,16 +58,16 @@ def iter_checks(component: Component, properties: bool = False) -> Iterator[Chec
 
 def train(encoder: Encoder) -> None:
     """An encoder that needs training learns from a tiny problem, made in simulation."""
-    from tactile_loc.testing.problems import training_problem
+    from tactile_loc.testing.problems import make_training_problem
 
-    encoder.fit(training_problem())
+    encoder.fit(make_training_problem())
 
 
 def _select_checks(component: Component, properties: bool) -> list[Check]:
     """The checks that apply; those of every slot alone where the capabilities cannot tell more."""
     if isinstance(component, Component) and not isinstance(component.capabilities, Capabilities):
         return contract.checks(Capabilities())
-    return [*checks_for(component), *(properties_for(component) if properties else [])]
+    return [*list_checks(component), *(list_properties(component) if properties else [])]
 
 
 def _run_check(check: Callable[..., None], run: Callable[[], None]) -> CheckResult:

@@ -62,7 +62,7 @@ def check_contact_shape(sensor: SensorModel) -> None:
 
 def check_depths_are_kept(sensor: SensorModel) -> None:
     """Of an observation that is a contact shape already, depths below the press depth stay; the rest is no contact."""
-    _require_kept(sensor, dome(sensor.geometry))
+    _require_kept(sensor, make_dome(sensor.geometry))
 
 
 def check_observation_untouched(sensor: SensorModel) -> None:
@@ -107,7 +107,7 @@ def property_imprint_stays(sensor: SensorModel) -> None:
     """
 
     def claim(column_percent: int, row_percent: int, press_percent: int) -> None:
-        _require_kept(sensor, stamp(sensor.geometry, column_percent, row_percent, press_percent))
+        _require_kept(sensor, make_stamp(sensor.geometry, column_percent, row_percent, press_percent))
 
     hold(claim, column_percent=whole(0, 60), row_percent=whole(0, 60), press_percent=whole(30, 100))
 
@@ -129,14 +129,14 @@ def property_image_size(sensor: SensorModel) -> None:
     hold(claim, across=whole(2, 4), down=whole(2, 4))
 
 
-def dome(geometry: SensorGeometry) -> NDArray[np.float64]:
+def make_dome(geometry: SensorGeometry) -> NDArray[np.float64]:
     """Return depths (H, W) in metres of a round imprint; NaN, no contact, in the image's corners."""
     v, u = (np.linspace(-1.2, 1.2, n) for n in geometry.shape)
     depth = 0.8 * geometry.max_depth_m * (u[None, :] ** 2 + v[:, None] ** 2)
     return np.where(depth < 0.75 * geometry.max_depth_m, depth, np.nan)
 
 
-def stamp(geometry: SensorGeometry, column: int, row: int, press: int) -> NDArray[np.float64]:
+def make_stamp(geometry: SensorGeometry, column: int, row: int, press: int) -> NDArray[np.float64]:
     """Return depths (H, W) in metres of a wedge that begins at so many percent of width and height; NaN elsewhere.
 
     It is lopsided: deepest at its left, and wider than high. `press`: the deepest press, percent of the sensor's.
@@ -149,7 +149,7 @@ def stamp(geometry: SensorGeometry, column: int, row: int, press: int) -> NDArra
 
 def observe(sensor: SensorModel) -> tuple[NDArray[Any], ContactShape]:
     """Return an observation that the sensor takes, depths or else an RGB image, and its contact shape."""
-    depth = dome(sensor.geometry)
+    depth = make_dome(sensor.geometry)
     try:
         return depth, sensor.contact_shape(depth.copy())
     except TouchError:

@@ -15,7 +15,7 @@ from tactile_loc.calibration.presses import PressFolder, read_presses
 from tactile_loc.calibration.relief import learn_relief
 from tactile_loc.core.errors import CalibrationError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import contact_depth
+from tactile_loc.core.sensing.touch import compute_contact_depth
 from tactile_loc.imaging.gel import press_gel
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.imaging.shading import render_background, render_images
@@ -34,7 +34,7 @@ def pressed(geometry: SensorGeometry, x: float, y: float, press_m: float) -> np.
     across, down = np.meshgrid(*geometry.pixel_slopes)
     below2 = BALL_M**2 - (across - x) ** 2 - (down - y) ** 2
     ball = np.where(below2 > 0, z - np.sqrt(np.maximum(below2, 0)), np.inf)
-    return contact_depth(ball, geometry.pressed(press_m), press_m)
+    return compute_contact_depth(ball, geometry.press(press_m), press_m)
 
 
 def circle_px(contact: np.ndarray) -> tuple[tuple[float, float], float]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cli_helpers import assert_refused
 
-from tactile_loc.core.geometry.hand_eye import pose_errors
+from tactile_loc.core.geometry.hand_eye import compute_pose_errors
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
 from tactile_loc.io.mount_files import read_mount
 
@@ -45,7 +45,7 @@ def test_a_mount_is_found_and_used(cli, tables):
     said = json.loads(done.stdout)
     assert said["written"] == ["out/mount.toml", "out/mount.png"]
     assert len(said["touch"]) == 8
-    e = pose_errors(X, read_mount("out/mount.toml").T_flange_sensor)
+    e = compute_pose_errors(X, read_mount("out/mount.toml").T_flange_sensor)
     assert np.linalg.norm(e[:3]) < 5e-4
     assert np.linalg.norm(e[3:]) < np.radians(1.5)
     used = written("used.toml", 'mount = "out/mount.toml"', *tables[:3])

@@ -17,7 +17,7 @@ from tactile_loc_cli.commands.plugins import plugins
 from tactile_loc.core.slots import registry
 from tactile_loc.core.slots.interface import WEIGHTS_CHANGE
 from tactile_loc.core.slots.registry import ComponentSpec, hookimpl
-from tactile_loc.testing import checks_for, properties_for
+from tactile_loc.testing import list_checks, list_properties
 
 PARTS = """
 import numpy as np
@@ -73,7 +73,7 @@ def test_a_built_in_passes(cli: Cli):
     assert done.exit_code == 0, done.output
     heading, *lines, summary = done.stdout.splitlines()
     assert heading.startswith("matcher dense of tactile-loc: ")
-    checks = checks_for(registry.registry().create("matcher", "dense"))
+    checks = list_checks(registry.registry().create("matcher", "dense"))
     assert lines == [f"ok      {check.__name__}" for check in checks]
     assert summary.startswith(f"{len(checks)} of {len(checks)} ")
 
@@ -82,7 +82,7 @@ def test_properties_are_tried_if_asked_for(cli: Cli):
     done = cli("plugins", "fuser", "product", "--check", "--properties")
     assert done.exit_code == 0, done.output
     component = registry.registry().create("fuser", "product")
-    chosen = [*checks_for(component), *properties_for(component)]
+    chosen = [*list_checks(component), *list_properties(component)]
     assert done.stdout.splitlines()[1:-1] == [f"ok      {check.__name__}" for check in chosen]
 
 

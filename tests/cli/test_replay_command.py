@@ -15,7 +15,7 @@ from mcap_ros2.decoder import DecoderFactory
 from message_helpers import missing
 from rerun_helpers import read
 
-from tactile_loc.core.geometry.hand_eye import pose_errors
+from tactile_loc.core.geometry.hand_eye import compute_pose_errors
 from tactile_loc.evaluation.slides import T_BASE_OBJECT, T_FLANGE_GEL
 from tactile_loc.io.streams.recordings import Recording, write_recording
 from tactile_loc.io.streams.ros_messages import (
@@ -61,7 +61,7 @@ def test_poses_are_near_the_truth_in_the_base_frame(cli, slide):
     images, poses = decoded("slide-poses.mcap", "/gel/image"), decoded("slide-poses.mcap", "/object/pose")
     assert len(images) == IMAGES
     assert [time for time, _ in poses] == [time for time, _ in images[1:-1]]
-    errors = np.array([pose_errors(read_pose(pose).T, T_BASE_OBJECT) for _, pose in poses])
+    errors = np.array([compute_pose_errors(read_pose(pose).T, T_BASE_OBJECT) for _, pose in poses])
     assert np.median(np.linalg.norm(errors[:, :3], axis=1)) < 1e-3
     for (_, image), (_, pose) in zip(images[1:-1], poses, strict=True):
         assert read_stamp_ns(pose.header) == read_stamp_ns(image.header)
@@ -80,9 +80,9 @@ def test_the_simulated_recording_says_the_truth(slide):
     for _, message in decoded(slide, "/object/truth"):
         p, q = message.pose.position, message.pose.orientation
         T_gel_object = read_transform(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]))
-        T_base_gel = tree.lookup("base", "gel", read_stamp_ns(message.header))
+        T_base_gel = tree.look_up("base", "gel", read_stamp_ns(message.header))
         np.testing.assert_allclose(T_base_gel @ T_gel_object, T_BASE_OBJECT, atol=1e-9)
-    np.testing.assert_allclose(tree.lookup("flange", "gel", 0), T_FLANGE_GEL, atol=1e-12)
+    np.testing.assert_allclose(tree.look_up("flange", "gel", 0), T_FLANGE_GEL, atol=1e-12)
 
 
 def test_a_rerun_file_has_the_poses_where_the_sensor_was(cli, slide):

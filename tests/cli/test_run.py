@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.io.meshes import load_object
 from tactile_loc.locate.results import result_arrays
-from tactile_loc.plugins.grids.face import resting_normal
+from tactile_loc.plugins.grids.face import find_resting_normal
 
 ROOT = Path(__file__).parents[2]
 
@@ -87,7 +87,7 @@ def test_it_says_which_side_of_the_object_was_searched(cli, result):
     mesh = load_object(result["object"]["name"]).mesh
     (line,) = [line for line in result["stdout"].splitlines() if line.startswith("side ")]
     shown = [float(word) for word in re.search(r"\((.*?)\)", line)[1].split(",")]
-    assert shown == pytest.approx(resting_normal(mesh.vertices_m, mesh.centroid_m), abs=0.006)
+    assert shown == pytest.approx(find_resting_normal(mesh.vertices_m, mesh.centroid_m), abs=0.006)
     chosen = cli("run", "--object", "pin", *TINY, "-o", "grid.face=+y", "--out", "chosen")
     assert chosen.exit_code == 0, chosen.stderr
     assert not [line for line in chosen.stdout.splitlines() if line.startswith("side ")]

@@ -147,7 +147,7 @@ def test_outside_of_components_the_command_is_named(cli, monkeypatch):
     def fail(*_):
         raise RuntimeError
 
-    monkeypatch.setattr("tactile_loc.locate.stored_object.stored_object", fail)
+    monkeypatch.setattr("tactile_loc.locate.stored_object.load_stored_object", fail)
     done = cli("build")
     assert done.exit_code == 1
     assert re.fullmatch(r"error: .*\n", done.stderr)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numba import config
 
-from tactile_loc.core.compiled import in_threads, njit
+from tactile_loc.core.compiled import njit, run_in_threads
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -23,7 +23,7 @@ def test_every_item_is_done_once(monkeypatch, count, threads):
     def kernel(first, last, step):
         done[first:last] += step
 
-    in_threads(kernel, count, 3)
+    run_in_threads(kernel, count, 3)
     assert (done == 3).all()
 
 
@@ -37,7 +37,7 @@ def test_threads_work_at_the_same_time(monkeypatch):
             met.add(threading.get_ident())
             together.wait()
 
-    in_threads(kernel, 12)
+    run_in_threads(kernel, 12)
     assert len(met) == 3
 
 
@@ -54,7 +54,7 @@ def test_an_error_in_another_thread_is_raised(monkeypatch):
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        in_threads(kernel, 4)
+        run_in_threads(kernel, 4)
 
 
 def test_it_may_be_called_from_within(monkeypatch):
@@ -66,9 +66,9 @@ def test_it_may_be_called_from_within(monkeypatch):
 
     def outer(first, last):
         for row in range(first, last):
-            in_threads(inner, 4, row)
+            run_in_threads(inner, 4, row)
 
-    in_threads(outer, 4)
+    run_in_threads(outer, 4)
     assert (done == 1).all()
 
 

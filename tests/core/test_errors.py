@@ -2,7 +2,7 @@
 
 import pytest
 
-from tactile_loc.core.errors import ConfigError, TactileLocError, named, one_line, quoted
+from tactile_loc.core.errors import ConfigError, TactileLocError, fold_line, name_source, quote
 
 
 @pytest.mark.parametrize(
@@ -11,7 +11,7 @@ from tactile_loc.core.errors import ConfigError, TactileLocError, named, one_lin
      ("é \u202e", "é \\u202e")],
 )  # fmt: skip
 def test_what_cannot_be_printed_is_escaped(text, shown):
-    assert str(TactileLocError(text)) == one_line(text) == shown
+    assert str(TactileLocError(text)) == fold_line(text) == shown
 
 
 def test_of_what_is_very_long_the_beginning_and_the_end_are_kept():
@@ -22,13 +22,13 @@ def test_of_what_is_very_long_the_beginning_and_the_end_are_kept():
 
 
 def test_long_values_are_abridged():
-    assert quoted([1.5, "a"]) == "[1.5, 'a']"
-    assert len(quoted(list(range(10**5)))) < 100
-    assert len(quoted("x" * 10**5)) < 300
+    assert quote([1.5, "a"]) == "[1.5, 'a']"
+    assert len(quote(list(range(10**5)))) < 100
+    assert len(quote("x" * 10**5)) < 300
 
 
 def test_errors_are_said_of_what_they_are_about():
-    with pytest.raises(ConfigError, match=r"^plan\.toml: wrong$"), named("plan.toml"):
+    with pytest.raises(ConfigError, match=r"^plan\.toml: wrong$"), name_source("plan.toml"):
         raise ConfigError("wrong")
-    with pytest.raises(ConfigError, match=r"^wrong in plan\.toml$"), named("plan.toml"):
+    with pytest.raises(ConfigError, match=r"^wrong in plan\.toml$"), name_source("plan.toml"):
         raise ConfigError("wrong in plan.toml")

@@ -11,7 +11,7 @@ from message_helpers import missing
 from PIL import Image
 
 from tactile_loc.core.errors import OutputError
-from tactile_loc.core.formatting import percent
+from tactile_loc.core.formatting import format_percent
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.drawing.pictures import (
@@ -52,7 +52,7 @@ def test_each_candidate_has_its_probability_score_and_error(figure, localization
     captions = [text for text in texts(figure) if " %,  IoU " in text]
     assert len(captions) == min(4, len(localization.hypotheses))
     best = localization.best
-    assert captions[0].startswith(f"1:  {percent(best.probability)}")
+    assert captions[0].startswith(f"1:  {format_percent(best.probability)}")
     assert not missing(captions[0], "2.5 mm")
 
 

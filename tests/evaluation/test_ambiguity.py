@@ -67,9 +67,11 @@ def plates(store, make_object) -> dict[str, Localizer]:
 def touch_at(localizer: Localizer, x_m: float, yaw_rad: float = 0.3) -> Touch:
     """The plate's face on the sensor, its middle `x_m` metres along itself from the sensor's."""
     R = rotation_about([0, 0, 1], yaw_rad) @ rotation_about([1, 0, 0], np.pi)
-    scene = localizer.scene.pressed(5e-4)
-    T = scene.in_contact(make_transform(R, R @ [x_m, 0.001, 0.0])[None])[0][0]
-    return Touch(ContactShape(scene.contact_depths(T[None])[0], 5e-4), localizer.scene.geometry, "t", T_sensor_object=T)
+    scene = localizer.scene.press(5e-4)
+    T = scene.bring_to_contact(make_transform(R, R @ [x_m, 0.001, 0.0])[None])[0][0]
+    return Touch(
+        ContactShape(scene.render_contact_depths(T[None])[0], 5e-4), localizer.scene.geometry, "t", T_sensor_object=T
+    )
 
 
 def test_two_poses_that_look_the_same_are_ambiguous_unless_they_are_the_same(plates):

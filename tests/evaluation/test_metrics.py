@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about, translation
+from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.evaluation.metrics import (
@@ -34,7 +34,7 @@ def points_m(box):
 
 
 def test_a_shift_moves_every_point_by_its_length(box, points_m, true_pose):
-    shifted = translation(SHIFT_M) @ true_pose
+    shifted = make_translation(SHIFT_M) @ true_pose
     assert compute_add(points_m, shifted, true_pose) == pytest.approx(LENGTH_M)
     assert compute_adds(box, points_m, shifted[None], true_pose) == pytest.approx(LENGTH_M)
     assert compute_mssd(box, box.mesh.hull_corners_m, shifted[None], true_pose) == pytest.approx(LENGTH_M)
@@ -88,7 +88,7 @@ def test_turns_about_a_continuous_axis_are_no_error_and_shifts_along_it_are(cyli
     points_m = cylinder.mesh.sample(2000, np.random.default_rng(0))
     corners_m = cylinder.mesh.hull_corners_m
     turned = true_pose @ turn([0, 0, 1], 1.2345) @ turn([1, 0, 0], np.pi)
-    moved = turned @ translation([0, 0, 0.005])
+    moved = turned @ make_translation([0, 0, 0.005])
     poses = np.stack([turned, moved])
     assert compute_adds(cylinder, points_m, poses, true_pose) == pytest.approx([0, 0.005], abs=1e-9)
     assert compute_mssd(cylinder, corners_m, poses, true_pose) == pytest.approx([0, 0.005], abs=1e-7)
@@ -103,7 +103,7 @@ def test_the_best_roll_is_that_of_two_thousand(cylinder, true_pose, symmetry, sp
     points_m, corners_m = cylinder.mesh.sample(200, rng), cylinder.mesh.hull_corners_m
     off = make_transform(rotation_about([1, 5, 2], spread * rng.uniform(0, 3, 4)), spread * rng.normal(0, 0.01, (4, 3)))
     poses, step_rad = true_pose @ off @ turn([0, 0, 1], 2.0), 2 * np.pi / 2000
-    same = true_pose @ obj.symmetry.elements(step_rad)
+    same = true_pose @ obj.symmetry.list_elements(step_rad)
     distances_m = [np.linalg.norm(corners_of(T, points_m) - corners_of(same, points_m), axis=-1) for T in poses]
     adds_m = compute_adds(obj, points_m, poses, true_pose)
     assert adds_m == pytest.approx([d.mean(axis=-1).min() for d in distances_m], abs=3e-7)
@@ -120,7 +120,7 @@ def corners_of(T, corners_m):
 
 def test_add_s_is_the_mean_distance_to_the_nearest_point():
     points_m = np.array([[0.0, 0, 0], [0.010, 0, 0], [0.020, 0, 0]])
-    slid = translation([0.010, 0, 0])[None]  # two points land on others; the first is 10 mm from the nearest
+    slid = make_translation([0.010, 0, 0])[None]  # two points land on others; the first is 10 mm from the nearest
     assert compute_add_s(points_m, slid, np.eye(4)) == pytest.approx(0.010 / 3)
     assert compute_add_s(points_m, slid, np.eye(4), every=3) == pytest.approx(0.010)
 

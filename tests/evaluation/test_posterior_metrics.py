@@ -87,7 +87,7 @@ def test_errors_drawn_from_a_covariance_are_six_on_average(make_object, symmetry
     for _ in range(300):
         e = root.T @ rng.normal(size=6)
         turned = rotation_about(e[3:], np.linalg.norm(e[3:])) @ T[:3, :3]
-        truth = make_transform(turned, T[:3, 3] + e[:3]) @ part.symmetry.elements()[-1]
+        truth = make_transform(turned, T[:3, 3] + e[:3]) @ part.symmetry.list_elements()[-1]
         found.append(compute_nees(metric, T, covariance, truth))
     assert np.mean(found) == pytest.approx(6.0, abs=0.6)  # three standard deviations of the mean
     assert np.median(found) == pytest.approx(5.35, abs=0.7)

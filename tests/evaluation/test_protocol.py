@@ -85,7 +85,7 @@ def test_closest_is_the_nearest_of_the_whole_grid(evaluation, localizer):
     points_m = protocol.sample_surface(localizer.object)
     for number in range(COUNT):
         touch = SimulatedTouches("strong", 3).draw_touch(localizer, number)
-        grid = localizer.listed.grid_of(touch).T_sensor_object
+        grid = localizer.listed.press_grid(touch).T_sensor_object
         every = compute_adds(localizer.object, points_m, grid, touch.T_sensor_object)
         assert evaluation.select_errors("closest")[number] == pytest.approx(every.min(), rel=1e-6)
 

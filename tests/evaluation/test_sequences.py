@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.geometry.rigid import invert, rotation_angle
-from tactile_loc.core.sensing.contact import lowest_points
+from tactile_loc.core.sensing.contact import find_lowest_points
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.evaluation.robot_touches import RobotTouches
@@ -33,7 +33,7 @@ def frames(box):
 
 def test_the_sensor_stays_in_contact_as_deep_as_the_touch_says(frames, box):
     T = np.array([frame.T_sensor_object for frame in frames])
-    pressed_m = GEOMETRY.surface_m - lowest_points(box.mesh, T, GEOMETRY.rectangle)
+    pressed_m = GEOMETRY.surface_m - find_lowest_points(box.mesh, T, GEOMETRY.rectangle)
     for frame, m in zip(frames, pressed_m, strict=True):
         assert frame.touch is None or frame.touch.indentation_m == pytest.approx(m, abs=1e-6)
     assert np.ptp(pressed_m) > 1e-5

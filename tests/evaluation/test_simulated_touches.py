@@ -53,7 +53,7 @@ def test_an_image_shows_the_touch_of_that_number(localizer):
         assert (shape.T_sensor_object == image.T_sensor_object).all()
         assert shape.name == image.name == f"touch-{number:04d}"
         assert (shape.image, image.image.shape) == (None, (96, 96, 3))
-        true = shape.contact_shape.pressed_to(image.press_depth_m)
+        true = shape.contact_shape.press_to(image.press_depth_m)
         overlaps.append(image.contact_shape.contact_iou(true, localizer.sensor.geometry.observed_mask))
     assert np.median(overlaps) > 0.6
 

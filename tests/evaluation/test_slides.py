@@ -7,13 +7,13 @@ import pytest
 
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
-from tactile_loc.core.sensing.contact import lowest_points
+from tactile_loc.core.sensing.contact import find_lowest_points
 from tactile_loc.core.sensing.touch import contact_shape_from_array
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.evaluation.slides import FLANGE, GEL, Photos, Slide, draw_slide, write_slide
 from tactile_loc.imaging.optics import OPTICS
 from tactile_loc.io.streams.recordings import Recording
-from tactile_loc.io.streams.ros_messages import image_array
+from tactile_loc.io.streams.ros_messages import decode_image
 
 START = make_transform(rotation_about([1, 2, 0], 0.6), [0.001, 0.0, 0.02])
 IMAGES = 25
@@ -25,7 +25,7 @@ def over_a_box(make_scene, box, flat_camera) -> Slide:
 
 
 def test_the_object_is_pressed_as_deep_as_is_said(over_a_box, box, flat_camera):
-    lowest = lowest_points(box.mesh, over_a_box.T_sensor_object, flat_camera.rectangle)
+    lowest = find_lowest_points(box.mesh, over_a_box.T_sensor_object, flat_camera.rectangle)
     np.testing.assert_allclose(lowest, flat_camera.standoff_m - over_a_box.press_m, atol=1e-12)
     assert over_a_box.press_m.max() <= 0.9 * flat_camera.max_depth_m
 
@@ -52,11 +52,11 @@ def test_noise_is_that_of_a_seed_and_an_image(make_scene, box, flat_camera, over
 def test_photos_are_colour_images_of_the_sensors_size(over_a_box, flat_camera, tmp_path):
     path = write_slide(tmp_path / "slide.mcap", over_a_box, Photos(flat_camera, OPTICS["digit"], 0))
     recording = Recording(path)
-    photos = [image_array(message.decode()) for message in recording.read_messages("/gel/image")]
+    photos = [decode_image(message.decode()) for message in recording.read_messages("/gel/image")]
     assert {photo.shape for photo in photos} == {(*flat_camera.shape, 3)}
     moved = np.abs(photos[12].astype(int) - photos[0]).max()
     assert moved > 20  # counts: a press, no noise
-    assert recording.read_frame_tree().lookup(FLANGE, GEL, 0).shape == (4, 4)
+    assert recording.read_frame_tree().look_up(FLANGE, GEL, 0).shape == (4, 4)
 
 
 def test_an_object_that_slides_off_is_refused(make_scene, box, flat_camera):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import OutputError
-from tactile_loc.core.formatting import mm
+from tactile_loc.core.formatting import format_mm
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
 from tactile_loc.evaluation.tables import (
@@ -68,8 +68,8 @@ def test_ambiguous_touches_are_counted_and_left_out(runs):
     assert found["ambiguity"]["unambiguous"]["chosen"]["median"] == np.median(clear)
     row = dict(zip(*tabulate_ambiguity(runs)[:2], strict=True))
     assert row["ambiguous"] == f"{100 * (ratios < 1).mean():.0f} %"
-    assert row["chosen, all"] == mm(run.summarise("chosen").median)
-    assert row["chosen, unambiguous"] == mm(np.median(clear))
+    assert row["chosen, all"] == format_mm(run.summarise("chosen").median)
+    assert row["chosen, unambiguous"] == format_mm(np.median(clear))
     assert " | ".join(row.values()) in format_markdown(runs, "title")
 
 
@@ -84,7 +84,7 @@ def test_errors_are_told_by_the_contact_s_area(runs):
     assert few["median_m"] == np.median(some)
     assert few["within_1_mm"] == (some < 1e-3).mean()
     row = dict(zip(*tabulate_areas(runs)[:2], strict=True))
-    assert row["5 to 15 %"] == f"{mm(np.median(some))}, {100 * few['within_1_mm']:.0f} % ({len(some)})"
+    assert row["5 to 15 %"] == f"{format_mm(np.median(some))}, {100 * few['within_1_mm']:.0f} % ({len(some)})"
     assert row["refused"] == "66"
     assert " | ".join(row.values()) in format_markdown(runs, "title")
 
@@ -100,7 +100,7 @@ def test_a_sensor_all_in_contact_is_the_last_area_and_none_is_a_dash():
 
 def test_nothing_is_said_of_no_touches_and_infinity_is_no_number():
     run = make_run("pin", "pixel", 0)
-    for ratio, shown in ((0.0, "-"), (np.inf, mm(run.summarise("chosen").median))):
+    for ratio, shown in ((0.0, "-"), (np.inf, format_mm(run.summarise("chosen").median))):
         evaluation = dataclasses.replace(run.evaluation, ambiguity=np.full(12, ratio))
         one = dataclasses.replace(run, evaluation=evaluation)
         assert tabulate_ambiguity([one])[1][-1] == shown
@@ -129,8 +129,8 @@ def test_csv_json_and_markdown_agree(runs):
             section = sections[f"{row['object']}, {row['encoder']}"]
             (line,) = [text for text in section.splitlines() if text.startswith(f"| {row['line']} |")]
             cells = [cell.strip() for cell in line.split("|")[1:-1]]
-            assert cells[1] == mm(1e-3 * float(row["median_mm"]))
-            assert cells[2] == mm(1e-3 * float(row["mean_mm"]))
+            assert cells[1] == format_mm(1e-3 * float(row["median_mm"]))
+            assert cells[2] == format_mm(1e-3 * float(row["mean_mm"]))
             assert cells[6] == f"{float(row['median_normalised']):.3f}"
 
 
@@ -150,7 +150,7 @@ def test_the_summary_has_a_cell_for_each_column(runs):
     header, *rows = tabulate_medians(runs)
     assert [row[:2] for row in rows] == [[run.object, run.encoder] for run in runs]
     assert {len(row) for row in rows} == {len(header)}
-    assert rows[0][2] == mm(runs[0].summarise("best-1").median)
+    assert rows[0][2] == format_mm(runs[0].summarise("best-1").median)
     assert f"{rows[0][2]} ({tabulate_medians(runs, normalised=True)[1][2]})" in format_markdown(runs, "title")
 
 

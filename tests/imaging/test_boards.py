@@ -82,9 +82,9 @@ def test_poses_touch_the_raised_side(numbered, make_scene, size_m):
     k = 64 / size_m
     geometry = SensorGeometry("orthographic", 64, 64, k, k, 32.0, 32.0, 0.01, 2e-3)
     scene = make_scene(numbered, geometry)
-    T, touching = scene.in_contact(draw_board_poses(numbered, geometry, 40, np.random.default_rng(1)))
+    T, touching = scene.bring_to_contact(draw_board_poses(numbered, geometry, 40, np.random.default_rng(1)))
     assert touching.all()
-    depth = scene.contact_depths(T)
+    depth = scene.render_contact_depths(T)
     in_sensor = geometry.backproject(depth + np.float32(geometry.standoff_m))
     for t, points, contact in zip(T, in_sensor, depth < np.float32(geometry.max_depth_m), strict=True):
         assert contact.any()

@@ -9,7 +9,7 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.geometry.rigid import invert, make_transform, random_rotations, rotation_about, translation
+from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.priors import GaussianPrior, RegionPrior
 from tactile_loc.io.prior_files import read_prior
 
@@ -27,7 +27,7 @@ def written(folder: Path, text: str) -> Path:
 
 def random_poses(count: int, seed: int = 0) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    return make_transform(random_rotations(count, rng), rng.normal(scale=0.02, size=(count, 3)))
+    return make_transform(draw_rotations(count, rng), rng.normal(scale=0.02, size=(count, 3)))
 
 
 def test_a_gaussian_is_in_mm_and_degrees(tmp_path, box):
@@ -45,7 +45,9 @@ def test_the_pose_may_be_a_matrix_in_metres(tmp_path, box):
 
 def test_a_rotation_that_is_left_out_is_unknown(tmp_path, box):
     prior = read_prior(written(tmp_path, GAUSSIAN + POSE), box).prior
-    turned = translation([0.001, 0.002, 0.025]) @ make_transform(random_rotations(9, np.random.default_rng(0)), [0] * 3)
+    turned = make_translation([0.001, 0.002, 0.025]) @ make_transform(
+        draw_rotations(9, np.random.default_rng(0)), [0] * 3
+    )
     np.testing.assert_allclose(prior(turned), 0, atol=1e-12)
 
 
@@ -53,7 +55,7 @@ def test_the_objects_symmetry_is_regarded(tmp_path, make_box):
     brick = make_box(0.03, 0.02, 0.01, symmetry="z2")
     prior = read_prior(written(tmp_path, GAUSSIAN + POSE + "rotation_std_deg = 10\n"), brick).prior
     poses = random_poses(20)
-    np.testing.assert_allclose(prior(poses @ brick.symmetry.elements()[1]), prior(poses), atol=1e-9)
+    np.testing.assert_allclose(prior(poses @ brick.symmetry.list_elements()[1]), prior(poses), atol=1e-9)
 
 
 def test_a_region_may_be_open_and_is_of_the_centroid(tmp_path, box):
@@ -65,7 +67,7 @@ def test_a_region_may_be_open_and_is_of_the_centroid(tmp_path, box):
 
 
 def test_a_half_space_may_be_of_another_point(tmp_path, box):
-    poses = translation([[0, 0, 0.013], [0, 0, 0.009]])
+    poses = make_translation([[0, 0, 0.013], [0, 0, 0.009]])
     prior = read_prior(written(tmp_path, HALF_SPACE + "object_point_mm = [0, 0, 9]\n"), box).prior
     assert prior(poses).tolist() == [0.0, -np.inf]
     assert read_prior(written(tmp_path, HALF_SPACE), box).prior(poses).tolist() == [-np.inf, -np.inf]
@@ -75,16 +77,16 @@ def test_a_prior_in_the_base_frame_needs_the_sensors_pose(tmp_path, box):
     framed = read_prior(written(tmp_path, (GAUSSIAN + POSE).replace('"sensor"', '"base"')), box)
     T_base_sensor, T_base_object = random_poses(2, seed=3)
     T_base_object[:3, 3] = [0.001, 0.002, 0.025]
-    seen = framed.seen_from(T_base_sensor)((invert(T_base_sensor) @ T_base_object)[None])
+    seen = framed.view_from(T_base_sensor)((invert(T_base_sensor) @ T_base_object)[None])
     np.testing.assert_allclose(seen, 0, atol=1e-9)
     with pytest.raises(ConfigError, match=naming("prior.toml", "T_base_sensor")):
-        framed.seen_from(None)
+        framed.view_from(None)
 
 
 def test_a_prior_in_the_sensors_frame_needs_none(tmp_path, box):
     framed = read_prior(written(tmp_path, GAUSSIAN + POSE), box)
-    assert framed.seen_from(None) is framed.prior
-    assert framed.seen_from(random_poses(1)[0]) is framed.prior
+    assert framed.view_from(None) is framed.prior
+    assert framed.view_from(random_poses(1)[0]) is framed.prior
 
 
 @pytest.mark.parametrize(

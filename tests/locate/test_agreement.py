@@ -13,7 +13,7 @@ from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_abo
 from tactile_loc.core.poses.priors import GaussianPrior
 from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.io.config import RunConfig
-from tactile_loc.locate.agreement import agree
+from tactile_loc.locate.agreement import find_agreement
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.results.localization import Hypothesis
 
@@ -38,7 +38,7 @@ class Search:
         return np.full(len(self.found[()]), self.alone)
 
     def agree(self):
-        return agree(self.find, self.best_alone)
+        return find_agreement(self.find, self.best_alone)
 
 
 def test_touches_that_one_pose_explains_agree_without_more_search():

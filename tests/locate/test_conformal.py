@@ -51,7 +51,7 @@ def test_the_level_is_the_finite_sample_quantile():
 
 def test_the_most_uncertain_quarter_vouches_for_its_like():
     sets = ConformalSets([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.9, 0.95], [1.0, 1, 1, 1, 1, 1, 5, 6])
-    assert sets.like(5.5).tolist() == [0.9, 0.95]
+    assert sets.find_alike(5.5).tolist() == [0.9, 0.95]
     assert sets.level(0.5, 1.5) == 0.4
     assert sets.level(0.5, 7.0) == 0.95
 

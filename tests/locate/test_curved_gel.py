@@ -43,7 +43,7 @@ def test_from_the_truth_the_joint_refiner_stays_at_the_truth(localizer, examples
             some[0], Candidate(np.asarray(some[0].T_sensor_object), 0, 0.0), scene
         ).T_sensor_object
         for some in examples
-        for scene in [localizer.scene.of_touch(some[0])]
+        for scene in [localizer.scene.match_touch(some[0])]
     ]
     errors_mm = [off_mm(localizer, T, some[0]) for T, some in zip(refined, examples, strict=True)]
     assert np.median(errors_mm) < 0.02
@@ -54,7 +54,7 @@ def test_taken_for_flat_the_true_poses_explain_their_touches_worse(localizer, ex
     for touch in (touch for some in examples for touch in some):
         truth = np.asarray(touch.T_sensor_object)[None]
         as_flat = dataclasses.replace(touch, geometry=flat)
-        curved_iou = localizer.scene.of_touch(touch).imprint_ious(truth, touch)[0]
-        flat_iou = localizer.scene.of_touch(as_flat).imprint_ious(truth, as_flat)[0]
+        curved_iou = localizer.scene.match_touch(touch).imprint_ious(truth, touch)[0]
+        flat_iou = localizer.scene.match_touch(as_flat).imprint_ious(truth, as_flat)[0]
         assert curved_iou > 0.95
         assert flat_iou < curved_iou

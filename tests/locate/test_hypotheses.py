@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.rigid import rotation_about, translation
+from tactile_loc.core.geometry.rigid import make_translation, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
@@ -13,9 +13,9 @@ from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.core.slots.scene import View
-from tactile_loc.locate.hypotheses import SHARPNESS, best_apart, explained_where_seen, merge_hypotheses, weigh
+from tactile_loc.locate.hypotheses import SHARPNESS, choose_best_apart, compare_where_seen, merge_hypotheses, weigh
 from tactile_loc.locate.results.localization import Hypothesis
-from tactile_loc.testing.problems import box
+from tactile_loc.testing.problems import make_box
 
 
 def hypothesis(probability: float, T: np.ndarray, converged: bool = True, imprint_iou: float = 1.0) -> Hypothesis:
@@ -26,12 +26,12 @@ def hypothesis(probability: float, T: np.ndarray, converged: bool = True, imprin
 
 @pytest.fixture
 def metric() -> PoseMetric:
-    mesh = box((-0.01, -0.005, -0.002), (0.01, 0.005, 0.002))
+    mesh = make_box((-0.01, -0.005, -0.002), (0.01, 0.005, 0.002))
     return PoseMetric(ObjectModel("box", mesh, SymmetryGroup.parse("z2", np.zeros(3))))
 
 
 def test_what_ends_at_the_same_pose_is_one_explanation_however_many_started_towards_it(metric):
-    near, far = translation([2e-4, 0, 0]), translation([2e-3, 0, 0])
+    near, far = make_translation([2e-4, 0, 0]), make_translation([2e-3, 0, 0])
     found = merge_hypotheses([hypothesis(p, T) for p, T in ((0.5, np.eye(4)), (0.3, far), (0.2, near))], metric, 5e-4)
     assert [h.probability for h in found] == pytest.approx([0.625, 0.375])  # 5 to 3, of the same sum
     assert [h.grid_poses for h in found] == [10, 5]
@@ -46,7 +46,7 @@ def test_poses_that_look_the_same_by_symmetry_are_one(metric):
 
 def test_what_did_not_converge_is_merged_only_where_it_hardly_differs(metric):
     for off_m, left in ((0.0, 1), (2e-5, 1), (1e-4, 2)):
-        stuck = hypothesis(0.4, translation([off_m, 0, 0]), converged=False)
+        stuck = hypothesis(0.4, make_translation([off_m, 0, 0]), converged=False)
         assert len(merge_hypotheses([hypothesis(0.6, np.eye(4)), stuck], metric, 5e-4)) == left
 
 
@@ -70,19 +70,19 @@ def test_a_prior_outweighs_a_better_explanation_when_it_is_sure():
 
 def test_a_touch_is_compared_where_its_sensor_may_have_been_at_what_that_costs(make_box, make_scene, flat_camera):
     scene = make_scene(make_box(0.012, 0.008, 0.006), flat_camera)
-    true = scene.pressed(1e-3).in_contact(np.eye(4)[None])[0]
+    true = scene.press(1e-3).bring_to_contact(np.eye(4)[None])[0]
     touch = Touch(scene.contact_shape(true[0], 1e-3), flat_camera)
-    beside = translation([1e-3, 0, 0]) @ true  # where it would be if the sensor were where it is said to be
-    nominal, exact = (scene.of_touch(touch).explained(T, touch) for T in (beside, true))
+    beside = make_translation([1e-3, 0, 0]) @ true  # where it would be if the sensor were where it is said to be
+    nominal, exact = (scene.match_touch(touch).compare_imprints(T, touch) for T in (beside, true))
     for std_m, first_m in ((1e-3, 0.0), (0.5e-3, 0.0), (0.1e-3, 0.0), (0.6e-3, 0.8e-3)):
-        first, view = (View(touch, scene.of_touch(touch), np.eye(4), m, 0.01) for m in (first_m, std_m))
+        first, view = (View(touch, scene.match_touch(touch), np.eye(4), m, 0.01) for m in (first_m, std_m))
         seen = np.stack([beside, true], axis=1)
-        ious, evidence = (found[:, 1] for found in explained_where_seen([first, view], beside, seen))
+        ious, evidence = (found[:, 1] for found in compare_where_seen([first, view], beside, seen))
         costs = 1e-6 / (std_m**2 + first_m**2) / 2
         there = exact.imprint_ious[0] - costs / SHARPNESS
         assert ious == pytest.approx(max(nominal.imprint_ious[0], there), abs=1e-9)
         assert evidence == pytest.approx(max(nominal.evidence[0], exact.evidence[0] - costs), abs=1e-6)
-        for same in (explained_where_seen([view], beside, beside[:, None]), explained_where_seen([view], beside)):
+        for same in (compare_where_seen([view], beside, beside[:, None]), compare_where_seen([view], beside)):
             np.testing.assert_allclose(same, [[nominal.imprint_ious], [nominal.evidence]])
     assert nominal.imprint_ious < exact.imprint_ious
     assert nominal.evidence < exact.evidence
@@ -90,9 +90,9 @@ def test_a_touch_is_compared_where_its_sensor_may_have_been_at_what_that_costs(m
 
 def test_modes_apart_have_the_poses_beside_them(metric):
     """Of five poses along a line two are apart; what lies between the likelier one and the limit is its member."""
-    poses = np.concatenate([translation([x, 0, 0])[None] for x in (0.0, 0.4e-3, 0.9e-3, 3e-3, 3.2e-3)])
+    poses = np.concatenate([make_translation([x, 0, 0])[None] for x in (0.0, 0.4e-3, 0.9e-3, 3e-3, 3.2e-3)])
     p = np.array([0.4, 0.2, 0.1, 0.25, 0.05])
-    first, second = best_apart(PosePosterior(PoseGrid(poses, metric), np.log(p)), 0.5e-3, 2)
+    first, second = choose_best_apart(PosePosterior(PoseGrid(poses, metric), np.log(p)), 0.5e-3, 2)
     assert (first.index, second.index) == (0, 3)
     assert (first.members.tolist(), second.members.tolist()) == ([0, 1], [3, 4])
     assert (first.probability, second.probability) == pytest.approx((0.6, 0.3))

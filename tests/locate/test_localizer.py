@@ -89,7 +89,7 @@ def test_best_pose_is_the_most_probable_refined(pin, touches):
     touch = touches[1]
     posterior = pin.posterior(touch)
     expected = pin.refine(touch, posterior, [int(posterior.log_p.argmax())])[0]
-    assert np.array_equal(pin.most_probable_pose(touch).T_sensor_object, expected.T_sensor_object)
+    assert np.array_equal(pin.find_most_probable_pose(touch).T_sensor_object, expected.T_sensor_object)
 
 
 def test_many_touches_are_located_as_each_alone(pin, touches):
@@ -219,7 +219,7 @@ def test_banks_are_kept_by_press_depth(coarse):
 def test_touch_and_bank_are_cut_at_the_same_press(coarse):
     """A press between two of the banks' is compared at the lighter one."""
     (touch,) = coarse.simulate(1, seed=6, press_depth_m=0.00114)
-    lighter = Touch(touch.contact_shape.pressed_to(0.0011), touch.geometry)
+    lighter = Touch(touch.contact_shape.press_to(0.0011), touch.geometry)
     np.testing.assert_array_equal(coarse.posterior(touch).log_p, coarse.posterior(lighter).log_p)
 
 
@@ -255,7 +255,7 @@ def test_an_encoder_that_does_not_follow_the_press_is_told_what_it_gets(coarse, 
 def test_a_touch_of_another_sensors_size_still_has_its_own_geometry(pin, touches):
     """The touch carries its geometry: half the pixels are the same touch."""
     touch = touches[3]
-    half = Touch(touch.contact_shape.every(2), touch.geometry.every(2), T_sensor_object=touch.T_sensor_object)
+    half = Touch(touch.contact_shape.subsample(2), touch.geometry.subsample(2), T_sensor_object=touch.T_sensor_object)
     a, b = pin.posterior(touch), pin.posterior(half)
     assert b.probabilities[a.top(1)[0]] > 0.5 * b.probabilities.max()
 
@@ -264,7 +264,7 @@ def test_a_touch_of_another_sensor_is_refused(pin, touches):
     geometry = dataclasses.replace(touches[0].geometry, fx=0.9 * touches[0].geometry.fx)
     touch = Touch(touches[0].contact_shape, geometry, "touch-0000")
     with pytest.raises(TouchError, match=naming("touch-0000", "gelslim")):
-        pin.most_probable_pose(touch)
+        pin.find_most_probable_pose(touch)
 
 
 @pytest.mark.parametrize("cells", [10, 100])

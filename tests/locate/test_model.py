@@ -71,7 +71,7 @@ def build(scene: Scene, sampler: FaceGrid, store: StageStore) -> ObjectPoseModel
 def test_shapes_decode_to_what_was_rendered(make_pin_scene, sampler, own_store):
     scene = make_pin_scene()
     model = build(scene, sampler, own_store)
-    rendered = scene.grid_depths(model.grid.T_sensor_object)
+    rendered = scene.render_grid_depths(model.grid.T_sensor_object)
     decoded = np.concatenate(list(model.shapes.shards()))
     assert decoded.dtype == np.float32
     assert decoded.shape == (model.size, *scene.geometry.shape)
@@ -86,7 +86,7 @@ def test_shapes_decode_to_what_was_rendered(make_pin_scene, sampler, own_store):
 def test_a_pixel_that_just_touches_still_touches_when_stored():
     max_depth_m = 0.002
     depths = np.array([[[0.0, np.nextafter(np.float32(max_depth_m), np.float32(0)), max_depth_m, 0.00123]]], np.float32)
-    codes = module._encoded(depths, max_depth_m)
+    codes = module._encode(depths, max_depth_m)
     assert codes.dtype == np.uint16
     assert codes[0, 0, :3].tolist() == [0, 65534, 65535]
     assert codes[0, 0, 3] * max_depth_m / 65535 == pytest.approx(0.00123, abs=2e-8)
@@ -102,7 +102,7 @@ def test_lighter_presses_are_cuts_of_the_full_one(make_pin_scene, sampler, own_s
     model = build(scene, sampler, own_store)
     press_m = 0.0007
     cut = np.concatenate(list(model.shapes.shards(press_m)))
-    exact = scene.contact_depths(model.grid.T_sensor_object, press_m)
+    exact = scene.render_contact_depths(model.grid.T_sensor_object, press_m)
     assert cut.max() == np.float32(press_m)
     assert np.abs(cut - exact).max() < 2e-8
     assert np.array_equal(model.shapes.shape(3, press_m), cut[3])
@@ -110,9 +110,9 @@ def test_lighter_presses_are_cuts_of_the_full_one(make_pin_scene, sampler, own_s
 
 def test_poses_with_too_little_contact_are_pruned(make_pin_scene, sampler, own_store):
     scene = make_pin_scene()
-    contact = (scene.contact_depths(build(scene, sampler, own_store).grid.T_sensor_object) < np.float32(0.002)).mean(
-        axis=(1, 2)
-    )
+    contact = (
+        scene.render_contact_depths(build(scene, sampler, own_store).grid.T_sensor_object) < np.float32(0.002)
+    ).mean(axis=(1, 2))
     assert contact.min() >= 0.04
     everything = build(scene, FaceGrid(FaceGrid.Options(spacing_mm=8.0, min_contact_percent=0.0)), own_store)
     assert everything.size > len(contact)
@@ -125,7 +125,7 @@ def test_poses_and_shapes_stay_together(make_pin_scene, own_store):
     model = build(scene, FaceGrid(FaceGrid.Options(spacing_mm=8.0, min_contact_percent=9.0)), own_store)
     assert 0 in model.shapes.artifact.load_json("sizes")
     assert all(len(depths) for depths in model.shapes.shards()), "an encoder is not asked about nothing"
-    rendered = scene.grid_depths(model.grid.T_sensor_object)
+    rendered = scene.render_grid_depths(model.grid.T_sensor_object)
     np.testing.assert_allclose(np.concatenate(list(model.shapes.shards())), rendered, atol=1e-7)
     for index in range(0, model.size, 7):
         np.testing.assert_allclose(model.shapes.shape(index, 0.002), rendered[index], atol=1e-7)
@@ -167,7 +167,7 @@ def test_what_is_built_again_depends_on_what_changed(make_pin_scene, sampler, ow
     assert built(make_pin_scene(Counting(make="other"))) == ["shapes", "bank"]
     finer = FaceGrid(FaceGrid.Options(spacing_mm=7.0, min_contact_percent=4.0))
     assert built(make_pin_scene(), sampler=finer) == ["grid", "shapes", "bank"]
-    smaller = make_pin_scene().geometry.resized(32, 24)
+    smaller = make_pin_scene().geometry.resize(32, 24)
     assert built(Scene(make_pin_scene().object, smaller, Counting())) == ["grid", "shapes", "bank"]
     other = load_object("pin", symmetry="none")
     assert built(Scene(other, make_pin_scene().geometry, Counting())) == ["grid", "shapes", "bank"]
@@ -178,11 +178,11 @@ def test_what_is_built_again_depends_on_what_changed(make_pin_scene, sampler, ow
 @pytest.mark.parametrize("drawing", ["pressed", "paper"])
 def test_a_bank_of_a_lighter_press_is_drawn_as_the_scene_draws(make_pin_scene, sampler, own_store, drawing):
     scene = make_pin_scene()
-    scene = dataclasses.replace(scene, geometry=scene.geometry.pressed(scene.geometry.max_depth_m), drawing=drawing)
+    scene = dataclasses.replace(scene, geometry=scene.geometry.press(scene.geometry.max_depth_m), drawing=drawing)
     model, press_m = build(scene, sampler, own_store), 0.0007
     bank = build_bank(model, scene, PixelEncoder(), press_m, own_store, Progress())
-    light = scene.pressed(press_m)
-    depths = light.grid_depths(model.grid.raised(scene.geometry.max_depth_m - press_m).T_sensor_object)
+    light = scene.press(press_m)
+    depths = light.render_grid_depths(model.grid.raise_level(scene.geometry.max_depth_m - press_m).T_sensor_object)
     wrong = np.abs(bank - PixelEncoder().encode(depths, press_m, light.geometry)) > 1e-4
     assert wrong.mean() < 1e-4, "but for a depth that is the press depth to the last digit"
 
@@ -202,11 +202,11 @@ def test_an_interrupted_build_goes_on_where_it_stopped(make_pin_scene, sampler, 
 
 
 def test_a_bank_has_a_row_a_pose_in_the_grids_order(make_pin_scene, sampler, own_store):
-    scene = make_pin_scene().pressed(0.002)
+    scene = make_pin_scene().press(0.002)
     model = build(scene, sampler, own_store)
     bank = build_bank(model, scene, PixelEncoder(), 0.001, own_store, Progress())
-    pressed = scene.pressed(0.001)  # half as deep: seen by a pinhole, it is a little smaller
-    rendered = pressed.contact_depths(model.grid.raised(0.001).T_sensor_object)
+    pressed = scene.press(0.001)  # half as deep: seen by a pinhole, it is a little smaller
+    rendered = pressed.render_contact_depths(model.grid.raise_level(0.001).T_sensor_object)
     np.testing.assert_allclose(bank, PixelEncoder().encode(rendered, 0.001, pressed.geometry), atol=1e-6)
 
 

@@ -14,7 +14,7 @@ from tactile_loc.core.geometry.rigid import make_transform
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.priors import PosteriorPrior
 from tactile_loc.locate import probabilities as module
-from tactile_loc.locate.localizer import Localizer, posterior_together
+from tactile_loc.locate.localizer import Localizer, compute_posterior_together
 from tactile_loc.locate.probabilities import (
     TAIL_HEAT,
     TAILS,
@@ -140,8 +140,8 @@ def test_several_touches_are_fused_as_surely_as_was_fitted(tmp_path, monkeypatch
     observations = [(localizer, touch) for touch in touches]
     product = localizer.fuser.fuse(localizer.posteriors(touches), [t.T_base_sensor for t in touches])
     monkeypatch.setattr(localizer.probabilities, "fused_scaling", FusedScaling(0.75))
-    fused = posterior_together(observations)
-    np.testing.assert_allclose(fused.probabilities, product.tempered(3**-0.75).probabilities, atol=1e-6)
+    fused = compute_posterior_together(observations)
+    np.testing.assert_allclose(fused.probabilities, product.temper(3**-0.75).probabilities, atol=1e-6)
     assert fused.touches == 3
     plain = Localizer.create("pin", store=localizer.store, temperature=0.01, **COARSE)
     assert plain.probabilities.fused_scaling == FusedScaling(0.0)

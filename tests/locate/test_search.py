@@ -9,14 +9,14 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about, translation
+from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.priors import GaussianPrior, SeenFrom
 from tactile_loc.core.progress import StageTimes
+from tactile_loc.core.sensing.rotated_patches import find_anchor
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.core.sensing.turned_patches import anchor
-from tactile_loc.core.simulation.noise import noise_level
+from tactile_loc.core.simulation.noise import make_noise
 from tactile_loc.core.slots.registry import registry
 from tactile_loc.core.slots.scene import View
 from tactile_loc.evaluation.robot_touches import RobotTouches
@@ -83,7 +83,7 @@ def test_three_touches_from_anywhere_say_where_the_object_is(localizer, examples
 def test_what_is_found_explains_the_touch_and_is_listed_once(localizer, search, examples):
     touch = examples[0][0]
     grid, ious = search.score(touch, StageTimes())
-    exact = View(touch, localizer.scene.of_touch(touch)).imprint_ious(grid.T_sensor_object)
+    exact = View(touch, localizer.scene.match_touch(touch)).imprint_ious(grid.T_sensor_object)
     assert np.abs(exact - ious).max() < 0.2  # drawn coarsely
     assert ious.max() > 0.9
     apart_m = grid.neighbour_spacing()
@@ -122,7 +122,7 @@ def test_a_touch_that_nothing_explains_is_said_to_be_elsewhere(localizer, exampl
 
 def together(localizer: Localizer, some: list[Touch]) -> list[PosePosterior]:
     seen_from = [np.linalg.inv(np.asarray(t.T_base_sensor)) @ np.asarray(some[0].T_base_sensor) for t in some]
-    views = [View(t, localizer.scene.of_touch(t), T) for t, T in zip(some, seen_from, strict=True)]
+    views = [View(t, localizer.scene.match_touch(t), T) for t, T in zip(some, seen_from, strict=True)]
     found = search_together(views, [localizer.search] * len(some), StageTimes())
     fitted = localizer.probabilities
     elsewhere = fitted.fused_scaling.elsewhere(found.best)
@@ -155,7 +155,7 @@ def test_touches_that_no_pose_explains_together_are_elsewhere(localizer, example
 
 def test_the_deepest_point_is_the_anchor(examples):
     touch = examples[0][0]
-    (x, y, z), R_sensor_gel = anchor(touch)
+    (x, y, z), R_sensor_gel = find_anchor(touch)
     assert (R_sensor_gel == np.eye(3)).all()
     assert z == touch.geometry.standoff_m
     points = touch.geometry.backproject(touch.contact_shape.depth_m + touch.geometry.standoff_m)
@@ -233,7 +233,7 @@ def common(first: np.ndarray, second: np.ndarray) -> set:
 @pytest.fixture(scope="module")
 def noisy(localizer) -> list[Touch]:
     raycast = registry().create("renderer", "raycast", {})
-    source = RobotTouches(localizer.object, localizer.scene.geometry, raycast, noise=noise_level("mild"))
+    source = RobotTouches(localizer.object, localizer.scene.geometry, raycast, noise=make_noise("mild"))
     return [source.draw_example(1, np.random.default_rng([31, k]))[0][0] for k in range(16)]
 
 
@@ -241,8 +241,10 @@ def near(touch: Touch, rng: np.random.Generator) -> GaussianPrior:
     """What is known of a pose to some 2 mm and 4 degrees."""
     truth = np.asarray(touch.T_sensor_object)
     turn = make_transform(rotation_about(rng.normal(size=3), np.radians(4)), np.zeros(3))
-    middle = translation(truth[:3, 3])
-    return GaussianPrior(translation(2e-3 * rng.normal(size=3)) @ middle @ turn @ invert(middle) @ truth, 3e-3, 0.1)
+    middle = make_translation(truth[:3, 3])
+    return GaussianPrior(
+        make_translation(2e-3 * rng.normal(size=3)) @ middle @ turn @ invert(middle) @ truth, 3e-3, 0.1
+    )
 
 
 def test_a_prior_guides_the_search(localizer, search, noisy):
@@ -258,7 +260,7 @@ def test_a_prior_of_several_touches_is_over_poses_in_the_first_ones_frame(locali
     touches = examples[2]
     T_base = [np.asarray(touch.T_base_sensor) for touch in touches]
     views = [
-        View(touch, localizer.scene.of_touch(touch), invert(T) @ T_base[0])
+        View(touch, localizer.scene.match_touch(touch), invert(T) @ T_base[0])
         for touch, T in zip(touches, T_base, strict=True)
     ]
     prior = near(touches[0], np.random.default_rng(5))

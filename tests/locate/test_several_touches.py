@@ -9,7 +9,7 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError, GridError, TouchError
-from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about, translation
+from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
 from tactile_loc.locate.agreement import require_within_reach
 from tactile_loc.locate.localizer import Localizer, localize_together
 
@@ -84,7 +84,7 @@ def test_sensors_of_different_kinds_go_together(localizer, touches, store):
     small = placed(other.simulate(1, seed=6)[0])
     found = localize_together([(localizer, touches[0]), (other, small)])
     np.testing.assert_array_equal(
-        found.posterior.grid.T_sensor_object, localizer.listed.grid_of(touches[0]).T_sensor_object
+        found.posterior.grid.T_sensor_object, localizer.listed.press_grid(touches[0]).T_sensor_object
     )
     assert np.isfinite(found.posterior.log_p).any()
 
@@ -109,7 +109,7 @@ def test_touches_are_near_enough_if_two_of_them_are(localizer, touches):
     reach_m = size_m + float(np.hypot(x1 - x0, y1 - y0))
 
     def placed_at(*x_m):
-        return [dataclasses.replace(touches[0], T_base_sensor=translation([x, 0, 0])) for x in x_m]
+        return [dataclasses.replace(touches[0], T_base_sensor=make_translation([x, 0, 0])) for x in x_m]
 
     require_within_reach(placed_at(0, 0.99 * reach_m), localizer.object)
     require_within_reach(placed_at(0, 5, 0.01), localizer.object)

@@ -21,7 +21,7 @@ def test_a_surface_is_read_once_and_again_when_the_file_changes(tmp_path, monkey
     for size, times in ((0.02, 1), (0.02, 1), (0.03, 2)):
         trimesh.creation.box((size, 0.01, 0.01)).export(path)
         for _ in range(2):
-            found = module.stored_object(path, "m", "none", store)
+            found = module.load_stored_object(path, "m", "none", store)
             plain = meshes.load_object(path, "m", "none")
             np.testing.assert_array_equal(found.mesh.vertices_m, plain.mesh.vertices_m)
             np.testing.assert_array_equal(found.mesh.faces, plain.mesh.faces)
@@ -37,7 +37,7 @@ def test_what_is_no_mesh_is_refused_as_without_a_store_and_leaves_nothing(tmp_pa
     with pytest.raises(ObjectError) as alone:
         meshes.load_object(path)
     with pytest.raises(ObjectError) as stored:
-        module.stored_object(path, "auto", "auto", store)
+        module.load_stored_object(path, "auto", "auto", store)
     assert str(stored.value) == str(alone.value)
     assert not store.entries()
 
@@ -51,7 +51,7 @@ def test_a_surface_that_cannot_be_kept_is_read_all_the_same(tmp_path, monkeypatc
         raise StoreError("the disk is full")
 
     monkeypatch.setattr(store, "build", full)
-    assert len(module.stored_object(path, "m", "none", store).mesh.faces) == 12
+    assert len(module.load_stored_object(path, "m", "none", store).mesh.faces) == 12
 
 
 @pytest.mark.parametrize("declared", ["auto", "none", "z2", "x2*y2", "axis(0,0,1)2"])
@@ -59,9 +59,9 @@ def test_a_symmetry_is_found_once_and_is_the_same_from_the_store(tmp_path, monke
     store, path = StageStore(tmp_path / "store"), tmp_path / "part.stl"
     trimesh.creation.box((0.03, 0.02, 0.01)).export(path)
     plain = meshes.load_object(path, "m", declared)
-    first = module.stored_object(path, "m", declared, store)
+    first = module.load_stored_object(path, "m", declared, store)
     monkeypatch.setattr(module, "find_symmetry", lambda *_: pytest.fail("it is judged again"))
-    again = module.stored_object(path, "m", declared, store)
+    again = module.load_stored_object(path, "m", declared, store)
     for found in (first, again):
         assert found.symmetry.terms == plain.symmetry.terms
         np.testing.assert_array_equal(found.symmetry.rotations, plain.symmetry.rotations)
@@ -73,7 +73,7 @@ def test_a_symmetry_is_found_once_and_is_the_same_from_the_store(tmp_path, monke
 def test_a_continuous_axis_comes_back_from_the_store(tmp_path):
     store, path = StageStore(tmp_path / "store"), tmp_path / "part.stl"
     trimesh.creation.cylinder(0.01, 0.03, sections=64).export(path)
-    first, again = (module.stored_object(path, "m", "zinf", store) for _ in range(2))
+    first, again = (module.load_stored_object(path, "m", "zinf", store) for _ in range(2))
     np.testing.assert_array_equal(again.symmetry.continuous_axis, first.symmetry.continuous_axis)
     assert str(again.symmetry) == "zinf"
 
@@ -83,4 +83,4 @@ def test_a_symmetry_that_the_surface_has_not_is_refused_each_time(tmp_path):
     trimesh.creation.box((0.03, 0.02, 0.01)).export(path)
     for _ in range(2):
         with pytest.raises(SymmetryError):
-            module.stored_object(path, "m", "z4", store)
+            module.load_stored_object(path, "m", "z4", store)

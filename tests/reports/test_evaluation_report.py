@@ -10,7 +10,7 @@ import pytest
 from report_helpers import Elements, html_of, page_in, write_evaluation
 
 from tactile_loc.core.errors import ResultError
-from tactile_loc.core.formatting import mm
+from tactile_loc.core.formatting import format_mm
 from tactile_loc.evaluation.tables import SHOWN
 
 
@@ -29,7 +29,7 @@ def test_medians_are_those_of_the_file(document, page):
     assert header[2:] == list(SHOWN)
     for run in document["runs"]:
         lengths, shares = (row for row in page.rows if row[0] == run["object"] and len(row) == len(header))
-        assert lengths[2:] == [mm(run["lines"][line]["add"]["metres"]["median"]) for line in SHOWN]
+        assert lengths[2:] == [format_mm(run["lines"][line]["add"]["metres"]["median"]) for line in SHOWN]
         assert shares[2:] == [f"{run['lines'][line]['add']['normalised']['median']:.3f}" for line in SHOWN]
 
 
@@ -74,7 +74,7 @@ def test_contacts_are_those_of_the_file(contacts_folder):
     assert page.rows[0] == ["object", "line", "1 contact", "2 contacts", "5 contacts"]
     for row, (line, entries) in zip(page.rows[1:], run["lines"].items(), strict=False):
         assert row[1] == line
-        assert row[2:] == [f"{mm(e['metres']['median'])} ({e['normalised']['median']:.3f})" for e in entries]
+        assert row[2:] == [f"{format_mm(e['metres']['median'])} ({e['normalised']['median']:.3f})" for e in entries]
     drawn = page_in(contacts_folder).data["runs"][0]["lines"]["best-1"]
     assert drawn["contacts"] == [1, 2, 5]
     assert drawn["metres"]["q75"] == pytest.approx([1e3 * e["metres"]["q75"] for e in run["lines"]["best-1"]])

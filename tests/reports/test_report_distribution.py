@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry.rigid import align_to_z, make_transform, random_rotations, rotation_about
+from tactile_loc.core.geometry.rigid import align_to_z, draw_rotations, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.reports.distribution import (
     SideMap,
@@ -59,7 +59,7 @@ def test_it_sums_to_one_and_lies_where_the_sensor_is(rod, flat_camera):
     x0, x1, y0, y1 = flat_camera.rectangle
     centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
     touched = np.array([0.004, 0.0, 0.013])
-    R = random_rotations(50, np.random.default_rng(0))
+    R = draw_rotations(50, np.random.default_rng(0))
     T = make_transform(R, centre - R @ touched)
     weights = np.random.default_rng(1).dirichlet(np.ones(50))
     found = spread_over_surface(rod, T, weights, flat_camera, 0.001)
@@ -103,7 +103,7 @@ def test_the_density_is_even_where_the_weights_are(flat_camera):
 def test_the_nearest_point_is_looked_for_in_the_object_s_frame(rod, flat_camera):
     x0, x1, y0, y1 = flat_camera.rectangle
     centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
-    (R,) = random_rotations(1, np.random.default_rng(5))
+    (R,) = draw_rotations(1, np.random.default_rng(5))
     for vertex in (0, 7, 30):
         T = make_transform(R, centre - R @ (rod.vertices_m[vertex] * 1.0))
         assert find_touched_vertices(rod, T[None], flat_camera).tolist() == [vertex]
@@ -117,7 +117,7 @@ def test_yaw_is_the_turn_of_a_face_that_lies_on_the_sensor(normal):
 
 
 def test_yaw_and_side_make_the_rotation():
-    R = random_rotations(40, np.random.default_rng(0))
+    R = draw_rotations(40, np.random.default_rng(0))
     again = np.stack([rotation_about(Z, yaw) @ align_to_z(r[2]) for yaw, r in zip(compute_yaw_rad(R), R, strict=True)])
     assert again == pytest.approx(R)
 
@@ -133,7 +133,7 @@ def test_a_lattice_has_a_bar_for_each_yaw():
 
 def test_scattered_yaws_are_counted_in_bins():
     weights = np.full(500, 1 / 500)
-    found = count_yaws(random_rotations(500, np.random.default_rng(0)), weights)
+    found = count_yaws(draw_rotations(500, np.random.default_rng(0)), weights)
     assert len(found.mass) == 36
     assert found.mass.sum() == pytest.approx(1.0)
 
@@ -166,7 +166,7 @@ def peak(found: SideMap) -> tuple[float, float]:
 
 
 def test_all_sides_are_a_globe_of_equal_areas():
-    R = random_rotations(20_000, np.random.default_rng(0))
+    R = draw_rotations(20_000, np.random.default_rng(0))
     weights = np.full(len(R), 0.5 / len(R))
     side = np.array([np.cos(np.radians(40)), np.sin(np.radians(40)), 0.0])
     R = np.concatenate([R, align_to_z(-side)[None]])

@@ -18,7 +18,7 @@ from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.tasks import identify as module
-from tactile_loc.tasks.identify import KnownAnswer, NullEvidence, fit_null_evidence, identify, shortfall
+from tactile_loc.tasks.identify import KnownAnswer, NullEvidence, fit_null_evidence, identify, measure_misfit
 from tactile_loc.tasks.library import Library
 
 FEW = {"name": "whole", "directions": 300, "turns": 24}
@@ -63,7 +63,7 @@ def test_touches_tell_which_object_they_are_of(library, touches, name):
     assert said.best is not None
     assert said.best.name == name
     assert sum(one.probability for one in said.objects) + said.none == pytest.approx(1.0)
-    assert said.best.shortfall == min(one.shortfall for one in said.objects)
+    assert said.best.misfit == min(one.misfit for one in said.objects)
 
 
 @pytest.mark.parametrize("name", list(solids()))
@@ -131,10 +131,10 @@ def test_a_pose_that_explains_all_falls_short_by_nothing(models, touches):
     found = models[0].localize(touch)
     exact = dataclasses.replace(found.best.refined, T_sensor_object=np.asarray(touch.T_sensor_object))
     true = dataclasses.replace(found, hypotheses=(dataclasses.replace(found.best, refined=exact),))
-    assert shortfall(models[0], true) < 0.5
+    assert measure_misfit(models[0], true) < 0.5
     turned = np.asarray(touch.T_sensor_object) @ make_transform(rotation_about([0, 0, 1], 0.3), np.zeros(3))
     wrong = dataclasses.replace(found.best, refined=dataclasses.replace(exact, T_sensor_object=turned))
-    assert shortfall(models[0], dataclasses.replace(found, hypotheses=(wrong,))) > 0.5
+    assert measure_misfit(models[0], dataclasses.replace(found, hypotheses=(wrong,))) > 0.5
 
 
 def test_none_of_these_is_as_one_object_more():
@@ -158,7 +158,7 @@ def test_the_null_evidence_is_fitted_to_what_tells_known_from_left_out():
     assert 0.6 < null.alone < 2.2
     assert 1.6 < null.together < 6
     left_out = [answer for answer in answers if answer.truth < 0]
-    assert all(null.probabilities(answer.shortfalls, answer.touches)[1] > 0.5 for answer in left_out)
+    assert all(null.probabilities(answer.misfits, answer.touches)[1] > 0.5 for answer in left_out)
 
 
 def test_a_full_store_makes_no_object_unlikely(monkeypatch):
@@ -167,7 +167,7 @@ def test_a_full_store_makes_no_object_unlikely(monkeypatch):
 
     monkeypatch.setattr(module, "localize_together", full)
     with pytest.raises(StoreError, match="full"):
-        module._located(None, [])
+        module._locate(None, [])
 
 
 def test_what_cannot_be_identified_is_refused(models, touches, library):

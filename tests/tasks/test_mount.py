@@ -9,8 +9,8 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.errors import MountError
-from tactile_loc.core.geometry.hand_eye import moved, pose_errors, predicted
-from tactile_loc.core.geometry.rigid import invert, make_transform, random_rotations, rotation_about, translation
+from tactile_loc.core.geometry.hand_eye import compute_pose_errors, move, predict
+from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.core.simulation.touch_simulation import simulate_touches
@@ -21,14 +21,14 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.results.localization import Hypothesis
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.tasks import mount
-from tactile_loc.tasks.mount import FlangeTouches, find_mount, mount_record, require_determined, require_motions
+from tactile_loc.tasks.mount import FlangeTouches, find_mount, make_mount_record, require_determined, require_motions
 from tactile_loc.tasks.mount_guess import guess_mounts
 
 COUNT = 8
 
 
 def poses(count: int, std_m: float, rng: np.random.Generator) -> np.ndarray:
-    return make_transform(random_rotations(count, rng), std_m * rng.normal(size=(count, 3)))
+    return make_transform(draw_rotations(count, rng), std_m * rng.normal(size=(count, 3)))
 
 
 @pytest.fixture(scope="module")
@@ -39,9 +39,9 @@ def truth():
 
 def hypotheses_of(S: np.ndarray, obj, rng: np.random.Generator) -> list[np.ndarray]:
     """Of each touch nine wrong poses, and the true one, a little off, as any of its equivalents."""
-    same = obj.symmetry.elements()
+    same = obj.symmetry.list_elements()
     found = []
-    for T in moved(S, np.array([1e-4] * 3 + [5e-3] * 3) * rng.normal(size=(len(S), 6))):
+    for T in move(S, np.array([1e-4] * 3 + [5e-3] * 3) * rng.normal(size=(len(S), 6))):
         found.append(np.concatenate([poses(9, 0.02, rng), [T @ same[rng.integers(len(same))]]]))
     return found
 
@@ -55,7 +55,7 @@ def test_the_mount_is_found_among_wrong_hypotheses_and_up_to_symmetry(make_box, 
     hypotheses = hypotheses_of(S, obj, rng)
     hypotheses[2] = poses(10, 0.02, rng)  # not found at all
     (guess, *_) = guess_mounts(F, hypotheses, PoseMetric(obj), 2)
-    off = pose_errors(X, guess.T_flange_sensor)
+    off = compute_pose_errors(X, guess.T_flange_sensor)
     assert np.linalg.norm(off[:3]) < 1.5e-3
     assert np.linalg.norm(off[3:]) < np.radians(4.0)
     assert guess.agreeing.tolist() == [k != 2 for k in range(COUNT)]
@@ -65,7 +65,10 @@ def test_a_nominal_mount_rules_others_out(box, truth):
     rng, (X, Y) = np.random.default_rng(5), truth
     S = poses(COUNT, 0.02, rng)
     F, hypotheses = Y @ invert(S) @ invert(X), hypotheses_of(S, box, rng)
-    allowed = [lambda T, N=N: mount._near(T, N) for N in (X @ translation([0.01, 0, 0]), X @ translation([0.1, 0, 0]))]
+    allowed = [
+        lambda T, N=N: mount._is_near(T, N)
+        for N in (X @ make_translation([0.01, 0, 0]), X @ make_translation([0.1, 0, 0]))
+    ]
     near, far = (guess_mounts(F, hypotheses, PoseMetric(box), 1, some) for some in allowed)
     assert near[0].agreeing.all()
     assert not far or far[0].agreeing.sum() < COUNT / 2
@@ -85,7 +88,7 @@ class Case:
     def located(self, localizer, touches) -> list[tuple[Hypothesis, ...]]:
         rng = np.random.default_rng(3)
         off = np.array([5e-4] * 3 + [0.02] * 3) * rng.normal(size=(len(touches), 6))
-        poses = moved(np.stack([touch.T_sensor_object for touch in touches]), off)
+        poses = move(np.stack([touch.T_sensor_object for touch in touches]), off)
         ious = [float(localizer.scene.imprint_ious(t.T_sensor_object[None], t)[0]) for t in touches]
         return [
             (Hypothesis(1.0, T, RefinedPose(T, 1.0, True, 1), 0, 1, iou),) for T, iou in zip(poses, ious, strict=True)
@@ -97,22 +100,22 @@ def case(store, truth):
     localizer = Localizer.create("pin", sensor="gelsight-mini", store=store)
     made = Case(localizer, truth)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mount, "_located", made.located)
+        patch.setattr(mount, "_locate", made.located)
         yield made
 
 
 def test_the_mount_is_found_and_written(case, tmp_path):
     found = find_mount(case.localizer, case.given)
-    e = pose_errors(case.X, found.mount.T_flange_sensor)
+    e = compute_pose_errors(case.X, found.mount.T_flange_sensor)
     assert np.linalg.norm(e[:3]) < 5e-4
     assert np.linalg.norm(e[3:]) < np.radians(1.5)
     assert e @ np.linalg.solve(found.mount.covariance, e) < 17  # 99 %
     assert found.kept.all()
     assert np.median(found.residuals[:, 0]) < np.median(found.first_residuals[:, 0])
-    seen = predicted(case.given.T_base_flange, found.fit.T_flange_sensor, found.fit.T_base_object)
+    seen = predict(case.given.T_base_flange, found.fit.T_flange_sensor, found.fit.T_base_object)
     off_m = PoseMetric(case.localizer.object).symmetric_distance(seen, case.seen)
     assert off_m.max() < 1e-3
-    record = mount_record(case.localizer, found)
+    record = make_mount_record(case.localizer, found)
     again = read_mount(write_mount(tmp_path / "mount.toml", record))
     np.testing.assert_array_equal(again.T_flange_sensor, found.mount.T_flange_sensor)
     assert [touch.left_out for touch in record.touch] == [""] * COUNT
@@ -120,12 +123,12 @@ def test_the_mount_is_found_and_written(case, tmp_path):
 
 def test_a_wrong_touch_is_named_and_left_out(case):
     T = case.given.T_base_flange.copy()
-    T[3] = T[3] @ translation([0.0, 0.006, 0.0])
+    T[3] = T[3] @ make_translation([0.0, 0.006, 0.0])
     found = find_mount(case.localizer, dataclasses.replace(case.given, T_base_flange=T), Mount(case.X))
     assert np.flatnonzero(~found.kept).tolist() == [3]
-    assert "imprint" in found.why_left_out(3) or "mm" in found.why_left_out(3)
-    assert found.why_left_out(0) == ""
-    assert np.linalg.norm(pose_errors(case.X, found.mount.T_flange_sensor)[:3]) < 5e-4
+    assert "imprint" in found.explain_left_out(3) or "mm" in found.explain_left_out(3)
+    assert found.explain_left_out(0) == ""
+    assert np.linalg.norm(compute_pose_errors(case.X, found.mount.T_flange_sensor)[:3]) < 5e-4
 
 
 def test_touches_that_do_not_agree_are_refused(case):
@@ -134,13 +137,13 @@ def test_touches_that_do_not_agree_are_refused(case):
     T[1, :3, 3] += 0.03
     with pytest.raises(MountError, match=naming(8, "T_base_flange")):
         find_mount(case.localizer, dataclasses.replace(case.given, T_base_flange=T))
-    elsewhere = Mount(case.X @ translation([0.2, 0.0, 0.0]))
+    elsewhere = Mount(case.X @ make_translation([0.2, 0.0, 0.0]))
     with pytest.raises(MountError, match=naming(0, 8, "nominal")):
         find_mount(case.localizer, case.given, elsewhere)
 
 
 def test_too_few_touches_and_poor_motions_are_named(case):
-    few = case.given.only(np.arange(COUNT) < 3)
+    few = case.given.select(np.arange(COUNT) < 3)
     with pytest.raises(MountError, match=naming(4, 3)):
         require_motions(few)
     shifted = make_transform(np.eye(3), 0.1 * np.random.default_rng(0).normal(size=(COUNT, 3)))

@@ -12,11 +12,17 @@ from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import align_to_z, invert, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
-from tactile_loc.core.sensing.imprints import explained
+from tactile_loc.core.sensing.imprints import compare_imprints
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.approach_files import Approach
-from tactile_loc.tasks.next_touch import contact_nats, expected_entropy, foreseen, groups_of, next_touch
-from tactile_loc.tasks.pose_modes import PoseModes, distinct_modes
+from tactile_loc.tasks.next_touch import (
+    choose_next_touch,
+    compare_contacts,
+    compute_expected_entropy,
+    find_groups,
+    foresee,
+)
+from tactile_loc.tasks.pose_modes import PoseModes, find_distinct_modes
 
 GEL = SensorGeometry("orthographic", 80, 60, 4000.0, 4000.0, 40.0, 30.0, 0.01, 1e-3)  # 20 x 15 mm
 PRESS_M = 8e-4
@@ -43,7 +49,7 @@ def towards(direction, beside_m: float = 0.0, **given) -> Approach:
 
 def modes_of(obj: ObjectModel, *poses: np.ndarray, p=None) -> PoseModes:
     p = np.full(len(poses), 1 / len(poses)) if p is None else np.array(p)
-    return distinct_modes(obj, np.stack(poses), p, GEL, PRESS_M)
+    return find_distinct_modes(obj, np.stack(poses), p, GEL, PRESS_M)
 
 
 def edge_of(direction, **given) -> Approach:
@@ -54,7 +60,7 @@ def edge_of(direction, **given) -> Approach:
 def test_the_one_side_that_tells_two_poses_apart_is_chosen(knobbed):
     modes = modes_of(knobbed, np.eye(4), HALF_TURN)
     sides = {"top": [0, 0, -1], "front": [0, -1, 0], "knob": [-1, 0, 0]}
-    found = next_touch(modes, [edge_of(direction, name=name) for name, direction in sides.items()])
+    found = choose_next_touch(modes, [edge_of(direction, name=name) for name, direction in sides.items()])
     assert found.best.approach.name == "knob"
     assert found.best.information == pytest.approx(np.log(2), abs=0.01)
     assert found.best.entropy == pytest.approx(0.0, abs=0.01)
@@ -64,13 +70,13 @@ def test_the_one_side_that_tells_two_poses_apart_is_chosen(knobbed):
 
 
 def test_how_far_a_sensor_comes_is_what_tells_where_the_knob_is(knobbed):
-    found = next_touch(modes_of(knobbed, np.eye(4), HALF_TURN), [towards([-1, 0, 0])])
+    found = choose_next_touch(modes_of(knobbed, np.eye(4), HALF_TURN), [towards([-1, 0, 0])])
     assert np.sort(found.best.travel_m) == pytest.approx([0.027, 0.030], abs=1e-6)  # 50 mm less 23, or 20
 
 
 def test_it_is_said_that_no_touch_tells_the_poses_of_a_symmetric_object_apart(make_box):
     box = make_box(0.04, 0.03, 0.02, symmetry="none")  # as if nobody had told
-    found = next_touch(
+    found = choose_next_touch(
         modes_of(box, np.eye(4), HALF_TURN, make_transform(np.eye(3), [0, 0, 3e-3]), p=[0.5, 0.3, 0.2]),
         [edge_of([-1, 0, 0]), edge_of([0, 0, -1])],
     )
@@ -90,26 +96,30 @@ def test_what_is_out_of_reach_is_never_chosen(knobbed):
     inside = dataclasses.replace(
         towards([-1, 0, 0]), T_base_sensor=make_transform(align_to_z([-1, 0, 0]).T, np.zeros(3))
     )
-    found = next_touch(modes, [towards([-1, 0, 0], cost=np.inf, name="far"), edge_of([0, 0, -1], name="top"), inside])
+    found = choose_next_touch(
+        modes, [towards([-1, 0, 0], cost=np.inf, name="far"), edge_of([0, 0, -1], name="top"), inside]
+    )
     assert [rated.approach.name for rated in found.ranked] == ["top"]
     assert [name.name for name, _ in found.out_of_reach] == ["far", ""]
     assert "inside" in found.out_of_reach[1][1]
     with pytest.raises(ConfigError, match=naming(1, "infinite")):
-        next_touch(modes, [towards([-1, 0, 0])], cost=lambda approach: np.inf)
+        choose_next_touch(modes, [towards([-1, 0, 0])], cost=lambda approach: np.inf)
 
 
 def test_information_is_weighed_by_its_cost(knobbed):
     modes = modes_of(knobbed, np.eye(4), HALF_TURN)
     near, far = edge_of([-1, 0, 0], name="near"), edge_of([1, 0, 0], name="far")
     for cheap in (near, far):
-        found = next_touch(modes, [near, far], cost=lambda approach, cheap=cheap: 1.0 if approach is cheap else 3.0)
+        found = choose_next_touch(
+            modes, [near, far], cost=lambda approach, cheap=cheap: 1.0 if approach is cheap else 3.0
+        )
         assert found.best.approach is cheap
         assert found.best.worth == pytest.approx(3 * found.ranked[1].worth, rel=0.01)
 
 
 def test_a_press_that_meets_nothing_promises_nothing(knobbed):
     modes = modes_of(knobbed, np.eye(4), HALF_TURN)
-    (short,) = next_touch(modes, [towards([-1, 0, 0], travel_m=0.02)]).ranked
+    (short,) = choose_next_touch(modes, [towards([-1, 0, 0], travel_m=0.02)]).ranked
     assert (short.information, short.meets) == (0.0, 0.0)
     assert np.isnan(short.travel_m).all()
 
@@ -120,14 +130,14 @@ def test_turning_everything_changes_nothing(knobbed):
     moved = dataclasses.replace(modes, T_base_object=T @ modes.T_base_object)
     here = [edge_of([-1, 0, 0]), edge_of([0, 0, -1])]
     there = [dataclasses.replace(a, T_base_sensor=T @ a.T_base_sensor) for a in here]
-    one, other = (next_touch(*given).ranked for given in ((modes, here), (moved, there)))
+    one, other = (choose_next_touch(*given).ranked for given in ((modes, here), (moved, there)))
     assert [r.information for r in one] == pytest.approx([r.information for r in other], abs=0.02)
 
 
 def test_the_pressed_sensor_sees_the_object_where_it_would_be(knobbed):
     modes, approach = modes_of(knobbed, np.eye(4)), towards([-1, 0, 0])
-    scene = next_touch(modes, [approach]).scene
-    seen = foreseen(scene, modes, [approach])
+    scene = choose_next_touch(modes, [approach]).scene
+    seen = foresee(scene, modes, [approach])
     moved = approach.T_base_sensor @ make_transform(np.eye(3), [0, 0, seen.travel_m[0, 0] + PRESS_M])
     assert np.allclose(seen.T_sensor_object[0, 0], invert(moved))
 
@@ -137,9 +147,9 @@ def test_nats_are_those_of_the_evidence_by_which_hypotheses_are_weighed():
     depths = (rng.random((4, 9, 12)) * 4e-4).astype(np.float32)  # no two differ by what evidence caps
     depths[rng.random(depths.shape) < 0.5] = PRESS_M
     observed = rng.random((9, 12)) < 0.9
-    nats = contact_nats(depths, PRESS_M, observed, 1e-3)
+    nats = compare_contacts(depths, PRESS_M, observed, 1e-3)
     for i, seen in enumerate(depths):
-        evidence = explained(depths, seen, PRESS_M, observed, 1e-3).evidence
+        evidence = compare_imprints(depths, seen, PRESS_M, observed, 1e-3).evidence
         assert nats[i] == pytest.approx(evidence[i] - evidence, abs=1e-3)
 
 
@@ -147,21 +157,21 @@ def test_expected_entropy_of_two_modes():
     p, apart, none = np.array([0.25, 0.75]), np.array([[0.0, 50.0], [50.0, 0.0]]), np.zeros((2, 2))
     before = -(p * np.log(p)).sum()
     told = np.array([[True, True], [True, True], [True, False]])
-    after = expected_entropy(np.stack([apart, none, apart]), p, told)
+    after = compute_expected_entropy(np.stack([apart, none, apart]), p, told)
     assert after == pytest.approx([0.0, before, 0.75 * before])
 
 
 def test_groups_are_of_those_alike_directly_or_by_others():
     alike = np.eye(5, dtype=bool)
     alike[0, 2] = alike[2, 4] = True
-    assert groups_of(alike) == ((0, 2, 4),)
-    assert groups_of(np.eye(3, dtype=bool)) == ()
+    assert find_groups(alike) == ((0, 2, 4),)
+    assert find_groups(np.eye(3, dtype=bool)) == ()
 
 
 def test_an_approach_may_be_the_pose_alone_at_which_it_starts(knobbed):
     modes, given = modes_of(knobbed, np.eye(4), HALF_TURN), [edge_of([0, 0, -1]), edge_of([-1, 0, 0])]
-    alone = next_touch(modes, [approach.T_base_sensor for approach in given])
-    named = next_touch(modes, given)
+    alone = choose_next_touch(modes, [approach.T_base_sensor for approach in given])
+    named = choose_next_touch(modes, given)
     assert [r.information for r in alone.ranked] == [r.information for r in named.ranked]
     assert {r.approach.name for r in alone.ranked} <= {"1", "2"}
 
@@ -169,10 +179,10 @@ def test_an_approach_may_be_the_pose_alone_at_which_it_starts(knobbed):
 def test_what_cannot_be_chosen_from_is_refused(knobbed):
     modes = modes_of(knobbed, np.eye(4))
     with pytest.raises(ConfigError):
-        next_touch(modes, [])
+        choose_next_touch(modes, [])
     with pytest.raises(ConfigError, match=naming("T_base_sensor", 2, "(4, 4)")):
-        next_touch(modes, [np.eye(4), 2 * np.eye(4)])
+        choose_next_touch(modes, [np.eye(4), 2 * np.eye(4)])
     with pytest.raises(ConfigError, match=naming("approach 1", "cost", 0)):
-        next_touch(modes, [towards([0, 0, 1], cost=0.0)])
+        choose_next_touch(modes, [towards([0, 0, 1], cost=0.0)])
     with pytest.raises(ConfigError, match=naming("approach 2", "20 mm")):
-        next_touch(modes, [towards([0, 0, 1]), towards([0, 0, 1], press_m=0.02)])
+        choose_next_touch(modes, [towards([0, 0, 1]), towards([0, 0, 1], press_m=0.02)])

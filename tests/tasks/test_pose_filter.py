@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.hand_eye import UNIT, moved, pose_errors
-from tactile_loc.core.geometry.rigid import invert, make_transform, random_rotations, translation
-from tactile_loc.tasks.pose_filter import PoseFilter, SeenPose, motion_errors
+from tactile_loc.core.geometry.hand_eye import UNIT, compute_pose_errors, move
+from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, make_translation
+from tactile_loc.tasks.pose_filter import PoseFilter, SeenPose, estimate_motion_errors
 
 GEL = np.array([0.002, -0.001, 0.01])
 STD = np.array([1e-4] * 3 + [3e-3] * 3)
@@ -15,7 +15,7 @@ SENSOR = np.diag(np.array([2e-4] * 3 + [1e-3] * 3) ** 2)
 
 
 def poses(count: int, rng: np.random.Generator) -> np.ndarray:
-    return make_transform(random_rotations(count, rng), 0.03 * rng.normal(size=(count, 3)))
+    return make_transform(draw_rotations(count, rng), 0.03 * rng.normal(size=(count, 3)))
 
 
 def covariance(std: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -26,7 +26,7 @@ def covariance(std: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def about(point_m: np.ndarray, error: np.ndarray) -> np.ndarray:
     """A motion that turns about a point and then shifts."""
-    T = moved(np.eye(4), np.concatenate([np.zeros(3), error[3:]]))
+    T = move(np.eye(4), np.concatenate([np.zeros(3), error[3:]]))
     T[:3, 3] = point_m - T[:3, :3] @ point_m + error[:3]
     return T
 
@@ -35,10 +35,10 @@ def test_an_error_is_seen_from_another_frame_as_the_pose_itself_is():
     rng = np.random.default_rng(0)
     T_base_object, T_base_sensor = poses(2, rng)
     C = covariance(STD, rng)
-    T, seen = PoseFilter.known(T_base_object, C).seen_from(T_base_sensor, GEL)
+    T, seen = PoseFilter.known(T_base_object, C).view_from(T_base_sensor, GEL)
     assert np.allclose(T, invert(T_base_sensor) @ T_base_object)
-    drawn = moved(T_base_object, rng.multivariate_normal(np.zeros(6), C, size=20_000))
-    errors = pose_errors(invert(T_base_sensor) @ drawn, T)
+    drawn = move(T_base_object, rng.multivariate_normal(np.zeros(6), C, size=20_000))
+    errors = compute_pose_errors(invert(T_base_sensor) @ drawn, T)
     assert np.allclose(np.cov(errors.T) / np.sqrt(np.outer(np.diag(seen), np.diag(seen))),
                        seen / np.sqrt(np.outer(np.diag(seen), np.diag(seen))), atol=0.03)  # fmt: skip
 
@@ -47,10 +47,10 @@ def test_a_motions_error_moves_the_object_by_its_lever():
     rng = np.random.default_rng(1)
     T_base_object, T_base_sensor = poses(2, rng)
     C = covariance(1e-2 * np.ones(6), rng) * 1e-2
-    found = motion_errors(C, T_base_sensor, T_base_object)
+    found = estimate_motion_errors(C, T_base_sensor, T_base_object)
     T_sensor_object = invert(T_base_sensor) @ T_base_object
-    drawn = moved(T_base_sensor, rng.multivariate_normal(np.zeros(6), C, size=20_000)) @ T_sensor_object
-    errors = pose_errors(drawn, T_base_object)
+    drawn = move(T_base_sensor, rng.multivariate_normal(np.zeros(6), C, size=20_000)) @ T_sensor_object
+    errors = compute_pose_errors(drawn, T_base_object)
     scale = np.sqrt(np.outer(np.diag(found), np.diag(found)))
     assert np.allclose(np.cov(errors.T) / scale, found / scale, atol=0.04)
 
@@ -63,10 +63,10 @@ def test_a_sensor_that_is_off_sees_the_object_where_it_sees_it():
         said = true_T_base_sensor @ about(GEL, off)
         errors = np.concatenate([rng.normal(size=6), off / UNIT])  # what touches err is not where the object is
         known = np.concatenate([np.zeros(6), errors])
-        T, seen = PoseFilter(T_base_object, errors, np.outer(known, known)).seen_from(said, GEL)
+        T, seen = PoseFilter(T_base_object, errors, np.outer(known, known)).view_from(said, GEL)
         truth = invert(true_T_base_sensor) @ T_base_object
-        assert np.allclose(pose_errors(T, truth) / STD, 0, atol=1e-5)
-        moved_by = pose_errors(truth, invert(said) @ T_base_object) / STD
+        assert np.allclose(compute_pose_errors(T, truth) / STD, 0, atol=1e-5)
+        moved_by = compute_pose_errors(truth, invert(said) @ T_base_object) / STD
         assert np.allclose(seen / np.outer(STD, STD), np.outer(moved_by, moved_by), atol=1e-6)
 
 
@@ -79,9 +79,9 @@ def test_the_filter_is_the_least_squares_of_all_touches_at_once():
     off = STD[0] * rng.normal(size=(count, 3))  # along the sensors' axes
     filtered = PoseFilter.known(T_base_object, shifts(prior))
     for number, (T, shift) in enumerate(zip(sensors, off, strict=True)):
-        seen = translation(shift) @ invert(T) @ T_base_object
+        seen = make_translation(shift) @ invert(T) @ T_base_object
         touch = SeenPose(T, seen, shifts(common), shifts(own, 1e-9), shifts(sensor), GEL)
-        filtered = filtered.touched(touch, share if number else 1.0)
+        filtered = filtered.update(touch, share if number else 1.0)
     alike = (1 - share) ** np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     noise = np.kron(alike, common + sensor) + np.kron(np.eye(count), own)
     J = np.concatenate([T[:3, :3].T for T in sensors])
@@ -103,10 +103,10 @@ def test_an_object_that_may_have_moved_is_known_less_well_by_that():
     rng = np.random.default_rng(10)
     T_base_object, T_base_sensor = poses(2, rng)
     C, creep = covariance(STD, rng), covariance(STD, rng)
-    later = PoseFilter.known(T_base_object, C).later(creep)
+    later = PoseFilter.known(T_base_object, C).predict(creep)
     for found, expected in zip(
-        later.seen_from(T_base_sensor, GEL),
-        PoseFilter.known(T_base_object, C + creep).seen_from(T_base_sensor, GEL),
+        later.view_from(T_base_sensor, GEL),
+        PoseFilter.known(T_base_object, C + creep).view_from(T_base_sensor, GEL),
         strict=True,
     ):
         assert np.allclose(found, expected, rtol=1e-9, atol=1e-15)
@@ -120,7 +120,7 @@ def test_what_a_first_touch_says_is_known_as_well_as_it_says():
     rng = np.random.default_rng(2)
     T_base_sensor, T_sensor_object = poses(2, rng)
     C = covariance(STD, rng)
-    T, found = PoseFilter.of_touch(seen_pose(T_base_sensor, T_sensor_object, C)).seen_from(T_base_sensor, GEL)
+    T, found = PoseFilter.of_touch(seen_pose(T_base_sensor, T_sensor_object, C)).view_from(T_base_sensor, GEL)
     assert np.allclose(T, T_sensor_object)
     assert np.allclose(found / np.sqrt(np.outer(np.diag(C), np.diag(C))),
                        C / np.sqrt(np.outer(np.diag(C), np.diag(C))), atol=1e-3)  # fmt: skip
@@ -134,8 +134,8 @@ def test_a_touch_repeated_is_no_surer_than_what_all_of_them_err_in_common():
     filtered = PoseFilter.of_touch(seen)
     traces = []
     for _ in range(300):
-        filtered = filtered.touched(seen, 0.0)
-        _, known = filtered.seen_from(T_base_sensor, GEL)
+        filtered = filtered.update(seen, 0.0)
+        _, known = filtered.view_from(T_base_sensor, GEL)
         traces.append(np.linalg.eigvals(np.linalg.solve(C, known)).real)
     assert np.all(np.diff(np.sum(traces, axis=1)) < 1e-9)
     assert traces[-1].min() > 0.75
@@ -149,8 +149,8 @@ def test_errors_that_are_new_are_averaged():
     seen = SeenPose(T_base_sensor, T_sensor_object, 0.75 * C, 0.25 * C, np.zeros((6, 6)), GEL)
     filtered = PoseFilter.of_touch(seen)
     for _ in range(99):
-        filtered = filtered.touched(seen, 1.0)
-    _, known = filtered.seen_from(T_base_sensor, GEL)
+        filtered = filtered.update(seen, 1.0)
+    _, known = filtered.view_from(T_base_sensor, GEL)
     assert np.allclose(np.diag(known), STD**2 / 100, rtol=1e-3)
 
 
@@ -160,11 +160,11 @@ def test_what_a_touch_says_nothing_of_stays_as_predicted():
     direction = np.array([0.0, 0, 0, 0, 0, 1])
     C = np.diag(STD**2) + 9.0 * np.outer(direction, direction)  # no idea of a turn about z
     known = PoseFilter.known(T_base_sensor @ T_sensor_object, np.diag(STD**2))
-    turned = moved(T_sensor_object, 0.02 * direction)
+    turned = move(T_sensor_object, 0.02 * direction)
     for _ in range(100):
-        known = known.touched(seen_pose(T_base_sensor, turned, C), 0.05)
-    T, found = known.seen_from(T_base_sensor, GEL)
-    assert abs(pose_errors(T, T_sensor_object)[5]) < 1e-3
+        known = known.update(seen_pose(T_base_sensor, turned, C), 0.05)
+    T, found = known.view_from(T_base_sensor, GEL)
+    assert abs(compute_pose_errors(T, T_sensor_object)[5]) < 1e-3
     assert found[5, 5] == pytest.approx(STD[5] ** 2, rel=0.3)
 
 
@@ -175,9 +175,9 @@ def test_a_touch_that_is_far_from_what_is_known_is_trusted_less():
     known = PoseFilter.known(T_base_sensor @ T_sensor_object, np.diag(STD**2))
     gain = []
     for far in (0.5, 2.0, 20.0):
-        told = moved(T_sensor_object, far * STD)
-        T, _ = known.touched(seen_pose(T_base_sensor, told, np.diag(STD**2)), 1.0).seen_from(T_base_sensor, GEL)
-        gain.append(np.linalg.norm(pose_errors(T, T_sensor_object) / (far * STD)))
+        told = move(T_sensor_object, far * STD)
+        T, _ = known.update(seen_pose(T_base_sensor, told, np.diag(STD**2)), 1.0).view_from(T_base_sensor, GEL)
+        gain.append(np.linalg.norm(compute_pose_errors(T, T_sensor_object) / (far * STD)))
     assert gain[0] == pytest.approx(gain[1], rel=0.05), "as expected: in full"
     assert gain[2] < 0.1 * gain[1]
 
@@ -192,17 +192,17 @@ def test_errors_are_as_large_as_the_covariance_says_though_they_are_correlated()
         common, sensor = (rng.normal(size=6) for _ in range(2))
         filtered = None
         for _ in range(25):
-            true_T_base_sensor = moved(poses(1, np.random.default_rng(7))[0], 1e-3 * rng.normal(size=6))
+            true_T_base_sensor = move(poses(1, np.random.default_rng(7))[0], 1e-3 * rng.normal(size=6))
             T = invert(true_T_base_sensor) @ T_base_object
             error = np.sqrt(0.75) * STD * common + np.sqrt(0.25) * STD * rng.normal(size=6)
             reported = true_T_base_sensor @ about(GEL, np.sqrt(np.diag(SENSOR)) * sensor)
-            seen = seen_pose(reported, moved(T, error), C)
-            filtered = PoseFilter.of_touch(seen) if filtered is None else filtered.touched(seen, share)
+            seen = seen_pose(reported, move(T, error), C)
+            filtered = PoseFilter.of_touch(seen) if filtered is None else filtered.update(seen, share)
             common, sensor = (
                 (1 - share) * old + np.sqrt(1 - (1 - share) ** 2) * rng.normal(size=6) for old in (common, sensor)
             )
-        found, P = filtered.seen_from(reported, GEL)
-        e = pose_errors(T, found)
+        found, P = filtered.view_from(reported, GEL)
+        e = compute_pose_errors(T, found)
         nees.append(e @ np.linalg.solve(P, e))
     assert np.mean(nees) == pytest.approx(6.0, abs=1.2)
     assert 0.9 < np.mean(np.array(nees) < 12.59) < 0.99

@@ -13,7 +13,7 @@ import pytest
 from message_helpers import missing, naming
 
 from tactile_loc.core.errors import FrameError, GridError, OutputError, RecordingError, StoreError
-from tactile_loc.core.geometry.rigid import covariance_along, make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import make_transform, rotate_covariance, rotation_about
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.streams.recordings import Recording, RecordingWriter, choose_image_topic, write_recording
 from tactile_loc.io.streams.ros_messages import IMAGE, TF, make_image, make_transforms, read_pose, read_stamp_ns
@@ -22,7 +22,7 @@ from tactile_loc.locate.results.located_frame import LocatedFrame
 from tactile_loc.locate.results.verdict import Verdict
 from tactile_loc.tasks.replay import Replay, ReplaySummary
 from tactile_loc.tasks.replay_files import replay_to
-from tactile_loc.tasks.replay_journal import journal
+from tactile_loc.tasks.replay_journal import open_journal
 
 S = 1_000_000_000
 FIRST, LAST = (make_transform(rotation_about([0, 0, 1], yaw), [x, 0, 0.1]) for x, yaw in ((0.0, 0.0), (0.3, 0.6)))
@@ -95,7 +95,7 @@ def test_poses_and_covariances_are_moved_to_the_base(recorded, localizer, tmp_pa
     assert (read_stamp_ns(message.header), message.header.frame_id) == (2 * S, "base")
     np.testing.assert_allclose(read_pose(message).T, T_base_gel @ T_GEL_OBJECT, atol=1e-9)
     covariance = np.reshape(read_pose(message).covariance, (6, 6))
-    np.testing.assert_allclose(covariance, covariance_along(C, T_base_gel[:3, :3]), atol=1e-12)
+    np.testing.assert_allclose(covariance, rotate_covariance(C, T_base_gel[:3, :3]), atol=1e-12)
     assert found.records[5].verdict is None  # 5 s is after the last transform
     assert not missing(found.records[5].says, "0.000 s", "4.000 s", "5.000 s")
 
@@ -171,13 +171,13 @@ def test_a_full_store_refuses_no_frame_for_good(recorded, localizer, tmp_path):
 
 def test_a_journal_cut_anywhere_holds_what_was_whole(recorded, localizer, tmp_path):
     replay, path = replay_of(recorded, localizer), tmp_path / "out.mcap.journal"
-    with journal(path, replay) as kept:
+    with open_journal(path, replay) as kept:
         for record in replay.frames(at_truth):
             kept.append(record)
     data = path.read_bytes()
     for length in {0, 5, data.index(b"\n"), *range(data.index(b"\n") + 1, len(data), 97), len(data)}:
         path.write_bytes(data[:length])
-        with journal(path, replay) as found:
+        with open_journal(path, replay) as found:
             assert found.records == kept.records[: len(found.records)]
             assert len(found.records) == max(0, data[:length].count(b"\n") - 1)
         assert not found.records or data.startswith(path.read_bytes())
@@ -191,7 +191,7 @@ def test_a_full_disk_leaves_a_journal_of_whole_lines(recorded, localizer, tmp_pa
             return write(descriptor, text[:-9])
         raise OSError(errno.ENOSPC, "ENOSPC")
 
-    with journal(path, replay) as kept, monkeypatch.context() as patch:
+    with open_journal(path, replay) as kept, monkeypatch.context() as patch:
         first, second, *_ = replay.frames(at_truth)
         kept.append(first)
         before = path.read_bytes()
@@ -204,7 +204,7 @@ def test_a_full_disk_leaves_a_journal_of_whole_lines(recorded, localizer, tmp_pa
 
 def test_the_journal_of_another_replay_is_not_used(recorded, localizer, tmp_path, caplog):
     path = tmp_path / "out.mcap.journal"
-    with journal(path, replay_of(recorded, localizer)) as kept:
+    with open_journal(path, replay_of(recorded, localizer)) as kept:
         kept.append(next(replay_of(recorded, localizer).frames(at_truth)))
     found = replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer, "base"), 6, "/pose", estimator=at_truth)
     assert found.resumed == 0
@@ -215,7 +215,7 @@ def test_the_journal_of_the_version_before_begins_anew(recorded, localizer, tmp_
     replay, path = replay_of(recorded, localizer), tmp_path / "out.mcap.journal"
     with monkeypatch.context() as patch:
         patch.setattr("tactile_loc.tasks.replay_journal.VERSION", 1)
-        with journal(path, replay) as kept:
+        with open_journal(path, replay) as kept:
             kept.append(next(replay.frames(at_truth)))
     found = replay_to(tmp_path / "out.mcap", replay, 6, "/pose", estimator=at_truth)
     assert found.resumed == 0
@@ -245,9 +245,9 @@ def test_frames_that_are_not_found_are_counted_apart(recorded, localizer, tmp_pa
 def test_two_processes_do_not_write_one_journal(recorded, localizer, tmp_path):
     replay, path = replay_of(recorded, localizer), tmp_path / "out.mcap.journal"
     with (
-        journal(path, replay),
+        open_journal(path, replay),
         pytest.raises(OutputError, match=naming("process", "out.mcap.journal", "--out")),
-        journal(path, replay),
+        open_journal(path, replay),
     ):
         pass
 

@@ -9,8 +9,8 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError, TouchError
-from tactile_loc.core.geometry.hand_eye import moved, pose_errors
-from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about, translation
+from tactile_loc.core.geometry.hand_eye import compute_pose_errors, move
+from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.simulation.noise import NOISE
 from tactile_loc.evaluation.metrics import compute_nees
@@ -57,7 +57,7 @@ def slide(pin):
 def started(localizer: Localizer, frames, seed: int = 0) -> Tracker:
     tracker = Tracker(localizer)
     truth = frames[0].T_base_sensor @ frames[0].T_sensor_object
-    tracker.start(moved(truth, STD * np.random.default_rng(seed).normal(size=6)), np.diag(STD**2))
+    tracker.start(move(truth, STD * np.random.default_rng(seed).normal(size=6)), np.diag(STD**2))
     return tracker
 
 
@@ -120,7 +120,7 @@ def test_an_object_that_slips_is_found_nearby(pin, slide):
     tracker, frame = started(pin, slide), slide[0]
     for k in range(3):
         tracker.update(0.01 * k, frame.touch, frame.T_base_sensor)
-    slipped = translation([2e-3, 1e-3, 0.0]) @ frame.T_sensor_object
+    slipped = make_translation([2e-3, 1e-3, 0.0]) @ frame.T_sensor_object
     touch = source.draw_touch(slipped, frame.touch.indentation_m, "slipped", np.random.default_rng(0))
     found = tracker.update(0.03, touch, frame.T_base_sensor)
     assert found.searched
@@ -136,7 +136,9 @@ def test_without_contact_the_pose_is_predicted_exactly_and_becomes_less_sure(pin
     assert found.verdict is Verdict.NO_CONTACT
     assert np.isnan(found.imprint_iou)
     expected = invert(T_base_sensor) @ first.T_base_sensor @ held.T_sensor_object
-    assert np.linalg.norm(pose_errors(found.T_sensor_object, expected)[:3]) < 1e-4  # but for the sensor pose's error
+    assert (
+        np.linalg.norm(compute_pose_errors(found.T_sensor_object, expected)[:3]) < 1e-4
+    )  # but for the sensor pose's error
     values = np.linalg.eigvalsh(found.covariance)
     assert values.min() > 0
     later = tracker.update(5.0, None, T_base_sensor)
@@ -199,4 +201,4 @@ def test_a_sensor_that_told_motions_must_go_on_telling_them(pin, sure):
     with pytest.raises(TouchError, match=naming("0.1 s", "T_base_sensor")):
         tracker.update(0.1, touch)
     with pytest.raises(TouchError, match=naming("0.1 s", "T_base_sensor")):
-        tracker.update(0.1, touch, translation([0.0, 0.0, 0.1]))
+        tracker.update(0.1, touch, make_translation([0.0, 0.0, 0.1]))

@@ -9,11 +9,11 @@ import numpy as np
 from pydantic import ConfigDict
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about, translation
+from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.core.slots.all_rotations import centroid_range
+from tactile_loc.core.slots.all_rotations import find_centroid_range
 from tactile_loc.core.slots.component import Capabilities, ComponentOptions
 from tactile_loc.core.slots.refiner import RefinedPose
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
@@ -148,11 +148,11 @@ def seeded(seed):
 def as_often_at_each_yaw(T, obj, geometry, count, rng):
     """Places uniform within each yaw's own region, however large that is."""
     R = T[:, :3, :3] @ rotation_about([0, 0, 1], rng.uniform(0, 2 * np.pi, count))
-    return make_transform(R, np.column_stack([rng.uniform(*centroid_range(obj, R, geometry)), np.zeros(count)]))
+    return make_transform(R, np.column_stack([rng.uniform(*find_centroid_range(obj, R, geometry)), np.zeros(count)]))
 
 
 def nearer_places(places, *_):
-    return dataclasses.replace(places, T_place_object=translation([0, 0, 1e-3]) @ places.T_place_object)
+    return dataclasses.replace(places, T_place_object=make_translation([0, 0, 1e-3]) @ places.T_place_object)
 
 
 def mirrored_patches(places, *_):
@@ -169,7 +169,7 @@ GRID = [
     (grids.check_poses_are_rigid, then(FaceGrid, "random", lambda T, *_: T[1:])),
     (grids.check_spacing, sampling(lambda s: s / 4)),
     (grids.check_denser_grid_has_more_poses, sampling(lambda s: 0.008)),
-    (grids.check_poses_reach_contact, then(FaceGrid, "sample", lambda T, *_: translation([0.03, 0, 0]) @ T)),
+    (grids.check_poses_reach_contact, then(FaceGrid, "sample", lambda T, *_: make_translation([0.03, 0, 0]) @ T)),
     (grids.check_covers_random_poses, then(FaceGrid, "sample", lambda T, *_: T[T[:, 0, 3] > 0])),
     (grids.check_random_is_uniform_over_the_grid, then(FaceGrid, "random", as_often_at_each_yaw)),
     (grids.check_random_follows_the_seed, seeded(None)),
@@ -273,7 +273,7 @@ MATCHER = [
 
 
 def moved(result: RefinedPose, x_m: float) -> RefinedPose:
-    return dataclasses.replace(result, T_sensor_object=translation([x_m, 0, 0]) @ result.T_sensor_object)
+    return dataclasses.replace(result, T_sensor_object=make_translation([x_m, 0, 0]) @ result.T_sensor_object)
 
 
 def by_all_pixels(self, touch, candidate, scene):

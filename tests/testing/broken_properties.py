@@ -15,7 +15,7 @@ from broken_components import (
     turned_about_the_origin,
 )
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about, translation
+from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.touch import ContactShape
@@ -27,7 +27,7 @@ from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.plugins.sensors.presets import GelSlim
 from tactile_loc.testing import encoders, fusers, grids, matchers, refiners, renderers, sensors
-from tactile_loc.testing.problems import ReferenceRenderer, plain_object
+from tactile_loc.testing.problems import ReferenceRenderer, make_plain_object
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
@@ -78,7 +78,7 @@ RENDERER = [
 
 
 def nearly_twice(T, *_):
-    return np.concatenate([T, translation([2e-4, 0, 0]) @ T])
+    return np.concatenate([T, make_translation([2e-4, 0, 0]) @ T])
 
 
 def places_turned_about_the_origin(places, *_):
@@ -92,7 +92,7 @@ def few(grid):
 
 
 def places_without_symmetry(self, obj, progress):
-    return WholeGrid.places(self, plain_object(obj.name, obj.mesh), progress)
+    return WholeGrid.places(self, make_plain_object(obj.name, obj.mesh), progress)
 
 
 GRID = [
@@ -157,7 +157,7 @@ def without_symmetry(self, posteriors, T_base_sensor, prior=None):
     """Looks the second touch up by poses alone."""
     first, second = posteriors
     mesh = first.grid.metric.object.mesh
-    grid = PoseGrid(second.grid.T_sensor_object, PoseMetric(plain_object("asymmetric", mesh)))
+    grid = PoseGrid(second.grid.T_sensor_object, PoseMetric(make_plain_object("asymmetric", mesh)))
     T = np.linalg.inv(T_base_sensor[1]) @ T_base_sensor[0] @ first.grid.T_sensor_object
     return PosePosterior(first.grid, first.log_p + second.log_p[grid.nearest(T)[1]])
 

@@ -20,8 +20,8 @@ from tactile_loc.core.slots.renderer import Renderer
 from tactile_loc.plugins.grids.whole import WholeGrid
 from tactile_loc.plugins.matchers.faiss import FaissMatcher
 from tactile_loc.plugins.renderers.pyrender.renderer import PyrenderRenderer
-from tactile_loc.testing import Check, checks_for, parametrize_with_checks, parametrize_with_properties
-from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, training_problem
+from tactile_loc.testing import Check, list_checks, parametrize_with_checks, parametrize_with_properties
+from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, make_training_problem
 
 ROOT = Path(__file__).parents[2]
 FOLDER = TemporaryDirectory()
@@ -76,7 +76,7 @@ def try_on(component: Component, check: Check) -> None:
 @lru_cache
 def train(encoder: Encoder) -> None:
     """Train each encoder once, however many checks it takes part in."""
-    encoder.fit(training_problem())
+    encoder.fit(make_training_problem())
 
 
 def skip_without_opengl(renderer: Renderer) -> None:
@@ -90,6 +90,6 @@ def skip_without_opengl(renderer: Renderer) -> None:
 
 
 def test_all_slots_are_checked():
-    chosen = {c.slot: len(checks_for(c)) for c in built_ins()}
+    chosen = {c.slot: len(list_checks(c)) for c in built_ins()}
     assert chosen.keys() == {"sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser"}
     assert min(chosen.values()) > 8

@@ -12,11 +12,11 @@ from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.testing import (
     ContractError,
-    checks_for,
     contract,
     encoders,
     fusers,
     grids,
+    list_checks,
     matchers,
     parametrize_with_checks,
     refiners,
@@ -53,21 +53,21 @@ def test_every_check_is_chosen_for_some_capabilities():
 
 
 def test_checks_follow_the_capabilities():
-    names = {check.__name__ for check in checks_for(NoRefiner())}
+    names = {check.__name__ for check in list_checks(NoRefiner())}
     assert "check_truth_stays" in names
     assert "check_offsets_shrink" not in names
 
 
 def test_a_class_is_refused():
     with pytest.raises(TypeError, match="DenseMatcher"):
-        checks_for(DenseMatcher)  # type: ignore[arg-type]
+        list_checks(DenseMatcher)  # type: ignore[arg-type]
 
 
 def test_parametrize_makes_a_case_a_check():
     mark = parametrize_with_checks([DenseMatcher(), NoRefiner()]).mark
     names, cases = mark.args
     assert names == ("component", "check")
-    assert len(cases) == len(checks_for(DenseMatcher())) + len(checks_for(NoRefiner()))
+    assert len(cases) == len(list_checks(DenseMatcher())) + len(list_checks(NoRefiner()))
     assert cases[0].id.startswith("DenseMatcher-check_")
 
 
@@ -75,7 +75,7 @@ def test_importing_needs_neither_pytest_nor_heavy_libraries():
     code = (
         "import sys; sys.modules['pytest'] = None; import tactile_loc.testing as t;"
         "from tactile_loc.plugins.refiners.none import NoRefiner;"
-        "[check(NoRefiner()) for check in t.checks_for(NoRefiner())];"
+        "[check(NoRefiner()) for check in t.list_checks(NoRefiner())];"
         "assert not {'open3d', 'torch', 'trimesh', 'faiss'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -23,9 +23,9 @@ from tactile_loc.testing import (
     encoders,
     fusers,
     grids,
+    list_properties,
     matchers,
     parametrize_with_properties,
-    properties_for,
     refiners,
     renderers,
     sensors,
@@ -146,7 +146,7 @@ def test_another_exception_goes_through():
 def test_without_hypothesis_one_sentence_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "hypothesis", None)
     with pytest.raises(MissingLibraryError, match=r"pip install 'tactile-loc\[testing\]'"):
-        properties_for(NoRefiner())[0](NoRefiner())
+        list_properties(NoRefiner())[0](NoRefiner())
     with pytest.raises(MissingLibraryError):
         run_checks(DenseMatcher(), properties=True)
     assert all(result.passed for result in run_checks(DenseMatcher()))
@@ -155,7 +155,7 @@ def test_without_hypothesis_one_sentence_says_what_to_install(monkeypatch):
 def test_properties_are_run_after_the_checks_if_asked_for():
     results = run_checks(DenseMatcher(), properties=True)
     assert [r.name for r in results if r.name.startswith("property_")] == [
-        check.__name__ for check in properties_for(DenseMatcher())
+        check.__name__ for check in list_properties(DenseMatcher())
     ]
     assert all(result.passed for result in results)
 
@@ -163,10 +163,10 @@ def test_properties_are_run_after_the_checks_if_asked_for():
 def test_parametrize_makes_a_case_a_property():
     names, cases = parametrize_with_properties([DenseMatcher(), NoRefiner()]).mark.args
     assert names == ("component", "check")
-    assert len(cases) == len(properties_for(DenseMatcher())) + len(properties_for(NoRefiner()))
+    assert len(cases) == len(list_properties(DenseMatcher())) + len(list_properties(NoRefiner()))
     assert cases[0].id.startswith("DenseMatcher-property_")
 
 
 def test_a_class_is_refused():
     with pytest.raises(TypeError, match="DenseMatcher"):
-        properties_for(DenseMatcher)  # type: ignore[arg-type]
+        list_properties(DenseMatcher)  # type: ignore[arg-type]

@@ -11,7 +11,7 @@ from broken_components import made
 from tactile_loc.core.slots.component import Capabilities
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.matchers.dense import DenseMatcher
-from tactile_loc.testing import checks_for
+from tactile_loc.testing import list_checks
 from tactile_loc.testing.running import CheckResult, iter_checks, run_checks
 
 
@@ -21,7 +21,7 @@ def problems(results: list[CheckResult]) -> dict[str, str]:
 
 def test_a_sound_component_passes_every_check_in_order():
     results = run_checks(DenseMatcher())
-    assert [r.name for r in results] == [check.__name__ for check in checks_for(DenseMatcher())]
+    assert [r.name for r in results] == [check.__name__ for check in list_checks(DenseMatcher())]
     assert problems(results) == {}
     assert all(r.seconds >= 0 and r.demands.endswith(".") and "\n" not in r.demands for r in results)
 
@@ -91,7 +91,7 @@ def test_an_encoder_that_needs_training_is_trained_on_listed_poses_and_then_on_p
     encoder = made(PixelEncoder, capabilities=LEARNS, fit=lambda self, p: seen.append(p), encode=encode)
     results = run_checks(encoder)
     assert problems(results) == {}
-    assert len(results) == len(checks_for(encoder))
+    assert len(results) == len(list_checks(encoder))
     listed, places = seen
     assert np.concatenate(list(listed.shapes())).shape[0] == len(listed.grid)
     assert sum(map(len, places.clean_keys(1e-3))) == len(places)

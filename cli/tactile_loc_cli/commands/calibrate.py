@@ -251,7 +251,7 @@ def _read_geometry(path: Path) -> SensorGeometry:
     from tactile_loc.io.sensor_files import read_sensor_file
 
     if not os.path.isfile(path):
-        raise SensorError(f"there is no {path}; describe the sensor in it (docs/conventions.md), or give --sensor")
+        raise SensorError(f"there is no {path}; describe the sensor in it (docs/files.md), or give --sensor")
     return read_sensor_file(path)
 
 

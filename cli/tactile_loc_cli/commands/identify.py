@@ -48,14 +48,14 @@ def identify(
     from tactile_loc.io.streams.records import write_record
     from tactile_loc.store.store import StageStore
     from tactile_loc.tasks.identify import identify as identify_touches
-    from tactile_loc.tasks.identify_files import identification_record, read_library
+    from tactile_loc.tasks.identify_files import make_identification_record, read_library
     from tactile_loc_cli.results import say_identification
 
     settings = options.make_config(replace(given, touch=touch))
     library = read_library(objects, settings, StageStore(store), make_progress())
     require_writable(out)
     touches = [one for _, one in options.read_touches(library.models[0], Path(touch))]
-    record = identification_record(identify_touches(touches, library, located), [one.name for one in touches])
+    record = make_identification_record(identify_touches(touches, library, located), [one.name for one in touches])
     say_identification(record)
     written = say_written([write_record(out / "identification.json", record)])
     result = {**record.model_dump(mode="json"), "written": written}

@@ -45,7 +45,7 @@ def mount(
     from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.drawing.tasks import draw_mount
     from tactile_loc.io.mount_files import read_mount, write_mount
-    from tactile_loc.tasks.mount import find_mount, mount_record, read_flange_touches
+    from tactile_loc.tasks.mount import find_mount, make_mount_record, read_flange_touches
     from tactile_loc_cli.results import say_mount
 
     settings = options.make_config(replace(given, touch=touch))
@@ -53,7 +53,7 @@ def mount(
     expected = None if nominal is None else read_mount(nominal)
     localizer = options.open_localizer(settings, store)
     found = find_mount(localizer, read_flange_touches(localizer, Path(touch)), expected)
-    record = mount_record(localizer, found)
+    record = make_mount_record(localizer, found)
     say_mount(record)
     title = f"{record.sensor} on the flange, from touches of {record.object}"
     written = [write_mount(out / "mount.toml", record), save_figure(out / "mount.png", draw_mount(found, title))]

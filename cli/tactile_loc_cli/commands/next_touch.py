@@ -35,15 +35,15 @@ def next_touch(result: Result, candidates: Candidates, top: Top = 10, out: Out =
     from tactile_loc.drawing.tasks import draw_next_touch
     from tactile_loc.io.approach_files import read_approaches
     from tactile_loc.io.streams.records import write_record
-    from tactile_loc.tasks.next_touch import next_touch as choose
-    from tactile_loc.tasks.next_touch_files import next_touch_record, read_modes
+    from tactile_loc.tasks.next_touch import choose_next_touch as choose
+    from tactile_loc.tasks.next_touch_files import make_next_touch_record, read_modes
     from tactile_loc_cli.results import say_next_touch
 
     modes, T_base_sensor = read_modes(result)
     approaches = read_approaches(candidates, T_base_sensor)
     require_writable(out)
     found = choose(modes, approaches)
-    record = next_touch_record(found)
+    record = make_next_touch_record(found)
     say_next_touch(record, top)
     title = f"{record.object}: {len(record.modes)} possible poses, {len(record.ranked)} approaches"
     written = [

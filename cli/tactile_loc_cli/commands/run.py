@@ -120,7 +120,7 @@ def _read_prior(localizer: Localizer, touch: Touch, path: Path | None) -> Prior 
     """The prior in the first touch's sensor frame."""
     from tactile_loc.io.prior_files import read_prior
 
-    return None if path is None else read_prior(path, localizer.object).seen_from(touch.T_base_sensor)
+    return None if path is None else read_prior(path, localizer.object).view_from(touch.T_base_sensor)
 
 
 def _read_observations(localizer: Localizer) -> list[Observation]:

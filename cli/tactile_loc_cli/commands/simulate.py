@@ -94,7 +94,7 @@ def simulate(
 
 def _write_recording(path: Path, localizer: Localizer, images: int, optics: Optics | None) -> dict[str, Any]:
     """Write a slide over the object as a recording."""
-    from tactile_loc.core.simulation.noise import noise_level
+    from tactile_loc.core.simulation.noise import make_noise
     from tactile_loc.evaluation.slides import (
         IMAGE_TOPIC,
         TRUTH_TOPIC,
@@ -107,7 +107,7 @@ def _write_recording(path: Path, localizer: Localizer, images: int, optics: Opti
     if path.suffix.lower() != ".mcap":
         raise OutputError(f"a recording is written as .mcap, not as {path.name}; choose another name")
     config = localizer.config
-    slide = draw_random_slide(localizer, images, config.seed, noise_level(config.touch.noise))
+    slide = draw_random_slide(localizer, images, config.seed, make_noise(config.touch.noise))
     show = show_depths if optics is None else Photos(localizer.scene.geometry, optics, config.seed)
     write_slide(path, slide, show)
     say(f"written: {images} images on {IMAGE_TOPIC}, TF, and true poses on {TRUTH_TOPIC}, in {path}")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tactile_loc.core.errors import ConfigError, StoreError
-from tactile_loc.core.formatting import byte_size
+from tactile_loc.core.formatting import format_bytes
 from tactile_loc.core.slots.registry import SLOTS, registry
 from tactile_loc_cli.console import say, say_table
 from tactile_loc_cli.options import Store
@@ -38,7 +38,7 @@ def list_store(store: Store = None) -> dict[str, Any]:
     rows = [_describe(place, entry, origins) for entry in entries]
     if rows:
         shown = [
-            [r["stage"], r["digest"], byte_size(r["bytes"]), write_age(r["age_s"]), r["state"],
+            [r["stage"], r["digest"], format_bytes(r["bytes"]), write_age(r["age_s"]), r["state"],
              ", ".join(r["made_from"].values())] for r in rows
         ]  # fmt: skip
         say_table([["stage", "digest", "size", "age", "state", "made from"], *shown], left=(0, 1, 4, 5))
@@ -59,7 +59,7 @@ def size(store: Store = None) -> dict[str, Any]:
         for stage, group in group_by_stage(entries).items()
     }
     if stages:
-        shown = [[stage, *map(str, (s["entries"], s["incomplete"])), byte_size(s["bytes"])]
+        shown = [[stage, *map(str, (s["entries"], s["incomplete"])), format_bytes(s["bytes"])]
                  for stage, s in stages.items()]  # fmt: skip
         say_table([["stage", "entries", "incomplete", "size"], *shown], left=1)
     say(_summarise(place, entries))
@@ -137,7 +137,7 @@ def _is_confirmed(entries: Sequence[Entry]) -> bool:
     """Let the person decide. Raises ConfigError where there is none to ask."""
     if not _is_terminal():
         raise ConfigError("nobody is here to confirm that; give --yes, or --dry-run to see what would be removed")
-    return typer.confirm(f"Remove {_count(entries)}, {byte_size(_sum_bytes(entries))}?", err=True)
+    return typer.confirm(f"Remove {_count(entries)}, {format_bytes(_sum_bytes(entries))}?", err=True)
 
 
 def _is_terminal() -> bool:
@@ -163,9 +163,9 @@ def _remove(place: StageStore, entries: Sequence[Entry]) -> tuple[list[Entry], l
 
 def _say_removed(place: StageStore, entries: Sequence[Entry], dry_run: bool) -> None:
     for entry in entries:
-        say(f"{'would remove' if dry_run else 'removed'} {_name(entry)}, {byte_size(entry.nbytes)}")
+        say(f"{'would remove' if dry_run else 'removed'} {_name(entry)}, {format_bytes(entry.nbytes)}")
     verb = "would be removed" if dry_run else "removed"
-    say(f"{_count(entries)}, {byte_size(_sum_bytes(entries))}, {verb} from {place.root}")
+    say(f"{_count(entries)}, {format_bytes(_sum_bytes(entries))}, {verb} from {place.root}")
 
 
 def _record(entries: Sequence[Entry]) -> list[dict[str, Any]]:
@@ -185,7 +185,7 @@ def _sum_bytes(entries: Sequence[Entry]) -> int:
 
 
 def _summarise(place: StageStore, entries: Sequence[Entry]) -> str:
-    return f"{_count(entries)}, {byte_size(_sum_bytes(entries))} in {place.root}"
+    return f"{_count(entries)}, {format_bytes(_sum_bytes(entries))} in {place.root}"
 
 
 def parse_age(text: str) -> timedelta:

@@ -324,7 +324,7 @@ def _check_plugins() -> Iterator[Check]:
 
 
 def _check_store(folder: Path | None) -> Check:
-    from tactile_loc.core.formatting import byte_size
+    from tactile_loc.core.formatting import format_bytes
     from tactile_loc.store.store import StageStore
 
     root = StageStore(folder).root
@@ -336,7 +336,7 @@ def _check_store(folder: Path | None) -> Check:
     except OSError as error:
         return Check("store", State.BROKEN, f"{root} cannot be written to ({error.strerror})", remedy, True)
     nbytes, free = sum(entry.nbytes for entry in StageStore(folder).entries()), shutil.disk_usage(existing).free
-    says = f"{root} holds {byte_size(nbytes)}, {byte_size(free)} are free on its disk"
+    says = f"{root} holds {format_bytes(nbytes)}, {format_bytes(free)} are free on its disk"
     facts = {"folder": str(root), "bytes": nbytes, "free_bytes": free}
     if free < LITTLE_DISK_B:
         return Check("store", State.OK, f"{says} ({LOW_DISK})", f"tactile-loc store prune, or {remedy}", True, facts)

@@ -31,7 +31,7 @@ class CentroidRefiner(Refiner):
                 break
             slid = T.copy()
             slid[:2, 3] += centre_m(wanted, touch.geometry) - centre_m(seen, touch.geometry)
-            T = scene.in_contact(slid[None])[0][0]
+            T = scene.bring_to_contact(slid[None])[0][0]
         return best
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from tactile_loc_centroid.refiner import CentroidRefiner
 
 from tactile_loc.testing import parametrize_with_checks, parametrize_with_properties
-from tactile_loc.testing.problems import pressed_block
+from tactile_loc.testing.problems import press_block
 
 
 @parametrize_with_checks([CentroidRefiner()])
@@ -22,7 +22,7 @@ def test_property(component, check):
 
 def test_a_slide_is_undone():
     """A candidate 1 mm beside the truth ends within a twentieth of a millimetre."""
-    problem = pressed_block()
-    refined = CentroidRefiner().refine(problem.touch, problem.candidate((0.0008, -0.0006, 0.0)), problem.scene)
-    assert problem.error_m(refined) < 5e-5
+    problem = press_block()
+    refined = CentroidRefiner().refine(problem.touch, problem.make_candidate((0.0008, -0.0006, 0.0)), problem.scene)
+    assert problem.measure_error_m(refined) < 5e-5
     assert refined.converged

@@ -36,7 +36,7 @@ class OutlineEncoder(Encoder):
         in units of the reach. What is not observed is out of contact.
         """
         step = max(1, round(max(geometry.shape) / IMAGE_PX))
-        thinned = geometry.every(step)
+        thinned = geometry.subsample(step)
         contact = (depth_m[:, ::step, ::step] < np.float32(press_depth_m)) & thinned.observed_mask
         reach_m = self.options.reach_mm * 1e-3
         maps = signed_distances(contact, thinned.pixel_pitch_m, reach_m) / np.float32(reach_m)

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tactile_loc.plugin import SensorGeometry, registry, translation
+from tactile_loc.plugin import SensorGeometry, make_translation, registry
 from tactile_loc.testing import parametrize_with_checks, parametrize_with_properties
 
 from tactile_loc_outline.distances import signed_distances
@@ -14,7 +14,7 @@ from tactile_loc_outline.encoder import OutlineEncoder, cosines, low_frequencies
 
 PRESS_M = 0.001
 SENSOR = SensorGeometry("orthographic", 80, 80, 4000.0, 4000.0, 40.0, 40.0, 0.02, 0.002)  # 20 x 20 mm
-FINE = SENSOR.resized(400, 400)
+FINE = SENSOR.resize(400, 400)
 
 
 def with_options(**options) -> OutlineEncoder:
@@ -76,7 +76,7 @@ def test_waves_are_orthonormal():
 
 def test_all_frequencies_keep_all_of_the_distance():
     """Parseval: with every wave of a small image, the embeddings' distance is that of the maps."""
-    small = SENSOR.resized(16, 16)
+    small = SENSOR.resize(16, 16)
     a, b = (pressed(*sides, small) for sides in ((3, 4, 8, 6), (5, 9, 10, 5)))
     encoder = with_options(frequencies=23, reach_mm=6.0)
     assert low_frequencies(small, 23)[:16, :16].all()
@@ -140,11 +140,11 @@ def test_reach_decides_how_far_an_outline_is_felt():
 
 
 def test_vectors_are_float32_and_translation_of_the_pose_moves_them():
-    from tactile_loc.testing.problems import pressed_block
+    from tactile_loc.testing.problems import press_block
 
-    problem = pressed_block()
-    poses = np.stack([problem.truth, translation([0.001, 0, 0]) @ problem.truth])
-    vectors = OutlineEncoder().encode(problem.scene.contact_depths(poses), 0.002, problem.scene.geometry)
+    problem = press_block()
+    poses = np.stack([problem.truth, make_translation([0.001, 0, 0]) @ problem.truth])
+    vectors = OutlineEncoder().encode(problem.scene.render_contact_depths(poses), 0.002, problem.scene.geometry)
     assert vectors.dtype == np.float32
     assert vectors.flags.c_contiguous
     assert np.linalg.norm(vectors[1] - vectors[0]) > 0.01

@@ -11,7 +11,7 @@ from tactile_loc import (
     RosPose,
     TactileLocError,
     Touch,
-    image_array,
+    decode_image,
     touch_from_image,
 )
 
@@ -35,7 +35,7 @@ class ImageLocator:
     def locate(self, image: Any) -> LocatedFrame:
         """Return what a sensor_msgs Image or CompressedImage comes to; never raises for what an image shows."""
         try:
-            return self._estimator(touch_from_image(image_array(image), self._sensor, self._press_depth_m))
+            return self._estimator(touch_from_image(decode_image(image), self._sensor, self._press_depth_m))
         except TactileLocError as error:
             return LocatedFrame.of_error(error)
 

@@ -6,9 +6,17 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tactile_loc.plugin import Candidate, Cloud, Registration, contact_cloud, is_rigid, make_transform, rotation_about
+from tactile_loc.plugin import (
+    Candidate,
+    Cloud,
+    Registration,
+    is_rigid,
+    make_contact_cloud,
+    make_transform,
+    rotation_about,
+)
 from tactile_loc.testing import parametrize_with_checks, parametrize_with_properties
-from tactile_loc.testing.problems import CAMERAS, OFFSETS, pressed_block, with_depth
+from tactile_loc.testing.problems import CAMERAS, OFFSETS, press_block, replace_depth
 
 from tactile_loc_small_gicp.refiner import SmallGicpRefiner
 
@@ -31,45 +39,45 @@ def test_property(component, check):
 @pytest.mark.parametrize("offset", OFFSETS)
 def test_a_small_displacement_is_undone(camera, offset):
     """A candidate 0.7 to 1 mm or 5 degrees off ends within a third of a pixel of 0.4 mm."""
-    problem = pressed_block(camera)
-    before = problem.error_m(problem.candidate(offset))
-    refined = SmallGicpRefiner().refine(problem.touch, problem.candidate(offset), problem.scene)
+    problem = press_block(camera)
+    before = problem.measure_error_m(problem.make_candidate(offset))
+    refined = SmallGicpRefiner().refine(problem.touch, problem.make_candidate(offset), problem.scene)
     assert before > 3e-4
-    assert problem.error_m(refined) < 1.3e-4
+    assert problem.measure_error_m(refined) < 1.3e-4
     assert 1 <= refined.iterations <= 40
 
 
 def test_tilts_are_undone():
-    problem = pressed_block()
+    problem = press_block()
     truth = problem.truth
     tilted = make_transform(rotation_about([1, 0.5, 0], np.radians(3)) @ truth[:3, :3], truth[:3, 3])
-    candidate = Candidate(problem.scene.in_contact(tilted[None])[0][0], 0, 0.0)
+    candidate = Candidate(problem.scene.bring_to_contact(tilted[None])[0][0], 0, 0.0)
     refined = SmallGicpRefiner().refine(problem.touch, candidate, problem.scene)
-    assert problem.error_m(refined) < 0.3 * problem.error_m(candidate)
+    assert problem.measure_error_m(refined) < 0.3 * problem.measure_error_m(candidate)
 
 
 def test_too_few_iterations_have_not_converged():
-    problem, candidate = pressed_block(), pressed_block().candidate(OFFSETS[1])
+    problem, candidate = press_block(), press_block().make_candidate(OFFSETS[1])
     short, long = (with_options(iterations=n).refine(problem.touch, candidate, problem.scene) for n in (1, 40))
     assert (short.converged, long.converged) == (False, True)
     assert short.iterations <= 1 < long.iterations
-    assert problem.error_m(long) < problem.error_m(short)
+    assert problem.measure_error_m(long) < problem.measure_error_m(short)
 
 
 def test_what_lies_beyond_reach_is_not_registered():
     """4 pixels of 0.4 mm are the least reach: a contact three times as far away has no pair."""
-    problem = pressed_block()
+    problem = press_block()
     depth = np.full_like(problem.touch.contact_shape.depth_m, problem.touch.press_depth_m)
     depth[2:8, 2:8] = 0
-    far = with_depth(problem.touch, depth)
-    candidate = problem.candidate()
+    far = replace_depth(problem.touch, depth)
+    candidate = problem.make_candidate()
     near = with_options(reach_mm=0.1, iterations=50).refine(far, candidate, problem.scene)
     np.testing.assert_array_equal(near.T_sensor_object, candidate.T_sensor_object)
     assert not near.converged
 
 
 def test_a_registration_that_explains_less_is_not_believed(monkeypatch):
-    problem, candidate = pressed_block(), pressed_block().candidate(OFFSETS[0])
+    problem, candidate = press_block(), press_block().make_candidate(OFFSETS[0])
     away_mm = make_transform(np.eye(3), [4.0, 0.0, 0.0])
     wrong = Registration(away_mm, converged=True, iterations=7)
     monkeypatch.setattr(SmallGicpRefiner, "_register", lambda *_: wrong)
@@ -80,38 +88,40 @@ def test_a_registration_that_explains_less_is_not_believed(monkeypatch):
 
 
 def test_fitness_is_the_overlap_of_the_refined_pose():
-    problem = pressed_block()
-    refined = SmallGicpRefiner().refine(problem.touch, problem.candidate(OFFSETS[1]), problem.scene)
+    problem = press_block()
+    refined = SmallGicpRefiner().refine(problem.touch, problem.make_candidate(OFFSETS[1]), problem.scene)
     assert refined.contact_iou == problem.scene.contact_iou(refined.T_sensor_object, problem.touch)
-    assert refined.contact_iou > problem.scene.contact_iou(problem.candidate(OFFSETS[1]).T_sensor_object, problem.touch)
+    assert refined.contact_iou > problem.scene.contact_iou(
+        problem.make_candidate(OFFSETS[1]).T_sensor_object, problem.touch
+    )
 
 
 def test_voxels_thin_the_clouds():
-    problem = pressed_block()
-    points_m, normals = contact_cloud(problem.touch.contact_shape, problem.touch.geometry, walls=False)
+    problem = press_block()
+    points_m, normals = make_contact_cloud(problem.touch.contact_shape, problem.touch.geometry, walls=False)
     cloud = Cloud(1e3 * points_m, normals, spacing_mm=0.4)
     sizes = [with_options(voxel_mm=mm).prepared(cloud).points.size() for mm in (0.25, 1.0, 2.0)]
     assert sizes[0] > 2 * sizes[1] > 4 * sizes[2] > 40
     assert with_options(voxel_mm=50.0).prepared(cloud) is None
-    refined = with_options(voxel_mm=50.0).refine(problem.touch, problem.candidate(), problem.scene)
+    refined = with_options(voxel_mm=50.0).refine(problem.touch, problem.make_candidate(), problem.scene)
     assert not refined.converged
 
 
 def test_walls_hold_a_flat_face_sideways():
     """Without walls, the block's surface alone leaves more of a slide."""
-    problem = pressed_block()
-    flat = with_depth(problem.touch, np.where(problem.touch.contact_shape.contact, 0.0, problem.touch.press_depth_m)
+    problem = press_block()
+    flat = replace_depth(problem.touch, np.where(problem.touch.contact_shape.contact, 0.0, problem.touch.press_depth_m)
                       .astype(np.float32))  # fmt: skip
     problem = dataclasses.replace(problem, touch=flat)
     held, loose = (
-        problem.error_m(with_options(walls=w).refine(flat, problem.candidate(OFFSETS[0]), problem.scene))
+        problem.measure_error_m(with_options(walls=w).refine(flat, problem.make_candidate(OFFSETS[0]), problem.scene))
         for w in (True, False)
     )
     assert held < loose
 
 
 def test_results_are_rigid_to_rounding():
-    problem = pressed_block()
+    problem = press_block()
     for offset in OFFSETS:
-        refined = SmallGicpRefiner().refine(problem.touch, problem.candidate(offset), problem.scene)
+        refined = SmallGicpRefiner().refine(problem.touch, problem.make_candidate(offset), problem.scene)
         assert is_rigid(refined.T_sensor_object, tolerance=1e-12)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.plugin import random_rotations, registry, rotation_to_quaternion
-from tactile_loc.testing.problems import CAMERAS, block
+from tactile_loc.plugin import draw_rotations, registry, rotation_to_quaternion
+from tactile_loc.testing.problems import CAMERAS, make_block
 
 from tactile_loc_super_fibonacci.spirals import super_fibonacci_rotations
 
@@ -42,7 +42,7 @@ def spread_of(R: Float, asked: int = ASKED, seed: int = 0) -> Spread:
 
     q = rotation_to_quaternion(R)
     tree = cKDTree(np.concatenate([q, -q]))
-    queries = rotation_to_quaternion(random_rotations(asked, np.random.default_rng(seed)))
+    queries = rotation_to_quaternion(draw_rotations(asked, np.random.default_rng(seed)))
     nearest = angle_of_chord(tree.query(queries)[0])
     neighbour = angle_of_chord(tree.query(q, k=2)[0][:, 1])
     return Spread(*(float(v) for v in (nearest.max(), nearest.mean(), neighbour.min(), neighbour.mean())))
@@ -68,7 +68,7 @@ def least_covering(count: int) -> float:
 def hopf_rotations(level: int) -> Float:
     """Return tactile-loc's Hopf grid of rotations (72 * 8^level, 3, 3), unitless, as its plugin makes it."""
     hopf = registry().create("grid", "hopf", {"level": level})
-    poses = hopf.sample(block(), CAMERAS["orthographic"], spacing_m=1.0)  # one place for each rotation
+    poses = hopf.sample(make_block(), CAMERAS["orthographic"], spacing_m=1.0)  # one place for each rotation
     rotations: Float = poses[:, :3, :3]
     return rotations
 

@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 from tactile_loc import Localizer
-from tactile_loc.plugin import contact_grid, random_contact_poses
+from tactile_loc.plugin import draw_contact_poses, make_contact_grid
 
 HEAD = "| object | symmetry | grid | poses | mean spacing | median to nearest | 95 % to nearest | mean to nearest |"
 GRIDS = ("hopf", "super-fibonacci")
@@ -22,8 +22,8 @@ def row(name: str, grid: str, spacing_mm: float, asked: int) -> str:
     "To nearest" is from random contact poses, the same for both grids, to the nearest pose of the grid.
     """
     locate, drawer = (Localizer.create(name, grid={"name": g, "spacing_mm": spacing_mm}) for g in (grid, GRIDS[0]))
-    poses = contact_grid(locate.sampler, locate.coarse_scene)
-    drawn = random_contact_poses(drawer.sampler, drawer.coarse_scene, asked, np.random.default_rng(0))
+    poses = make_contact_grid(locate.sampler, locate.coarse_scene)
+    drawn = draw_contact_poses(drawer.sampler, drawer.coarse_scene, asked, np.random.default_rng(0))
     nearest_mm = poses.nearest(drawn)[0] * 1e3
     numbers = (np.median(nearest_mm), np.quantile(nearest_mm, 0.95), nearest_mm.mean())
     cells = [name, str(locate.object.symmetry), grid, f"{len(poses):,}", f"{poses.spacing_m * 1e3:.2f} mm"]

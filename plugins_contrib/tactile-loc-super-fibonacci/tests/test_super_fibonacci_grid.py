@@ -18,7 +18,7 @@ from tactile_loc.plugin import (
     registry,
 )
 from tactile_loc.testing import parametrize_with_checks, parametrize_with_properties
-from tactile_loc.testing.problems import CAMERAS, block
+from tactile_loc.testing.problems import CAMERAS, make_block
 
 from tactile_loc_super_fibonacci.coverage import least_covering, spread_of
 from tactile_loc_super_fibonacci.grid import SuperFibonacciGrid, rotations_for, spread_rotations
@@ -118,7 +118,7 @@ def test_random_draws_what_hopf_draws():
     from scipy.stats import ks_2samp
 
     hopf = registry().create("grid", "hopf")
-    drawn = [s.random(block(), CAMERAS["orthographic"], 4000, np.random.default_rng(k)) for k, s in
+    drawn = [s.random(make_block(), CAMERAS["orthographic"], 4000, np.random.default_rng(k)) for k, s in
              enumerate((SuperFibonacciGrid(), hopf))]  # fmt: skip
     a, b = (np.column_stack([T[:, :3, :3].reshape(-1, 9), T[:, :2, 3]]) for T in drawn)
     assert min(ks_2samp(a[:, k], b[:, k]).pvalue for k in range(a.shape[1])) > 1e-3

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import FrameError, did_you_mean
-from tactile_loc.core.geometry.hand_eye import moved, pose_errors
+from tactile_loc.core.geometry.hand_eye import compute_pose_errors, move
 from tactile_loc.core.geometry.rigid import invert
 
 Transform = NDArray[np.float64]
@@ -42,31 +43,33 @@ class Edge:
         self.stamps_ns.insert(place, stamp_ns)
         self.T_parent_child.insert(place, T)
 
-    def at(self, stamp_ns: int) -> Transform:
+    def look_up(self, stamp_ns: int) -> Transform:
         """Return T_parent_child (4, 4), metres, at a time, interpolated. Raises FrameError where it is not known."""
         if self.fixed:
             return self.T_parent_child[0]
         if self.jump_ns is not None:
             raise FrameError(
-                f"the clock of {self._name} jumps back to {seconds(self.jump_ns)}, so where it was at a time is "
+                f"the clock of {self._name} jumps back to {format_seconds(self.jump_ns)}, so where it was at a time is "
                 "ambiguous; cut the recording there"
             )
         first_ns, last_ns = self.stamps_ns[0], self.stamps_ns[-1]
         if not first_ns <= stamp_ns <= last_ns:
             raise FrameError(
-                f"{self._name} is known from {seconds(first_ns)} to {seconds(last_ns)}, not at {seconds(stamp_ns)}"
+                f"{self._name} is known from {format_seconds(first_ns)} to {format_seconds(last_ns)}, "
+                f"not at {format_seconds(stamp_ns)}"
             )
         after = min(bisect_right(self.stamps_ns, stamp_ns), len(self.stamps_ns) - 1)
         before = max(after - 1, 0)
         passed_ns = stamp_ns - self.stamps_ns[before]
         share = passed_ns / max(1, self.stamps_ns[after] - self.stamps_ns[before])
-        return between(self.T_parent_child[before], self.T_parent_child[after], share)
+        return interpolate(self.T_parent_child[before], self.T_parent_child[after], share)
 
     @property
     def _name(self) -> str:
         return f"{self.child!r} in {self.parent!r}"
 
 
+@keep_old_names(lookup="look_up")
 class FrameTree:
     """Frames by name; each is seen from one parent, but for those at the top."""
 
@@ -95,7 +98,7 @@ class FrameTree:
                 known = ", ".join(self.names) or "none"
                 raise FrameError(f"there is no frame {name!r}; there are: {known}.{did_you_mean(name, self.names)}")
 
-    def lookup(self, target: str, source: str, stamp_ns: int) -> Transform:
+    def look_up(self, target: str, source: str, stamp_ns: int) -> Transform:
         """Return T_target_source (4, 4), metres, at a time in ns; between stamps it is interpolated.
 
         Raises FrameError for a frame that is unknown or not connected, and for a time that is not covered.
@@ -120,16 +123,16 @@ class FrameTree:
         T = np.eye(4)
         while name != ancestor:
             edge = self._edges[name]
-            T = edge.at(stamp_ns) @ T
+            T = edge.look_up(stamp_ns) @ T
             name = edge.parent
         return T
 
 
-def between(T_first: Transform, T_second: Transform, share: float) -> Transform:
+def interpolate(T_first: Transform, T_second: Transform, share: float) -> Transform:
     """Return the transform (4, 4), metres, on the way from one to another: 0 the first, 1 the second."""
-    return moved(T_first, share * pose_errors(T_second, T_first))
+    return move(T_first, share * compute_pose_errors(T_second, T_first))
 
 
-def seconds(stamp_ns: int) -> str:
+def format_seconds(stamp_ns: int) -> str:
     """Return a time as people read it."""
     return f"{stamp_ns / 1e9:.3f} s"

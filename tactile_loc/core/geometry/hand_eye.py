@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import (
     Poses,
     axis_times_sine,
-    covariance_along,
     cross_matrix,
     invert,
     make_transform,
+    rotate_covariance,
     rotation_angle,
 )
 
@@ -57,22 +57,22 @@ class HandEyeFit:
         values, vectors = np.linalg.eigh(self.information * UNIT * UNIT[:, None])
         scaled = (vectors / np.maximum(values, LEAST_INFORMATION)) @ vectors.T
         along_sensor = self.variance * scaled * UNIT * UNIT[:, None]
-        return covariance_along(along_sensor, self.T_flange_sensor[:3, :3])
+        return rotate_covariance(along_sensor, self.T_flange_sensor[:3, :3])
 
 
-def predicted(T_base_flange: Poses, T_flange_sensor: Poses, T_base_object: Poses) -> Poses:
+def predict(T_base_flange: Poses, T_flange_sensor: Poses, T_base_object: Poses) -> Poses:
     """Return T_sensor_object (..., N, 4, 4), metres, of flanges' poses (N, 4, 4), and X and Y (..., 4, 4)."""
     return invert(T_base_flange @ T_flange_sensor[..., None, :, :]) @ T_base_object[..., None, :, :]
 
 
-def pose_errors(T: Poses, T_measured: Poses) -> Floats:
+def compute_pose_errors(T: Poses, T_measured: Poses) -> Floats:
     """Return by how much poses T are off measured ones, (..., 6), as `RefinedPose.covariance` is ordered and framed."""
-    turned = rotation_vectors(T[..., :3, :3] @ np.swapaxes(T_measured[..., :3, :3], -1, -2))
+    turned = compute_rotation_vectors(T[..., :3, :3] @ np.swapaxes(T_measured[..., :3, :3], -1, -2))
     return np.concatenate([T[..., :3, 3] - T_measured[..., :3, 3], turned], axis=-1)
 
 
-def moved(T: Poses, errors: Floats) -> Poses:
-    """Return the poses (..., 4, 4), metres, that are off T by `errors` (..., 6): the inverse of `pose_errors`."""
+def move(T: Poses, errors: Floats) -> Poses:
+    """Return the poses (..., 4, 4), metres, off T by `errors` (..., 6): the inverse of `compute_pose_errors`."""
     from scipy.spatial.transform import Rotation
 
     turned: Any = Rotation.from_rotvec(errors[..., 3:].reshape(-1, 3)).as_matrix()
@@ -80,7 +80,7 @@ def moved(T: Poses, errors: Floats) -> Poses:
     return make_transform(R, T[..., :3, 3] + errors[..., :3])
 
 
-def rotation_vectors(R: Floats) -> Floats:
+def compute_rotation_vectors(R: Floats) -> Floats:
     """Return the rotation vectors (..., 3), rad, of rotations (..., 3, 3)."""
     from scipy.spatial.transform import Rotation
 
@@ -88,7 +88,7 @@ def rotation_vectors(R: Floats) -> Floats:
     return np.asarray(vectors, float).reshape(*R.shape[:-2], 3)
 
 
-def closed_form(T_base_flange: Poses, T_sensor_object: Poses) -> tuple[Poses, Poses]:
+def solve_closed_form(T_base_flange: Poses, T_sensor_object: Poses) -> tuple[Poses, Poses]:
     """Return X and Y (..., 4, 4), metres, of at least three touches (..., N, 4, 4): exact without errors.
 
     The rotations maximise sum_i trace(R_Y^T R_Fi R_X R_Si) over matrices of one length, whose solution is a pair of
@@ -143,7 +143,7 @@ def fit_hand_eye(
         H, g, chi2 = _build_equations(T_base_flange, T_sensor_object, weighing, X, Y)
         weights = weights_of(chi2)[:, None, None]
         step = np.linalg.solve(_damp((weights * H).sum(axis=0)), (weights[:, 0] * g).sum(axis=0))
-        X, Y = X @ moved(np.eye(4), step[:6] * UNIT), Y @ moved(np.eye(4), step[6:] * UNIT)
+        X, Y = X @ move(np.eye(4), step[:6] * UNIT), Y @ move(np.eye(4), step[6:] * UNIT)
         if np.abs(step).max() < STILL:
             break
     H, _, chi2 = _build_equations(T_base_flange, T_sensor_object, weighing, X, Y)
@@ -154,8 +154,8 @@ def fit_hand_eye(
 
 def _build_equations(F: Poses, S: Poses, weighing: Floats, X: Floats, Y: Floats) -> tuple[Floats, Floats, Floats]:
     """The equations H (N, 12, 12), g (N, 12) of twists of X and Y in UNIT, each along its own axes; chi2 (N,)."""
-    P = predicted(F, X, Y)
-    e, J = pose_errors(P, S), np.zeros((len(F), 6, 12))
+    P = predict(F, X, Y)
+    e, J = compute_pose_errors(P, S), np.zeros((len(F), 6, 12))
     J[:, :3, :3] = J[:, 3:, 3:6] = -np.eye(3)
     J[:, :3, 3:6] = cross_matrix(P[:, :3, 3])
     J[:, :3, 6:9] = J[:, 3:, 9:] = P[:, :3, :3]
@@ -164,13 +164,13 @@ def _build_equations(F: Poses, S: Poses, weighing: Floats, X: Floats, Y: Floats)
     return left @ J, -(left @ e[..., None])[..., 0], np.einsum("ni,nij,nj->n", e, weighing, e)
 
 
-def typical_variance(chi2: Floats) -> float:
+def estimate_typical_variance(chi2: Floats) -> float:
     """Return how many times as large as told, squared, most residuals are; 1 at least."""
     return max(1.0, float(np.median(chi2)) / MEDIAN_6)
 
 
 def _weigh(chi2: Floats) -> Floats:
-    return np.asarray((1.0 + chi2 / (TRUSTED * typical_variance(chi2))) ** -2.0)
+    return np.asarray((1.0 + chi2 / (TRUSTED * estimate_typical_variance(chi2))) ** -2.0)
 
 
 def _damp(H: Floats) -> Floats:
@@ -191,7 +191,7 @@ def _estimate_variance(chi2: Floats, covariances: Floats, information: Floats) -
     return freedom, float(chi2.sum() / freedom)
 
 
-def flange_turns(T_base_flange: Poses) -> tuple[Floats, Floats]:
+def measure_turns(T_base_flange: Poses) -> tuple[Floats, Floats]:
     """Return how far flanges (N, 4, 4) are turned against one another, rad, about three axes, the most first.
 
     They are root mean squares (3,) over all pairs, and the axes (3, 3), a row each, are unit vectors in the flange's
@@ -199,7 +199,7 @@ def flange_turns(T_base_flange: Poses) -> tuple[Floats, Floats]:
     """
     R = T_base_flange[:, :3, :3]
     first, second = np.triu_indices(len(R), 1)
-    turns = rotation_vectors(np.swapaxes(R[first], 1, 2) @ R[second])
+    turns = compute_rotation_vectors(np.swapaxes(R[first], 1, 2) @ R[second])
     values, vectors = np.linalg.eigh(turns.T @ turns / max(1, len(turns)))
     return np.sqrt(np.maximum(values[::-1], 0.0)), vectors.T[::-1]
 

@@ -22,16 +22,16 @@ class PoseWords:
     turn_std: str = ""
 
 
-def pose_words(T: NDArray[np.float64], std: NDArray[np.float64] | None = None) -> PoseWords:
+def format_pose_words(T: NDArray[np.float64], std: NDArray[np.float64] | None = None) -> PoseWords:
     """Write a pose (4, 4) in metres, and standard deviations (6,), metres and radians, along and about the axes."""
     angle_deg, axis = axis_angle(T[:3, :3])
-    known = PoseWords(listed(1e3 * T[:3, 3], 1), f"{angle_deg:.1f}°", f"({listed(axis, 2)})")
+    known = PoseWords(join_numbers(1e3 * T[:3, 3], 1), f"{angle_deg:.1f}°", f"({join_numbers(axis, 2)})")
     if std is None:
         return known
-    along, about = listed(1e3 * std[:3], 2), f"{listed(np.degrees(std[3:]), 1)}°"
+    along, about = join_numbers(1e3 * std[:3], 2), f"{join_numbers(np.degrees(std[3:]), 1)}°"
     return PoseWords(known.place, known.turn, known.axis, along, about)
 
 
-def listed(values: Iterable[float], digits: int) -> str:
+def join_numbers(values: Iterable[float], digits: int) -> str:
     """Write numbers with so many digits after the point: 1.20, -0.31, 4.00."""
     return ", ".join(f"{value:.{digits}f}" for value in values)

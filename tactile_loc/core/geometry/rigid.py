@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_loc.core.deprecation import make_getattr
 from tactile_loc.core.errors import ConfigError, TactileLocError
 
 Array = NDArray[np.float64]
@@ -27,7 +28,7 @@ def make_transform(R: ArrayLike, t_m: ArrayLike) -> Array:
     return T
 
 
-def translation(t_m: ArrayLike) -> Array:
+def make_translation(t_m: ArrayLike) -> Array:
     """Return pure translations (..., 4, 4) by `t_m` (..., 3) in metres."""
     return make_transform(np.eye(3), t_m)
 
@@ -72,14 +73,14 @@ def cross_matrix(v: Array) -> Array:
     return np.asarray(K - K.swapaxes(-1, -2))
 
 
-def covariance_at(covariance: Array, shift_m: Array) -> Array:
+def move_covariance(covariance: Array, shift_m: Array) -> Array:
     """Return a pose's covariances (..., 6, 6), m before rad, at a point `shift_m` (..., 3), metres, from their own."""
     moved = np.broadcast_to(np.eye(6), (*shift_m.shape[:-1], 6, 6)).copy()
     moved[..., :3, 3:] = -cross_matrix(shift_m)  # w x shift
     return np.asarray(moved @ covariance @ np.swapaxes(moved, -1, -2))
 
 
-def covariance_along(covariance: Array, R: Array) -> Array:
+def rotate_covariance(covariance: Array, R: Array) -> Array:
     """Return a pose's covariance (6, 6), m before rad, along other axes: R (3, 3) turns vectors' numbers to theirs."""
     turned = np.kron(np.eye(2), R)
     return np.asarray(turned @ covariance @ turned.T)
@@ -128,7 +129,7 @@ def rotation_to_quaternion(R: Array) -> Array:
     return np.asarray(flat, float).reshape(*R.shape[:-2], 4)
 
 
-def random_rotations(count: int, rng: np.random.Generator) -> Array:
+def draw_rotations(count: int, rng: np.random.Generator) -> Array:
     """Draw rotations (count, 3, 3) uniformly over SO(3): normalised Gaussian quaternions."""
     q = rng.normal(size=(count, 4))
     return quaternion_to_rotation(q / np.linalg.norm(q, axis=1, keepdims=True))
@@ -177,3 +178,6 @@ def _convert_numbers(values: ArrayLike) -> Array | None:
     except ValueError:  # rows of different lengths
         return None
     return found.astype(np.float64) if found.dtype.kind in "fiu" else None
+
+
+__getattr__ = make_getattr(__name__)

@@ -25,7 +25,7 @@ class Blocks(NamedTuple):
     radii: NDArray[np.float64]
 
 
-def blocks_of(corners: NDArray[np.float64], most: int) -> Blocks:
+def make_blocks(corners: NDArray[np.float64], most: int) -> Blocks:
     """Part things with corners (N, C, 3), at the middle of their longest side, into blocks of at most `most`."""
     middles = corners.mean(axis=1)
     waiting, parts = [np.arange(len(corners))], []
@@ -47,9 +47,9 @@ def blocks_of(corners: NDArray[np.float64], most: int) -> Blocks:
 
 
 @lru_cache(maxsize=16)
-def triangle_blocks(mesh: TriangleMesh) -> Blocks:
+def make_triangle_blocks(mesh: TriangleMesh) -> Blocks:
     """Return the triangles of a mesh in blocks of TRIANGLES, parted when they are first asked for; metres."""
-    return blocks_of(mesh.triangles_m, TRIANGLES)
+    return make_blocks(mesh.triangles_m, TRIANGLES)
 
 
 class NearestTriangles(NamedTuple):

@@ -17,7 +17,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.compiled import in_threads, njit
+from tactile_loc.core.compiled import njit, run_in_threads
+from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.objects.blocks import NearestTriangles
 from tactile_loc.core.objects.mesh import TriangleMesh
 
@@ -25,6 +26,7 @@ MOST_CELLS = 6_000_000
 SIDES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
 
 
+@keep_old_names(in_unit="to_unit", closest="find_closest", mean_gaps="measure_gaps")
 @dataclass(frozen=True, eq=False)
 class SurfaceField:
     """The nearest points of a mesh, up to `reach_m` metres from it."""
@@ -46,21 +48,21 @@ class SurfaceField:
         carry(first, sides, normals, low, cell_m, reach_m, nearest)
         return cls(NearestTriangles(first, sides, normals, low, cell_m, nearest, *_find_neighbours(corners)), reach_m)
 
-    def in_unit(self, per_m: float) -> NearestTriangles:
+    def to_unit(self, per_m: float) -> NearestTriangles:
         """Return what compiled code takes, in another unit of length, of which a metre has `per_m`."""
         of = self.triangles
         return of._replace(
             corners=of.corners * per_m, sides=of.sides * per_m, low=of.low * per_m, cell=of.cell * per_m
         )  # fmt: skip
 
-    def closest(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def find_closest(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Return the surface's nearest points (N, 3), metres, to points (N, 3) of the object's frame, and the number
         (N,) of their triangle; NaN and -1 beyond reach."""
         found, which = np.full((len(points_m), 3), np.nan), np.full(len(points_m), -1)
         look_up(np.ascontiguousarray(points_m, float), self.triangles, found, which)
         return found, which
 
-    def mean_gaps(
+    def measure_gaps(
         self, points_m: NDArray[np.float64], T_object_points: NDArray[np.float64], most_m: float
     ) -> NDArray[np.float64]:
         """Return how far points (N, 3), metres, moved by each of T_object_points (K, 4, 4), are from the surface.
@@ -69,7 +71,7 @@ class SurfaceField:
         """
         gaps = np.zeros(len(T_object_points))
         points_m = np.ascontiguousarray(points_m, float)
-        in_threads(_fill_mean_gaps, len(gaps), points_m, T_object_points, self.triangles, float(most_m), gaps)
+        run_in_threads(_fill_mean_gaps, len(gaps), points_m, T_object_points, self.triangles, float(most_m), gaps)
         return gaps
 
 
@@ -87,7 +89,7 @@ def _find_neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], N
 
 
 @lru_cache(maxsize=64)  # objects of a library that are looked into together
-def surface_field(mesh: TriangleMesh) -> SurfaceField:
+def build_surface_field(mesh: TriangleMesh) -> SurfaceField:
     """Return the field of a mesh, built when it is first asked for."""
     return SurfaceField.of(mesh)
 
@@ -96,11 +98,11 @@ def surface_field(mesh: TriangleMesh) -> SurfaceField:
 def look_up(points, triangles, found, which):
     """Fill nearest points (N, 3) and their triangles (N,)."""
     for i in range(len(points)):
-        f = triangle_near(points[i], triangles)
+        f = find_triangle_near(points[i], triangles)
         which[i] = f
         if f >= 0:
-            which[i] = f = downhill(points[i], f, triangles)[0]
-            x, y, z = closest_on_triangle(points[i], triangles.corners[f], triangles.sides[f])
+            which[i] = f = find_downhill(points[i], f, triangles)[0]
+            x, y, z = find_closest_on_triangle(points[i], triangles.corners[f], triangles.sides[f])
             found[i, 0], found[i, 1], found[i, 2] = x, y, z
 
 
@@ -113,7 +115,7 @@ def _fill_mean_gaps(first, last, points, T, triangles, most, gaps):
         for i in range(len(points)):
             for r in range(3):
                 x[r] = T[k, r, 0] * points[i, 0] + T[k, r, 1] * points[i, 1] + T[k, r, 2] * points[i, 2] + T[k, r, 3]
-            f = triangle_near(x, triangles)
+            f = find_triangle_near(x, triangles)
             total += (
                 most
                 if f < 0
@@ -123,7 +125,7 @@ def _fill_mean_gaps(first, last, points, T, triangles, most, gaps):
 
 
 @njit
-def triangle_near(x, triangles):
+def find_triangle_near(x, triangles):
     """The triangle nearest to the cell that x (3,) lies in; -1 beyond reach."""
     i = math.floor((x[0] - triangles.low[0]) / triangles.cell)
     j = math.floor((x[1] - triangles.low[1]) / triangles.cell)
@@ -135,7 +137,7 @@ def triangle_near(x, triangles):
 
 
 @njit
-def downhill(x, f, triangles):
+def find_downhill(x, f, triangles):
     """The triangle nearest to x (3,) that is reached from triangle f over ever nearer ones that share an edge, and its
     squared distance."""
     least = _measure_squared_distance(x, triangles.corners[f], triangles.sides[f])
@@ -155,7 +157,7 @@ def downhill(x, f, triangles):
 
 
 @njit
-def closest_on_triangle(x, a, sides):
+def find_closest_on_triangle(x, a, sides):
     """The point that is nearest to x (3,) of the triangle from corner a (3,) with `sides` (2, 3): Ericson, Real-Time
     Collision Detection, 5.1.5."""
     ab0, ab1, ab2 = sides[0, 0], sides[0, 1], sides[0, 2]
@@ -257,5 +259,5 @@ def _mark_crossed(corners, sides, normals, low, cell, nearest, squared):
 
 @njit
 def _measure_squared_distance(x, a, sides):
-    p = closest_on_triangle(x, a, sides)
+    p = find_closest_on_triangle(x, a, sides)
     return (x[0] - p[0]) ** 2 + (x[1] - p[1]) ** 2 + (x[2] - p[2]) ** 2

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import SymmetryError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 
@@ -41,10 +42,10 @@ class SymmetryTerm:
         return rotation_about(self.axis, 2.0 * math.pi / self.order)
 
     def __str__(self) -> str:
-        return axis_name(self.axis) + ("inf" if math.isinf(self.order) else str(int(self.order)))
+        return name_axis(self.axis) + ("inf" if math.isinf(self.order) else str(int(self.order)))
 
 
-def axis_name(axis: ArrayLike) -> str:
+def name_axis(axis: ArrayLike) -> str:
     """Return 'x', 'y' or 'z' for a positive coordinate axis and 'axis(a,b,c)' with nine digits for any other (3,)."""
     a = np.asarray(axis, dtype=np.float64)
     for letter, unit in zip("xyz", np.eye(3), strict=True):
@@ -67,6 +68,7 @@ def close_rotations(generators: Sequence[NDArray[np.float64]]) -> NDArray[np.flo
     return np.stack(found)
 
 
+@keep_old_names(elements="list_elements", canonical="find_canonical", least_angle="measure_least_angle")
 @dataclass(frozen=True, eq=False)
 class SymmetryGroup:
     """The proper rotations about `centre_m` (3,) in the object frame that map an object onto itself.
@@ -89,7 +91,7 @@ class SymmetryGroup:
         if axis is None:
             rotations = close_rotations([term.rotation for term in self.terms])
         else:
-            rotations = _flips(self.terms, axis)
+            rotations = _list_flips(self.terms, axis)
         if rotations is None:
             raise SymmetryError(
                 f"The symmetry '{self}' does not close: its turns generate more than {MAX_ORDER} rotations; correct an"
@@ -122,7 +124,7 @@ class SymmetryGroup:
         """Whether the identity is the only element."""
         return self.order == 1
 
-    def elements(self, max_step_rad: float = math.radians(10.0)) -> NDArray[np.float64]:
+    def list_elements(self, max_step_rad: float = math.radians(10.0)) -> NDArray[np.float64]:
         """Return all elements as T_object_object (K, 4, 4), metres, identity first.
 
         A continuous axis is sampled evenly, at an even number of turns (so that half turns are among them) at most
@@ -138,7 +140,7 @@ class SymmetryGroup:
         exactly as near, a set of measure zero, all count, so that a pose is never lost. With a continuous axis,
         `step_rad` (the spacing of the rotations asked about) is required, and R counts if it lies within half a step,
         along its orbit, of the nearest one: an orbit sampled evenly at `step_rad` keeps one. Ask only about sets that
-        are closed under the group, such as a grid over all of SO(3); others are to be compared by `canonical`.
+        are closed under the group, such as a grid over all of SO(3); others are to be compared by `find_canonical`.
         Raises SymmetryError if `step_rad` is missing.
         """
         nearness, angle_rad = self._measure_nearness(R)
@@ -150,7 +152,7 @@ class SymmetryGroup:
         half_step_rad = step_rad / 2.0
         return is_nearest & (angle_rad[:, 0] > -half_step_rad) & (angle_rad[:, 0] <= half_step_rad)
 
-    def canonical(self, R: NDArray[np.float64]) -> NDArray[np.float64]:
+    def find_canonical(self, R: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return for each R_sensor_object (N, 3, 3) the equivalent (N, 3, 3) nearest to the fixed generic rotation.
 
         Two poses are equivalent if and only if these agree and so do the positions of the group's centre.
@@ -162,7 +164,7 @@ class SymmetryGroup:
             return nearest
         return nearest @ rotation_about(self.continuous_axis, angle_rad[np.arange(len(best)), best])
 
-    def least_angle(self, R_reference: NDArray[np.float64], R: NDArray[np.float64]) -> NDArray[np.float64]:
+    def measure_least_angle(self, R_reference: NDArray[np.float64], R: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the least angle (N,), radians, from R_reference (3, 3) to the equivalents of rotations R (N, 3, 3)."""
         nearness, _ = self._measure_nearness(R, R_reference)  # a trace is 1 + 2 cos(angle)
         return np.arccos(np.clip(0.5 * (nearness.max(axis=1) - 1.0), -1.0, 1.0))
@@ -218,7 +220,7 @@ def _parse_axis(match: re.Match[str]) -> tuple[float, float, float] | None:
     return (a, b, c) if math.isfinite(length) and length > 1e-12 else None
 
 
-def _flips(terms: Sequence[SymmetryTerm], axis: NDArray[np.float64]) -> NDArray[np.float64]:
+def _list_flips(terms: Sequence[SymmetryTerm], axis: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the identity and, if a term is one, a half turn perpendicular to the continuous axis: (1 or 2, 3, 3)."""
     rotations = [np.eye(3)]
     for term in terms:

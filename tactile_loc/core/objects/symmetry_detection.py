@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.errors import SymmetryError
 from tactile_loc.core.geometry.rigid import rotation_about
-from tactile_loc.core.objects.symmetry import MAX_ORDER, SymmetryGroup, SymmetryTerm, axis_name, close_rotations
+from tactile_loc.core.objects.symmetry import MAX_ORDER, SymmetryGroup, SymmetryTerm, close_rotations, name_axis
 from tactile_loc.core.objects.symmetry_surface import SurfaceProbe
 
 _logger = logging.getLogger(__name__)
@@ -81,7 +81,7 @@ def require_symmetry(
         place = ", ".join(f"{1e3 * value:.1f}" for value in point_m)
         raise SymmetryError(
             f"The object does not have the symmetry '{group}': the surface differs by {1e3 * deviation_m:.2g} mm after"
-            f" {_turn_name(R)}, at ({place}) mm, and the tolerance is {1e3 * tolerance_m:.2g} mm; correct the"
+            f" {_name_turn(R)}, at ({place}) mm, and the tolerance is {1e3 * tolerance_m:.2g} mm; correct the"
             " symmetry, or declare none."
         )
 
@@ -97,7 +97,7 @@ def _find_worst(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -
 
 def _find_worst_of_few(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
     """Move a few points by all elements, and leave a thousandth of them out of account."""
-    elements = group.elements(_VERIFY_STEP_RAD)[1:]
+    elements = group.list_elements(_VERIFY_STEP_RAD)[1:]
     few = probe.few.first(_VERIFY_EVALUATIONS // (len(elements) + 1))
     worst: Deviation = (0.0, np.eye(3), probe.centre_m)
     for R in elements[:, :3, :3]:
@@ -314,7 +314,7 @@ def _list_primes(largest: int) -> list[int]:
 
 
 def _rank_term(term: SymmetryTerm) -> tuple[float, bool, str]:
-    name = axis_name(term.axis)
+    name = name_axis(term.axis)
     return (-term.order, len(name) > 1, name if len(name) == 1 else "")
 
 
@@ -333,7 +333,7 @@ def _sample_hemisphere(count: int) -> NDArray[np.float64]:
     return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
 
 
-def _turn_name(R: NDArray[np.float64]) -> str:
+def _name_turn(R: NDArray[np.float64]) -> str:
     """Describe a rotation (3, 3) as 'a turn of 60 deg about z'."""
     angle_rad = math.acos(float(np.clip((np.trace(R) - 1.0) / 2.0, -1.0, 1.0)))
     axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
@@ -342,4 +342,4 @@ def _turn_name(R: NDArray[np.float64]) -> str:
     axis = (axis / np.linalg.norm(axis)).round(3) + 0.0
     if axis[np.argmax(np.abs(axis))] < 0:
         axis, angle_rad = -axis + 0.0, 2.0 * math.pi - angle_rad
-    return f"a turn of {math.degrees(angle_rad):.4g} deg about {axis_name(axis)}"
+    return f"a turn of {math.degrees(angle_rad):.4g} deg about {name_axis(axis)}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.deprecation import make_getattr
 from tactile_loc.core.errors import GridError
 
 Float = NDArray[np.float64]
@@ -15,8 +16,8 @@ PLASTIC = 1.32471795724474602596  # the real root of x^3 = x + 1
 SHIFTS = np.array([1 / PLASTIC, 1 / PLASTIC**2])  # its multiples, modulo 1, fill a square: Roberts' R2 sequence
 
 
-def lattice_shape(low_m: Float, high_m: Float, pitch_m: float) -> NDArray[np.int64]:
-    """Return how many lattice points (..., 2) `plane_lattice` has along x and y between low and high (..., 2), metres.
+def compute_lattice_shape(low_m: Float, high_m: Float, pitch_m: float) -> NDArray[np.int64]:
+    """Return how many points (..., 2) `make_plane_lattice` has along x and y between low and high (..., 2), metres.
 
     Each point stands for a square of side `pitch_m`; the fewest squares that cover the range are taken, at least one.
     Raises GridError when the pitch is not a positive number.
@@ -28,7 +29,7 @@ def lattice_shape(low_m: Float, high_m: Float, pitch_m: float) -> NDArray[np.int
     return shape
 
 
-def plane_lattice(low_m: Float, high_m: Float, pitch_m: float) -> Float:
+def make_plane_lattice(low_m: Float, high_m: Float, pitch_m: float) -> Float:
     """Return the points (K, 2) of a square lattice of pitch `pitch_m`, centred between low (2,) and high (2,).
 
     Metres; x varies slowest. No place in the range is farther than half a pitch from a point along either axis. The
@@ -38,16 +39,16 @@ def plane_lattice(low_m: Float, high_m: Float, pitch_m: float) -> Float:
     low, high = np.asarray(low_m, float), np.asarray(high_m, float)
     x, y = (
         middle + pitch_m * (np.arange(n) - (n - 1) / 2)
-        for middle, n in zip((low + high) / 2, lattice_shape(low, high, pitch_m), strict=True)
+        for middle, n in zip((low + high) / 2, compute_lattice_shape(low, high, pitch_m), strict=True)
     )
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def shifted_lattice(low_m: Float, high_m: Float, pitch_m: float, number: int) -> Float:
+def make_shifted_lattice(low_m: Float, high_m: Float, pitch_m: float, number: int) -> Float:
     """Return the points (K, 2) of the square lattice that is shifted by the `number`-th of SHIFTS, as far as in range.
 
     Metres; lattices of successive numbers fill one another's gaps evenly. Number 0 has a point in the middle of the
-    range, low (2,) to high (2,); a range that no point is in gets its middle. Raises GridError as `plane_lattice` does.
+    range, low (2,) to high (2,); one without a point in it gets its middle. Raises GridError as the plane lattice does.
     """
     _require_pitch(pitch_m)
     low, high = np.asarray(low_m, float), np.asarray(high_m, float)
@@ -72,7 +73,7 @@ def _require_pitch(pitch_m: float) -> None:
         raise GridError(f"a lattice needs a positive pitch, not {pitch_m * 1e3:g} mm; give a spacing above zero")
 
 
-def reachable_translations(points_m: Float, rectangle_m: tuple[float, float, float, float]) -> tuple[Float, Float]:
+def find_reachable_translations(points_m: Float, rectangle_m: tuple[float, float, float, float]) -> tuple[Float, Float]:
     """Return low (2,) and high (2,) of t_xy for which the bounding box of points + t overlaps the rectangle.
 
     Metres, sensor frame. `points_m` (V, 3) or (..., V, 3) are already turned (R p); the result is (..., 2) each. The
@@ -81,3 +82,6 @@ def reachable_translations(points_m: Float, rectangle_m: tuple[float, float, flo
     points = np.asarray(points_m, float)[..., :2]
     x0, x1, y0, y1 = rectangle_m
     return np.array([x0, y0]) - points.max(axis=-2), np.array([x1, y1]) - points.min(axis=-2)
+
+
+__getattr__ = make_getattr(__name__)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
@@ -49,7 +50,7 @@ class PoseMetric:
         """
         symmetry = self.object.symmetry
         if symmetry.continuous_axis is None:
-            return self.embed(T_sensor_object[None] @ symmetry.elements()[:, None])
+            return self.embed(T_sensor_object[None] @ symmetry.list_elements()[:, None])
         a, C, centre = symmetry.continuous_axis, self.object.mesh.covariance_m2, symmetry.centre_m
         lever_m = np.sqrt(0.5 * (np.trace(C) + a @ C @ a))
         offset = a * (a @ (self.object.mesh.centroid_m - centre))
@@ -67,7 +68,7 @@ class PoseMetric:
         A continuous symmetry is sampled so that neighbouring equivalents are at most `step_m` metres apart.
         """
         lever_m = np.sqrt(np.trace(self.object.mesh.covariance_m2))
-        S = self.object.symmetry.elements(max_step_rad=float(step_m / lever_m))
+        S = self.object.symmetry.list_elements(max_step_rad=float(step_m / lever_m))
         return T_sensor_object[None] @ S[:, None]
 
     def nearest_equivalents(self, T_sensor_object: Poses, T_near: Poses, step_m: float = 1e-4) -> Poses:
@@ -86,6 +87,7 @@ class PoseMetric:
         return np.linalg.norm(self.embed_orbits(T1) - self.embed_orbits(T2)[0], axis=-1).min(axis=0)
 
 
+@keep_old_names(raised="raise_level", within="find_within")
 @dataclass(frozen=True, eq=False)
 class PoseGrid:
     """The discrete contact poses that are searched: `T_sensor_object` (N, 4, 4), metres. Raises GridError if empty."""
@@ -103,7 +105,7 @@ class PoseGrid:
     def __len__(self) -> int:
         return len(self.T_sensor_object)
 
-    def raised(self, height_m: float) -> PoseGrid:
+    def raise_level(self, height_m: float) -> PoseGrid:
         """Return the grid with all poses `height_m` metres farther along z; what looks poses up is shared."""
         if height_m == 0.0:
             return self
@@ -172,7 +174,7 @@ class PoseGrid:
     def distances(self, T_sensor_object: Poses) -> NDArray[np.float64]:
         """Return the distance (N,) in metres of every grid pose from one pose (4, 4), the least over the symmetry."""
         same = self._move_to_level(self.metric.embed_orbits(T_sensor_object[None])[:, 0])
-        return np.asarray(distances_between(self._orbit_tree.data, same).min(axis=1))
+        return np.asarray(measure_distances(self._orbit_tree.data, same).min(axis=1))
 
     def neighbour_spacing(self, subset: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
         """Return each pose's distance (N,) in metres to its nearest other pose (of `subset` indices, or of all)."""
@@ -180,14 +182,14 @@ class PoseGrid:
         distances: NDArray[np.float64] = self._tree.query(self._move_to_level(points), k=2)[0]
         return distances[:, 1]
 
-    def within(self, radius_m: float, index: int) -> NDArray[np.int64]:
+    def find_within(self, radius_m: float, index: int) -> NDArray[np.int64]:
         """Return the indices (K,) of poses within `radius_m` metres of grid pose `index`, symmetry regarded."""
         same = self.metric.embed_orbits(self.T_sensor_object[index : index + 1])[:, 0]
         found = self._orbit_tree.query_ball_point(self._move_to_level(same), radius_m)
         return np.unique(np.concatenate([np.asarray(f, np.int64) for f in found]))
 
 
-def distances_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def measure_distances(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the Euclidean distances (A, B) between points (A, D) and (B, D), to some 1e-8 of how large they are."""
     squared = (a * a).sum(axis=1)[:, None] - 2 * (a @ b.T) + (b * b).sum(axis=1)
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
@@ -201,6 +203,6 @@ def remove_equivalent(T_sensor_object: Poses, metric: PoseMetric, radius_m: floa
     grid = PoseGrid(T_sensor_object, metric)
     for i in range(len(keep)):
         if keep[i]:
-            twins = grid.within(radius_m, i)
+            twins = grid.find_within(radius_m, i)
             keep[twins[twins > i]] = False
     return keep

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.metric import PoseGrid
@@ -28,6 +29,7 @@ class Mode:
     members: NDArray[np.int64]
 
 
+@keep_old_names(tempered="temper")
 @dataclass(frozen=True, eq=False)
 class PosePosterior:
     """Log-probabilities `log_p` (N,) over a grid's poses; -inf where a pose is excluded.
@@ -95,7 +97,7 @@ class PosePosterior:
         likelier = np.concatenate([[0.0], np.cumsum(p)])[first]
         return order[(likelier <= level) & (p > 0)]
 
-    def tempered(self, power: float) -> PosePosterior:
+    def temper(self, power: float) -> PosePosterior:
         """Return the posterior whose probabilities are these to the `power`, normalised: below 1 it is less sure."""
         if power == 1.0:
             return self

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_loc.core.deprecation import keep_old_names, make_getattr
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import Poses, align_to_z, make_transform, require_rigid
 from tactile_loc.core.objects.symmetry import SymmetryGroup
@@ -31,8 +32,9 @@ PAIRS = 500_000  # of poses and kernels, taken at once
 Prior = Callable[[Poses], NDArray[np.float64]]
 
 
+@keep_old_names(tempered="temper", seen_from="view_from")
 class PosePrior(ABC):
-    """A prior over poses in one frame, the sensor's unless it is `seen_from` another."""
+    """A prior over poses in one frame, the sensor's unless `view_from` moves it to another."""
 
     @abstractmethod
     def __call__(self, T_sensor_object: Poses) -> Array:
@@ -43,11 +45,11 @@ class PosePrior(ABC):
         """How many touches it was learned from: 0 unless it is an earlier posterior."""
         return 0
 
-    def tempered(self, power: Callable[[int], float]) -> PosePrior:
+    def temper(self, power: Callable[[int], float]) -> PosePrior:
         """Return the prior, what it learned from N touches raised to `power(N)`: see `FusedScaling`."""
         return self
 
-    def seen_from(self, T_base_sensor: Poses) -> SeenFrom:
+    def view_from(self, T_base_sensor: Poses) -> SeenFrom:
         """Take this prior as one about T_base_object; return it for the T_sensor_object of a sensor at (4, 4)."""
         return SeenFrom(self, T_base_sensor)
 
@@ -76,11 +78,11 @@ class SeenFrom(PosePrior):
     @property
     def touches(self) -> int:
         """How many touches the prior in the base frame was learned from."""
-        return touches_behind(self.prior)
+        return count_touches(self.prior)
 
-    def tempered(self, power: Callable[[int], float]) -> PosePrior:
+    def temper(self, power: Callable[[int], float]) -> PosePrior:
         """Return the same with the prior in the base frame tempered."""
-        return replace(self, prior=tempered(self.prior, power))
+        return replace(self, prior=temper(self.prior, power))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +98,11 @@ class ProductPrior(PosePrior):
     @property
     def touches(self) -> int:
         """How many touches all of them were learned from."""
-        return sum(map(touches_behind, self.priors))
+        return sum(map(count_touches, self.priors))
 
-    def tempered(self, power: Callable[[int], float]) -> PosePrior:
+    def temper(self, power: Callable[[int], float]) -> PosePrior:
         """Return the product of each of them tempered."""
-        return ProductPrior(tuple(tempered(prior, power) for prior in self.priors))
+        return ProductPrior(tuple(temper(prior, power) for prior in self.priors))
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +133,7 @@ class GaussianPrior(PosePrior):
         R, t = T_sensor_object[:, :3, :3], T_sensor_object[:, :3, 3]
         centre_m = self.T[:3, :3] @ symmetry.centre_m + self.T[:3, 3]
         distance_m = np.linalg.norm(R @ symmetry.centre_m + t - centre_m, axis=1)
-        angle_rad = symmetry.least_angle(self.T[:3, :3], R)
+        angle_rad = symmetry.measure_least_angle(self.T[:3, :3], R)
         with np.errstate(over="ignore"):  # far beyond a tiny deviation: no weight at all
             return -0.5 * ((distance_m / self.translation_std_m) ** 2 + (angle_rad / self.rotation_std_rad) ** 2)
 
@@ -223,7 +225,7 @@ class PosteriorPrior(PosePrior):
         """How many touches the earlier posterior was learned from."""
         return self.posterior.touches
 
-    def tempered(self, power: Callable[[int], float]) -> PosePrior:
+    def temper(self, power: Callable[[int], float]) -> PosePrior:
         """Return the earlier posterior raised to `power(N)` for its N touches."""
         return replace(self, power=power(self.touches))
 
@@ -265,14 +267,14 @@ class PosteriorPrior(PosePrior):
             yield some, np.log(np.exp(np.maximum(log_terms, NOTHING)).sum(axis=1))
 
 
-def touches_behind(prior: Prior | None) -> int:
+def count_touches(prior: Prior | None) -> int:
     """Return how many touches a prior was learned from: 0 if it does not say."""
     return prior.touches if isinstance(prior, PosePrior) else 0
 
 
-def tempered(prior: Prior, power: Callable[[int], float]) -> Prior:
+def temper(prior: Prior, power: Callable[[int], float]) -> Prior:
     """Return a prior, what it learned from N touches raised to `power(N)`; one that does not say stays as it is."""
-    return prior.tempered(power) if isinstance(prior, PosePrior) else prior
+    return prior.temper(power) if isinstance(prior, PosePrior) else prior
 
 
 def _require_numbers(values: ArrayLike, what: str) -> Array:
@@ -280,3 +282,6 @@ def _require_numbers(values: ArrayLike, what: str) -> Array:
     if found.shape != (3,) or np.isnan(found).any():
         raise ConfigError(f"{what} must be three numbers, not {values!r}")
     return found
+
+
+__getattr__ = make_getattr(__name__)

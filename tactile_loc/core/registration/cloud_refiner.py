@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.sensing.clouds import contact_cloud
+from tactile_loc.core.deprecation import make_getattr
+from tactile_loc.core.sensing.clouds import make_contact_cloud
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.component import ComponentOptions
@@ -77,16 +78,18 @@ class CloudRefiner(Refiner):
         """Refine several candidates of one touch, as `refine` does each; they are rendered together."""
         if not candidates:
             return []
-        geometry, wanted = touch.thinned(self.options.image_px)
+        geometry, wanted = touch.thin(self.options.image_px)
         thinned = dataclasses.replace(scene, geometry=geometry)
         given = np.stack([candidate.T_sensor_object for candidate in candidates])
-        starts = thinned.in_contact(given)[0]  # the poses whose contact is registered
-        seen = [ContactShape(d, touch.press_depth_m) for d in thinned.contact_depths(starts, touch.press_depth_m)]
+        starts = thinned.bring_to_contact(given)[0]  # the poses whose contact is registered
+        seen = [
+            ContactShape(d, touch.press_depth_m) for d in thinned.render_contact_depths(starts, touch.press_depth_m)
+        ]
         before = [shape.contact_iou(wanted, geometry.observed_mask) for shape in seen]
         found = self._register_shapes(seen, wanted, geometry)
-        poses = np.stack([_moved(start, f.T_mm) for start, f in zip(starts, found, strict=True)])
+        poses = np.stack([_move(start, f.T_mm) for start, f in zip(starts, found, strict=True)])
         rows = zip(found, poses, scene.contact_ious(poses, touch), given, before, strict=True)
-        return [_believed(*row) for row in rows]
+        return [_choose_better(*row) for row in rows]
 
     def _register_shapes(
         self, seen: Sequence[ContactShape], wanted: ContactShape, geometry: SensorGeometry
@@ -101,12 +104,12 @@ class CloudRefiner(Refiner):
 
     def _cloud(self, shape: ContactShape, geometry: SensorGeometry, most: int) -> Cloud:
         """A contact shape's cloud, thinned evenly to about `most` points."""
-        points, normals = contact_cloud(shape, geometry, self.options.walls)
+        points, normals = make_contact_cloud(shape, geometry, self.options.walls)
         every = max(1, round(len(points) / most))
         return Cloud(points[::every] * MILLI, normals[::every], geometry.pixel_pitch_m * MILLI * every**0.5)
 
 
-def orthonormal(T: NDArray[np.float64]) -> NDArray[np.float64]:
+def make_orthonormal(T: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the transform (4, 4) with its rotation cleared of rounding: the nearest proper one."""
     U, _, Vt = np.linalg.svd(T[:3, :3])
     T = T.copy()
@@ -114,19 +117,22 @@ def orthonormal(T: NDArray[np.float64]) -> NDArray[np.float64]:
     return T
 
 
-def _moved(T_sensor_object: NDArray[np.float64], T_mm: NDArray[np.float64] | None) -> NDArray[np.float64]:
+def _move(T_sensor_object: NDArray[np.float64], T_mm: NDArray[np.float64] | None) -> NDArray[np.float64]:
     """The pose (4, 4), metres, after a transform in mm, if there is one."""
     if T_mm is None:
         return T_sensor_object
     T = T_mm.copy()
     T[:3, 3] /= MILLI
-    return orthonormal(T) @ T_sensor_object
+    return make_orthonormal(T) @ T_sensor_object
 
 
-def _believed(
+def _choose_better(
     found: Registration, pose: NDArray[np.float64], after: float, given: NDArray[np.float64], before: float
 ) -> RefinedPose:
     """The registered pose (4, 4) if its overlap with the touch is not less than the given candidate's, else that."""
     if found.T_mm is not None and after >= before - ROUGHLY:
         return RefinedPose(pose, after, found.converged and after > 0, found.iterations)
     return RefinedPose(given.copy(), before, converged=False, iterations=found.iterations)
+
+
+__getattr__ = make_getattr(__name__)

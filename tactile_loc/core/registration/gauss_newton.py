@@ -76,8 +76,8 @@ class Registration:
                 going = going[~done]
                 if not len(going):
                     break
-        information = self._of_first(parts, T)
-        return Registered(self._seen_by_first(T, T_each[:, 0]), T_each, information, moved)
+        information = self._marginalise_first(parts, T)
+        return Registered(self._view_from_first(T, T_each[:, 0]), T_each, information, moved)
 
     def _step(self, T: Floats, T_each: Floats, scale: float, every: NDArray[np.int64]) -> tuple[Floats, ...]:
         """One Gauss-Newton step of poses (K, 4, 4) and of every sensor's error: both, moved; the parts (K, 2, 6, 6) of
@@ -102,7 +102,7 @@ class Registration:
         H, g = H_each.sum(axis=1), each[..., 6].sum(axis=1)
         first = Ad[:, 0].swapaxes(-1, -2) @ A[:, 0] @ Ad[:, 0]
         parts = np.stack([first, H - H_each[:, 0]], axis=1)
-        x, moved = _limited_step(H, g)
+        x, moved = _solve_step(H, g)
         T = exponential(x, T[:, :3, :3] @ self.middle + T[:, :3, 3]) @ T
         # each sensor's own error, given where the object is: S (1 + A S)^-1 (b + A e - A Ad x)
         own = left[..., 6] - (left[..., :6] @ (Ad @ x[:, None, :, None]))[..., 0]
@@ -116,24 +116,25 @@ class Registration:
         Ad = adjoint(R, lever)
         across = Ad.swapaxes(-1, -2)
         H = across @ A @ Ad
-        x, moved = _limited_step(H, (across @ b[..., None])[..., 0])
+        x, moved = _solve_step(H, (across @ b[..., None])[..., 0])
         T = exponential(x, T[:, :3, :3] @ self.middle + T[:, :3, 3]) @ T
         return T, (self.T_sensor_first @ T)[:, None], np.stack([H, np.zeros_like(H)], axis=1), moved
 
     def _equations(self, T_each: Floats, scale: float, every: NDArray[np.int64]) -> tuple[Floats, Floats]:
         """The equations A (K, N, 6, 6), b (K, N, 6) of twists by which poses T_each explain each touch better."""
-        from tactile_loc.core.compiled import in_threads  # numba takes a while to import
-        from tactile_loc.core.registration.kernels import equations
+        from tactile_loc.core.compiled import run_in_threads  # numba takes a while to import
+        from tactile_loc.core.registration.kernels import build_equations
 
         A, b = np.zeros((*T_each.shape[:2], 6, 6)), np.zeros((*T_each.shape[:2], 6))
         misfit = np.zeros((len(T_each), 2))
-        in_threads(
-            equations, len(T_each), T_each, every, self.observed, self.triangles, self.samples, scale, A, b, misfit
+        run_in_threads(
+            build_equations, len(T_each), T_each, every, self.observed, self.triangles, self.samples, scale, A, b,
+            misfit,
         )  # fmt: skip
         surer = np.minimum(1.0, self.noise**2 * misfit[:, 1] / np.maximum(misfit[:, 0], 1e-30))[:, None, None]
         return A * surer[..., None], b * surer
 
-    def _of_first(self, parts: Floats, T: Floats) -> Floats:
+    def _marginalise_first(self, parts: Floats, T: Floats) -> Floats:
         """The information (K, 6, 6) of twists, about the object's centre, of where the first sensor sees the object.
 
         Of `parts` (K, 2, 6, 6) the first touch's is direct, but for its press; the others' reaches it through the
@@ -144,7 +145,7 @@ class Registration:
         total = np.linalg.solve(np.eye(6) + parts @ allowed, parts).sum(axis=1)
         return np.asarray((total + total.swapaxes(1, 2)) / 2)
 
-    def _seen_by_first(self, T: Floats, seen: Floats) -> Floats:
+    def _view_from_first(self, T: Floats, seen: Floats) -> Floats:
         """Where the first sensor sees the object (K, 4, 4): its own pose's error regarded, that of its press not.
 
         `T` (K, 4, 4) is where it would if it were where it is taken to be, `seen` where its touch has the object.
@@ -155,7 +156,7 @@ class Registration:
         return exponential(share * logarithm(seen @ invert(T), centre), centre) @ T
 
 
-def _limited_step(H: Floats, g: Floats) -> tuple[Floats, Floats]:
+def _solve_step(H: Floats, g: Floats) -> tuple[Floats, Floats]:
     """The twists x (K, 6) that solve H x = g, slightly damped, none too far; and how far they move poses (K,), mm."""
     diagonal = np.einsum("kii->ki", H).reshape(-1, 2, 3)  # turning, then sliding
     damping = DAMPING * diagonal.mean(axis=2, keepdims=True) + np.full((1, 1, 3), 1e-9)

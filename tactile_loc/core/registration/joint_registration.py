@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.geometry.rigid import Poses, covariance_at
-from tactile_loc.core.objects.blocks import Blocks, NearestTriangles, blocks_of
+from tactile_loc.core.deprecation import keep_old_names
+from tactile_loc.core.geometry.rigid import Poses, move_covariance
+from tactile_loc.core.objects.blocks import Blocks, NearestTriangles, make_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.registration.gauss_newton import SETTLED_MM, Registered, Registration
 from tactile_loc.core.registration.observations import MILLI, Seen, observe
@@ -49,6 +50,7 @@ class RegistrationOptions(ComponentOptions):
     press_error: float = Field(default=0.05, ge=0, description="standard deviation of a press, share of it")
 
 
+@keep_old_names(settle="register_coarsely", covariances="estimate_covariances", scales_mm="list_scales_mm")
 class JointRegistration:
     """Registers poses to touches. It holds options only, so one engine serves any object and any touches."""
 
@@ -66,7 +68,7 @@ class JointRegistration:
         """
         if not len(T_first_object):
             return []
-        found = self._register(views, T_first_object, self.scales_mm(self.options.iterations), FINELY)
+        found = self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), FINELY)
         after = _explain(views, found.T)
         before = np.ones_like(after)
         doubted = after[1] < 1 - ROUGHLY  # a pose that explains nearly everything explains no less than before
@@ -81,12 +83,12 @@ class JointRegistration:
             results.append(RefinedPose(T, float(iou), settled, self.options.iterations, covariance, seen))
         return results
 
-    def settle(self, views: Sequence[View], T_first_object: Poses) -> Poses:
+    def register_coarsely(self, views: Sequence[View], T_first_object: Poses) -> Poses:
         """Register many poses (K, 4, 4), metres, roughly, and return where they end (K, 4, 4), better or not.
 
         A fraction of the points is used, and nothing is drawn.
         """
-        return self._register(views, T_first_object, self.scales_mm(self.options.iterations), 0).T
+        return self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), 0).T
 
     def follow(self, views: Sequence[View], T_first_object: Poses) -> tuple[Poses, Covariances]:
         """Register poses (K, 4, 4), metres, that are near already; return where they end and their covariances.
@@ -94,7 +96,7 @@ class JointRegistration:
         For control loops: nothing is drawn, so that a pose may explain less than before. Covariances (6, 6) are as
         RefinedPose's, None where the touches do not determine the pose.
         """
-        found = self._register(views, T_first_object, self.scales_mm(self.options.iterations), FINELY)
+        found = self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), FINELY)
         return found.T, _covariances(found, views[0])
 
     def step(self, views: Sequence[View], T_first_object: Poses, scale_mm: float) -> tuple[Poses, Covariances]:
@@ -106,28 +108,29 @@ class JointRegistration:
         found = self._register(views, T_first_object, np.array([scale_mm]), 1)
         return found.T, _covariances(found._replace(T=T_first_object), views[0])
 
-    def covariances(self, views: Sequence[View], T_first_object: Poses) -> Covariances:
+    def estimate_covariances(self, views: Sequence[View], T_first_object: Poses) -> Covariances:
         """Return the covariance (6, 6), as RefinedPose's, of each pose (K, 4, 4), metres, that fits the touches."""
         return self.step(views, T_first_object, self.options.scale_end_mm)[1]
 
-    def scales_mm(self, count: int) -> Floats:
+    def list_scales_mm(self, count: int) -> Floats:
         """Return the scale of the robust weights (count,), step by step: narrower up to the middle."""
         start, end = self.options.scale_mm, self.options.scale_end_mm
         return np.asarray(start * (end / start) ** np.clip(np.arange(count) / (0.5 * count), 0, 1))
 
     def _register(self, views: Sequence[View], T: Poses, scales_mm: Floats, finely: int) -> Registered:
         """Register poses (K, 4, 4), metres, to touches; poses in metres, but information in mm and rad."""
-        from tactile_loc.core.objects.surface_field import surface_field  # numba takes a while to import
+        from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
 
         options, mesh = self.options, views[0].scene.object.mesh
         area_m2 = float(mesh.face_areas.sum()) / SAMPLES
-        seen = [Seen(shape, geometry) for geometry, shape in (v.touch.thinned(options.image_px) for v in views)]
+        seen = [Seen(shape, geometry) for geometry, shape in (v.touch.thin(options.image_px) for v in views)]
         observed = observe(seen, options.points, options.noise_mm / MILLI, options.patch_mm / MILLI, area_m2)
         press_mm = [max(options.press_error * view.touch.indentation_m, 1e-6) * MILLI for view in views]
         sensor = [[view.sensor_std_rad] * 3 + [view.sensor_std_m * MILLI] * 3 for view in views]
         registration = Registration(
             observed, _scale(np.stack([view.T_sensor_first for view in views]), MILLI), np.square(sensor),
-            np.outer(np.square(press_mm), [0, 0, 0, 0, 0, 1]), options.noise_mm, _triangles_mm(surface_field(mesh)),
+            np.outer(np.square(press_mm), [0, 0, 0, 0, 0, 1]), options.noise_mm,
+            _triangles_mm(build_surface_field(mesh)),
             _samples_mm(mesh),
             mesh.centroid_m * MILLI,
         )  # fmt: skip
@@ -146,7 +149,7 @@ def _explain(views: Sequence[View], T_first_object: Poses) -> Floats:
     """Return contact and imprint IoUs (2, K) of poses (K, 4, 4) in the first sensor's frame: means over the touches."""
     if not len(T_first_object):
         return np.empty((2, 0))
-    each = [view.explained(T_first_object)[:2] for view in views]
+    each = [view.compare_imprints(T_first_object)[:2] for view in views]
     return np.asarray(np.mean(each, axis=0))
 
 
@@ -172,15 +175,15 @@ def _covariance(information: Floats, lever_m: Floats) -> Floats | None:
     # a direction that no touch constrains has a standard deviation of some 30 mm, or 3 rad
     covariance = (vectors / np.maximum(values, 1e-3)) @ vectors.T
     unit = np.array([1 / MILLI] * 3 + [1.0] * 3)
-    return covariance_at(covariance * unit * unit[:, None], -lever_m)
+    return move_covariance(covariance * unit * unit[:, None], -lever_m)
 
 
 @lru_cache(maxsize=64)
 def _samples_mm(mesh: TriangleMesh) -> Blocks:
     points = mesh.sample(SAMPLES, np.random.default_rng(0)) * MILLI
-    return blocks_of(points[:, None], BLOCK)
+    return make_blocks(points[:, None], BLOCK)
 
 
 @lru_cache(maxsize=64)
 def _triangles_mm(field: SurfaceField) -> NearestTriangles:
-    return field.in_unit(MILLI)
+    return field.to_unit(MILLI)

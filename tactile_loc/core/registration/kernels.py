@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from tactile_loc.core.compiled import njit
-from tactile_loc.core.objects.surface_field import closest_on_triangle, downhill, triangle_near
+from tactile_loc.core.objects.surface_field import find_closest_on_triangle, find_downhill, find_triangle_near
 
 # mypy: ignore-errors
 
@@ -20,7 +20,7 @@ NEAR_PLANE_MM = 0.1  # a point beside its triangle by less is measured to the tr
 
 
 @njit(fast=True)
-def equations(first, last, T_each, every, observed, triangles, samples, scale, A, b, misfit):
+def build_equations(first, last, T_each, every, observed, triangles, samples, scale, A, b, misfit):
     """Fill the equations A u = b of twists u by which poses T_each (K, N, 4, 4) explain their touches better.
 
     Of the poses from first to last, one of `every` (K,) points; `triangles` are the object's in mm, `samples` points of
@@ -29,15 +29,15 @@ def equations(first, last, T_each, every, observed, triangles, samples, scale, A
     """
     for k in range(first, last):
         for i in range(T_each.shape[1]):
-            seen(i, T_each[k, i], observed, triangles, scale, every[k], A[k, i], b[k, i], misfit[k])
-            kept_out(i, T_each[k, i], observed, samples, scale, every[k], A[k, i], b[k, i])
+            add_seen(i, T_each[k, i], observed, triangles, scale, every[k], A[k, i], b[k, i], misfit[k])
+            add_kept_out(i, T_each[k, i], observed, samples, scale, every[k], A[k, i], b[k, i])
             for m in range(6):
                 for n in range(m):
                     A[k, i, m, n] = A[k, i, n, m]
 
 
 @njit(fast=True)
-def seen(i, T, observed, triangles, scale, every, A, b, misfit):
+def add_seen(i, T, observed, triangles, scale, every, A, b, misfit):
     """Add the equations of touch i's points: each lies on the object's surface, which faces as the point does.
 
     To the misfit (2,) are added their weighted squared distances, mm^2, and their weights.
@@ -49,10 +49,10 @@ def seen(i, T, observed, triangles, scale, every, A, b, misfit):
         for a in range(3):  # into the object's frame
             x[a] = T[0, a] * (p[0] - T[0, 3]) + T[1, a] * (p[1] - T[1, 3]) + T[2, a] * (p[2] - T[2, 3])
             y[a] = T[0, a] * n[0] + T[1, a] * n[1] + T[2, a] * n[2]
-        f = triangle_near(x, triangles)
+        f = find_triangle_near(x, triangles)
         if f < 0:
             continue
-        f, squared = downhill(x, f, triangles)
+        f, squared = find_downhill(x, f, triangles)
         m = triangles.normals[f]
         facing = m[0] * y[0] + m[1] * y[1] + m[2] * y[2]
         if facing <= 0.0:
@@ -61,7 +61,7 @@ def seen(i, T, observed, triangles, scale, every, A, b, misfit):
         off = m[0] * (x[0] - corner[0]) + m[1] * (x[1] - corner[1]) + m[2] * (x[2] - corner[2])
         d0, d1, d2, r = m[0], m[1], m[2], off
         if squared - off * off > (NEAR_PLANE_MM + 0.5 * abs(off)) ** 2:  # beside the triangle
-            c = closest_on_triangle(x, corner, triangles.sides[f])
+            c = find_closest_on_triangle(x, corner, triangles.sides[f])
             r = math.sqrt(squared)
             d0, d1, d2 = (x[0] - c[0]) / r, (x[1] - c[1]) / r, (x[2] - c[2]) / r
         r = math.copysign(max(0.0, abs(r) - observed.slack[j]), r)
@@ -69,7 +69,7 @@ def seen(i, T, observed, triangles, scale, every, A, b, misfit):
         # back into the sensor's frame; the object moves by u, so that the residual falls by d . u(p)
         for a in range(3):
             y[a] = T[a, 0] * d0 + T[a, 1] * d1 + T[a, 2] * d2
-        row(p, observed.centres[i], y, J)
+        compute_row(p, observed.centres[i], y, J)
         add(J, r, weight, A, b)
         weight = every * observed.weights[j] * facing
         misfit[0] += weight * min(r * r, GROSS_MM**2)
@@ -77,7 +77,7 @@ def seen(i, T, observed, triangles, scale, every, A, b, misfit):
 
 
 @njit(fast=True)
-def kept_out(i, T, observed, samples, scale, every, A, b):
+def add_kept_out(i, T, observed, samples, scale, every, A, b):
     """Add the equations of surface samples that reach deeper into the gel of touch i than it shows."""
     camera = observed.cameras[i]
     pinhole, fx, fy, cx, cy, gel = camera[0] > 0.0, camera[1], camera[2], camera[3], camera[4], camera[5]
@@ -118,13 +118,13 @@ def kept_out(i, T, observed, samples, scale, every, A, b):
                     continue
                 d[0], d[1], d[2] = aside / far, across / far, 0.0
             p[0], p[1], p[2] = x, y, z
-            row(p, observed.centres[i], d, J)
+            compute_row(p, observed.centres[i], d, J)
             # here the point itself moves with the object, towards d, by r
             add(J, r, every * camera[10] / (1.0 + r * r / (scale * scale)) ** 2, A, b)
 
 
 @njit(fast=True)
-def row(p, centre, d, J):
+def compute_row(p, centre, d, J):
     """The derivative (6,) of d . (motion of p) by a twist about the centre."""
     l0, l1, l2 = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
     J[0], J[1], J[2] = l1 * d[2] - l2 * d[1], l2 * d[0] - l0 * d[2], l0 * d[1] - l1 * d[0]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.sensing.clouds import contact_cloud
+from tactile_loc.core.sensing.clouds import make_contact_cloud
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 
@@ -76,7 +76,7 @@ def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple
 
     They weigh as much together as there are patches that err each for itself.
     """
-    points, normals = contact_cloud(touch.shape, touch.geometry)
+    points, normals = make_contact_cloud(touch.shape, touch.geometry)
     pitch_mm = touch.geometry.pixel_pitch_m * MILLI
     slack_mm = np.full(len(points), 0.5 * pitch_mm)
     slack_mm[: np.count_nonzero(touch.shape.contact & touch.geometry.observed_mask)] = 0.0  # the surface; then walls

@@ -13,7 +13,7 @@ OUTLINE_PX = 1.5  # standard deviation of the smoothing across which an outline'
 SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))  # row and column steps to a pixel's neighbours
 
 
-def contact_cloud(shape: ContactShape, geometry: SensorGeometry, walls: bool = True) -> tuple[Points, Points]:
+def make_contact_cloud(shape: ContactShape, geometry: SensorGeometry, walls: bool = True) -> tuple[Points, Points]:
     """Return the surface in contact as points (P, 3) in metres, sensor frame, and unit normals (P, 3).
 
     A normal points into the sensor (towards -z). With `walls`, the outline is part of the surface too: where a pixel

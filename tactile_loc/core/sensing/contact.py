@@ -14,9 +14,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.compiled import in_threads, njit
+from tactile_loc.core.compiled import njit, run_in_threads
 from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.objects.blocks import triangle_blocks
+from tactile_loc.core.objects.blocks import make_triangle_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.zbuffer import place
@@ -37,35 +37,41 @@ def bring_to_contact(
     curved, what is brought to the standoff is the least height over its relief.
     """
     T = np.array(T_sensor_object, float, copy=True)
-    lowest = lowest_over_relief(mesh, T, geometry) if geometry.is_curved else lowest_points(mesh, T, geometry.rectangle)
+    lowest = (
+        find_lowest_over_relief(mesh, T, geometry)
+        if geometry.is_curved
+        else find_lowest_points(mesh, T, geometry.rectangle)
+    )
     touching = np.isfinite(lowest)
     T[touching, 2, 3] += geometry.standoff_m - lowest[touching]
     return T, touching
 
 
-def lowest_points(
+def find_lowest_points(
     mesh: TriangleMesh, T_sensor_object: Poses, rectangle_m: tuple[float, float, float, float]
 ) -> NDArray[np.float64]:
     """Return z (N,) in metres of the surface's lowest point over a rectangle (x0, x1, y0, y1); inf where none is."""
     R, t = T_sensor_object[:, :3, :3], T_sensor_object[:, :3, 3]
     rotations, starts, members = group_rotations(R)
-    triangles, t = triangle_blocks(mesh), np.ascontiguousarray(t)
+    triangles, t = make_triangle_blocks(mesh), np.ascontiguousarray(t)
     rectangle = np.asarray(rectangle_m, float)
     result = np.full(len(members), np.inf)
-    in_threads(_fill_lowest, len(rotations), triangles, rotations, starts, members, t, rectangle, result)
+    run_in_threads(_fill_lowest, len(rotations), triangles, rotations, starts, members, t, rectangle, result)
     return result
 
 
-def lowest_over_relief(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> NDArray[np.float64]:
+def find_lowest_over_relief(
+    mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry
+) -> NDArray[np.float64]:
     """Return the least of z - relief (N,), metres, of poses' surface over the sensing rectangle; inf where none is."""
     T = np.ascontiguousarray(T_sensor_object, float)
     result = np.full(len(T), np.inf)
-    gel = (np.asarray(geometry.rectangle, float), *upright_relief(geometry))
-    in_threads(_fill_lowest_curved, len(T), triangle_blocks(mesh), T, *gel, result)
+    gel = (np.asarray(geometry.rectangle, float), *make_upright_relief(geometry))
+    run_in_threads(_fill_lowest_curved, len(T), make_triangle_blocks(mesh), T, *gel, result)
     return result
 
 
-def upright_relief(geometry: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def make_upright_relief(geometry: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return a curved gel's relief (H, W), metres, over points of the plane z = surface, and their lattice.
 
     The lattice (4,), metres, are x and y of the first point and the steps to the next. Parallel rays see it so; a

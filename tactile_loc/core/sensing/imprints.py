@@ -32,7 +32,7 @@ class Explained(NamedTuple):
     evidence: Floats
 
 
-def explained(
+def compare_imprints(
     made_m: Float32, seen_m: Float32, press_depth_m: float, observed: NDArray[np.bool_], pixel_pitch_m: float
 ) -> Explained:
     """Compare contact depths (N, H, W) that poses make with those that a touch shows (H, W); metres.

@@ -59,7 +59,7 @@ class Places:
         return poses
 
 
-def as_patches(rise_m: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+def make_patches(rise_m: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
     """Turn how much farther than its place a surface is (..., metres) into what `Places.patches` keeps of it."""
     with np.errstate(invalid="ignore"):
         steps = np.clip(np.rint(rise_m / STEP_M) + BELOW, 0, FAR)

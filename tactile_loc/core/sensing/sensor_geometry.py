@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import SensorError
 
 Depth = NDArray[np.float32]
@@ -25,13 +26,14 @@ FEWEST_PX_M, MOST_PX_M = 1e-1, 1e7  # pixels a metre: what lies beyond is no len
 SAME_RELIEF_M = 5e-5  # two gels whose surfaces differ by less are one
 
 
+@keep_old_names(resized="resize", every="subsample", pressed="press", with_long_side="resize_long_side")
 @dataclass(frozen=True, eq=False)
 class SensorGeometry:
     """The virtual camera behind the sensing surface.
 
     `fx`, `fy` are pixels for a pinhole camera and pixels per metre for an orthographic one; `cx`, `cy` are pixels.
     `standoff_m` is the distance from the camera to the undeformed surface, `max_depth_m` the deepest press in metres.
-    While an object is pressed in by `indentation_m` metres (see `pressed`), its deepest point is at z = `standoff_m`
+    While an object is pressed in by `indentation_m` metres (see `press`), its deepest point is at z = `standoff_m`
     and it is seen up to `max_depth_m` metres beyond; `surface_m` is where the undeformed surface is.
     `rectangle_m` (x_min, x_max, y_min, y_max) bounds the gel on the sensing surface; by default all that the image
     sees of it. `observed` (H, W) bool is False at pixels that carry no information; by default all pixels whose view
@@ -184,7 +186,7 @@ class SensorGeometry:
         k = z if self.is_pinhole else np.ones_like(z)
         return np.stack([x * k, y * k, z], axis=-1)
 
-    def resized(self, width_px: int, height_px: int) -> SensorGeometry:
+    def resize(self, width_px: int, height_px: int) -> SensorGeometry:
         """Return the same sensor with another image size in pixels; intrinsics scale exactly."""
         kx, ky = width_px / self.width_px, height_px / self.height_px
         observed = None
@@ -208,7 +210,7 @@ class SensorGeometry:
         at = np.meshgrid(*((np.arange(new) + 0.5) * old / new - 0.5 for new, old in sizes), indexing="ij")
         return np.asarray(map_coordinates(self.relief_m, at, np.float32, order=1, mode="nearest"))
 
-    def every(self, step: int) -> SensorGeometry:
+    def subsample(self, step: int) -> SensorGeometry:
         """Return the sensor that sees only every `step`-th pixel, from the first: what [::step, ::step] keeps."""
         rows, columns = len(range(0, self.height_px, step)), len(range(0, self.width_px, step))
         observed = None if self.observed is None else self.observed[::step, ::step]
@@ -219,7 +221,7 @@ class SensorGeometry:
             observed=observed, relief_m=relief_m,
         )  # fmt: skip
 
-    def pressed(self, indentation_m: float, press_depth_m: float | None = None) -> SensorGeometry:
+    def press(self, indentation_m: float, press_depth_m: float | None = None) -> SensorGeometry:
         """Return the sensor as it sees an object that is pressed `indentation_m` metres into the gel.
 
         What is seen begins at the object's deepest point, at z = surface - indentation, and ends `press_depth_m`
@@ -236,10 +238,10 @@ class SensorGeometry:
             max_depth_m=indentation_m if press_depth_m is None else press_depth_m,
         )  # fmt: skip
 
-    def with_long_side(self, pixels: int) -> SensorGeometry:
+    def resize_long_side(self, pixels: int) -> SensorGeometry:
         """Return the same sensor, its longer image side `pixels` long, the shorter in proportion."""
         k = pixels / max(self.shape)
-        return self.resized(max(1, round(self.width_px * k)), max(1, round(self.height_px * k)))
+        return self.resize(max(1, round(self.width_px * k)), max(1, round(self.height_px * k)))
 
     def is_same_sensor(self, other: SensorGeometry) -> bool:
         """Tell whether `other` sees the same field, to within a pixel, in the same way.
@@ -281,7 +283,7 @@ def _pack_bytes(array: NDArray[Any]) -> bytes:
 Drawing = Literal["pressed", "paper"]
 
 
-def as_drawn(
+def find_drawing(
     T_sensor_object: NDArray[np.float64], geometry: SensorGeometry, drawing: Drawing
 ) -> tuple[NDArray[np.float64], SensorGeometry]:
     """Return poses (..., 4, 4), metres, and the sensor as what is compared with touches is drawn of them.

@@ -9,17 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import NoContactError, TouchError
 from tactile_loc.core.geometry.rigid import require_rigid
 from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
 
 
+@keep_old_names(every="subsample", pressed_to="press_to")
 @dataclass(frozen=True, eq=False)
 class ContactShape:
     """How far the object's surface lies from full penetration: `depth_m` (H, W) float32 in metres, 0 ... press depth.
 
     A pixel at `press_depth_m` or beyond is not in contact. Two contact shapes are comparable when both are cut at the
-    same press depth: see `pressed_to`. `indentation_m` is how deep the object really was pressed in, if it is more
+    same press depth: see `press_to`. `indentation_m` is how deep the object really was pressed in, if it is more
     than what the shape shows: None means that nothing was cut off.
     """
 
@@ -32,8 +34,8 @@ class ContactShape:
         """The pixels (H, W) in contact: depth below the press depth in metres."""
         return self.depth_m < np.float32(self.press_depth_m)
 
-    def every(self, step: int) -> ContactShape:
-        """Return every `step`-th pixel; goes with `SensorGeometry.every`."""
+    def subsample(self, step: int) -> ContactShape:
+        """Return every `step`-th pixel; goes with `SensorGeometry.subsample`."""
         return dataclasses.replace(self, depth_m=self.depth_m[::step, ::step])
 
     def contact_iou(self, other: ContactShape, observed: NDArray[np.bool_]) -> float:
@@ -41,7 +43,7 @@ class ContactShape:
         ours, theirs = self.contact & observed, other.contact & observed
         return float((ours & theirs).sum() / max(1, (ours | theirs).sum()))
 
-    def pressed_to(self, press_depth_m: float) -> ContactShape:
+    def press_to(self, press_depth_m: float) -> ContactShape:
         """Return what is nearer than `press_depth_m` metres to full penetration; the object is pressed as deep."""
         cut_m = min(press_depth_m, self.press_depth_m)
         return ContactShape(np.minimum(self.depth_m, np.float32(cut_m)), cut_m, self.deepest_m)
@@ -52,7 +54,7 @@ class ContactShape:
         return self.press_depth_m if self.indentation_m is None else self.indentation_m
 
 
-def contact_depth(depth_m: NDArray[np.floating[Any]], geometry: SensorGeometry, press_depth_m: float) -> Depth:
+def compute_contact_depth(depth_m: NDArray[np.floating[Any]], geometry: SensorGeometry, press_depth_m: float) -> Depth:
     """Turn rendered camera depths (..., H, W) into contact depths (..., H, W): clip(z - standoff, 0, press depth).
 
     All in metres; a surface that no ray meets has depth inf and becomes `press_depth_m`, no contact. Where the gel is
@@ -62,6 +64,7 @@ def contact_depth(depth_m: NDArray[np.floating[Any]], geometry: SensorGeometry, 
     return np.clip(shape, 0.0, np.float32(press_depth_m), out=shape)
 
 
+@keep_old_names(thinned="thin")
 @dataclass(frozen=True, eq=False)
 class Touch:
     """One tactile observation.
@@ -105,7 +108,7 @@ class Touch:
                 "touch where an edge or a feature is on the sensor, or check how the file marks 'no contact'"
             )
         if self.geometry.indentation_m != self.indentation_m or self.geometry.max_depth_m != self.press_depth_m:
-            pressed = self.geometry.pressed(self.indentation_m, self.press_depth_m)
+            pressed = self.geometry.press(self.indentation_m, self.press_depth_m)
             object.__setattr__(self, "geometry", pressed)
         for pose in ("T_base_sensor", "T_sensor_object"):
             if getattr(self, pose) is not None:
@@ -122,10 +125,10 @@ class Touch:
         """How deep the object's deepest point was pressed into the gel, metres."""
         return self.contact_shape.deepest_m
 
-    def thinned(self, pixels: int) -> tuple[SensorGeometry, ContactShape]:
+    def thin(self, pixels: int) -> tuple[SensorGeometry, ContactShape]:
         """Return the sensor and the contact shape with so many pixels only that the longer side has about `pixels`."""
         step = max(1, round(max(self.geometry.shape) / pixels))
-        return self.geometry.every(step), self.contact_shape.every(step)
+        return self.geometry.subsample(step), self.contact_shape.subsample(step)
 
 
 def contact_shape_from_array(

@@ -18,9 +18,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.compiled import in_threads, njit
+from tactile_loc.core.compiled import njit, run_in_threads
 from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.objects.blocks import triangle_blocks
+from tactile_loc.core.objects.blocks import make_triangle_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
@@ -29,7 +29,7 @@ NARROW = 4  # pixels: a box that is no wider is looked at whole
 NEAREST = 0.05  # of the standoff: corners nearer to the camera, or behind it, are not projected
 
 
-def nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> NDArray[np.float32]:
+def draw_nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> NDArray[np.float32]:
     """Return camera depths (N, H, W) in metres of poses (N, 4, 4), whether in contact or not.
 
     What lies beyond the contact band is inf; exact from the camera up to there.
@@ -39,18 +39,18 @@ def nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorG
     ends = NEAREST * geometry.standoff_m, geometry.standoff_m + geometry.max_depth_m
     camera = geometry.is_pinhole, geometry.fx, geometry.fy, geometry.cx, geometry.cy, *ends
     which = np.empty((len(T), 0, 0), np.int32)
-    in_threads(_draw, len(T), triangle_blocks(mesh), T, camera, *geometry.pixel_slopes, depth, which)
+    run_in_threads(_draw, len(T), make_triangle_blocks(mesh), T, camera, *geometry.pixel_slopes, depth, which)
     return depth
 
 
-def nearest_faces(
+def draw_nearest_faces(
     mesh: TriangleMesh, T_camera_object: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Return what parallel rays along z, through evenly spaced x (W,) and y (H,), meet first of one pose (4, 4).
 
     Depths (H, W), inf where nothing is met, and the mesh's faces (H, W), -1 there; in the unit of the mesh.
     """
-    triangles, T = triangle_blocks(mesh), np.ascontiguousarray(T_camera_object, float)[None]
+    triangles, T = make_triangle_blocks(mesh), np.ascontiguousarray(T_camera_object, float)[None]
     depth = np.empty((1, len(y), len(x)), np.float32)
     which = np.full(depth.shape, -1, np.int32)
     fx, fy = 1 / (x[1] - x[0]), 1 / (y[1] - y[0])

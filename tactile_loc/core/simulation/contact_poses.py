@@ -22,7 +22,7 @@ BATCH = 256  # random poses drawn and rendered at once
 HARDLY_ANY = 1e-3  # share of the random poses that must make contact
 
 
-def contact_grid(sampler: GridSampler, scene: Scene) -> PoseGrid:
+def make_contact_grid(sampler: GridSampler, scene: Scene) -> PoseGrid:
     """Sample, bring to contact, drop poses without contact and symmetric duplicates, until the spacing is met.
 
     Contact moves poses along z, so neighbours end up farther apart than the sampler set them; the sampler is asked
@@ -47,32 +47,32 @@ def contact_grid(sampler: GridSampler, scene: Scene) -> PoseGrid:
 
 def _list_contact_poses(sampler: GridSampler, scene: Scene, spacing_m: float) -> PoseGrid:
     metric = PoseMetric(scene.object)
-    poses, touching = scene.in_contact(sampler.sample(scene.object, scene.geometry, spacing_m))
+    poses, touching = scene.bring_to_contact(sampler.sample(scene.object, scene.geometry, spacing_m))
     poses = poses[touching]
     return PoseGrid(poses[remove_equivalent(poses, metric, 0.25 * spacing_m)], metric)
 
 
-def enough_contact(contact_depths_m: np.ndarray, scene: Scene, percent: float) -> np.ndarray:
+def mark_contact(contact_depths_m: np.ndarray, scene: Scene, percent: float) -> np.ndarray:
     """Mark (N,) the contact depths (N, H, W), metres, with at least `percent` of the observed pixels in contact."""
     observed = scene.geometry.observed_mask
     touched = (contact_depths_m < np.float32(scene.geometry.max_depth_m)) & observed
     return touched.sum(axis=(1, 2)) >= max(1.0, percent / 100 * observed.sum())
 
 
-def random_contact_poses(sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator) -> Poses:
+def draw_contact_poses(sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator) -> Poses:
     """Draw contact poses (count, 4, 4), metres, uniformly from the continuous set that the sampler's grid covers.
 
     Raises GridError when hardly any drawn pose has enough contact.
     """
-    found = [poses for poses, _ in random_contacts(sampler, scene, count, rng)]
+    found = [poses for poses, _ in draw_contacts(sampler, scene, count, rng)]
     return np.concatenate([np.empty((0, 4, 4)), *found])
 
 
-def random_contacts(
+def draw_contacts(
     sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator,
     misplace: Callable[[Poses], Poses] | None = None,
 ) -> Iterator[tuple[Poses, Float32]]:  # fmt: skip
-    """Draw `count` contact poses as `random_contact_poses` does; yield them in batches (K, 4, 4) with depths (K, H, W).
+    """Draw `count` contact poses as `draw_contact_poses` does; yield them in batches (K, 4, 4) with depths (K, H, W).
 
     Contact depths, metres, are rendered at full press where `misplace` (if any) says that the poses really are; what
     touches enough there is kept. Raises GridError when hardly any does.
@@ -80,14 +80,14 @@ def random_contacts(
     tried = kept = 0
     while kept < count:
         batch = int(np.clip(2 * (count - kept), 16, BATCH))
-        poses, touching = scene.in_contact(sampler.random(scene.object, scene.geometry, batch, rng))
+        poses, touching = scene.bring_to_contact(sampler.random(scene.object, scene.geometry, batch, rng))
         poses = poses[touching]
         seen = poses
         if misplace is not None:
-            seen, touching = scene.in_contact(misplace(poses))
+            seen, touching = scene.bring_to_contact(misplace(poses))
             poses, seen = poses[touching], seen[touching]
-        depths = scene.contact_depths(seen)
-        enough = enough_contact(depths, scene, sampler.options.min_contact_percent)
+        depths = scene.render_contact_depths(seen)
+        enough = mark_contact(depths, scene, sampler.options.min_contact_percent)
         poses, depths = poses[enough][: count - kept], depths[enough][: count - kept]
         tried, kept = tried + batch, kept + len(poses)
         yield poses, depths

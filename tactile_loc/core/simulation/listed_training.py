@@ -12,7 +12,7 @@ from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.simulation.contact_poses import random_contacts
+from tactile_loc.core.simulation.contact_poses import draw_contacts
 from tactile_loc.core.simulation.noise import TouchNoise
 from tactile_loc.core.slots.component import Float32
 from tactile_loc.core.slots.encoder import Checkpoints, TrainingBatch, TrainingProblem, TrainingTouches
@@ -89,7 +89,7 @@ class ListedProblem(TrainingProblem):
         def misplaced(poses: Poses) -> Poses:
             return noise.misplace(poses, self.geometry, rng)
 
-        for poses, depth in random_contacts(self.sampler, self.scene, count, rng, misplaced):
+        for poses, depth in draw_contacts(self.sampler, self.scene, count, rng, misplaced):
             depths.append(depth)
             labels.append(self.grid.nearest(poses)[1])
         return ListedTouches(np.concatenate(depths), np.concatenate(labels), noise, self.geometry)

@@ -62,7 +62,7 @@ class Gel:
         rows = slice(*np.searchsorted(y, [y0, np.nextafter(y1, np.inf)]).tolist())
         return cls(rows, columns, x[columns], y[rows], (1 / sx, 1 / sy), geometry.rectangle)
 
-    def blurred(self, images: Float32, sigma_m: float) -> Float32:
+    def blur(self, images: Float32, sigma_m: float) -> Float32:
         """Blur images (N, H, W) by a Gaussian of `sigma_m` metres; beyond the rectangle their border goes on.
 
         Pixels are squares: a step between two of them becomes the Gaussian's error function exactly, however large they
@@ -73,7 +73,7 @@ class Gel:
         )
         return _transform_images(images, y, x)
 
-    def random_field(self, count: int, patch_m: float, rng: np.random.Generator) -> Float32:
+    def draw_field(self, count: int, patch_m: float, rng: np.random.Generator) -> Float32:
         """Draw smooth random images (count, H, W) of zero mean and unit variance everywhere, unitless.
 
         White noise on a lattice of `patch_m` metres, blurred by a Gaussian of the same standard deviation: the lattice
@@ -84,7 +84,7 @@ class Gel:
         white = rng.standard_normal((count, y.shape[1], x.shape[1]), dtype=np.float32)
         return _transform_images(white, y, x)
 
-    def border(self, width_m: Float64, rng: np.random.Generator) -> NDArray[np.bool_]:
+    def mark_border(self, width_m: Float64, rng: np.random.Generator) -> NDArray[np.bool_]:
         """Mark (N, H, W) a strip along one random side of each image's rectangle, of widths (N,) in metres."""
         x0, x1, y0, y1 = self.rectangle_m
         side = rng.integers(4, size=len(width_m))
@@ -93,13 +93,13 @@ class Gel:
         rows = (self.y_m - y0 < top) | (y1 - self.y_m < bottom)
         return columns[:, None, :] | rows[:, :, None]
 
-    def random_points(self, counts: Index, rng: np.random.Generator) -> Centres:
+    def draw_points(self, counts: Index, rng: np.random.Generator) -> Centres:
         """Draw so many (N,) points of each image, uniformly on the rectangle."""
         x0, x1, y0, y1 = self.rectangle_m
         image = np.repeat(np.arange(len(counts)), counts)
         return Centres(image, rng.uniform(x0, x1, len(image)), rng.uniform(y0, y1, len(image)))
 
-    def random_pixels(self, marked: NDArray[np.bool_], counts: Index, rng: np.random.Generator) -> Centres:
+    def draw_pixels(self, marked: NDArray[np.bool_], counts: Index, rng: np.random.Generator) -> Centres:
         """Draw so many (N,) pixels of those marked (N, H, W) in each image, with replacement; none where none is."""
         held = np.count_nonzero(marked, axis=(1, 2))
         image = np.repeat(np.arange(len(counts)), np.where(held > 0, counts, 0))
@@ -255,15 +255,15 @@ class TouchNoise:
         gel = Gel.of(geometry)
         depth = noisy[:, gel.rows, gel.columns]  # a view
         if self.smoothing_m > 0:
-            depth[...] = np.maximum(press - gel.blurred(press - depth, self.smoothing_m), 0.0)
+            depth[...] = np.maximum(press - gel.blur(press - depth, self.smoothing_m), 0.0)
         if self.least_m > 0 or self.edge_m > 0:
             np.copyto(depth, press, where=press - depth <= self._draw_threshold(len(depth), gel, rng))
         if self.drift_m > 0:
-            drifted = depth + np.float32(self.drift_m) * gel.random_field(len(depth), self.drift_patch_m, rng)
+            drifted = depth + np.float32(self.drift_m) * gel.draw_field(len(depth), self.drift_patch_m, rng)
             np.copyto(depth, np.clip(drifted, 0, np.nextafter(press, np.float32(0))), where=depth < press)
         self._add_patches(depth, press, gel, rng)
         if self.border_m > 0:
-            np.copyto(depth, press, where=gel.border(self.border_m * rng.random(len(depth)), rng))
+            np.copyto(depth, press, where=gel.mark_border(self.border_m * rng.random(len(depth)), rng))
         return noisy
 
     def cut(self, depth_m: Float32, press_depth_m: NDArray[np.float64], measured_m: NDArray[np.float64]) -> Float32:
@@ -281,17 +281,17 @@ class TouchNoise:
         least = np.float32(self.least_m)
         if self.edge_m == 0:
             return least
-        wander = gel.random_field(count, self.edge_patch_m, rng)
+        wander = gel.draw_field(count, self.edge_patch_m, rng)
         return np.maximum(least + np.float32(self.edge_m) * wander, np.float32(FAINTEST) * least)
 
     def _add_patches(self, depth: Float32, press: Float32, gel: Gel, rng: np.random.Generator) -> None:
         """Take round patches out of depths (N, H, W) at presses (N, 1, 1), metres, and put spurious ones in."""
         if self.missing > 0:
-            centres = gel.random_pixels(depth < press, rng.poisson(self.missing, len(depth)), rng)
+            centres = gel.draw_pixels(depth < press, rng.poisson(self.missing, len(depth)), rng)
             radius = self.patch_m * rng.uniform(0.3, 1.0, len(centres.image))
             stamp(depth, gel, centres, radius, press[centres.image, 0, 0], np.maximum)
         if self.spurious > 0:
-            centres = gel.random_points(rng.poisson(self.spurious, len(depth)), rng)
+            centres = gel.draw_points(rng.poisson(self.spurious, len(depth)), rng)
             radius = self.patch_m * rng.uniform(0.2, 0.7, len(centres.image))
             imprint = rng.uniform(0.1, 0.5, len(centres.image))
             stamp(depth, gel, centres, radius, press[centres.image, 0, 0] * (1 - imprint), np.minimum)
@@ -311,7 +311,7 @@ NOISE: dict[str, TouchNoise] = {
 }  # fmt: skip
 
 
-def noise_level(name: str) -> TouchNoise:
+def make_noise(name: str) -> TouchNoise:
     """Return the noise called none, mild or strong. Raises ConfigError for another name."""
     if name not in NOISE:
         raise ConfigError(f"there is no noise {name!r}; give one of {', '.join(NOISE)}.{did_you_mean(name, NOISE)}")

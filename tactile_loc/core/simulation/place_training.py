@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import ConfigError, GridError, TouchError
 from tactile_loc.core.geometry.rigid import Poses, invert, make_transform
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.poses.turned import TurnedPoses
+from tactile_loc.core.poses.rotated import RotatedPoses
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.places import CAMERA, HIGHEST_M, PATCH_PX, PITCH_M, PRESS_STEP_M, Places
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.contact_poses import random_contacts
+from tactile_loc.core.simulation.contact_poses import draw_contacts
 from tactile_loc.core.simulation.noise import TouchNoise
 from tactile_loc.core.slots.component import Float32
 from tactile_loc.core.slots.encoder import Checkpoints, TrainingBatch, TrainingProblem, TrainingTouches
@@ -105,8 +105,8 @@ class PlaceProblem(TrainingProblem):
             return noise.misplace(poses, self.fine.geometry, rng)
 
         for _ in range(MOST_ROUNDS):
-            for poses, depths in random_contacts(self.sampler, self.fine, missing, rng, misplaced):
-                near = self._near_a_place(depths, poses)
+            for poses, depths in draw_contacts(self.sampler, self.fine, missing, rng, misplaced):
+                near = self._is_near_place(depths, poses)
                 kept_depths.append(depths[near])
                 kept_poses.append(poses[near])
                 missing -= int(near.sum())
@@ -117,7 +117,7 @@ class PlaceProblem(TrainingProblem):
             "grid.directions"
         )
 
-    def _near_a_place(self, depths_m: Float32, T_sensor_object: Poses) -> NDArray[np.bool_]:
+    def _is_near_place(self, depths_m: Float32, T_sensor_object: Poses) -> NDArray[np.bool_]:
         """Which (M,) of contact depths (M, H, W) at full press are touches that a place is near to; metres."""
         touches = [self.touch(depth, self.fine.geometry.max_depth_m) for depth in depths_m]
         near = np.array([touch is not None for touch in touches], np.bool_)
@@ -130,7 +130,7 @@ class PlaceProblem(TrainingProblem):
         """Return how far apart places `first` (K,) and `second` (K,) are as poses, metres, at the best yaw."""
         T = self.places.T_place_object
         return np.array(
-            [TurnedPoses(T[[b]], self._metric).nearest(T[[a]])[0][0] for a, b in zip(first, second, strict=True)]
+            [RotatedPoses(T[[b]], self._metric).nearest(T[[a]])[0][0] for a, b in zip(first, second, strict=True)]
         )
 
     @cached_property
@@ -138,13 +138,13 @@ class PlaceProblem(TrainingProblem):
         """The scene of the touches, at full press, and at few pixels that are finer than a patch's."""
         geometry = self.scene.geometry
         pixels = int(np.ceil(geometry.pixel_pitch_m * max(geometry.shape) / PIXEL_M))
-        geometry = geometry.with_long_side(min(pixels, max(geometry.shape))).pressed(geometry.max_depth_m)
-        return dataclasses.replace(self.scene.as_seen(), geometry=geometry)
+        geometry = geometry.resize_long_side(min(pixels, max(geometry.shape))).press(geometry.max_depth_m)
+        return dataclasses.replace(self.scene.use_pressed_drawing(), geometry=geometry)
 
     @cached_property
-    def turned(self) -> TurnedPoses:
-        """The places as poses that may be turned by any yaw."""
-        return TurnedPoses(self.places.T_place_object, self._metric)
+    def rotated(self) -> RotatedPoses:
+        """The places as poses that may be rotated by any yaw."""
+        return RotatedPoses(self.places.T_place_object, self._metric)
 
     @cached_property
     def _metric(self) -> PoseMetric:
@@ -174,7 +174,7 @@ class PlaceProblem(TrainingProblem):
 
     def labels(self, touches: Sequence[Touch], T_sensor_object: Poses) -> Labels:
         """Return the places nearest to touches, whose true poses are (M, 4, 4), metres."""
-        off_m, numbers, yaw_rad = self.turned.nearest(as_anchored(touches, T_sensor_object))
+        off_m, numbers, yaw_rad = self.rotated.nearest(move_to_anchors(touches, T_sensor_object))
         return Labels(numbers, yaw_rad, off_m)
 
 
@@ -195,26 +195,28 @@ class PlaceTouches(TrainingTouches):
 
         Each has `decoys` decoys. A touch that noise hides, or moves away from all places, stays clean.
         """
-        from tactile_loc.core.sensing.turned_patches import anchor, turned_patches
+        from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
 
         problem, chosen = self.problem, np.sort(rng.choice(len(self), count, replace=False))
-        touches, labels = self._noisy(chosen, rng, press_m)
+        touches, labels = self._make_noisy(chosen, rng, press_m)
         step_rad, poses = problem.yaw_step_rad, self.T_sensor_object[chosen]
         yaw_rad = np.empty((count, 1 + decoys))
         yaw_rad[:, 0] = labels.yaw_rad + step_rad * rng.uniform(-0.5, 0.5, count)
         away_rad = rng.uniform(CLEAR * step_rad, 2 * np.pi - CLEAR * step_rad, (count, decoys))
         yaw_rad[:, 1:] = labels.yaw_rad[:, None] + away_rad
-        off_m = problem.turned.distances(as_anchored(touches, poses), labels.numbers, yaw_rad)
+        off_m = problem.rotated.distances(move_to_anchors(touches, poses), labels.numbers, yaw_rad)
         counts = off_m > labels.off_m[:, None] + 0.25 * problem.reach_m
         counts[:, 0] = True
         depth_m = np.empty((*yaw_rad.shape, PATCH_PX, PATCH_PX), np.float32)
         seen = np.empty(depth_m.shape, np.bool_)
         for k, touch in enumerate(touches):
-            depth_m[k], seen[k] = turned_patches(touch, *anchor(touch), yaw_rad[k])
+            depth_m[k], seen[k] = rotate_patches(touch, *find_anchor(touch), yaw_rad[k])
         depth_m = np.minimum(depth_m, np.float32(press_m))
         return TrainingBatch(depth_m, seen, np.full(count, press_m), labels.numbers, counts)
 
-    def _noisy(self, chosen: NDArray[np.int64], rng: np.random.Generator, press_m: float) -> tuple[list[Touch], Labels]:
+    def _make_noisy(
+        self, chosen: NDArray[np.int64], rng: np.random.Generator, press_m: float
+    ) -> tuple[list[Touch], Labels]:
         """The touches `chosen` (M,) with noise, but for those that it would spoil, and their labels."""
         problem, noise, poses = self.problem, self.noise, self.T_sensor_object[chosen]
         geometry, clean = problem.fine.geometry, self.depth_m[chosen]
@@ -222,7 +224,7 @@ class PlaceTouches(TrainingTouches):
         # as far as a press is measured too deep, one that is measured so was lighter
         true_m = np.minimum(believed_m**2 / noise.measure_press(believed_m, np.inf, rng), geometry.max_depth_m)
         noisy = noise.cut(noise.corrupt(clean, true_m, geometry, rng), true_m, np.full(len(chosen), press_m))
-        plain = [self._clean(depth, press_m) for depth in clean]
+        plain = [self._make_clean(depth, press_m) for depth in clean]
         shown = [problem.touch(depth, press_m) for depth in noisy]
         touches = [one or other for one, other in zip(shown, plain, strict=True)]
         labels = problem.labels(touches, poses)
@@ -234,17 +236,17 @@ class PlaceTouches(TrainingTouches):
                 whole[far] = some
         return touches, labels
 
-    def _clean(self, depth_m: Float32, press_m: float) -> Touch:
+    def _make_clean(self, depth_m: Float32, press_m: float) -> Touch:
         """A touch without noise, cut at a press depth, metres, or at full press where that leaves no contact."""
         problem = self.problem
         light = problem.touch(np.minimum(depth_m, np.float32(press_m)), press_m)
         return light or Touch(problem.full(depth_m), problem.fine.geometry)
 
 
-def as_anchored(touches: Sequence[Touch], T_sensor_object: Poses) -> Poses:
+def move_to_anchors(touches: Sequence[Touch], T_sensor_object: Poses) -> Poses:
     """Return poses (M, 4, 4), metres, as seen from where each of M touches is deepest, along the gel's normal."""
-    from tactile_loc.core.sensing.turned_patches import anchor
+    from tactile_loc.core.sensing.rotated_patches import find_anchor
 
-    anchors = [anchor(touch) for touch in touches]
+    anchors = [find_anchor(touch) for touch in touches]
     T_sensor_anchor = make_transform(np.stack([R for _, R in anchors]), np.stack([at_m for at_m, _ in anchors]))
     return np.asarray(invert(T_sensor_anchor) @ T_sensor_object)

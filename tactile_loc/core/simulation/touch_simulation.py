@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.errors import TouchError
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.core.simulation.contact_poses import random_contact_poses
+from tactile_loc.core.simulation.contact_poses import draw_contact_poses
 from tactile_loc.core.simulation.noise import TouchNoise
 from tactile_loc.core.slots.component import Float32
 from tactile_loc.core.slots.grid import GridSampler
@@ -45,7 +45,7 @@ def draw_touches(
         raise TouchError(
             f"a press of {press * 1e3:.3g} mm is outside the sensor's range of 0 to {deepest * 1e3:.3g} mm"
         )
-    press_noise = PressNoise(noise or TouchNoise(), scene.as_seen(), press_depth_m, rng.spawn(1)[0])
+    press_noise = PressNoise(noise or TouchNoise(), scene.use_pressed_drawing(), press_depth_m, rng.spawn(1)[0])
     touches: list[Touch] = []
     rounds = tried = 0
     while len(touches) < count:
@@ -55,10 +55,10 @@ def draw_touches(
                 "feature; press deeper or choose another face"
             )
         rounds += 1
-        poses = random_contact_poses(sampler, scene, count - len(touches), rng)
+        poses = draw_contact_poses(sampler, scene, count - len(touches), rng)
         tried += len(poses)
         percent = sampler.options.min_contact_percent
-        for T, shape in zip(*press_noise.pressed(poses, percent), strict=True):
+        for T, shape in zip(*press_noise.press(poses, percent), strict=True):
             touch = _make_touch(shape, scene, T, f"touch-{len(touches):04d}")
             touches += [touch] if touch is not None else []
     return touches, tried - len(touches)
@@ -73,7 +73,7 @@ class PressNoise:
     def __init__(self, noise: TouchNoise, scene: Scene, press_depth_m: float | None, rng: np.random.Generator) -> None:
         self.noise, self.scene, self.press_depth_m, self.rng = noise, scene, press_depth_m, rng
 
-    def pressed(self, T_sensor_object: Poses, least_percent: float) -> tuple[Poses, list[ContactShape | None]]:
+    def press(self, T_sensor_object: Poses, least_percent: float) -> tuple[Poses, list[ContactShape | None]]:
         """Press poses (N, 4, 4) that just touch; return where they are then, metres, and the contact shape of each.
 
         It is None where noise left less than this contact.
@@ -81,12 +81,12 @@ class PressNoise:
         noise, geometry = self.noise, self.scene.geometry
         seen, touching = self._misplace(T_sensor_object)
         press = self._draw_presses(len(seen))
-        clean = self._render_depths(lowered(seen, press), press)
+        clean = self._render_depths(lower(seen, press), press)
         noisy = noise.corrupt(clean, press, geometry, self.rng)
         measured = noise.measure_press(press, geometry.max_depth_m, self.rng)
         depths = noise.cut(noisy, press, measured)
         shapes = [ContactShape(depth, float(m)) for depth, m in zip(depths, measured, strict=True)]
-        poses = lowered(T_sensor_object, press)
+        poses = lower(T_sensor_object, press)
         if noise == TouchNoise():
             return poses, list(shapes)
         least = max(1.0, least_percent / 100 * geometry.observed_mask.sum())
@@ -99,7 +99,7 @@ class PressNoise:
         depths = np.empty((len(press_m), *self.scene.geometry.shape), np.float32)
         for m in np.unique(press_m):
             these = press_m == m
-            depths[these] = self.scene.pressed(m, self.scene.geometry.max_depth_m).contact_depths(
+            depths[these] = self.scene.press(m, self.scene.geometry.max_depth_m).render_contact_depths(
                 T_sensor_object[these]
             )
         return depths
@@ -108,7 +108,7 @@ class PressNoise:
         """Where the poses (N, 4, 4) really are, in contact, and which (N,) touch. Metres."""
         if not self.noise.misplaces:
             return T_sensor_object, np.ones(len(T_sensor_object), bool)
-        return self.scene.in_contact(self.noise.misplace(T_sensor_object, self.scene.geometry, self.rng))
+        return self.scene.bring_to_contact(self.noise.misplace(T_sensor_object, self.scene.geometry, self.rng))
 
     def _draw_presses(self, count: int) -> NDArray[np.float64]:
         """How deep the presses (count,) are, metres."""
@@ -117,7 +117,7 @@ class PressNoise:
         return self.noise.draw_press(count, self.scene.geometry.max_depth_m, self.rng)
 
 
-def lowered(T_sensor_object: Poses, press_m: NDArray[np.float64]) -> Poses:
+def lower(T_sensor_object: Poses, press_m: NDArray[np.float64]) -> Poses:
     """Return poses (N, 4, 4) that are pressed (N,) metres deeper into the sensor."""
     T = T_sensor_object.copy()
     T[:, 2, 3] -= press_m

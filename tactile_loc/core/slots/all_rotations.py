@@ -11,10 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from tactile_loc.core.deprecation import make_getattr
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.geometry.rigid import Poses, make_transform, random_rotations
+from tactile_loc.core.geometry.rigid import Poses, draw_rotations, make_transform
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.poses.lattices import lattice_shape, plane_lattice, reachable_translations, require_spacing
+from tactile_loc.core.poses.lattices import (
+    compute_lattice_shape,
+    find_reachable_translations,
+    make_plane_lattice,
+    require_spacing,
+)
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.grid import GridSampler
 
@@ -62,17 +68,19 @@ class AllRotationsGrid(GridSampler):
         require_spacing(spacing_m)
         self._refuse_too_many(self.least_poses(obj, geometry, spacing_m), obj, geometry, spacing_m)
         R = self.rotations(obj, spacing_m)
-        low, high = centroid_range(obj, R, geometry)
+        low, high = find_centroid_range(obj, R, geometry)
         counts = self.place_counts(obj, R, geometry, spacing_m)
         self._refuse_too_many(int(counts.sum()), obj, geometry, spacing_m)
         log.info("%s grid of %s: %d rotations, %d poses before contact", self.name, obj.name, len(R), counts.sum())
-        xy = np.concatenate([plane_lattice(a, b, spacing_m) for a, b in zip(low, high, strict=True)])
+        xy = np.concatenate([make_plane_lattice(a, b, spacing_m) for a, b in zip(low, high, strict=True)])
         return _place_centroids(obj, np.repeat(R, counts, axis=0), xy)
 
     @staticmethod
     def place_counts(obj: ObjectModel, R: Float, geometry: SensorGeometry, spacing_m: float) -> NDArray[np.int64]:
         """Return how many places (N,), `spacing_m` metres apart, rotations R (N, 3, 3) have over the sensor."""
-        counts: NDArray[np.int64] = lattice_shape(*centroid_range(obj, R, geometry), spacing_m).prod(axis=-1)
+        counts: NDArray[np.int64] = compute_lattice_shape(*find_centroid_range(obj, R, geometry), spacing_m).prod(
+            axis=-1
+        )
         return counts
 
     def random(self, obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator) -> Poses:
@@ -80,7 +88,7 @@ class AllRotationsGrid(GridSampler):
 
         A rotation is drawn as often as its region is large, as the grid has it.
         """
-        return random_places(obj, geometry, count, rng, lambda n: random_rotations(n, rng))
+        return draw_places(obj, geometry, count, rng, lambda n: draw_rotations(n, rng))
 
     def _refuse_too_many(self, count: int, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> None:
         limit = self.options.max_poses
@@ -92,7 +100,7 @@ class AllRotationsGrid(GridSampler):
             )
 
 
-def centroid_range(obj: ObjectModel, R: Float, geometry: SensorGeometry) -> tuple[Float, Float]:
+def find_centroid_range(obj: ObjectModel, R: Float, geometry: SensorGeometry) -> tuple[Float, Float]:
     """Return low and high (N, 2) in metres of the centroid's x, y in the sensor frame for R_sensor_object (N, 3, 3).
 
     Between them, the turned object's bounding box overlaps the sensing rectangle; beyond, there can be no contact.
@@ -102,11 +110,11 @@ def centroid_range(obj: ObjectModel, R: Float, geometry: SensorGeometry) -> tupl
     step = max(1, MOST_TURNED // len(points))
     for s in range(0, len(R), step):
         turned = points @ np.swapaxes(R[s : s + step], -1, -2)
-        low[s : s + step], high[s : s + step] = reachable_translations(turned, geometry.rectangle)
+        low[s : s + step], high[s : s + step] = find_reachable_translations(turned, geometry.rectangle)
     return low, high
 
 
-def random_places(
+def draw_places(
     obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator,
     rotations: Callable[[int], Float],
 ) -> Poses:  # fmt: skip
@@ -121,7 +129,7 @@ def random_places(
     found = [np.empty((0, 4, 4))]
     while (missing := count - sum(map(len, found))) > 0:
         R = rotations(min(max(2 * missing, 64), MOST_DRAWN))
-        low, high = centroid_range(obj, R, geometry)
+        low, high = find_centroid_range(obj, R, geometry)
         keep = rng.random(len(R)) * bound_m2 < (high - low).prod(axis=-1)
         found.append(_place_centroids(obj, R[keep], rng.uniform(low[keep], high[keep])))
     return np.concatenate(found)[:count]
@@ -131,3 +139,6 @@ def _place_centroids(obj: ObjectModel, R: Float, xy_m: Float) -> Poses:
     """Poses (N, 4, 4) of rotations (N, 3, 3) whose centroid is at (x, y, 0) for `xy_m` (N, 2), sensor frame, metres."""
     centroid_m = np.column_stack([xy_m, np.zeros(len(xy_m))])
     return make_transform(R, centroid_m - R @ obj.mesh.centroid_m)
+
+
+__getattr__ = make_getattr(__name__)

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.errors import ConfigError, GridError, quoted
+from tactile_loc.core.deprecation import make_getattr
+from tactile_loc.core.errors import ConfigError, GridError, quote
 from tactile_loc.core.geometry.rigid import Poses, invert, require_rigid
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import PosePosterior
@@ -55,7 +56,7 @@ class CommonPosesFuser(Fuser):
         """
         require_fusable(posteriors, T_base_sensor)
         first = posteriors[0].grid
-        known_before = prior_weights(prior, first)
+        known_before = compute_prior_weights(prior, first)
         if len(first) and np.isneginf(known_before).all():
             raise GridError(
                 f"the prior excludes each of the {len(first):,} poses that the touch may be of; check its unit and its "
@@ -63,7 +64,7 @@ class CommonPosesFuser(Fuser):
             )
         weights = known_before + self.evidence(posteriors[0], slice(None))
         known = [np.asarray(T, float) for T in T_base_sensor if T is not None]  # of one touch alone it may be None
-        common = common_poses([p.grid for p in posteriors], known, self.options.reach, np.isfinite(weights))
+        common = find_common_poses([p.grid for p in posteriors], known, self.options.reach, np.isfinite(weights))
         total = weights[common.first]
         for posterior, index in zip(posteriors[1:], common.found[1:], strict=True):
             total = total + self.evidence(posterior, index)
@@ -82,7 +83,7 @@ class OtherSensor:
     T_sensor_first: NDArray[np.float64]
     reach_m: float
 
-    def lookup(self, T_first_object: Poses) -> Indices:
+    def look_up(self, T_first_object: Poses) -> Indices:
         """Return the index (M,) of this grid's pose nearest to the first sensor's poses (M, 4, 4), -1 beyond reach."""
         return self.grid.nearest(self.T_sensor_first @ T_first_object, self.reach_m)[1]
 
@@ -123,7 +124,7 @@ def require_sensor_poses(T_base_sensor: Sequence[Poses | None]) -> None:
         require_rigid(T, f"T_base_sensor of touch {number}")
 
 
-def prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.float64]:
+def compute_prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.float64]:
     """Return the prior's log-weights (N,) of the grid's poses, zeros without one.
 
     Raises ConfigError unless it gives one a pose, none of them NaN or +inf.
@@ -132,7 +133,7 @@ def prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.float64]:
         return np.zeros(len(grid))
     if not callable(prior):
         raise ConfigError(
-            f"{quoted(prior)} is no prior; give a function of poses (N, 4, 4) to log-weights, such as a GaussianPrior"
+            f"{quote(prior)} is no prior; give a function of poses (N, 4, 4) to log-weights, such as a GaussianPrior"
         )
     weights = np.asarray(prior(grid.T_sensor_object), float)
     if weights.shape != (len(grid),) or not (weights < np.inf).all():
@@ -143,7 +144,7 @@ def prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.float64]:
     return weights
 
 
-def common_poses(
+def find_common_poses(
     grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reach: float, possible: NDArray[np.bool_]
 ) -> CommonPoses:
     """Find those of the first grid's `possible` (N,) poses that touch all sensors; their order is the grid's.
@@ -156,7 +157,7 @@ def common_poses(
     poses, first = grids[0].T_sensor_object, np.flatnonzero(possible)
     found = np.tile(first, (len(grids), 1))  # right already for the first, and for what is seen from the same place
     for number in _order_others(others, poses[first]):
-        found[number] = others[number].lookup(poses[first])
+        found[number] = others[number].look_up(poses[first])
         touching = found[number] >= 0
         if len(first) and not touching.any():
             raise GridError(_explain(number, len(first), len(poses), len(grids)))
@@ -187,7 +188,7 @@ def _order_others(others: dict[int, OtherSensor], T_first_object: Poses) -> list
     if len(T_first_object) <= SAMPLE:
         return list(others)
     some = T_first_object[:: len(T_first_object) // SAMPLE]
-    touching = {number: other.lookup(some) >= 0 for number, other in others.items()}
+    touching = {number: other.look_up(some) >= 0 for number, other in others.items()}
     left, order = np.ones(len(some), bool), []
     while touching:
         order.append(min(touching, key=lambda number: int((touching[number] & left).sum())))
@@ -209,3 +210,6 @@ def _describe_contradiction(touches: int, poses: int, advice: str) -> str:
         f"the {touches} touches contradict one another: each of the {poses:,} poses that touch all sensors has no "
         f"probability for one of them; {advice}"
     )
+
+
+__getattr__ = make_getattr(__name__)

@@ -54,5 +54,5 @@ class GridSampler(Component):
 
         As many are drawn about each pose of the grid: probabilities fitted to touches at such poses, P(x | touch), have
         a uniform P_train, which fusers take for granted where a posterior has no `log_train`. A rotation that has more
-        places over the sensor must be drawn more often: see `random_places`.
+        places over the sensor must be drawn more often: see `draw_places`.
         """

@@ -23,7 +23,7 @@ from tactile_loc.core.errors import (
     PluginLoadError,
     UnknownPluginError,
     did_you_mean,
-    quoted,
+    quote,
 )
 from tactile_loc.core.slots.interface import INTERFACE_VERSION, adapt, require_interface
 
@@ -207,7 +207,7 @@ def validate_options(model: Any, values: Mapping[str, Any], owner: str) -> Any:
             near = did_you_mean(str(problem["loc"][-1]), fields)
             raise ConfigError(f"the {owner} has no option {key!r}.{near} Its options: {allowed}") from error
         raise ConfigError(
-            f"the {owner} cannot take {key} = {quoted(problem['input'])}: {problem['msg'].lower()}"
+            f"the {owner} cannot take {key} = {quote(problem['input'])}: {problem['msg'].lower()}"
         ) from error
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.deprecation import make_getattr
 from tactile_loc.core.errors import FrameError, MissingLibraryError, RecordingError, TouchError
 from tactile_loc.core.geometry.frame_tree import FrameTree
 from tactile_loc.core.geometry.rigid import make_transform, quaternion_to_rotation, rotation_to_quaternion
@@ -50,7 +51,7 @@ ENCODINGS = {
 }
 
 
-def image_array(message: Any) -> NDArray[Any]:
+def decode_image(message: Any) -> NDArray[Any]:
     """Return a sensor_msgs Image or CompressedImage as colours (H, W, 3) uint8, grey (H, W) uint8 or depths (H, W).
 
     Depths (encoding 32FC1) are float32 in metres. Raises RecordingError for an encoding that is none of these, and
@@ -265,3 +266,6 @@ def _make_vector(kind: str, values: tuple[float, ...]) -> Any:
 
 def _make(type_name: str, **fields: Any) -> Any:
     return load_types(CDR).types[type_name](**fields)
+
+
+__getattr__ = make_getattr(__name__)

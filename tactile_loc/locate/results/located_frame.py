@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import GridError, NoContactError, TactileLocError
-from tactile_loc.core.geometry.rigid import covariance_along
+from tactile_loc.core.geometry.rigid import rotate_covariance
 from tactile_loc.io.mount_files import Covariance
 from tactile_loc.locate.results.localization import Localization
 from tactile_loc.locate.results.verdict import Verdict, name_verdict
@@ -24,6 +25,7 @@ from tactile_loc.locate.results.verdict import Verdict, name_verdict
 Floats = NDArray[np.float64]
 
 
+@keep_old_names(seen_from="view_from")
 @dataclass(frozen=True, eq=False)
 class LocatedFrame:
     """What is known of the object's pose at one frame.
@@ -81,9 +83,9 @@ class LocatedFrame:
         """The verdict, or "refused" if there is none."""
         return name_verdict(self.verdict)
 
-    def seen_from(self, T_other_sensor: Floats) -> LocatedFrame:
+    def view_from(self, T_other_sensor: Floats) -> LocatedFrame:
         """Return the same poses as another sensor sees them, to which T_other_sensor (4, 4), metres, leads."""
-        C = None if self.covariance is None else covariance_along(self.covariance, T_other_sensor[:3, :3])
+        C = None if self.covariance is None else rotate_covariance(self.covariance, T_other_sensor[:3, :3])
         return replace(self, T_sensor_object_modes=T_other_sensor @ self.T_sensor_object_modes, covariance=C)
 
 

@@ -90,8 +90,8 @@ def gather_arrays(contacts: Sequence[Observation], localization: Localization) -
     touches = []
     for localizer, touch in contacts:
         T = _find_sensor_first(first, touch)
-        scene = localizer.scene.of_touch(touch)
-        made_m = scene.depths_explaining(T @ poses, touch)
+        scene = localizer.scene.match_touch(touch)
+        made_m = scene.render_depths_to_compare(T @ poses, touch)
         touches.append(TouchArrays(touch.contact_shape, touch.geometry, T, made_m, touch.image))
     kept = find_most_probable(localization.posterior)
     posterior = localization.posterior

@@ -19,13 +19,13 @@ from tactile_loc.plugin import (
     SymmetryGroup,
     TriangleMesh,
     align_to_z,
-    lattice_shape,
+    compute_lattice_shape,
+    draw_places,
+    find_reachable_translations,
+    make_shifted_lattice,
     make_transform,
-    random_places,
-    reachable_translations,
     require_spacing,
     rotation_about,
-    shifted_lattice,
 )
 
 SIDES = {f"{sign}{axis}": s * np.eye(3)[i] for i, axis in enumerate("xyz") for sign, s in (("+", 1.0), ("-", -1.0))}
@@ -69,7 +69,7 @@ class FaceGrid(GridSampler):
         require_spacing(spacing_m)
         R_face = self._find_face_rotation(obj)
         lever_m = float(np.sqrt(np.diag(R_face @ obj.mesh.covariance_m2 @ R_face.T)[:2].sum()))
-        fold = turns_alike(obj.symmetry, -R_face[2])
+        fold = count_turns_alike(obj.symmetry, -R_face[2])
         # Of each turn that looks the same a whole number of steps: then equivalent poses coincide and can be removed.
         period = 1 if fold == math.inf else max(1, round(2 * np.pi * lever_m / (spacing_m * fold)))
         turns = period if fold == math.inf else period * int(fold)
@@ -77,10 +77,10 @@ class FaceGrid(GridSampler):
         count = 0
         for number in range(turns):
             for R in self._list_rotations(R_face, np.array([number * 2 * np.pi / turns])):
-                low, high = reachable_translations(obj.mesh.vertices_m @ R.T, geometry.rectangle)
-                count += int(lattice_shape(low, high, spacing_m).prod())
+                low, high = find_reachable_translations(obj.mesh.vertices_m @ R.T, geometry.rectangle)
+                count += int(compute_lattice_shape(low, high, spacing_m).prod())
                 self._refuse_too_many(count, obj, spacing_m)
-                t_xy = shifted_lattice(low, high, spacing_m, number % period)
+                t_xy = make_shifted_lattice(low, high, spacing_m, number % period)
                 poses.append(make_transform(R, np.column_stack([t_xy, np.zeros(len(t_xy))])))
         return np.concatenate(poses)
 
@@ -92,7 +92,7 @@ class FaceGrid(GridSampler):
         def rotations(n: int) -> NDArray[np.float64]:
             return _tilt(R_face, rng.uniform(0, 2 * np.pi, n), *rng.uniform(-limit, limit, (2, n)))
 
-        return random_places(obj, geometry, count, rng, rotations)
+        return draw_places(obj, geometry, count, rng, rotations)
 
     def _refuse_too_many(self, count: int, obj: ObjectModel, spacing_m: float) -> None:
         if count > self.options.max_poses:
@@ -124,10 +124,10 @@ class FaceGrid(GridSampler):
 @lru_cache(maxsize=8)
 def _find_resting_normal(mesh: TriangleMesh) -> NDArray[np.float64]:
     """The side (3,) of a mesh, looked for once: random poses may be drawn a few at a time."""
-    return resting_normal(mesh.vertices_m, mesh.centroid_m)
+    return find_resting_normal(mesh.vertices_m, mesh.centroid_m)
 
 
-def resting_normal(vertices_m: NDArray[np.float64], centroid_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def find_resting_normal(vertices_m: NDArray[np.float64], centroid_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the outward normal (3,), unitless, of the side on which the object's centroid lies lowest.
 
     That side's plane is the convex hull's nearest to the centroid; its foot point is inside the facet, so the object
@@ -144,7 +144,7 @@ def resting_normal(vertices_m: NDArray[np.float64], centroid_m: NDArray[np.float
     return np.asarray(near[np.lexsort(np.round(near.T[::-1], 6))[-1]])
 
 
-def turns_alike(symmetry: SymmetryGroup, normal: NDArray[np.float64]) -> float:
+def count_turns_alike(symmetry: SymmetryGroup, normal: NDArray[np.float64]) -> float:
     """Return how many turns about this unit normal (3,) of the object frame map it onto itself: whole, or inf."""
     axis = symmetry.continuous_axis
     if axis is None:

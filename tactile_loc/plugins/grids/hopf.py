@@ -55,11 +55,11 @@ class HopfGrid(AllRotationsGrid):
 
     def rotations(self, obj: ObjectModel, spacing_m: float) -> Float:
         """Return R_sensor_object (K, 3, 3), about `spacing_m` metres of surface apart unless there is a level."""
-        return rotation_grid(obj, spacing_m, self.options.level).all_representatives()
+        return make_rotation_grid(obj, spacing_m, self.options.level).all_representatives()
 
     def least_poses(self, obj: ObjectModel, geometry: SensorGeometry, spacing_m: float) -> int:
         """Count the poses at a spacing in metres; of a big grid, only those at some of its rotations, in proportion."""
-        rotations = rotation_grid(obj, spacing_m, self.options.level)
+        rotations = make_rotation_grid(obj, spacing_m, self.options.level)
         total = len(rotations)
         some = np.arange(total) if total <= _SAMPLE else np.random.default_rng(0).integers(total, size=_SAMPLE)
         counts = self.place_counts(obj, rotations.representatives(some), geometry, spacing_m)
@@ -76,17 +76,17 @@ class HopfGrid(AllRotationsGrid):
         return f"take a spacing of {spacing_m * 1e3:g} mm or more"
 
 
-def rotation_count(nside: int, n_psi: int) -> int:
+def count_rotations(nside: int, n_psi: int) -> int:
     """Return how many rotations the grid has."""
     return BASE_PIXELS * nside**2 * n_psi
 
 
-def hopf_rotations(nside: int, n_psi: int, indices: Int | None = None) -> Float:
+def make_hopf_rotations(nside: int, n_psi: int, indices: Int | None = None) -> Float:
     """Return the rotations (N, 3, 3) at the cells' centres, unitless: all, or those of `indices` (N,)."""
     if indices is None:
-        indices = np.arange(rotation_count(nside, n_psi))
+        indices = np.arange(count_rotations(nside, n_psi))
     pixel, spin = np.divmod(indices, n_psi)
-    z, azimuth_rad = pixel_angles(nside, pixel)
+    z, azimuth_rad = compute_pixel_angles(nside, pixel)
     # The smallest turn that takes z to the direction, after a spin about z: both half angles enter a quaternion.
     cosine, sine = np.sqrt((1 + z) / 2), np.sqrt((1 - z) / 2)
     half_spin = (spin + 0.5) * (np.pi / n_psi)
@@ -95,7 +95,7 @@ def hopf_rotations(nside: int, n_psi: int, indices: Int | None = None) -> Float:
     return quaternion_to_rotation(np.stack(q, axis=-1))
 
 
-def pixel_angles(nside: int, pixel: Int) -> tuple[Float, Float]:
+def compute_pixel_angles(nside: int, pixel: Int) -> tuple[Float, Float]:
     """Return z (N,), unitless, and azimuth (N,) in radians, not reduced to one turn, of HEALPix pixels' centres (N,).
 
     Pixels are numbered base pixel by base pixel, x (towards north-east) slowest, then y (towards north-west).
@@ -111,7 +111,7 @@ def pixel_angles(nside: int, pixel: Int) -> tuple[Float, Float]:
     return np.asarray(z, float), np.asarray(np.pi / 4 * (eighths + (x - y) / quarter), float)
 
 
-def children(indices: Int, nside: int, n_psi: int) -> Int:
+def list_children(indices: Int, nside: int, n_psi: int) -> Int:
     """Return the eight cells (N, 8) of the grid (2 nside, 2 n_psi) that cells `indices` (N,) are cut into."""
     base, x, y, spin = np.unravel_index(indices, (BASE_PIXELS, nside, nside, n_psi))
     dx, dy, dspin = np.unravel_index(np.arange(8), (2, 2, 2))
@@ -129,11 +129,11 @@ class RotationGrid:
     n_psi: int
 
     def __len__(self) -> int:
-        return rotation_count(self.nside, self.n_psi)
+        return count_rotations(self.nside, self.n_psi)
 
     def representatives(self, indices: NDArray[np.int64]) -> Float:
         """Return R_sensor_object (K, 3, 3) of those of the cells `indices` (N,) that stand for their equivalents."""
-        R = hopf_rotations(self.nside, self.n_psi, indices) @ align_to_z(self.axis)
+        R = make_hopf_rotations(self.nside, self.n_psi, indices) @ align_to_z(self.axis)
         return R[self.obj.symmetry.is_representative(R, step_rad=2 * np.pi / self.n_psi)]
 
     def all_representatives(self) -> Float:
@@ -142,7 +142,7 @@ class RotationGrid:
         return np.concatenate([self.representatives(np.arange(s, min(s + _CHUNK, len(self)))) for s in starts])
 
 
-def spin_axis(obj: ObjectModel) -> tuple[Float, float, float]:
+def find_spin_axis(obj: ObjectModel) -> tuple[Float, float, float]:
     """Return the object's spin axis (3,), unitless, and the levers about it and across it in metres.
 
     It is the axis of a continuous symmetry, or else the principal axis about which the object is most nearly round.
@@ -158,13 +158,13 @@ def spin_axis(obj: ObjectModel) -> tuple[Float, float, float]:
     return axis, float(lever_m[k]), float(np.sqrt(others[k].prod()))
 
 
-def rotation_grid(obj: ObjectModel, spacing_m: float, level: int | None = None) -> RotationGrid:
+def make_rotation_grid(obj: ObjectModel, spacing_m: float, level: int | None = None) -> RotationGrid:
     """Return the rotations whose neighbours are about `spacing_m` metres apart, or Yershova's 72 * 8^level.
 
     A cell is a spacing wide about the spin axis, and of a spacing's square across it. Spins are a multiple of the
     symmetry's turns about the axis, so that a turn takes cells to cells; with a continuous symmetry one spin does.
     """
-    axis, spin_m, across_m = spin_axis(obj)
+    axis, spin_m, across_m = find_spin_axis(obj)
     if level is not None:
         return RotationGrid(obj, axis, 2**level, 6 * 2**level)
     nside = max(1, round(SPHERE_STEP_RAD * across_m / spacing_m))

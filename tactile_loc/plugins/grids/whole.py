@@ -25,11 +25,11 @@ from tactile_loc.plugin import (
     SensorGeometry,
     TriangleMesh,
     align_to_z,
-    as_patches,
+    draw_nearest_depths,
+    draw_rotations,
+    make_patches,
     make_transform,
-    nearest_depths,
     njit,
-    random_rotations,
 )
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
@@ -72,8 +72,8 @@ class WholeGrid(GridSampler):
             )
         camera = _make_camera(radius_m)
         step_rad = np.sqrt(4 * np.pi / options.directions)
-        every = np.concatenate([sphere(options.directions), flat_directions(mesh, options.flat_mm2 * 1e-6)])
-        directions = distinct_directions(every, obj, step_rad)
+        every = np.concatenate([make_sphere(options.directions), find_flat_directions(mesh, options.flat_mm2 * 1e-6)])
+        directions = find_distinct_directions(every, obj, step_rad)
         self._refuse_too_many(obj, directions, camera)
         poses: list[Float] = []
         patches: list[NDArray[np.uint8]] = []
@@ -83,7 +83,7 @@ class WholeGrid(GridSampler):
                 for T_camera, heights in zip(*_draw_height_maps(obj, some, camera), strict=True):
                     around, places_m = _cut_patches(heights, self._find_lowest(heights), camera)
                     poses.append(make_transform(T_camera[:3, :3], T_camera[:3, 3] - places_m))
-                    patches.append(as_patches(around - places_m[:, 2, None, None]))
+                    patches.append(make_patches(around - places_m[:, 2, None, None]))
                 advance(len(some))
         return Places(np.concatenate(poses), np.concatenate(patches))
 
@@ -111,7 +111,7 @@ class WholeGrid(GridSampler):
 
         z is free. So a sensor is pressed by an object that is not held up by what is beside the gel.
         """
-        R = random_rotations(count, rng)
+        R = draw_rotations(count, rng)
         x0, x1, y0, y1 = geometry.rectangle
         over = np.column_stack([rng.uniform(x0, x1, count), rng.uniform(y0, y1, count), np.zeros(count)])
         corners = obj.mesh.corners_m
@@ -129,7 +129,7 @@ class WholeGrid(GridSampler):
         return found[:count]
 
 
-def sphere(count: int) -> Float:
+def make_sphere(count: int) -> Float:
     """Return `count` unit directions (count, 3), spread evenly: a Fibonacci lattice (Gonzalez, 2010)."""
     k = np.arange(count) + 0.5
     z = 1 - 2 * k / count
@@ -138,7 +138,7 @@ def sphere(count: int) -> Float:
     return np.stack([across * np.cos(azimuth_rad), across * np.sin(azimuth_rad), z], axis=1)
 
 
-def flat_directions(mesh: TriangleMesh, area_m2: float) -> Float:
+def find_flat_directions(mesh: TriangleMesh, area_m2: float) -> Float:
     """Return the unit directions (N, 3) along which faces of at least an area, m^2, are pressed flat on a sensor.
 
     At most MOST_FLAT, the largest faces'. A face that is touched flat shows none of its tilt: a direction that is a
@@ -157,12 +157,12 @@ def flat_directions(mesh: TriangleMesh, area_m2: float) -> Float:
     return np.asarray(-mean[largest] / np.linalg.norm(mean[largest], axis=1, keepdims=True))
 
 
-def distinct_directions(directions: Float, obj: ObjectModel, step_rad: float) -> Float:
+def find_distinct_directions(directions: Float, obj: ObjectModel, step_rad: float) -> Float:
     """Return those of unit directions (N, 3) that stand for all that look alike by the object's symmetry.
 
     Of those that look alike the one most along GENERIC is kept, and what is within a step of it.
     """
-    S = obj.symmetry.elements(max_step_rad=0.5 * step_rad)[:, :3, :3]
+    S = obj.symmetry.list_elements(max_step_rad=0.5 * step_rad)[:, :3, :3]
     if len(S) == 1:
         return directions
     alike = np.einsum("kij,nj->nki", S, directions)
@@ -183,7 +183,7 @@ def _draw_height_maps(obj: ObjectModel, directions: Float, camera: SensorGeometr
     R = np.stack([align_to_z(direction) for direction in directions])
     middle = np.array([0.0, 0.0, camera.standoff_m + (camera.max_depth_m - MARGIN_M) / 2])
     T = make_transform(R, middle - R @ obj.mesh.centroid_m)
-    return T, nearest_depths(obj.mesh, T, camera)
+    return T, draw_nearest_depths(obj.mesh, T, camera)
 
 
 def _cut_patches(

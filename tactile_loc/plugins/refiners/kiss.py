@@ -16,7 +16,7 @@ from kiss_icp.registration import Registration as KissRegistration
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.plugin import Cloud, CloudRefiner, Registration, orthonormal, transform_points
+from tactile_loc.plugin import Cloud, CloudRefiner, Registration, make_orthonormal, transform_points
 
 Floats = NDArray[np.float64]
 
@@ -66,7 +66,9 @@ class KissIcpRefiner(CloudRefiner):
             burst = min(BURST, self.options.max_iterations - done)
             registration = KissRegistration(burst, STEP, max_num_threads=1)  # several would add up in any order
             T_new = registration.align_points_to_map(moving_mm, seen, T, reach_mm, reach_mm**2)
-            T_new = orthonormal(np.round(T_new, DECIMALS))  # the library ends the process if it is given anything else
+            T_new = make_orthonormal(
+                np.round(T_new, DECIMALS)
+            )  # the library ends the process if it is given anything else
             T, still, done = T_new, bool(np.allclose(T_new, T, atol=settled)), done + burst
         return T, done, still
 

@@ -27,10 +27,10 @@ from tactile_loc.plugin import (
     Renderer,
     SensorGeometry,
     TriangleMesh,
+    draw_nearest_depths,
     group_rotations,
-    in_threads,
-    nearest_depths,
     njit,
+    run_in_threads,
 )
 
 FINE, COARSE = 4, 16  # cells a side of a tile whose lowest height is known, at two levels
@@ -73,21 +73,21 @@ class HeightmapRenderer(Renderer):
             last = min(first + step, len(rotations))
             maps = np.empty((last - first, *cells), np.float32)
             poses = slice(starts[first], starts[last])
-            in_threads(rasterise, len(maps), triangles, rotations[some], low[some], ceilings[some], cell, maps)
+            run_in_threads(rasterise, len(maps), triangles, rotations[some], low[some], ceilings[some], cell, maps)
             tiles = _find_minima(maps, FINE), _find_minima(maps, COARSE)
             which = slot[poses] - first, members[poses]
-            in_threads(sample, len(which[0]), maps, *tiles, low[some], cell, *which, t, *view, depth)
+            run_in_threads(sample, len(which[0]), maps, *tiles, low[some], cell, *which, t, *view, depth)
         return depth
 
     def render_apart(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
         """Return the same of poses that share no rotation, exactly: from two to three times as fast as by maps."""
-        return nearest_depths(mesh, T_sensor_object, geometry)
+        return draw_nearest_depths(mesh, T_sensor_object, geometry)
 
 
 def _find_minima(maps: Float32, tile: int) -> Float32:
     """Return the least height (K, rows / tile, columns / tile) of every tile of the maps."""
     lowest = np.empty((len(maps), maps.shape[1] // tile, maps.shape[2] // tile), np.float32)
-    in_threads(minima, len(maps), maps, tile, lowest)
+    run_in_threads(fill_tile_minima, len(maps), maps, tile, lowest)
     return lowest
 
 
@@ -186,7 +186,7 @@ def _find_span(p, r):
 
 
 @njit(fast=True)
-def minima(first, last, maps, tile, lowest):
+def fill_tile_minima(first, last, maps, tile, lowest):
     """Fill the least height (K, rows / tile, columns / tile) of every tile of the maps from first to last."""
     for k in range(first, last):
         _fill_minima(maps[k], tile, lowest[k])

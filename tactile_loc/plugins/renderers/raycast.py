@@ -52,7 +52,7 @@ class RaycastRenderer(Renderer):
         scene, surface = self._prepare_scene(mesh)
         depth = np.full((len(T_sensor_object), *geometry.shape), np.inf, np.float32)
         boxes = [
-            _find_pixel_box(surface.down_to(geometry.standoff_m + geometry.max_depth_m, T), geometry)
+            _find_pixel_box(surface.find_points_below(geometry.standoff_m + geometry.max_depth_m, T), geometry)
             for T in T_sensor_object
         ]
         for batch in _group_boxes(boxes, self.options.rays_per_batch):
@@ -122,7 +122,7 @@ class _Surface:
         self._edges = np.stack(np.divmod(np.unique(ends[:, 0] * count + ends[:, 1]), count))
         self._vertices = mesh.vertices_m
 
-    def down_to(self, limit_m: float, T_sensor_object: NDArray[np.float64]) -> NDArray[np.float64]:
+    def find_points_below(self, limit_m: float, T_sensor_object: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return points (P, 3) in the sensor frame, metres, whose convex hull holds the part with z <= limit.
 
         They are its vertices, and where edges cross the limit.

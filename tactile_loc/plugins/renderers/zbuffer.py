@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tactile_loc.plugin import Capabilities, Float32, Poses, Renderer, SensorGeometry, TriangleMesh, nearest_depths
+from tactile_loc.plugin import Capabilities, Float32, Poses, Renderer, SensorGeometry, TriangleMesh, draw_nearest_depths
 
 
 class ZBufferRenderer(Renderer):
@@ -12,4 +12,4 @@ class ZBufferRenderer(Renderer):
 
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
         """Return camera depths (N, H, W) in metres of poses (N, 4, 4) in contact; inf beyond the contact band."""
-        return nearest_depths(mesh, T_sensor_object, geometry)
+        return draw_nearest_depths(mesh, T_sensor_object, geometry)

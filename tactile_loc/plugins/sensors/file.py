@@ -1,4 +1,4 @@
-"""Any sensor, described by a TOML file. docs/conventions.md lists the keys, examples/my_sensor.toml shows one."""
+"""Any sensor, described by a TOML file. docs/files.md lists the keys, examples/my_sensor.toml shows one."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from tactile_loc.plugin import ComponentOptions, DepthSensor, SensorGeometry
 ORTHOGRAPHIC_STANDOFF_M = 10e-3
 
 
-def orthographic(width_px: int, height_px: int, pixel_pitch_m: float, max_depth_m: float) -> SensorGeometry:
+def make_orthographic(width_px: int, height_px: int, pixel_pitch_m: float, max_depth_m: float) -> SensorGeometry:
     """Return a centred orthographic camera with square pixels; raises SensorError for impossible numbers."""
     scale = 1.0 / pixel_pitch_m
     return SensorGeometry(
@@ -40,7 +40,7 @@ class Preset(DepthSensor):
         if self.options.max_depth_mm is not None:
             geometry = dataclasses.replace(geometry, max_depth_m=self.options.max_depth_mm * 1e-3)
         size = self.options.image_size_px or self.default_size_px
-        return geometry if size is None else geometry.resized(*size)
+        return geometry if size is None else geometry.resize(*size)
 
 
 class GelSlim(Preset):
@@ -63,7 +63,7 @@ class GelSightMini(Preset):
     9.47 mm); 1 mm is nominal, not measured.
     """
 
-    native = orthographic(320, 240, 0.0634e-3, 1e-3)
+    native = make_orthographic(320, 240, 0.0634e-3, 1e-3)
 
 
 class Digit(Preset):
@@ -74,7 +74,7 @@ class Digit(Preset):
     real gel, which is curved, to differ: see digit-curved, or measure yours and use a sensor file.
     """
 
-    native = orthographic(240, 320, 0.063e-3, 1e-3)
+    native = make_orthographic(240, 320, 0.063e-3, 1e-3)
 
 
 class CurvedDigit(Digit):
@@ -89,10 +89,10 @@ class CurvedDigit(Digit):
         radius_mm: float = Field(default=35.0, ge=15.0, description="radius of the gel's surface, mm")
 
     def _make_geometry(self) -> SensorGeometry:
-        return domed(super()._make_geometry(), 1e-3 * self.options.radius_mm)
+        return make_domed(super()._make_geometry(), 1e-3 * self.options.radius_mm)
 
 
-def domed(geometry: SensorGeometry, radius_m: float) -> SensorGeometry:
+def make_domed(geometry: SensorGeometry, radius_m: float) -> SensorGeometry:
     """Return an orthographic sensor whose gel is a cap of a sphere about the optical axis, its top at the standoff."""
     x, y = geometry.pixel_slopes
     relief_m = np.sqrt(radius_m**2 - x[None] ** 2 - y[:, None] ** 2) - radius_m

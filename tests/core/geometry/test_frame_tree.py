@@ -7,8 +7,8 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.errors import FrameError
-from tactile_loc.core.geometry.frame_tree import FrameTree, between
-from tactile_loc.core.geometry.rigid import invert, make_transform, random_rotations, rotation_about
+from tactile_loc.core.geometry.frame_tree import FrameTree, interpolate
+from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, rotation_about
 
 S = 1_000_000_000
 A = make_transform(rotation_about([1, 2, 3], 0.5), [0.1, 0.2, 0.3])
@@ -28,27 +28,27 @@ def tree() -> FrameTree:
 
 def test_a_chain_is_multiplied_and_interpolated(tree):
     at = make_transform(rotation_about([0, 0, 1], 1.25), [1.25, 0, 0])
-    np.testing.assert_allclose(tree.lookup("base", "tool", 1_250_000_000), A @ at, atol=1e-12)
-    np.testing.assert_allclose(tree.lookup("camera", "tool", 1_250_000_000), invert(B) @ A @ at, atol=1e-12)
+    np.testing.assert_allclose(tree.look_up("base", "tool", 1_250_000_000), A @ at, atol=1e-12)
+    np.testing.assert_allclose(tree.look_up("camera", "tool", 1_250_000_000), invert(B) @ A @ at, atol=1e-12)
     np.testing.assert_allclose(
-        tree.lookup("tool", "camera", 3 * S), invert(tree.lookup("camera", "tool", 3 * S)), atol=1e-12
+        tree.look_up("tool", "camera", 3 * S), invert(tree.look_up("camera", "tool", 3 * S)), atol=1e-12
     )
-    np.testing.assert_allclose(tree.lookup("tool", "tool", 99 * S), np.eye(4))
+    np.testing.assert_allclose(tree.look_up("tool", "tool", 99 * S), np.eye(4))
 
 
 def test_between_is_a_screw_of_constant_rate():
     rng = np.random.default_rng(0)
-    first, second = (make_transform(R, rng.normal(size=3)) for R in random_rotations(2, rng))
-    np.testing.assert_allclose(between(first, second, 0.0), first, atol=1e-12)
-    np.testing.assert_allclose(between(first, second, 1.0), second, atol=1e-12)
-    half = between(first, second, 0.5)
-    np.testing.assert_allclose(between(half, second, 0.5), between(first, second, 0.75), atol=1e-9)
+    first, second = (make_transform(R, rng.normal(size=3)) for R in draw_rotations(2, rng))
+    np.testing.assert_allclose(interpolate(first, second, 0.0), first, atol=1e-12)
+    np.testing.assert_allclose(interpolate(first, second, 1.0), second, atol=1e-12)
+    half = interpolate(first, second, 0.5)
+    np.testing.assert_allclose(interpolate(half, second, 0.5), interpolate(first, second, 0.75), atol=1e-9)
     np.testing.assert_allclose(half[:3, 3], (first[:3, 3] + second[:3, 3]) / 2)
 
 
 def test_only_the_frames_between_have_to_be_known(tree):
     tree.add("arm", "finger", 0, A)
-    np.testing.assert_allclose(tree.lookup("arm", "tool", 2 * S)[:3, 3], [2, 0, 0])  # the finger lacks then
+    np.testing.assert_allclose(tree.look_up("arm", "tool", 2 * S)[:3, 3], [2, 0, 0])  # the finger lacks then
 
 
 def test_what_lacks_is_named(tree):
@@ -58,10 +58,10 @@ def test_what_lacks_is_named(tree):
         (("base", "tool", -1), ("tool", "-0.000 s")),
     ):
         with pytest.raises(FrameError, match=naming(*mentioned)):
-            tree.lookup(*lookup)
+            tree.look_up(*lookup)
     tree.add("moon", "rover", 0, A)
     with pytest.raises(FrameError, match=naming("base", "rover")):
-        tree.lookup("base", "rover", 0)
+        tree.look_up("base", "rover", 0)
     with pytest.raises(FrameError, match=naming("tool", "arm", "camera")):
         tree.add("camera", "tool", 0, A)
 
@@ -70,8 +70,8 @@ def test_frames_in_a_circle_and_clocks_that_are_set_back_are_refused(tree):
     tree.add("tool", "base", 0, A)
     tree.add("moon", "rover", 0, A)
     with pytest.raises(FrameError, match=naming("base", "tool", "arm")):
-        tree.lookup("base", "rover", 0)
+        tree.look_up("base", "rover", 0)
     tree.add("moon", "flag", 100 * S, A)
     tree.add("moon", "flag", 3 * S, B)
     with pytest.raises(FrameError, match=naming("flag", "3.000 s")):
-        tree.lookup("moon", "flag", 50 * S)
+        tree.look_up("moon", "flag", 50 * S)

@@ -9,22 +9,22 @@ from scipy.stats import chi2
 from tactile_loc.core.geometry.hand_eye import (
     MEDIAN_6,
     TRUSTED,
-    closed_form,
+    compute_pose_errors,
+    estimate_typical_variance,
     fit_hand_eye,
-    flange_turns,
-    moved,
-    pose_errors,
-    predicted,
+    measure_turns,
+    move,
+    predict,
     screws_agree,
-    typical_variance,
+    solve_closed_form,
 )
 from tactile_loc.core.geometry.rigid import (
-    covariance_at,
+    draw_rotations,
     invert,
     make_transform,
-    random_rotations,
+    make_translation,
+    move_covariance,
     rotation_about,
-    translation,
 )
 
 STD = np.array([2e-4] * 3 + [3e-3] * 3)
@@ -32,7 +32,7 @@ COVARIANCE = np.diag(STD**2)
 
 
 def poses(count: int, std_m: float, rng: np.random.Generator) -> np.ndarray:
-    return make_transform(random_rotations(count, rng), std_m * rng.normal(size=(count, 3)))
+    return make_transform(draw_rotations(count, rng), std_m * rng.normal(size=(count, 3)))
 
 
 @pytest.fixture
@@ -50,20 +50,20 @@ def problem(rng):
 def fitted(problem, noise, **more):
     X, Y, F, S = problem
     covariances = np.repeat(COVARIANCE[None], len(S), axis=0)
-    return fit_hand_eye(F, moved(S, noise), covariances, X @ translation([1e-3, 0, 0]), Y, **more)
+    return fit_hand_eye(F, move(S, noise), covariances, X @ make_translation([1e-3, 0, 0]), Y, **more)
 
 
 def test_errors_are_what_moves_a_pose(rng):
     T, e = poses(4, 0.1, rng), 0.1 * rng.normal(size=(4, 6))
-    np.testing.assert_allclose(pose_errors(moved(T, e), T), e, atol=1e-12)
+    np.testing.assert_allclose(compute_pose_errors(move(T, e), T), e, atol=1e-12)
 
 
 @pytest.mark.parametrize("count", [3, 10])
 def test_the_closed_form_is_exact(problem, count):
     X, Y, F, S = problem
-    found = closed_form(F[:count], S[:count])
+    found = solve_closed_form(F[:count], S[:count])
     np.testing.assert_allclose(found, (X, Y), atol=1e-7)
-    np.testing.assert_allclose(predicted(F, X, Y), S, atol=1e-12)
+    np.testing.assert_allclose(predict(F, X, Y), S, atol=1e-12)
 
 
 def test_many_are_solved_at_once_also_where_flanges_turn_by_half_a_turn(problem):
@@ -71,8 +71,8 @@ def test_many_are_solved_at_once_also_where_flanges_turn_by_half_a_turn(problem)
     axes = ([1, 0, 0], [1, 1, 0], [1, 2, 3])
     half = make_transform(np.stack([np.eye(3), *(rotation_about(a, np.pi) for a in axes)]), np.zeros(3))
     flanges = np.stack([F[:4], F[0] @ half])
-    seen = predicted(flanges, X, Y)
-    np.testing.assert_allclose(closed_form(flanges, seen)[0], [X, X], atol=1e-7)
+    seen = predict(flanges, X, Y)
+    np.testing.assert_allclose(solve_closed_form(flanges, seen)[0], [X, X], atol=1e-7)
 
 
 def test_the_fit_ends_at_the_truth(problem):
@@ -86,7 +86,7 @@ def test_errors_are_as_large_as_the_covariance_says_whatever_was_told(problem, r
     nees, variances = [], []
     for _ in range(60):
         found = fitted(problem, 2 * STD * rng.normal(size=(10, 6)))
-        e = pose_errors(problem[0], found.T_flange_sensor)
+        e = compute_pose_errors(problem[0], found.T_flange_sensor)
         nees.append(e @ np.linalg.solve(found.covariance, e))
         variances.append(found.variance)
     assert np.mean(nees) == pytest.approx(6 * 48 / 46, rel=0.25)
@@ -97,7 +97,7 @@ def test_a_wrong_touch_has_no_weight_in_a_robust_fit(problem, rng):
     noise = STD * rng.normal(size=(10, 6))
     noise[4] = [5e-3, 0, 0, 0.1, 0, 0]
     plain, robust = (fitted(problem, noise, robust=r) for r in (False, True))
-    off = [np.linalg.norm(pose_errors(problem[0], f.T_flange_sensor)[:3]) for f in (plain, robust)]
+    off = [np.linalg.norm(compute_pose_errors(problem[0], f.T_flange_sensor)[:3]) for f in (plain, robust)]
     assert off[1] < 3e-4 < off[0]
     assert robust.chi2.argmax() == 4
 
@@ -110,7 +110,7 @@ def test_touches_that_agree_have_their_full_weight_in_a_robust_fit(problem):
 def test_what_touches_say_nothing_of_leaves_the_rest_as_it_is(problem):
     X, Y, F, S = problem
     loose = np.repeat(np.diag([9e-4, *STD[1:] ** 2])[None], 10, axis=0)  # along x a touch knows nothing
-    found = fit_hand_eye(F, S, loose, X @ translation([1e-3, 0, 0]), Y)
+    found = fit_hand_eye(F, S, loose, X @ make_translation([1e-3, 0, 0]), Y)
     np.testing.assert_allclose(found.T_flange_sensor, X, atol=1e-6)
     assert found.freedom == 10 * 5 - 12
 
@@ -119,15 +119,15 @@ def test_a_covariance_is_moved_to_another_point(rng):
     shift = np.array([0.01, 0.02, -0.03])
     errors = STD * rng.normal(size=(20000, 6))
     there = np.concatenate([errors[:, :3] + np.cross(errors[:, 3:], shift), errors[:, 3:]], axis=1)
-    np.testing.assert_allclose(covariance_at(COVARIANCE, shift), np.cov(there.T), atol=2e-7)
+    np.testing.assert_allclose(move_covariance(COVARIANCE, shift), np.cov(there.T), atol=2e-7)
 
 
 def test_what_is_typical_is_told_by_the_chi_squared_distribution():
     assert chi2(6).median() == pytest.approx(MEDIAN_6, rel=1e-4)
     assert chi2(6).ppf(0.999) == pytest.approx(TRUSTED, rel=2e-3)
     drawn = chi2(6).ppf((np.arange(999) + 0.5) / 999)
-    assert typical_variance(4.6 * drawn) == pytest.approx(4.6, rel=1e-3)
-    assert typical_variance(0.1 * drawn) == 1.0
+    assert estimate_typical_variance(4.6 * drawn) == pytest.approx(4.6, rel=1e-3)
+    assert estimate_typical_variance(0.1 * drawn) == 1.0
 
 
 def test_where_flanges_turn_about_one_axis_a_slide_along_it_is_not_known(problem):
@@ -135,7 +135,7 @@ def test_where_flanges_turn_about_one_axis_a_slide_along_it_is_not_known(problem
     X, Y, F, _ = problem
     axis = np.array([2.0, -3.0, 6.0]) / 7
     F = make_transform(F[0, :3, :3] @ rotation_about(axis, np.linspace(-1.5, 1.5, 10)), F[:, :3, 3])
-    found = fit_hand_eye(F, predicted(F, X, Y), np.repeat(COVARIANCE[None], 10, axis=0), X, Y)
+    found = fit_hand_eye(F, predict(F, X, Y), np.repeat(COVARIANCE[None], 10, axis=0), X, Y)
     assert found.freedom == 10 * 6 - 11
     std_m = np.sqrt(np.linalg.eigvalsh(found.information)[0]) ** -1
     assert std_m > 1.0, "as good as nothing"
@@ -147,7 +147,7 @@ def test_where_flanges_turn_about_one_axis_a_slide_along_it_is_not_known(problem
 def test_turns_of_flanges_about_one_axis_show():
     axis = np.array([1.0, 2.0, 2.0]) / 3
     F = make_transform(rotation_about(axis, np.array([0.0, 0.4, 1.1, 2.0])), [0.1, 0, 0])
-    (most, second, _), axes = flange_turns(F)
+    (most, second, _), axes = measure_turns(F)
     assert most > 0.5
     assert second < 1e-7
     assert abs(axes[0] @ axis) == pytest.approx(1.0)

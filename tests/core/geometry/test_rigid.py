@@ -10,34 +10,34 @@ from tactile_loc.core.geometry.rigid import (
     align_to_z,
     axis_angle,
     axis_times_sine,
-    covariance_along,
-    covariance_at,
     cross_matrix,
+    draw_rotations,
     invert,
     is_rigid,
     make_transform,
+    make_translation,
+    move_covariance,
     quaternion_to_rotation,
-    random_rotations,
     require_covariance,
     require_rigid,
+    rotate_covariance,
     rotation_about,
     rotation_angle,
     rotation_to_quaternion,
     transform_points,
-    translation,
 )
 
 
 @pytest.fixture
 def transforms() -> np.ndarray:
     rng = np.random.default_rng(0)
-    return make_transform(random_rotations(6, rng).reshape(2, 3, 3, 3), rng.normal(size=(2, 3, 3)))
+    return make_transform(draw_rotations(6, rng).reshape(2, 3, 3, 3), rng.normal(size=(2, 3, 3)))
 
 
 def test_transform_is_rotation_then_translation():
     R, t = rotation_about([0, 0, 1], np.pi / 2), [1.0, 2.0, 3.0]
     np.testing.assert_allclose(make_transform(R, t) @ [1, 0, 0, 1], [1, 3, 3, 1], atol=1e-15)
-    np.testing.assert_allclose(translation(t) @ [1, 0, 0, 1], [2, 2, 3, 1])
+    np.testing.assert_allclose(make_translation(t) @ [1, 0, 0, 1], [2, 2, 3, 1])
 
 
 def test_make_transform_broadcasts_either_part():
@@ -100,14 +100,16 @@ def one_error(shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
 def test_a_covariance_at_another_point_is_that_of_how_the_point_moves():
     shift, turn, lever = np.random.default_rng(8).normal(size=(3, 2, 4, 3))
     there = one_error(shift + np.cross(turn, lever), turn)
-    np.testing.assert_allclose(covariance_at(one_error(shift, turn), lever), there, atol=1e-14)
-    np.testing.assert_allclose(covariance_at(one_error(shift[0, 0], turn[0, 0]), lever[0, 0]), there[0, 0], atol=1e-14)
+    np.testing.assert_allclose(move_covariance(one_error(shift, turn), lever), there, atol=1e-14)
+    np.testing.assert_allclose(
+        move_covariance(one_error(shift[0, 0], turn[0, 0]), lever[0, 0]), there[0, 0], atol=1e-14
+    )
 
 
 def test_a_covariance_along_other_axes_is_that_of_the_turned_error():
     shift, turn = np.random.default_rng(9).normal(size=(2, 3))
     R = rotation_about([1, -2, 0.5], 0.8)
-    np.testing.assert_allclose(covariance_along(one_error(shift, turn), R), one_error(R @ shift, R @ turn), atol=1e-14)
+    np.testing.assert_allclose(rotate_covariance(one_error(shift, turn), R), one_error(R @ shift, R @ turn), atol=1e-14)
 
 
 @pytest.mark.parametrize("direction", [[0, 0, 1], [0, 0, -2], [1, 0, 0], [1e-9, 0, -1], [-0.3, 0.8, -0.1]])
@@ -120,7 +122,7 @@ def test_align_to_z_turns_onto_z_by_the_smallest_angle(direction):
 
 
 def test_quaternions_agree_with_scipy_and_come_back():
-    R = random_rotations(50, np.random.default_rng(2)).reshape(5, 10, 3, 3)
+    R = draw_rotations(50, np.random.default_rng(2)).reshape(5, 10, 3, 3)
     q = rotation_to_quaternion(R)
     assert q.shape == (5, 10, 4)
     assert (q[..., 0] >= 0).all()
@@ -132,7 +134,7 @@ def test_quaternions_agree_with_scipy_and_come_back():
 
 
 def test_random_rotations_are_uniform():
-    R = random_rotations(20_000, np.random.default_rng(3))
+    R = draw_rotations(20_000, np.random.default_rng(3))
     assert is_rigid(make_transform(R, np.zeros(3)))
     np.testing.assert_allclose(R.mean(axis=0), 0, atol=0.02)  # every axis goes everywhere
     angle = rotation_angle(R)
@@ -142,9 +144,9 @@ def test_random_rotations_are_uniform():
 
 
 def test_random_rotations_follow_their_generator():
-    same = [random_rotations(3, np.random.default_rng(4)) for _ in range(2)]
+    same = [draw_rotations(3, np.random.default_rng(4)) for _ in range(2)]
     assert np.array_equal(*same)
-    assert not np.allclose(same[0], random_rotations(3, np.random.default_rng(5)))
+    assert not np.allclose(same[0], draw_rotations(3, np.random.default_rng(5)))
 
 
 def spoilt(T: np.ndarray, row: int, column: int, value: float) -> np.ndarray:
@@ -154,7 +156,7 @@ def spoilt(T: np.ndarray, row: int, column: int, value: float) -> np.ndarray:
 
 
 def test_is_rigid_refuses_what_is_not():
-    T = make_transform(random_rotations(3, np.random.default_rng(6)), np.zeros(3))
+    T = make_transform(draw_rotations(3, np.random.default_rng(6)), np.zeros(3))
     assert is_rigid(T)
     assert is_rigid(T[0])
     assert not is_rigid(spoilt(T, 0, 0, T[1, 0, 0] + 1e-3))

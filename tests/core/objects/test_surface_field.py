@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.objects.surface_field import SurfaceField, closest_on_triangle
+from tactile_loc.core.objects.surface_field import SurfaceField, find_closest_on_triangle
 
 SOLIDS = {
     "ball": trimesh.creation.icosphere(3, 0.008),
@@ -22,7 +22,7 @@ def test_the_nearest_point_is_the_nearest_there_is(name):
     mesh = TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
     rng = np.random.default_rng(0)
     points = mesh.sample(2000, rng) + rng.normal(0, 1e-4, (2000, 3))
-    found, which = SurfaceField.of(mesh).closest(points)
+    found, which = SurfaceField.of(mesh).find_closest(points)
     in_mm = trimesh.Trimesh(1e3 * mesh.vertices_m, mesh.faces, process=False)  # its tolerances are no metres
     distance_m = 1e-3 * trimesh.proximity.closest_point(in_mm, 1e3 * points)[1]
     assert (which >= 0).all()
@@ -37,7 +37,7 @@ def test_the_nearest_point_is_the_nearest_there_is(name):
 def test_beyond_reach_there_is_nothing():
     solid = SOLIDS["ball"]
     mesh = TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
-    found, which = SurfaceField.of(mesh, reach_m=2e-3).closest(np.array([[0.0, 0.0, 0.02], [0.0, 0.0, 0.009]]))
+    found, which = SurfaceField.of(mesh, reach_m=2e-3).find_closest(np.array([[0.0, 0.0, 0.02], [0.0, 0.0, 0.009]]))
     assert which.tolist()[0] == -1
     assert np.isnan(found[0]).all()
     np.testing.assert_allclose(found[1], [0, 0, 0.008], atol=1e-4)
@@ -52,9 +52,9 @@ def test_the_mean_gap_of_a_ball():
     outwards = np.eye(4)
     outwards[0, 3] = 1e-3  # the first point then is 1 mm off, the second hypot(1, 10) - 8
     expected = [2e-3 + 3e-3, 2e-3 + 3e-3, 1e-3 + np.hypot(1e-3, 1e-2) - 8e-3 + 3e-3]
-    gaps = field.mean_gaps(points, np.stack([np.eye(4), turn, outwards]), 3e-3)
+    gaps = field.measure_gaps(points, np.stack([np.eye(4), turn, outwards]), 3e-3)
     np.testing.assert_allclose(gaps, np.array(expected) / 3, atol=3e-5)
-    assert field.mean_gaps(np.zeros((0, 3)), np.eye(4)[None], 3e-3).tolist() == [0.0]
+    assert field.measure_gaps(np.zeros((0, 3)), np.eye(4)[None], 3e-3).tolist() == [0.0]
 
 
 def test_every_region_of_a_triangle():
@@ -66,5 +66,5 @@ def test_every_region_of_a_triangle():
     }  # fmt: skip
     for point, nearest in cases.items():
         np.testing.assert_allclose(
-            closest_on_triangle(np.array(point), corners[0], corners[1:] - corners[0]), nearest, atol=1e-12
+            find_closest_on_triangle(np.array(point), corners[0], corners[1:] - corners[0]), nearest, atol=1e-12
         )

@@ -42,7 +42,7 @@ def test_closure_has_the_order_of_the_group(text: str, order: int) -> None:
 
 @pytest.mark.parametrize("text", [*list(ORDERS)[:-1], "zinf", "zinf*x2", "axis(1,1,0)inf*z2"])
 def test_elements_are_closed_under_product_and_inverse(text: str) -> None:
-    T = SymmetryGroup.parse(text, CENTRE_M).elements(math.radians(36.0))
+    T = SymmetryGroup.parse(text, CENTRE_M).list_elements(math.radians(36.0))
     products = (T[:, None] @ T[None]).reshape(-1, 16)
     candidates = np.concatenate([products, np.linalg.inv(T).reshape(-1, 16)])
     difference = np.abs(candidates[:, None] - T.reshape(-1, 16)[None]).max(axis=2)
@@ -64,22 +64,22 @@ def test_three_decimals_of_an_axis_are_enough_to_close() -> None:
 
 
 def test_elements_fix_the_centre_and_the_identity_leads() -> None:
-    T = SymmetryGroup.parse("z6*x2", CENTRE_M).elements()
+    T = SymmetryGroup.parse("z6*x2", CENTRE_M).list_elements()
     np.testing.assert_allclose(T[:, :3, :3] @ CENTRE_M + T[:, :3, 3], np.tile(CENTRE_M, (12, 1)), atol=1e-15)
     np.testing.assert_allclose(T[0], np.eye(4), atol=1e-15)
 
 
 @pytest.mark.parametrize(("step_deg", "count"), [(10.0, 36), (7.0, 52), (100.0, 4), (360.0, 2)])
 def test_a_continuous_axis_is_sampled_evenly_and_finely_enough(step_deg: float, count: int) -> None:
-    T = SymmetryGroup.parse("zinf", CENTRE_M).elements(math.radians(step_deg))
+    T = SymmetryGroup.parse("zinf", CENTRE_M).list_elements(math.radians(step_deg))
     angle_rad = np.unwrap(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
     np.testing.assert_allclose(angle_rad, np.arange(count) * 2.0 * math.pi / count, atol=1e-12)
     assert SymmetryGroup.parse("zinf", CENTRE_M).order == math.inf
 
 
 def test_terms_along_a_continuous_axis_fold_into_it() -> None:
-    assert len(SymmetryGroup.parse("zinf*z6", CENTRE_M).elements(math.pi)) == 2
-    assert len(SymmetryGroup.parse("x2*zinf*y2", CENTRE_M).elements(math.pi)) == 4
+    assert len(SymmetryGroup.parse("zinf*z6", CENTRE_M).list_elements(math.pi)) == 2
+    assert len(SymmetryGroup.parse("x2*zinf*y2", CENTRE_M).list_elements(math.pi)) == 4
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_a_centre_is_three_finite_numbers(centre_m: tuple[float, ...]) -> None:
 def test_sampling_steps_must_be_positive() -> None:
     group = SymmetryGroup.parse("zinf", CENTRE_M)
     with pytest.raises(SymmetryError, match=naming("0.0 rad")):
-        group.elements(0.0)
+        group.list_elements(0.0)
     with pytest.raises(SymmetryError, match="step_rad"):
         group.is_representative(random_rotations(3))
 
@@ -141,7 +141,7 @@ def test_every_rotation_has_exactly_one_representative(text: str) -> None:
 @pytest.mark.parametrize("count", [2, 36, 50])
 def test_an_evenly_sampled_continuous_orbit_keeps_one(text: str, count: int) -> None:
     group, step_rad = SymmetryGroup.parse(text, CENTRE_M), 2.0 * math.pi / count
-    orbits = random_rotations(200)[:, None] @ group.elements(step_rad)[None, :, :3, :3]
+    orbits = random_rotations(200)[:, None] @ group.list_elements(step_rad)[None, :, :3, :3]
     kept = group.is_representative(orbits.reshape(-1, 3, 3), step_rad).reshape(200, -1)
     np.testing.assert_array_equal(kept.sum(axis=1), 1)
 
@@ -157,24 +157,24 @@ def test_a_continuous_axis_keeps_its_share_of_random_rotations(text: str, flips:
 def test_equivalent_rotations_have_one_canonical_form_which_is_equivalent(text: str) -> None:
     group = SymmetryGroup.parse(text, CENTRE_M)
     R = random_rotations(100)
-    canonical = group.canonical(R)
-    for S in group.elements(math.radians(50.0))[:, :3, :3]:
-        np.testing.assert_allclose(group.canonical(R @ S), canonical, atol=1e-9)
-    fine = group.elements(math.radians(0.5))[:, :3, :3]
+    canonical = group.find_canonical(R)
+    for S in group.list_elements(math.radians(50.0))[:, :3, :3]:
+        np.testing.assert_allclose(group.find_canonical(R @ S), canonical, atol=1e-9)
+    fine = group.list_elements(math.radians(0.5))[:, :3, :3]
     nearest = np.einsum("nji,njk,mik->nm", R, canonical, fine).max(axis=1)
     assert np.all(nearest > 1.0 + 2.0 * math.cos(math.radians(0.3)))
 
 
 def test_canonical_tells_different_orbits_apart() -> None:
     group, R = SymmetryGroup.parse("z6", CENTRE_M), random_rotations(50)
-    turned = group.canonical(R @ rotation_about((0, 0, 1), math.radians(30.0)))
-    assert np.all(np.abs(turned - group.canonical(R)).max(axis=(1, 2)) > 0.05)
+    turned = group.find_canonical(R @ rotation_about((0, 0, 1), math.radians(30.0)))
+    assert np.all(np.abs(turned - group.find_canonical(R)).max(axis=(1, 2)) > 0.05)
 
 
 @pytest.mark.parametrize("text", ["none", "z6", "x2*y2", "zinf", "axis(1,1,0)inf*z2"])
 def test_the_least_angle_is_that_to_the_nearest_equivalent(text):
     group = SymmetryGroup.parse(text, [0.01, 0, 0])
     R = random_rotations(30)
-    same = R[:, None] @ group.elements(0.002)[:, :3, :3]
+    same = R[:, None] @ group.list_elements(0.002)[:, :3, :3]
     expected = rotation_angle(R[0].T @ same).min(axis=1)
-    np.testing.assert_allclose(group.least_angle(R[0], R), expected, atol=2e-3 if "inf" in text else 1e-7)
+    np.testing.assert_allclose(group.measure_least_angle(R[0], R), expected, atol=2e-3 if "inf" in text else 1e-7)

@@ -214,7 +214,7 @@ def test_detection_moves_with_the_mesh(name: str) -> None:
     here, there = found(name), detect_symmetry(vertices_m @ R.T + t_m, faces)
     assert there.order == here.order
     np.testing.assert_allclose(there.centre_m, R @ here.centre_m + t_m, atol=1e-9)
-    expected = R @ here.elements(math.radians(1.0))[:, :3, :3] @ R.T
+    expected = R @ here.list_elements(math.radians(1.0))[:, :3, :3] @ R.T
     traces = np.einsum("aij,bij->ab", there.rotations, expected)
     assert np.all(traces.max(axis=1) > 1.0 + 2.0 * math.cos(math.radians(1.0)))
     if here.continuous_axis is not None and there.continuous_axis is not None:

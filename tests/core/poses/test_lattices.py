@@ -4,13 +4,18 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.poses.lattices import lattice_shape, plane_lattice, reachable_translations, shifted_lattice
+from tactile_loc.core.poses.lattices import (
+    compute_lattice_shape,
+    find_reachable_translations,
+    make_plane_lattice,
+    make_shifted_lattice,
+)
 
 LOW, HIGH = np.array([-0.010, 0.004]), np.array([0.013, 0.009])
 
 
 def test_lattice_is_square_of_the_pitch_and_centred():
-    points = plane_lattice(LOW, HIGH, 0.002)
+    points = make_plane_lattice(LOW, HIGH, 0.002)
     assert len(points) == 12 * 3
     for axis, n in ((0, 12), (1, 3)):
         values = np.unique(points[:, axis].round(9))
@@ -21,18 +26,18 @@ def test_lattice_is_square_of_the_pitch_and_centred():
 
 @pytest.mark.parametrize("pitch_m", [0.0007, 0.001, 0.0023, 0.0049])
 def test_every_place_is_within_half_a_pitch_and_points_lie_inside(pitch_m):
-    points = plane_lattice(LOW, HIGH, pitch_m)
+    points = make_plane_lattice(LOW, HIGH, pitch_m)
     places = np.random.default_rng(0).uniform(LOW, HIGH, (2000, 2))
     off = np.abs(places[:, None] - points[None]).max(axis=-1).min(axis=1)
     assert off.max() <= pitch_m / 2 * (1 + 1e-9)
     assert (points >= LOW - 1e-12).all()
     assert (points <= HIGH + 1e-12).all()
-    assert len(points) == lattice_shape(LOW, HIGH, pitch_m).prod()
+    assert len(points) == compute_lattice_shape(LOW, HIGH, pitch_m).prod()
 
 
 def test_shifted_lattices_are_square_of_the_pitch_and_inside():
     for number in range(8):
-        points = shifted_lattice(LOW, HIGH, 0.002, number)
+        points = make_shifted_lattice(LOW, HIGH, 0.002, number)
         for axis in range(2):
             np.testing.assert_allclose(np.diff(np.unique(points[:, axis].round(9))), 0.002)
         assert (points >= LOW - 1e-12).all()
@@ -43,7 +48,7 @@ def test_shifted_lattices_are_square_of_the_pitch_and_inside():
 
 def test_successive_shifts_fill_one_another_s_gaps():
     middle = (LOW + HIGH) / 2
-    offs = np.stack([(shifted_lattice(LOW, HIGH, 0.002, number)[0] - middle) % 0.002 for number in range(16)])
+    offs = np.stack([(make_shifted_lattice(LOW, HIGH, 0.002, number)[0] - middle) % 0.002 for number in range(16)])
     places = np.random.default_rng(0).uniform(0, 0.002, (500, 2))
     apart = np.abs(places[:, None] - offs)
     off = np.minimum(apart, 0.002 - apart).max(axis=-1).min(axis=1)  # the square is a torus
@@ -52,26 +57,28 @@ def test_successive_shifts_fill_one_another_s_gaps():
 
 
 def test_whole_number_of_pitches_gets_no_extra_point_from_rounding():
-    assert lattice_shape(np.zeros(2), np.array([0.3, 0.1 * 3]), 0.1).tolist() == [3, 3]
+    assert compute_lattice_shape(np.zeros(2), np.array([0.3, 0.1 * 3]), 0.1).tolist() == [3, 3]
 
 
 def test_short_or_empty_range_gets_its_middle():
-    np.testing.assert_allclose(plane_lattice(np.zeros(2), np.array([0.001, -0.001]), 0.01), [[0.0005, -0.0005]])
-    np.testing.assert_allclose(shifted_lattice(np.zeros(2), np.array([0.001, -0.001]), 0.01, 3), [[0.0005, -0.0005]])
+    np.testing.assert_allclose(make_plane_lattice(np.zeros(2), np.array([0.001, -0.001]), 0.01), [[0.0005, -0.0005]])
+    np.testing.assert_allclose(
+        make_shifted_lattice(np.zeros(2), np.array([0.001, -0.001]), 0.01, 3), [[0.0005, -0.0005]]
+    )
 
 
 @pytest.mark.parametrize("pitch_m", [0.0, -0.001, np.nan, np.inf])
 def test_impossible_pitch_is_refused(pitch_m):
     with pytest.raises(GridError, match=f"{1e3 * pitch_m:g} mm"):
-        plane_lattice(LOW, HIGH, pitch_m)
+        make_plane_lattice(LOW, HIGH, pitch_m)
     with pytest.raises(GridError, match=f"{1e3 * pitch_m:g} mm"):
-        shifted_lattice(LOW, HIGH, pitch_m, 1)
+        make_shifted_lattice(LOW, HIGH, pitch_m, 1)
 
 
 def test_boxes_overlap_exactly_between_low_and_high():
     points = np.random.default_rng(1).normal(size=(40, 3)) * 0.01
     x0, x1, y0, y1 = rectangle = (-0.004, 0.006, -0.02, -0.01)
-    low, high = reachable_translations(points, rectangle)
+    low, high = find_reachable_translations(points, rectangle)
     for t in np.random.default_rng(2).uniform(low - 0.01, high + 0.01, (500, 2)):
         moved = points[:, :2] + t
         overlaps = (moved.max(axis=0) >= [x0, y0]).all() and (moved.min(axis=0) <= [x1, y1]).all()
@@ -80,7 +87,7 @@ def test_boxes_overlap_exactly_between_low_and_high():
 
 def test_batches_of_turned_points_are_taken_one_by_one():
     points = np.random.default_rng(3).normal(size=(5, 8, 3))
-    low, high = reachable_translations(points, (-1.0, 1.0, -2.0, 2.0))
-    one_low, one_high = reachable_translations(points[3], (-1.0, 1.0, -2.0, 2.0))
+    low, high = find_reachable_translations(points, (-1.0, 1.0, -2.0, 2.0))
+    one_low, one_high = find_reachable_translations(points[3], (-1.0, 1.0, -2.0, 2.0))
     np.testing.assert_array_equal(low[3], one_low)
     np.testing.assert_array_equal(high[3], one_high)

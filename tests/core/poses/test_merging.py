@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.rigid import rotation_about, translation
+from tactile_loc.core.geometry.rigid import make_translation, rotation_about
 from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
 
@@ -15,7 +15,7 @@ ALONG_MM = np.array([0.0, 0.4, 5.0, 5.3, 0.2])
 @pytest.fixture
 def poses() -> np.ndarray:
     """Poses along x, at ALONG_MM."""
-    return translation(np.outer(1e-3 * ALONG_MM, [1.0, 0.0, 0.0]))
+    return make_translation(np.outer(1e-3 * ALONG_MM, [1.0, 0.0, 0.0]))
 
 
 def test_poses_merge_with_the_likeliest_within_their_radius(make_box, poses):

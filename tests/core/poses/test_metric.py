@@ -7,21 +7,21 @@ from scipy.spatial.distance import cdist
 
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import (
+    draw_rotations,
     make_transform,
-    random_rotations,
+    make_translation,
     rotation_about,
     transform_points,
-    translation,
 )
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
-from tactile_loc.core.poses.metric import SPACING_SAMPLE, PoseGrid, PoseMetric, distances_between, remove_equivalent
+from tactile_loc.core.poses.metric import SPACING_SAMPLE, PoseGrid, PoseMetric, measure_distances, remove_equivalent
 from tactile_loc.io.meshes import load_object
 
 
 def random_poses(count: int, seed: int, spread_m: float = 0.01) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    return make_transform(random_rotations(count, rng), rng.normal(scale=spread_m, size=(count, 3)))
+    return make_transform(draw_rotations(count, rng), rng.normal(scale=spread_m, size=(count, 3)))
 
 
 def quadrature(mesh: TriangleMesh) -> tuple[np.ndarray, np.ndarray]:
@@ -55,7 +55,7 @@ def test_embedding_agrees_with_dense_samples_of_the_surface(pin):
 
 def test_a_translation_counts_in_full_and_a_turn_by_its_lever(box):
     metric, T = PoseMetric(box), random_poses(1, 5)
-    assert metric.distance(T, translation([0.003, 0, 0.004]) @ T) == pytest.approx(0.005)
+    assert metric.distance(T, make_translation([0.003, 0, 0.004]) @ T) == pytest.approx(0.005)
     turn = make_transform(rotation_about([0, 0, 1], 0.1), np.zeros(3))
     lever_m = np.sqrt(np.trace(box.mesh.covariance_m2[:2, :2]))
     assert metric.distance(T, T @ turn) == pytest.approx(2 * np.sin(0.05) * lever_m)
@@ -64,7 +64,7 @@ def test_a_translation_counts_in_full_and_a_turn_by_its_lever(box):
 def test_a_flat_surface_has_a_metric_too_however_it_lies():
     corners = np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.02, 0.0]])
     T1, T2 = random_poses(4, 6), random_poses(4, 36)
-    for R in random_rotations(20, np.random.default_rng(37)):  # rounding makes some of the least moments negative
+    for R in draw_rotations(20, np.random.default_rng(37)):  # rounding makes some of the least moments negative
         mesh = TriangleMesh(corners @ R.T, np.array([[0, 1, 2]]))
         metric = PoseMetric(ObjectModel("sheet", mesh, SymmetryGroup.parse("none", np.zeros(3))))
         points, weights = quadrature(mesh)
@@ -118,9 +118,9 @@ def test_symmetric_distance_is_nil_between_equivalents(make_box, cylinder):
     for obj in (brick, cylinder):
         metric = PoseMetric(obj)
         T = random_poses(3, 14)
-        for S in obj.symmetry.elements(0.7):
+        for S in obj.symmetry.list_elements(0.7):
             assert metric.symmetric_distance(T, T @ S).max() <= 1e-12
-    assert PoseMetric(brick).distance(T, T @ brick.symmetry.elements()[1]).min() > 0.01, "unlike the plain one"
+    assert PoseMetric(brick).distance(T, T @ brick.symmetry.list_elements()[1]).min() > 0.01, "unlike the plain one"
 
 
 def test_symmetric_distance_is_symmetric_and_no_more_than_the_plain_one(make_box):
@@ -138,7 +138,7 @@ def test_nearest_agrees_with_brute_force(make_box, symmetry):
     grid = PoseGrid(random_poses(300, 17), PoseMetric(obj))
     queries = random_poses(40, 18)
     points, weights = quadrature(obj.mesh)
-    same = queries[:, None] @ obj.symmetry.elements()
+    same = queries[:, None] @ obj.symmetry.list_elements()
     gaps = transform_points(same, points)[:, :, None] - transform_points(grid.T_sensor_object, points)
     rms = np.sqrt((gaps**2).sum(axis=-1) @ weights).min(axis=1)
     distance, index = grid.nearest(queries)
@@ -148,7 +148,7 @@ def test_nearest_agrees_with_brute_force(make_box, symmetry):
 
 def test_nearest_of_a_grid_pose_and_its_equivalents_is_itself(cylinder):
     grid = PoseGrid(random_poses(50, 19), PoseMetric(cylinder))
-    turned = grid.T_sensor_object @ cylinder.symmetry.elements(0.5)[7]
+    turned = grid.T_sensor_object @ cylinder.symmetry.list_elements(0.5)[7]
     distance, index = grid.nearest(turned)
     assert index.tolist() == list(range(50))
     assert distance.max() < 2e-4
@@ -180,7 +180,7 @@ def test_orbits_are_as_far_apart_as_their_nearest_poses(cylinder):
     np.testing.assert_array_equal(metric.symmetric_distance(T1, T2), exact)
     assert (exact <= sampled + 1e-12).all()
     assert (sampled**2 <= exact**2 + 1e-8).all(), "half a step along the orbit at most"
-    turned = T1 @ cylinder.symmetry.elements(0.123)[4]
+    turned = T1 @ cylinder.symmetry.list_elements(0.123)[4]
     np.testing.assert_allclose(metric.embed_orbits(turned)[0], metric.embed_orbits(T1)[0], atol=1e-12)
 
 
@@ -196,43 +196,43 @@ def test_orbits_hold_where_the_centroid_is_not_the_centre_of_symmetry():
 
 def test_the_mean_spacing_is_that_of_a_lattice(box, cylinder):
     x = np.stack(np.meshgrid(np.arange(40), np.arange(40), [0]), -1).reshape(-1, 3) * 0.003
-    assert PoseGrid(translation(x), PoseMetric(box)).spacing_m == pytest.approx(0.003)
-    assert PoseGrid(translation(x) @ cylinder.symmetry.elements(0.5)[3], PoseMetric(cylinder)).spacing_m == (
+    assert PoseGrid(make_translation(x), PoseMetric(box)).spacing_m == pytest.approx(0.003)
+    assert PoseGrid(make_translation(x) @ cylinder.symmetry.list_elements(0.5)[3], PoseMetric(cylinder)).spacing_m == (
         pytest.approx(0.003)
     )
-    assert PoseGrid(translation(x[:1]), PoseMetric(box)).spacing_m == np.inf
+    assert PoseGrid(make_translation(x[:1]), PoseMetric(box)).spacing_m == np.inf
 
 
 def test_the_mean_spacing_of_a_large_grid_regards_all_of_it(box):
     steps_m = np.repeat([0.001, 0.003, 0.002], SPACING_SAMPLE)
     x = np.column_stack([np.cumsum(steps_m), 0 * steps_m, 0 * steps_m])
-    assert PoseGrid(translation(x), PoseMetric(box)).spacing_m == pytest.approx(0.002, rel=0.01)
-    two = PoseGrid(translation([[0, 0, 0], [0, 0.004, 0.0]]), PoseMetric(box))
+    assert PoseGrid(make_translation(x), PoseMetric(box)).spacing_m == pytest.approx(0.002, rel=0.01)
+    two = PoseGrid(make_translation([[0, 0, 0], [0, 0.004, 0.0]]), PoseMetric(box))
     assert two.spacing_m == pytest.approx(0.004)
     assert two.neighbour_spacing() == pytest.approx([0.004, 0.004])
 
 
 def test_neighbour_spacing_is_that_of_a_lattice(box):
     x = np.stack(np.meshgrid(np.arange(5), np.arange(4), [0]), -1).reshape(-1, 3) * 0.003
-    grid = PoseGrid(translation(x), PoseMetric(box))
+    grid = PoseGrid(make_translation(x), PoseMetric(box))
     np.testing.assert_allclose(grid.neighbour_spacing(), 0.003)
     np.testing.assert_allclose(grid.neighbour_spacing(np.array([0, 7])), [0.003, 0.003])
-    assert PoseGrid(translation(x[:1]), PoseMetric(box)).neighbour_spacing().tolist() == [np.inf]
+    assert PoseGrid(make_translation(x[:1]), PoseMetric(box)).neighbour_spacing().tolist() == [np.inf]
 
 
 def test_within_is_a_ball_with_symmetry_regarded(make_box):
     obj = make_box(0.03, 0.02, 0.01, symmetry="z2")
     T = random_poses(1, 20)[0]
-    half_turn = obj.symmetry.elements()[1]
-    off = [translation([0.001 * k, 0, 0]) @ T for k in range(5)]
+    half_turn = obj.symmetry.list_elements()[1]
+    off = [make_translation([0.001 * k, 0, 0]) @ T for k in range(5)]
     grid = PoseGrid(np.stack([*off, *(t @ half_turn for t in off)]), PoseMetric(obj))
-    assert grid.within(0.0015, 0).tolist() == [0, 1, 5, 6]
+    assert grid.find_within(0.0015, 0).tolist() == [0, 1, 5, 6]
 
 
 def test_removal_leaves_one_of_each_equivalent(make_box):
     obj = make_box(0.03, 0.02, 0.01, symmetry="x2*y2")
     T = random_poses(30, 21)
-    all_four = (T[:, None] @ obj.symmetry.elements()).reshape(-1, 4, 4)
+    all_four = (T[:, None] @ obj.symmetry.list_elements()).reshape(-1, 4, 4)
     keep = remove_equivalent(all_four, PoseMetric(obj), 1e-6)
     assert keep.sum() == 30
     assert keep.reshape(30, 4).sum(axis=1).tolist() == [1] * 30
@@ -283,16 +283,16 @@ def test_all_distances_from_a_pose_are_those_of_the_metric(grid):
 
 def test_distances_between_points_are_euclidean():
     a, b = np.random.default_rng(34).normal(size=(2, 9, 5))
-    np.testing.assert_allclose(distances_between(a, b[:4]), cdist(a, b[:4]), rtol=1e-7)
-    assert distances_between(1e3 * a, 1e3 * a).diagonal() == pytest.approx(0, abs=1e-3), "no root of less than nothing"
+    np.testing.assert_allclose(measure_distances(a, b[:4]), cdist(a, b[:4]), rtol=1e-7)
+    assert measure_distances(1e3 * a, 1e3 * a).diagonal() == pytest.approx(0, abs=1e-3), "no root of less than nothing"
 
 
 @pytest.mark.parametrize("steps_m", [[0.02], [-0.02], [0.03, -0.01]])
 def test_a_raised_grid_is_that_of_the_raised_poses(grid, steps_m):
     raised = grid
     for step_m in steps_m:
-        raised = raised.raised(step_m)
-    up = translation([0, 0, sum(steps_m)])
+        raised = raised.raise_level(step_m)
+    up = make_translation([0, 0, sum(steps_m)])
     anew = PoseGrid(up @ grid.T_sensor_object, grid.metric)
     np.testing.assert_allclose(raised.T_sensor_object, anew.T_sensor_object, atol=1e-15)
     np.testing.assert_allclose(raised.phi, anew.phi, atol=1e-12)
@@ -302,13 +302,13 @@ def test_a_raised_grid_is_that_of_the_raised_poses(grid, steps_m):
     np.testing.assert_allclose(raised.distances(queries[0]), anew.distances(queries[0]), atol=1e-9)
     np.testing.assert_allclose(raised.neighbour_spacing(), anew.neighbour_spacing(), atol=1e-12)
     assert raised.spacing_m == pytest.approx(anew.spacing_m)
-    assert raised.within(0.02, 5).tolist() == anew.within(0.02, 5).tolist()
+    assert raised.find_within(0.02, 5).tolist() == anew.find_within(0.02, 5).tolist()
 
 
 def test_raising_shares_what_looks_poses_up_and_leaves_the_grid_alone(grid):
     before = grid.T_sensor_object.copy()
-    assert grid.raised(0.0) is grid
-    assert grid.raised(0.01).raised(0.01)._orbit_tree is grid._orbit_tree
+    assert grid.raise_level(0.0) is grid
+    assert grid.raise_level(0.01).raise_level(0.01)._orbit_tree is grid._orbit_tree
     assert np.array_equal(grid.T_sensor_object, before)
 
 

@@ -5,7 +5,7 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.geometry.rigid import make_transform, random_rotations, translation
+from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, make_translation
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
@@ -13,7 +13,7 @@ from tactile_loc.core.poses.posterior import PosePosterior
 
 def line(obj: ObjectModel, x_m: np.ndarray) -> PoseGrid:
     """Poses along x, metres: their distances are those of the numbers."""
-    return PoseGrid(translation(np.column_stack([x_m, 0 * x_m, 0 * x_m])), PoseMetric(obj))
+    return PoseGrid(make_translation(np.column_stack([x_m, 0 * x_m, 0 * x_m])), PoseMetric(obj))
 
 
 @pytest.fixture
@@ -94,9 +94,9 @@ def test_a_pose_is_in_the_credible_sets_from_its_level_on(grid):
 def test_a_tempered_posterior_has_the_powers_of_the_probabilities(grid):
     with np.errstate(divide="ignore"):
         posterior = PosePosterior(grid, np.log([0.5, 0.2, 0.0, 0.2, 0.1, 0.0]), touches=3)
-    found = posterior.tempered(0.5)
+    found = posterior.temper(0.5)
     np.testing.assert_allclose(found.probabilities, (root := np.sqrt(posterior.probabilities)) / root.sum())
-    surer = posterior.tempered(2.0).probabilities
+    surer = posterior.temper(2.0).probabilities
     np.testing.assert_allclose(surer, (square := posterior.probabilities**2) / square.sum())
     assert found.touches == 3
     assert found.log_train is None
@@ -106,8 +106,8 @@ def test_a_tempered_posterior_has_the_powers_of_the_probabilities(grid):
 def test_what_a_tempered_posterior_was_learned_from_is_tempered_too(grid):
     log_train = np.log([1.0, 2, 3, 4, 5, 6])
     posterior = PosePosterior(grid, np.zeros(6), log_train)
-    np.testing.assert_allclose(posterior.tempered(0.3).log_train, 0.3 * log_train)
-    assert posterior.tempered(1.0) is posterior
+    np.testing.assert_allclose(posterior.temper(0.3).log_train, 0.3 * log_train)
+    assert posterior.temper(1.0) is posterior
 
 
 def test_modes_can_be_those_of_given_poses(box):
@@ -122,7 +122,7 @@ def test_modes_are_the_clusters(box):
     assert [m.index for m in modes] == [1, 4, 5]
     assert [sorted(m.members) for m in modes] == [[0, 1, 2], [3, 4], [5]]
     np.testing.assert_allclose([m.probability for m in modes], [0.5, 0.4, 0.1])
-    np.testing.assert_allclose(modes[1].T_sensor_object, translation([0.051, 0, 0]))
+    np.testing.assert_allclose(modes[1].T_sensor_object, make_translation([0.051, 0, 0]))
 
 
 def test_modes_are_ordered_by_their_mass_not_their_peak(box):
@@ -167,10 +167,10 @@ def test_excluded_poses_make_no_mode(box):
 
 @pytest.mark.parametrize(("symmetry", "count"), [("none", 4), ("z2", 2), ("x2*y2", 1)])
 def test_poses_that_look_the_same_are_one_mode(make_box, symmetry, count):
-    turns = make_box(0.03, 0.02, 0.01, symmetry="x2*y2").symmetry.elements()
+    turns = make_box(0.03, 0.02, 0.01, symmetry="x2*y2").symmetry.list_elements()
     obj = make_box(0.03, 0.02, 0.01, symmetry=symmetry)
     rng = np.random.default_rng(2)
-    T = make_transform(random_rotations(1, rng), rng.normal(size=(1, 3)) * 0.01)
+    T = make_transform(draw_rotations(1, rng), rng.normal(size=(1, 3)) * 0.01)
     posterior = PosePosterior(PoseGrid(T @ turns, PoseMetric(obj)), np.log([0.4, 0.3, 0.2, 0.1]))
     modes = posterior.modes(radius_m=1e-3, mass=1.0)
     assert len(modes) == count
@@ -178,7 +178,7 @@ def test_poses_that_look_the_same_are_one_mode(make_box, symmetry, count):
 
 
 def test_turned_parts_are_one_mode_however_they_are_turned(cylinder):
-    T = translation([0.01, 0, 0]) @ cylinder.symmetry.elements(0.3)[[0, 4, 9, 13, 25]]
+    T = make_translation([0.01, 0, 0]) @ cylinder.symmetry.list_elements(0.3)[[0, 4, 9, 13, 25]]
     posterior = PosePosterior(PoseGrid(T, PoseMetric(cylinder)), np.zeros(5))
     (mode,) = posterior.modes(radius_m=1e-3)
     assert len(mode.members) == 5
@@ -188,7 +188,7 @@ def test_turned_parts_are_one_mode_however_they_are_turned(cylinder):
     "log_train", [np.zeros(2), np.zeros(4), np.array([0.0, -np.inf, 0.0]), np.array([0.0, np.nan, 0.0])]
 )
 def test_a_training_distribution_is_finite_and_one_a_pose(box, log_train):
-    grid = PoseGrid(translation([[0.001 * k, 0, 0] for k in range(3)]), PoseMetric(box))
+    grid = PoseGrid(make_translation([[0.001 * k, 0, 0] for k in range(3)]), PoseMetric(box))
     assert PosePosterior(grid, np.zeros(3)).log_train is None
     with pytest.raises(GridError, match=naming(np.shape(log_train), 3)):
         PosePosterior(grid, np.zeros(3), log_train)
@@ -201,7 +201,7 @@ def test_probabilities_and_what_is_elsewhere_sum_to_one(box):
     assert posterior.entropy == pytest.approx(-(all_five * np.log(all_five)).sum())
     assert len(posterior.sample(10, np.random.default_rng(0))) == 10
     assert posterior.credible_set(0.4).tolist() == [3, 2, 1]
-    assert posterior.tempered(0.5).elsewhere == 0.5
+    assert posterior.temper(0.5).elsewhere == 0.5
 
 
 @pytest.mark.parametrize("elsewhere", [-0.1, 1.0, float("nan")])

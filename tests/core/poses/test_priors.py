@@ -10,12 +10,12 @@ from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import (
+    draw_rotations,
     invert,
     make_transform,
-    random_rotations,
+    make_translation,
     rotation_about,
     rotation_angle,
-    translation,
 )
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
@@ -25,14 +25,14 @@ from tactile_loc.core.poses.priors import (
     ProductPrior,
     RegionPrior,
     SeenFrom,
-    tempered,
-    touches_behind,
+    count_touches,
+    temper,
 )
 
 
 def random_poses(count: int, seed: int, spread_m: float = 0.01) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    return make_transform(random_rotations(count, rng), rng.normal(scale=spread_m, size=(count, 3)))
+    return make_transform(draw_rotations(count, rng), rng.normal(scale=spread_m, size=(count, 3)))
 
 
 def posterior_of(obj, count: int = 80, seed: int = 0) -> PosePosterior:
@@ -51,29 +51,29 @@ class TestGaussian:
     def test_one_deviation_away_is_e_to_the_minus_a_half(self):
         T = random_poses(1, 2)[0]
         turned = T @ make_transform(rotation_about([1, 2, 3], 0.2), np.zeros(3))
-        poses = np.stack([T, translation([0, 0.004, 0]) @ T, turned])
+        poses = np.stack([T, make_translation([0, 0.004, 0]) @ T, turned])
         np.testing.assert_allclose(GaussianPrior(T, 0.004, 0.2)(poses), [0, -0.5, -0.5], atol=1e-9)
 
     def test_what_is_unknown_does_not_count(self):
         T = random_poses(1, 3)[0]
-        turned = T @ make_transform(random_rotations(9, np.random.default_rng(0)), np.zeros(3))
+        turned = T @ make_transform(draw_rotations(9, np.random.default_rng(0)), np.zeros(3))
         np.testing.assert_allclose(GaussianPrior(T, 0.004, np.inf)(turned), 0, atol=1e-12)
 
     @pytest.mark.parametrize("symmetry", ["none", "z2", "x2*y2"])
     def test_it_takes_the_nearest_of_equivalent_poses(self, make_box, symmetry):
         obj = make_box(0.03, 0.02, 0.01, symmetry=symmetry)
         T, poses = random_poses(1, 4)[0], random_poses(40, 5)
-        same = poses[None] @ obj.symmetry.elements()[:, None]
+        same = poses[None] @ obj.symmetry.list_elements()[:, None]
         expected = np.max([GaussianPrior(T, 0.01, 0.5)(p) for p in same], axis=0)
         np.testing.assert_allclose(GaussianPrior(T, 0.01, 0.5, obj.symmetry)(poses), expected, atol=1e-9)
 
     def test_a_turn_about_a_continuous_axis_costs_nothing(self, cylinder):
         T, poses = random_poses(1, 6)[0], random_poses(40, 7)
         prior = GaussianPrior(T, 0.01, 0.5, cylinder.symmetry)
-        for S in cylinder.symmetry.elements(0.7):
+        for S in cylinder.symmetry.list_elements(0.7):
             np.testing.assert_allclose(prior(poses @ S), prior(poses), atol=1e-7)
             assert prior((T @ S)[None]) == pytest.approx(0, abs=1e-9)
-        finely = cylinder.symmetry.elements(0.01)
+        finely = cylinder.symmetry.list_elements(0.01)
         expected = np.max([GaussianPrior(T, 0.01, 0.5)(poses @ S) for S in finely], axis=0)
         np.testing.assert_allclose(prior(poses), expected, atol=1e-3)
 
@@ -101,7 +101,7 @@ class TestRegion:
         assert np.array_equal(found, np.where(side, 0.0, -np.inf))
 
     def test_a_box_may_be_open(self):
-        poses = translation([[0, 0, 0], [0.002, 5, 0], [0.004, 0, 0], [0.002, 0, -0.1]])
+        poses = make_translation([[0, 0, 0], [0.002, 5, 0], [0.004, 0, 0], [0.002, 0, -0.1]])
         prior = RegionPrior([0.001, -np.inf, -0.01], [0.003, np.inf, np.inf], np.zeros(3))
         assert prior(poses).tolist() == [-np.inf, 0, -np.inf, -np.inf]
 
@@ -117,7 +117,7 @@ class TestRegion:
 class TestFrames:
     def test_a_prior_in_the_base_frame_moves_with_the_sensor(self):
         T_base_sensor, T_base_object = random_poses(2, 9)
-        prior = GaussianPrior(T_base_object, 0.01, 0.5).seen_from(T_base_sensor)
+        prior = GaussianPrior(T_base_object, 0.01, 0.5).view_from(T_base_sensor)
         T_sensor_object = invert(T_base_sensor) @ T_base_object
         poses = random_poses(20, 10)
         np.testing.assert_allclose(prior(poses), GaussianPrior(T_sensor_object, 0.01, 0.5)(poses), atol=1e-9)
@@ -154,11 +154,11 @@ class TestPosterior:
     def test_turned_parts_are_found_however_they_are_turned(self, cylinder):
         earlier = posterior_of(cylinder)
         prior, T = PosteriorPrior(earlier, np.eye(4), 0.004), earlier.grid.T_sensor_object
-        np.testing.assert_allclose(prior(T @ cylinder.symmetry.elements(0.3)[5]), prior(T), atol=1e-6)
+        np.testing.assert_allclose(prior(T @ cylinder.symmetry.list_elements(0.3)[5]), prior(T), atol=1e-6)
 
     def test_far_away_there_is_the_floor_or_nothing(self, box):
         earlier = posterior_of(box)
-        far = translation([1.0, 0, 0])[None]
+        far = make_translation([1.0, 0, 0])[None]
         assert PosteriorPrior(earlier, np.eye(4), 0.001, floor=0.1)(far) == pytest.approx(np.log(0.1 / 80))
         assert PosteriorPrior(earlier, np.eye(4), 0.001, floor=0.0)(far)[0] == -np.inf
 
@@ -171,22 +171,22 @@ class TestPosterior:
     def test_beside_touches_only_what_touches_told_is_tempered(self, box):
         earlier = dataclasses.replace(posterior_of(box), touches=3)
         prior, vision = PosteriorPrior(earlier, np.eye(4)), GaussianPrior(np.eye(4), 0.01, 0.5)
-        both = (prior * vision).seen_from(random_poses(1, 15)[0])
+        both = (prior * vision).view_from(random_poses(1, 15)[0])
         asked = []
-        found = tempered(both, lambda touches: asked.append(touches) or 0.25)
+        found = temper(both, lambda touches: asked.append(touches) or 0.25)
         T = random_poses(20, 16)
         there = both.T_base_sensor @ T
         np.testing.assert_allclose(found(T), 0.25 * prior(there) + vision(there))
-        assert asked == [touches_behind(both)] == [3]
-        assert tempered(len, lambda _: 0.25) is len
-        assert touches_behind(len) == touches_behind(None) == touches_behind(vision) == 0
+        assert asked == [count_touches(both)] == [3]
+        assert temper(len, lambda _: 0.25) is len
+        assert count_touches(len) == count_touches(None) == count_touches(vision) == 0
 
     def test_two_grids_do_not_miss_one_another(self, box):
         """A motion without uncertainty, and a grid half a spacing off."""
         x = np.stack(np.meshgrid(np.arange(5), np.arange(5), [0]), -1).reshape(-1, 3) * 0.004
         metric = PoseMetric(box)
-        earlier = PosePosterior(PoseGrid(translation(x), metric), np.where(np.arange(25) == 12, 0.0, -40.0))
-        prior = PosteriorPrior(earlier, np.eye(4))(translation(x + np.array([0.002, 0, 0])))
+        earlier = PosePosterior(PoseGrid(make_translation(x), metric), np.where(np.arange(25) == 12, 0.0, -40.0))
+        prior = PosteriorPrior(earlier, np.eye(4))(make_translation(x + np.array([0.002, 0, 0])))
         assert set(np.flatnonzero(prior > prior.max() - 1e-9)) == {11, 12}
         assert prior.max() - prior.min() > 4
 
@@ -204,8 +204,8 @@ def _distances(metric: PoseMetric, T1: np.ndarray, T2: np.ndarray) -> np.ndarray
 
 
 def test_what_an_earlier_posterior_left_elsewhere_is_anywhere(box):
-    grid = PoseGrid(np.stack([translation([x, 0, 0]) for x in (0.0, 0.01)]), PoseMetric(box))
-    far = translation([0.1, 0, 0])[None]
+    grid = PoseGrid(np.stack([make_translation([x, 0, 0]) for x in (0.0, 0.01)]), PoseMetric(box))
+    far = make_translation([0.1, 0, 0])[None]
     sure, doubtful = (PosteriorPrior(PosePosterior(grid, np.zeros(2), elsewhere=e), np.eye(4)) for e in (0.0, 0.4))
     assert np.exp(sure(far)) == pytest.approx(1e-3 / 2)
     assert np.exp(doubtful(far)) == pytest.approx((1e-3 + 0.999 * 0.4) / 2)

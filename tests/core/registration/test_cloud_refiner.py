@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.errors import ConfigError
-from tactile_loc.core.geometry.rigid import translation
-from tactile_loc.core.registration.cloud_refiner import CloudRefiner, Registration, orthonormal
+from tactile_loc.core.geometry.rigid import make_translation
+from tactile_loc.core.registration.cloud_refiner import CloudRefiner, Registration, make_orthonormal
 from tactile_loc.core.slots.registry import registry
-from tactile_loc.testing.problems import OFFSETS, pressed_block, with_depth
+from tactile_loc.testing.problems import OFFSETS, press_block, replace_depth
 
 
 class Given(CloudRefiner):
@@ -31,41 +31,41 @@ def answering(T_mm, converged=True) -> Given:
 
 
 def test_the_transform_moves_the_candidate_in_the_sensors_frame():
-    problem = pressed_block()
-    candidate = problem.candidate((0.0008, 0.0, 0.3))
-    result = answering(translation([-0.8, 0.0, 0.0])).refine(problem.touch, candidate, problem.scene)
-    expected = translation([-0.0008, 0.0, 0.0]) @ candidate.T_sensor_object
+    problem = press_block()
+    candidate = problem.make_candidate((0.0008, 0.0, 0.3))
+    result = answering(make_translation([-0.8, 0.0, 0.0])).refine(problem.touch, candidate, problem.scene)
+    expected = make_translation([-0.0008, 0.0, 0.0]) @ candidate.T_sensor_object
     np.testing.assert_allclose(result.T_sensor_object, expected, atol=1e-12)
     assert (result.converged, result.iterations) == (True, 3)
 
 
 def test_a_registration_that_explains_less_is_not_returned():
-    problem = pressed_block()
-    candidate = problem.candidate(OFFSETS[0])
-    result = answering(translation([5.0, 0.0, 0.0])).refine(problem.touch, candidate, problem.scene)
+    problem = press_block()
+    candidate = problem.make_candidate(OFFSETS[0])
+    result = answering(make_translation([5.0, 0.0, 0.0])).refine(problem.touch, candidate, problem.scene)
     np.testing.assert_array_equal(result.T_sensor_object, candidate.T_sensor_object)
     assert (result.converged, result.iterations) == (False, 3)
 
 
 def test_without_a_registration_the_candidate_stays():
-    problem = pressed_block()
-    candidate = problem.candidate(OFFSETS[0])
+    problem = press_block()
+    candidate = problem.make_candidate(OFFSETS[0])
     result = answering(None, converged=False).refine(problem.touch, candidate, problem.scene)
     np.testing.assert_array_equal(result.T_sensor_object, candidate.T_sensor_object)
     assert not result.converged
 
 
 def test_what_does_not_overlap_has_not_converged():
-    problem = pressed_block()
-    away = dataclasses.replace(problem.candidate(), T_sensor_object=translation([0.2, 0, 0]) @ problem.truth)
+    problem = press_block()
+    away = dataclasses.replace(problem.make_candidate(), T_sensor_object=make_translation([0.2, 0, 0]) @ problem.truth)
     result = answering(np.eye(4)).refine(problem.touch, away, problem.scene)
     assert (result.contact_iou, result.converged) == (0.0, False)
 
 
 def test_clouds_are_in_mm_and_know_their_spacing():
-    problem = pressed_block()
+    problem = press_block()
     refiner = answering(np.eye(4))
-    refiner.refine(problem.touch, problem.candidate(), problem.scene)
+    refiner.refine(problem.touch, problem.make_candidate(), problem.scene)
     standoff_mm = 1e3 * problem.touch.geometry.standoff_m
     assert refiner.target.points_mm[:, 2].min() == pytest.approx(standoff_mm, abs=0.01)
     assert refiner.target.spacing_mm == pytest.approx(0.4)  # pixels of 0.4 mm, none left out
@@ -73,9 +73,9 @@ def test_clouds_are_in_mm_and_know_their_spacing():
 
 
 def test_clouds_are_thinned_to_about_what_is_asked():
-    problem = pressed_block()
+    problem = press_block()
     refiner = Given(Given.Options(moving_points=100, fixed_points=200))
-    refiner.refine(problem.touch, problem.candidate(), problem.scene)
+    refiner.refine(problem.touch, problem.make_candidate(), problem.scene)
     assert 65 < len(refiner.source) < 150
     assert 130 < len(refiner.target) < 300
     assert refiner.source.spacing_mm > refiner.target.spacing_mm > 0.4
@@ -83,11 +83,11 @@ def test_clouds_are_thinned_to_about_what_is_asked():
 
 @pytest.mark.parametrize("pixels", [1, 2])
 def test_a_touch_of_hardly_a_point_is_not_registered(pixels):
-    problem = pressed_block()
+    problem = press_block()
     depth = np.full(problem.touch.geometry.shape, problem.touch.press_depth_m, np.float32)
     depth[30, 30 : 30 + pixels] = 0.0
     refiner = Given(Given.Options(walls=False))
-    result = refiner.refine(with_depth(problem.touch, depth), problem.candidate(), problem.scene)
+    result = refiner.refine(replace_depth(problem.touch, depth), problem.make_candidate(), problem.scene)
     assert not hasattr(refiner, "source")
     assert not result.converged
 
@@ -97,20 +97,20 @@ def test_each_candidate_gets_its_own_registration():
 
     class Numbering(Given):
         def register_many(self, sources, target):
-            return [Registration(translation([0.01 * i, 0.0, 0.0]), True, i) for i in range(len(sources))]
+            return [Registration(make_translation([0.01 * i, 0.0, 0.0]), True, i) for i in range(len(sources))]
 
-    problem = pressed_block()
-    away = dataclasses.replace(problem.candidate(), T_sensor_object=translation([0.2, 0, 0]) @ problem.truth)
-    candidates = [problem.candidate(), away, problem.candidate()]
+    problem = press_block()
+    away = dataclasses.replace(problem.make_candidate(), T_sensor_object=make_translation([0.2, 0, 0]) @ problem.truth)
+    candidates = [problem.make_candidate(), away, problem.make_candidate()]
     many = Numbering().refine_many(problem.touch, candidates, problem.scene)
     assert [result.iterations for result in many] == [0, 0, 1]
     assert [result.converged for result in many] == [True, False, True]
-    np.testing.assert_allclose(many[2].T_sensor_object, translation([1e-5, 0, 0]) @ problem.truth, atol=1e-9)
+    np.testing.assert_allclose(many[2].T_sensor_object, make_translation([1e-5, 0, 0]) @ problem.truth, atol=1e-9)
 
 
 def test_orthonormal_clears_rounding():
-    T = np.round(pressed_block().truth, 3)
-    cleared = orthonormal(T)
+    T = np.round(press_block().truth, 3)
+    cleared = make_orthonormal(T)
     np.testing.assert_allclose(cleared[:3, :3] @ cleared[:3, :3].T, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(cleared, T, atol=1e-3)
     assert np.linalg.det(cleared[:3, :3]) > 0

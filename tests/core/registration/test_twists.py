@@ -6,9 +6,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.geometry.rigid import (
+    draw_rotations,
     invert,
     make_transform,
-    random_rotations,
     transform_points,
 )
 from tactile_loc.core.registration.twists import adjoint, exponential, logarithm
@@ -26,7 +26,7 @@ def test_motions_and_their_logarithms_undo_each_other():
 
 def test_a_twist_about_another_centre_in_another_frame_is_the_same_motion():
     rng = np.random.default_rng(2)
-    T = make_transform(random_rotations(1, rng)[0], rng.normal(size=3))
+    T = make_transform(draw_rotations(1, rng)[0], rng.normal(size=3))
     here, there, x = rng.normal(size=3), rng.normal(size=3), 1e-6 * rng.normal(size=6)
     Ad = adjoint(T[:3, :3], there - transform_points(T, here)[0])
     np.testing.assert_allclose(T @ exponential(x, here) @ invert(T), exponential(Ad @ x, there), atol=1e-11)

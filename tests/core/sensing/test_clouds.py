@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry.rigid import translation
-from tactile_loc.core.sensing.clouds import contact_cloud
+from tactile_loc.core.geometry.rigid import make_translation
+from tactile_loc.core.sensing.clouds import make_contact_cloud
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, contact_depth
+from tactile_loc.core.sensing.touch import ContactShape, compute_contact_depth
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 
 RADIUS_M = 0.008
@@ -34,11 +34,11 @@ def square(geometry: SensorGeometry, low: int, high: int, press_m: float = 0.002
 def test_a_balls_cloud_lies_on_the_ball_and_its_normals_point_out_of_it(camera, make_object):
     ball = make_object(trimesh.creation.icosphere(6, RADIUS_M)).mesh
     centre = np.array([0.001, -0.002, camera.standoff_m + RADIUS_M])
-    depth = contact_depth(
-        RaycastRenderer().render(ball, translation(centre)[None], camera), camera, camera.max_depth_m
+    depth = compute_contact_depth(
+        RaycastRenderer().render(ball, make_translation(centre)[None], camera), camera, camera.max_depth_m
     )[0]
     shape = ContactShape(depth, camera.max_depth_m)
-    points, normals = contact_cloud(shape, camera, walls=False)
+    points, normals = make_contact_cloud(shape, camera, walls=False)
     assert len(points) == len(normals) == shape.contact.sum() > 500
     radial = (points - centre) / RADIUS_M
     np.testing.assert_allclose(np.linalg.norm(radial, axis=1), 1.0, atol=2e-3)
@@ -51,21 +51,21 @@ def test_a_balls_cloud_lies_on_the_ball_and_its_normals_point_out_of_it(camera, 
 
 def test_a_balls_gentle_rim_has_no_walls(camera, make_object):
     ball = make_object(trimesh.creation.icosphere(6, RADIUS_M)).mesh
-    T = translation([0, 0, camera.standoff_m + RADIUS_M])[None]
-    shape = ContactShape(contact_depth(RaycastRenderer().render(ball, T, camera), camera, 0.0005)[0], 0.0005)
-    assert len(contact_cloud(shape, camera)[0]) == shape.contact.sum()
+    T = make_translation([0, 0, camera.standoff_m + RADIUS_M])[None]
+    shape = ContactShape(compute_contact_depth(RaycastRenderer().render(ball, T, camera), camera, 0.0005)[0], 0.0005)
+    assert len(make_contact_cloud(shape, camera)[0]) == shape.contact.sum()
 
 
 def walls_of(shape: ContactShape, camera: SensorGeometry) -> tuple[np.ndarray, np.ndarray]:
     """The points (P, 3) and normals (P, 3) that walls add to the surface's."""
-    flat, _ = contact_cloud(shape, camera, walls=False)
-    points, normals = contact_cloud(shape, camera)
+    flat, _ = make_contact_cloud(shape, camera, walls=False)
+    points, normals = make_contact_cloud(shape, camera)
     np.testing.assert_array_equal(points[: len(flat)], flat)
     return points[len(flat) :], normals[len(flat) :]
 
 
 def test_a_flat_square_faces_the_sensor(camera):
-    points, normals = contact_cloud(square(camera, 20, 50), camera, walls=False)
+    points, normals = make_contact_cloud(square(camera, 20, 50), camera, walls=False)
     assert len(points) == 900
     np.testing.assert_allclose(normals, np.broadcast_to([0, 0, -1.0], points.shape), atol=1e-9)
 
@@ -137,7 +137,7 @@ def test_masked_pixels_have_no_points_and_their_border_no_walls(camera):
     observed = np.ones(camera.shape, bool)
     observed[:, 35:] = False
     masked = dataclasses.replace(camera, observed=observed)
-    assert len(contact_cloud(square(camera, 20, 50), masked, walls=False)[0]) == 30 * 15
+    assert len(make_contact_cloud(square(camera, 20, 50), masked, walls=False)[0]) == 30 * 15
     points, normals = walls_of(square(camera, 20, 50), masked)
     assert len(points) == (30 + 2 * 15) * int(camera.max_depth_m / camera.pixel_pitch_m)
     assert points[:, 0].max() < (35 - camera.cx) / camera.scale_at_surface[0]
@@ -147,18 +147,18 @@ def test_masked_pixels_have_no_points_and_their_border_no_walls(camera):
 def test_a_deeper_step_is_not_a_wall_unless_contact_ends_there(camera):
     shape = square(camera, 20, 50)
     shape.depth_m[30:40, 30:40] = 0.001
-    points, _ = contact_cloud(shape, camera)
-    assert len(points) == len(contact_cloud(square(camera, 20, 50), camera)[0])
+    points, _ = make_contact_cloud(shape, camera)
+    assert len(points) == len(make_contact_cloud(square(camera, 20, 50), camera)[0])
 
 
 def test_no_contact_is_an_empty_cloud(camera):
     for walls in (False, True):
-        points, normals = contact_cloud(square(camera, 0, 0), camera, walls)
+        points, normals = make_contact_cloud(square(camera, 0, 0), camera, walls)
         assert points.shape == normals.shape == (0, 3)
 
 
 def test_a_lone_pixel_faces_the_sensor(camera):
-    points, normals = contact_cloud(square(camera, 30, 31), camera, walls=False)
+    points, normals = make_contact_cloud(square(camera, 30, 31), camera, walls=False)
     sx, sy = camera.scale_at_surface
     np.testing.assert_allclose(
         points, [[(30.5 - camera.cx) / sx, (30.5 - camera.cy) / sy, camera.standoff_m]], atol=1e-9
@@ -171,6 +171,6 @@ def test_metres_and_millimetres_agree():
     metres = CAMERAS["orthographic"]
     milli = dataclasses.replace(metres, fx=metres.fx / 1e3, fy=metres.fy / 1e3, standoff_m=21.0, max_depth_m=2.0)
     small, large = square(metres, 20, 50, 0.002), square(milli, 20, 50, 2.0)
-    (p, n), (q, m) = contact_cloud(small, metres), contact_cloud(large, milli)
+    (p, n), (q, m) = make_contact_cloud(small, metres), make_contact_cloud(large, milli)
     np.testing.assert_allclose(1e3 * p, q, rtol=1e-5)
     np.testing.assert_allclose(n, m, atol=1e-6)

@@ -9,14 +9,14 @@ import pytest
 import trimesh
 
 from tactile_loc.core.geometry.rigid import (
+    draw_rotations,
     make_transform,
-    random_rotations,
+    make_translation,
     rotation_about,
     transform_points,
-    translation,
 )
 from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.sensing.contact import bring_to_contact, group_rotations, lowest_points
+from tactile_loc.core.sensing.contact import bring_to_contact, find_lowest_points, group_rotations
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.meshes import load_object
 
@@ -35,7 +35,7 @@ def hook() -> TriangleMesh:
 
 def random_poses(count: int, seed: int, spread_m: float = 0.02) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    return make_transform(random_rotations(count, rng), rng.uniform(-spread_m, spread_m, (count, 3)))
+    return make_transform(draw_rotations(count, rng), rng.uniform(-spread_m, spread_m, (count, 3)))
 
 
 def clip(polygon: list[np.ndarray], axis: int, limit: float, sign: float) -> list[np.ndarray]:
@@ -67,13 +67,13 @@ def test_agrees_with_clipping_every_triangle(hook):
         lowest_by_clipping(transform_points(t, hook.triangles_m.reshape(-1, 3)).reshape(-1, 3, 3), RECTANGLE) for t in T
     ]
     assert np.isfinite(expected).sum() >= 4
-    np.testing.assert_allclose(lowest_points(hook, T, RECTANGLE), expected, atol=1e-12)
+    np.testing.assert_allclose(find_lowest_points(hook, T, RECTANGLE), expected, atol=1e-12)
 
 
 def test_agrees_with_dense_samples_of_the_surface(hook):
     points = hook.sample(300_000, np.random.default_rng(1))
     T = random_poses(20, 2)
-    lowest = lowest_points(hook, T, RECTANGLE)
+    lowest = find_lowest_points(hook, T, RECTANGLE)
     x0, x1, y0, y1 = RECTANGLE
     for t, z in zip(T, lowest, strict=True):
         p = transform_points(t, points)
@@ -89,8 +89,8 @@ def test_sphere_over_and_beside_the_rectangle():
     radius = 0.008
     ball = surface(trimesh.creation.icosphere(5, radius))
     # Beyond the side x = 10 mm by 3 mm, the lowest point over it is on the sphere there, no longer the pole.
-    T = translation([[0.001, 0.002, 0.03], [0.013, 0.0, 0.03], [-0.006 - 0.0081, 0.0, 0.03]])
-    lowest = lowest_points(ball, T, RECTANGLE)
+    T = make_translation([[0.001, 0.002, 0.03], [0.013, 0.0, 0.03], [-0.006 - 0.0081, 0.0, 0.03]])
+    lowest = find_lowest_points(ball, T, RECTANGLE)
     assert lowest[0] == pytest.approx(0.03 - radius, abs=1e-6)
     assert lowest[1] == pytest.approx(0.03 - np.sqrt(radius**2 - 0.003**2), abs=1e-5)
     assert lowest[2] == np.inf
@@ -103,7 +103,7 @@ def test_a_corner_an_edge_and_a_face_of_a_box():
     on_corner = rotation_about(np.cross([1, 1, 1], [0, 0, -1]), np.arccos(-1 / np.sqrt(3)))
     T = make_transform(np.stack([np.eye(3), on_edge, on_corner]), over)
     np.testing.assert_allclose(
-        lowest_points(cube, T, RECTANGLE), [-half, -half * np.sqrt(2), -half * np.sqrt(3)], atol=1e-12
+        find_lowest_points(cube, T, RECTANGLE), [-half, -half * np.sqrt(2), -half * np.sqrt(3)], atol=1e-12
     )
 
 
@@ -112,7 +112,7 @@ def test_a_face_that_covers_the_rectangle_has_no_vertex_nor_edge_over_it():
     slope = make_transform(rotation_about([0, 1, 0], -0.1), [0.0, 0.0, 0.05])
     # The underside rises with x: it is lowest over the side x = x0.
     expected = 0.05 - 0.005 / np.cos(0.1) + RECTANGLE[0] * np.tan(0.1)
-    assert lowest_points(plate, slope[None], RECTANGLE)[0] == pytest.approx(expected, abs=1e-12)
+    assert find_lowest_points(plate, slope[None], RECTANGLE)[0] == pytest.approx(expected, abs=1e-12)
 
 
 def test_an_edge_that_only_crosses_a_side():
@@ -122,15 +122,15 @@ def test_an_edge_that_only_crosses_a_side():
         np.array([[0, 1, 2], [0, 2, 3]]),
     )
     expected = 0.006 - 0.08 * RECTANGLE[1]
-    assert lowest_points(roof, np.eye(4)[None], RECTANGLE)[0] == pytest.approx(expected, abs=1e-12)
+    assert find_lowest_points(roof, np.eye(4)[None], RECTANGLE)[0] == pytest.approx(expected, abs=1e-12)
 
 
 def test_what_is_beside_the_rectangle_does_not_count():
     low_post = trimesh.creation.box([0.004, 0.004, 0.02]).apply_translation([0.03, 0.0, 0.0])
     high_plate = trimesh.creation.box([0.03, 0.03, 0.002]).apply_translation([0.0, 0.0, 0.005])
     both = surface(trimesh.util.concatenate([low_post, high_plate]))
-    T = translation([[0.0, 0.0, 0.0], [-0.025, 0.0, 0.0]])
-    np.testing.assert_allclose(lowest_points(both, T, RECTANGLE), [0.004, -0.01], atol=1e-12)
+    T = make_translation([[0.0, 0.0, 0.0], [-0.025, 0.0, 0.0]])
+    np.testing.assert_allclose(find_lowest_points(both, T, RECTANGLE), [0.004, -0.01], atol=1e-12)
 
 
 def test_sides_of_the_rectangle_are_where_they_are_said_to_be():
@@ -139,8 +139,12 @@ def test_sides_of_the_rectangle_are_where_they_are_said_to_be():
     x0, x1, y0, y1 = RECTANGLE
     inside = np.array([[x0 + 1e-4, 0], [x1 - 1e-4, 0], [0, y0 + 1e-4], [0, y1 - 1e-4]])
     outside = np.array([[x0 - 1e-4, 0], [x1 + 1e-4, 0], [0, y0 - 1e-4], [0, y1 + 1e-4]])
-    assert np.isfinite(lowest_points(needle, translation(np.column_stack([inside, np.zeros(4)])), RECTANGLE)).all()
-    assert np.isinf(lowest_points(needle, translation(np.column_stack([outside, np.zeros(4)])), RECTANGLE)).all()
+    assert np.isfinite(
+        find_lowest_points(needle, make_translation(np.column_stack([inside, np.zeros(4)])), RECTANGLE)
+    ).all()
+    assert np.isinf(
+        find_lowest_points(needle, make_translation(np.column_stack([outside, np.zeros(4)])), RECTANGLE)
+    ).all()
 
 
 def test_contact_touches_the_surface_and_moves_along_z_alone(hook, flat_camera, pinhole):
@@ -148,13 +152,13 @@ def test_contact_touches_the_surface_and_moves_along_z_alone(hook, flat_camera, 
         T = random_poses(50, 3, spread_m=0.05)
         moved, touching = bring_to_contact(hook, T, geometry)
         assert 10 < touching.sum() < 50
-        lowest = lowest_points(hook, moved[touching], geometry.rectangle)
+        lowest = find_lowest_points(hook, moved[touching], geometry.rectangle)
         np.testing.assert_allclose(lowest, geometry.standoff_m, atol=1e-12)
         difference = moved - T
         difference[:, 2, 3] = 0
         assert not difference.any()
         assert np.array_equal(moved[~touching], T[~touching])
-        assert np.isinf(lowest_points(hook, T[~touching], geometry.rectangle)).all()
+        assert np.isinf(find_lowest_points(hook, T[~touching], geometry.rectangle)).all()
 
 
 def test_contact_leaves_its_input_alone_and_takes_no_pose_at_all(hook, flat_camera):
@@ -169,7 +173,7 @@ def test_contact_leaves_its_input_alone_and_takes_no_pose_at_all(hook, flat_came
 def test_contact_does_not_depend_on_the_height_it_starts_from(hook, flat_camera):
     T = random_poses(20, 5)
     moved, touching = bring_to_contact(hook, T, flat_camera)
-    lifted, again = bring_to_contact(hook, translation([0, 0, 0.123]) @ T, flat_camera)
+    lifted, again = bring_to_contact(hook, make_translation([0, 0, 0.123]) @ T, flat_camera)
     assert np.array_equal(touching, again)
     np.testing.assert_allclose(lifted[touching], moved[touching], atol=1e-12)
 
@@ -190,23 +194,25 @@ def test_contact_moves_with_the_rectangle():
     x0, x1, y0, y1 = RECTANGLE
     shifted = (x0 + 0.01, x1 + 0.01, y0 - 0.02, y1 - 0.02)
     np.testing.assert_allclose(
-        lowest_points(cube, translation([0.01, -0.02, 0]) @ T, shifted), lowest_points(cube, T, RECTANGLE), atol=1e-12
+        find_lowest_points(cube, make_translation([0.01, -0.02, 0]) @ T, shifted),
+        find_lowest_points(cube, T, RECTANGLE),
+        atol=1e-12,
     )
 
 
 def test_poses_together_and_alone_are_the_same(hook):
     """Many poses of one rotation are searched in sorted order, a few are not."""
-    R = random_rotations(3, np.random.default_rng(9))
+    R = draw_rotations(3, np.random.default_rng(9))
     t = np.random.default_rng(10).uniform(-0.03, 0.03, (3, 12, 3))
     T = make_transform(R[:, None], t).reshape(-1, 4, 4)[np.random.default_rng(11).permutation(36)]
-    together = lowest_points(hook, T, RECTANGLE)
-    alone = np.concatenate([lowest_points(hook, pose[None], RECTANGLE) for pose in T])
+    together = find_lowest_points(hook, T, RECTANGLE)
+    alone = np.concatenate([find_lowest_points(hook, pose[None], RECTANGLE) for pose in T])
     assert np.array_equal(together, alone)
     assert 0 < np.isinf(together).sum() < 36
 
 
 def test_rotations_are_grouped_by_equality():
-    R = random_rotations(4, np.random.default_rng(12))
+    R = draw_rotations(4, np.random.default_rng(12))
     order = np.array([2, 0, 0, 3, 2, 1, 2, 0])
     distinct, starts, members = group_rotations(R[order])
     assert len(distinct) == 4
@@ -224,7 +230,7 @@ def test_the_sensors_own_rectangle_bounds_contact():
         "orthographic", 100, 100, 5000, 5000, 50, 50, 0.01, 0.002, rectangle_m=(-0.01, 0.0, -0.01, 0.01)
     )
     ball = surface(trimesh.creation.icosphere(3, 0.002))
-    _, touching = bring_to_contact(ball, translation([[-0.005, 0, 0], [0.005, 0, 0]]), gel)
+    _, touching = bring_to_contact(ball, make_translation([[-0.005, 0, 0], [0.005, 0, 0]]), gel)
     assert touching.tolist() == [True, False]
 
 
@@ -232,10 +238,10 @@ def test_nothing_is_said_on_the_first_use():
     """numba, for instance, has opinions on threading libraries that a user has not asked for."""
     script = """
 import numpy as np
-from tactile_loc.core.sensing.contact import lowest_points
+from tactile_loc.core.sensing.contact import find_lowest_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 mesh = TriangleMesh(np.eye(3), np.array([[0, 1, 2]]))
-print(lowest_points(mesh, np.eye(4)[None], (-1, 1, -1, 1))[0])
+print(find_lowest_points(mesh, np.eye(4)[None], (-1, 1, -1, 1))[0])
 """
     ran = subprocess.run(
         [sys.executable, "-W", "default", "-c", script], capture_output=True, text=True, check=True, cwd=PROJECT

@@ -8,12 +8,17 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry.rigid import make_transform, random_rotations, transform_points, translation
+from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, make_translation, transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.sensing.clouds import contact_cloud
-from tactile_loc.core.sensing.contact import bring_to_contact, lowest_over_relief, lowest_points, upright_relief
+from tactile_loc.core.sensing.clouds import make_contact_cloud
+from tactile_loc.core.sensing.contact import (
+    bring_to_contact,
+    find_lowest_over_relief,
+    find_lowest_points,
+    make_upright_relief,
+)
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, contact_depth
+from tactile_loc.core.sensing.touch import ContactShape, compute_contact_depth
 from tactile_loc.core.slots.registry import registry
 
 GEL_M, BALL_M, PRESS_M = 35e-3, 4e-3, 5e-4
@@ -57,7 +62,7 @@ def touching_m(geometry: SensorGeometry, x: float, y: float) -> float:
 @pytest.mark.parametrize("place", PLACES)
 def test_two_spheres_touch_where_they_should(ball, camera, place):
     geometry = domed(camera)
-    (T,), (touching,) = bring_to_contact(ball, translation([[*place, 0.3]]), geometry)
+    (T,), (touching,) = bring_to_contact(ball, make_translation([[*place, 0.3]]), geometry)
     assert touching
     assert T[:2, 3] == pytest.approx(place)
     assert T[2, 3] == pytest.approx(touching_m(geometry, *place), abs=FACET_M)
@@ -66,11 +71,11 @@ def test_two_spheres_touch_where_they_should(ball, camera, place):
 @pytest.mark.parametrize("camera", ["orthographic", "pinhole"])
 @pytest.mark.parametrize("renderer", ["heightmap", "zbuffer", "raycast"])
 def test_a_balls_imprint_has_its_formula(ball, camera, renderer):
-    geometry = domed(camera).pressed(PRESS_M)
+    geometry = domed(camera).press(PRESS_M)
     x, y = PLACES[1]
-    T = translation([[x, y, touching_m(geometry, x, y) - PRESS_M]])
+    T = make_translation([[x, y, touching_m(geometry, x, y) - PRESS_M]])
     drawn = registry().create("renderer", renderer, {}).render(ball, T, geometry.band)
-    depth_m = contact_depth(drawn, geometry, PRESS_M)[0]
+    depth_m = compute_contact_depth(drawn, geometry, PRESS_M)[0]
     rays = geometry.backproject(np.ones(geometry.shape)) - ([0, 0, 1] if camera == "orthographic" else 0)
     towards = np.array([0.0, 0.0, 1.0]) if camera == "orthographic" else rays
     start = rays if camera == "orthographic" else np.zeros(3)
@@ -85,11 +90,11 @@ def test_a_balls_imprint_has_its_formula(ball, camera, renderer):
 
 def test_a_flat_face_touches_the_top_of_the_gel_alone(block):
     geometry = domed("orthographic")
-    (T,), _ = bring_to_contact(block, translation([[0.002, -0.003, 0.1]]), geometry)
+    (T,), _ = bring_to_contact(block, make_translation([[0.002, -0.003, 0.1]]), geometry)
     assert T[2, 3] == pytest.approx(geometry.standoff_m + 0.005, abs=1e-7)
-    pressed = geometry.pressed(PRESS_M)
+    pressed = geometry.press(PRESS_M)
     T[2, 3] -= PRESS_M
-    depth_m = contact_depth(
+    depth_m = compute_contact_depth(
         registry().create("renderer", "zbuffer", {}).render(block, T[None], pressed.band), pressed, 1
     )
     x, y = np.meshgrid(*geometry.pixel_slopes)
@@ -100,7 +105,7 @@ def test_a_flat_face_touches_the_top_of_the_gel_alone(block):
 def test_an_edge_across_the_gel_touches_between_its_ends(block):
     geometry = domed("orthographic")
     roof = np.array([[1, 0, 0], [0, 1, -1], [0, 1, 1]]) / np.array([[1], [2**0.5], [2**0.5]])
-    T = translation([0.0, 0.006, 0.1])
+    T = make_translation([0.0, 0.006, 0.1])
     T[:3, :3] = roof
     (T,), _ = bring_to_contact(block, T[None], geometry)
     turned = block.vertices_m @ roof.T
@@ -114,7 +119,7 @@ def test_an_edge_across_the_gel_touches_between_its_ends(block):
 def test_a_flat_relief_is_a_flat_gel(ball):
     flat = dataclasses.replace(domed("pinhole"), relief_m=None)
     level = dataclasses.replace(flat, relief_m=np.zeros(flat.shape, np.float32))
-    poses = translation([[*place, 0.1] for place in PLACES])
+    poses = make_translation([[*place, 0.1] for place in PLACES])
     (ours, theirs) = (bring_to_contact(ball, poses, geometry)[0] for geometry in (flat, level))
     assert ours == pytest.approx(theirs, abs=1e-8)
     assert flat.band is flat
@@ -143,12 +148,12 @@ def egg() -> TriangleMesh:
 def test_over_a_tilted_gel_the_sheared_object_is_lowest(mesh, count):
     """Heights over a plane are heights of what is sheared by it, whose lowest point over a flat gel is exact."""
     rng = np.random.default_rng(0)
-    T = make_transform(random_rotations(count, rng), rng.uniform(-0.01, 0.01, (count, 3)))
+    T = make_transform(draw_rotations(count, rng), rng.uniform(-0.01, 0.01, (count, 3)))
     geometry = tilted(0.3, -0.2, rectangle_m=(-0.004, 0.005, -0.005, 0.003))
-    found = lowest_over_relief(mesh, T, geometry)
+    found = find_lowest_over_relief(mesh, T, geometry)
     sheared = [transform_points(pose, mesh.vertices_m) @ [[1, 0, -0.3], [0, 1, 0.2], [0, 0, 1.0]] for pose in T]
     flat = [TriangleMesh(points, mesh.faces) for points in sheared]
-    truth = [lowest_points(one, np.eye(4)[None], geometry.rectangle)[0] for one in flat]
+    truth = [find_lowest_points(one, np.eye(4)[None], geometry.rectangle)[0] for one in flat]
     assert 3 < np.isfinite(truth).sum() < count
     np.testing.assert_allclose(found, truth, atol=1e-12)
 
@@ -175,7 +180,7 @@ def test_inside_a_face_the_top_of_the_gel_is_found(top):
     x, y = np.meshgrid(flat.pixel_slopes[0] - top[0], flat.pixel_slopes[1] - top[1])
     bump = dataclasses.replace(flat, relief_m=-(x**2 + y**2) / (2 * GEL_M))
     face = TriangleMesh(np.array([[-2e-3, -2e-3, 0], [2e-3, -1e-3, 0], [0, 3e-3, 0]]), np.array([[0, 1, 2]]))
-    assert lowest_over_relief(face, translation([[*top, 0.01]]), bump)[0] == pytest.approx(0.01, abs=3e-6)
+    assert find_lowest_over_relief(face, make_translation([[*top, 0.01]]), bump)[0] == pytest.approx(0.01, abs=3e-6)
 
 
 def test_beyond_its_pixels_the_relief_goes_on_as_at_the_last():
@@ -185,7 +190,7 @@ def test_beyond_its_pixels_the_relief_goes_on_as_at_the_last():
     needle = TriangleMesh(np.array([[0, 0, 0], [1e-6, 0, 0.01], [0, 1e-6, 0.01]]), np.array([[0, 1, 2]]))
     beyond = [[x0, y[9], 0.0], [x1 - 1e-6, y[9], 0], [x[7], y0, 0], [x[7], y1 - 1e-6, 0], [x[7], y[9], 0]]
     last = np.array([[x[0], y[9]], [x[-1], y[9]], [x[7], y[0]], [x[7], y[-1]], [x[7], y[9]]])
-    found = lowest_over_relief(needle, translation(beyond), geometry)
+    found = find_lowest_over_relief(needle, make_translation(beyond), geometry)
     np.testing.assert_allclose(found, -(last @ [0.3, -0.2]), atol=1e-9)
 
 
@@ -197,12 +202,14 @@ def test_between_pixels_the_relief_is_linear_along_rows_and_columns():
     cells = [(row, column) for row in range(2) for column in range(3)]
     at = [[0.3 * x[j] + 0.7 * x[j + 1], 0.4 * y[i] + 0.6 * y[i + 1], 0.0] for i, j in cells]
     expected = [[0.4, 0.6] @ relief_m[i : i + 2, j : j + 2] @ [0.3, 0.7] for i, j in cells]
-    assert lowest_over_relief(needle, translation(at), geometry) == pytest.approx(-np.array(expected), abs=1e-9)
+    assert find_lowest_over_relief(needle, make_translation(at), geometry) == pytest.approx(
+        -np.array(expected), abs=1e-9
+    )
 
 
 def test_the_relief_seen_along_rays_is_found_upright():
     geometry = domed("pinhole")
-    relief_m, (x0, y0, dx, dy) = upright_relief(geometry)
+    relief_m, (x0, y0, dx, dy) = make_upright_relief(geometry)
     x, y = x0 + dx * np.arange(150), y0 + dy * np.arange(200)
     inside = np.s_[20:-20, 20:-20]  # rays to the rim see gel that lies farther in
     truth = np.sqrt(GEL_M**2 - x[None] ** 2 - y[:, None] ** 2) - GEL_M
@@ -210,13 +217,13 @@ def test_the_relief_seen_along_rays_is_found_upright():
 
 
 def test_the_cloud_of_a_touch_lies_on_the_object(ball):
-    geometry = domed("orthographic").pressed(PRESS_M)
+    geometry = domed("orthographic").press(PRESS_M)
     x, y = PLACES[2]
-    T = translation([[x, y, touching_m(geometry, x, y) - PRESS_M]])
-    depth_m = contact_depth(
+    T = make_translation([[x, y, touching_m(geometry, x, y) - PRESS_M]])
+    depth_m = compute_contact_depth(
         registry().create("renderer", "zbuffer", {}).render(ball, T, geometry.band), geometry, PRESS_M
     )
-    points, normals = contact_cloud(ContactShape(depth_m[0], PRESS_M), geometry, walls=False)
+    points, normals = make_contact_cloud(ContactShape(depth_m[0], PRESS_M), geometry, walls=False)
     off = points - T[0, :3, 3]
     assert np.linalg.norm(off, axis=1) == pytest.approx(BALL_M, abs=4 * FACET_M)
     assert (normals * off / BALL_M).sum(axis=1).min() > 0.98
@@ -224,11 +231,11 @@ def test_the_cloud_of_a_touch_lies_on_the_object(ball):
 
 def test_sizes_change_and_the_gel_stays():
     geometry = domed("orthographic")
-    for other in (geometry.resized(75, 100), geometry.every(2), geometry.pressed(PRESS_M)):
+    for other in (geometry.resize(75, 100), geometry.subsample(2), geometry.press(PRESS_M)):
         x, y = np.meshgrid(*other.pixel_slopes)
         truth = np.sqrt(GEL_M**2 - x**2 - y**2) - GEL_M
         assert other.relief_m == pytest.approx(truth, abs=2e-6)
-        assert geometry.is_same_sensor(other.resized(150, 200)) or other.shape == (100, 75)
+        assert geometry.is_same_sensor(other.resize(150, 200)) or other.shape == (100, 75)
     steeper = dataclasses.replace(geometry, relief_m=1.5 * geometry.relief_m)
     assert not geometry.is_same_sensor(steeper)
     assert geometry.describe() != steeper.describe()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.sensing.imprints import AREA_NATS, DEPTH_NATS, IOU_NATS, OUTLINE_SHARE, explained
+from tactile_loc.core.sensing.imprints import AREA_NATS, DEPTH_NATS, IOU_NATS, OUTLINE_SHARE, compare_imprints
 
 PRESS_M, PITCH_M = 1e-3, 0.5e-3
 OBSERVED = np.ones((20, 20), bool)
@@ -22,14 +22,14 @@ SEEN = imprint(slice(4, 14), 0.4e-3)
 
 
 def test_the_same_contact_explains_all():
-    found = explained(SEEN[None], SEEN, PRESS_M, OBSERVED, PITCH_M)
+    found = compare_imprints(SEEN[None], SEEN, PRESS_M, OBSERVED, PITCH_M)
     assert found.contact_ious == found.imprint_ious == 1.0
     assert found.evidence[0] == pytest.approx(IOU_NATS + AREA_NATS * np.log1p(25.0))  # 100 pixels of 0.25 mm^2
 
 
 def test_shares_and_depths_count_as_they_are_said_to():
     half, shallow = imprint(slice(9, 19), 0.4e-3), imprint(slice(4, 14), 0.3e-3)
-    found = explained(np.stack([half, shallow]), SEEN, PRESS_M, OBSERVED, PITCH_M)
+    found = compare_imprints(np.stack([half, shallow]), SEEN, PRESS_M, OBSERVED, PITCH_M)
     assert found.contact_ious == pytest.approx([1 / 3, 1.0])
     raised = OUTLINE_SHARE + np.array([0.3, 0.4])
     assert found.imprint_ious == pytest.approx([1 / 3, raised[0] / raised[1]], abs=1e-6)
@@ -40,7 +40,7 @@ def test_shares_and_depths_count_as_they_are_said_to():
 def test_what_noise_hides_speaks_less_against_a_pose_than_what_it_cannot_make():
     """Of two poses with the same IoU, the one that explains all that is seen has the better evidence."""
     more, less = imprint(slice(4, 24), 0.4e-3), imprint(slice(4, 12), 0.4e-3)
-    found = explained(np.stack([more, less]), SEEN, PRESS_M, OBSERVED, PITCH_M)
+    found = compare_imprints(np.stack([more, less]), SEEN, PRESS_M, OBSERVED, PITCH_M)
     assert found.imprint_ious == pytest.approx([10 / 16, 8 / 10])
     alike = found.evidence - IOU_NATS * found.imprint_ious
     assert alike[0] > alike[1]
@@ -50,8 +50,8 @@ def test_what_is_not_observed_does_not_count_and_nothing_explains_nothing():
     observed = OBSERVED.copy()
     observed[:, 14:] = False
     more = imprint(slice(4, 20), 0.4e-3)
-    assert explained(more[None], SEEN, PRESS_M, observed, PITCH_M).imprint_ious == 1.0
-    none = explained(np.full((1, 20, 20), PRESS_M, np.float32), SEEN, PRESS_M, OBSERVED, PITCH_M)
+    assert compare_imprints(more[None], SEEN, PRESS_M, observed, PITCH_M).imprint_ious == 1.0
+    none = compare_imprints(np.full((1, 20, 20), PRESS_M, np.float32), SEEN, PRESS_M, OBSERVED, PITCH_M)
     assert (none.contact_ious, none.imprint_ious, none.evidence) == (0.0, 0.0, 0.0)
-    empty = explained(np.empty((0, 20, 20), np.float32), SEEN, PRESS_M, OBSERVED, PITCH_M)
+    empty = compare_imprints(np.empty((0, 20, 20), np.float32), SEEN, PRESS_M, OBSERVED, PITCH_M)
     assert all(values.shape == (0,) for values in empty)

@@ -3,14 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.rigid import translation
+from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.progress import Progress
-from tactile_loc.core.sensing.places import BELOW, CAMERA, FAR, HIGHEST_M, PATCH_PX, STEP_M, Places, as_patches
+from tactile_loc.core.sensing.places import BELOW, CAMERA, FAR, HIGHEST_M, PATCH_PX, STEP_M, Places, make_patches
+from tactile_loc.core.sensing.rotated_patches import rotate_patches
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch, contact_depth
-from tactile_loc.core.sensing.turned_patches import turned_patches
+from tactile_loc.core.sensing.touch import ContactShape, Touch, compute_contact_depth
 from tactile_loc.plugins.grids.whole import WholeGrid
-from tactile_loc.testing.problems import ReferenceRenderer, block
+from tactile_loc.testing.problems import ReferenceRenderer, make_block
 
 PRESS_M = 8e-4
 CAMERAS = {
@@ -21,12 +21,12 @@ CAMERAS = {
 
 @pytest.fixture(scope="module")
 def places() -> Places:
-    return WholeGrid(WholeGrid.Options(directions=300)).places(block(), Progress())
+    return WholeGrid(WholeGrid.Options(directions=300)).places(make_block(), Progress())
 
 
 def test_heights_survive_to_half_a_step_and_nothing_is_far():
     rise_m = np.array([0.0, 3.3e-4, -1e-4, HIGHEST_M - STEP_M, 1.0, np.inf, np.nan])
-    patches = as_patches(rise_m)
+    patches = make_patches(rise_m)
     assert patches.tolist()[-3:] == [FAR] * 3
     assert patches[0] == BELOW
     found = Places(np.eye(4)[None], np.full((1, PATCH_PX, PATCH_PX), patches[1])).depths(HIGHEST_M)
@@ -43,16 +43,16 @@ def test_depths_are_cut_at_the_press(places, press_m):
 
 @pytest.mark.parametrize("camera", list(CAMERAS))
 def test_the_patch_of_a_touch_turned_back_is_that_of_its_place(places, camera):
-    geometry = CAMERAS[camera].pressed(PRESS_M)
+    geometry = CAMERAS[camera].press(PRESS_M)
     numbers = np.linspace(0, len(places) - 1, 8).astype(int)
     yaw_rad = np.linspace(-3, 3, 8)
     at_m = np.column_stack([np.linspace(-1e-3, 1e-3, 8), np.linspace(1e-3, 0, 8), np.full(8, geometry.standoff_m)])
-    poses = translation(at_m) @ places.poses(numbers, yaw_rad)
-    drawn = contact_depth(ReferenceRenderer().render(block().mesh, poses, geometry), geometry, PRESS_M)
+    poses = make_translation(at_m) @ places.poses(numbers, yaw_rad)
+    drawn = compute_contact_depth(ReferenceRenderer().render(make_block().mesh, poses, geometry), geometry, PRESS_M)
     wanted = places.depths(PRESS_M)[numbers]
     for k, depth_m in enumerate(drawn):
         touch = Touch(ContactShape(depth_m, PRESS_M), geometry)
-        found, seen = turned_patches(touch, at_m[k], np.eye(3), yaw_rad[k : k + 1])
+        found, seen = rotate_patches(touch, at_m[k], np.eye(3), yaw_rad[k : k + 1])
         alike = np.abs(found[0] - wanted[k])[seen[0]] < 1e-4
         assert seen.mean() > 0.5
         assert alike.mean() > 0.93, k
@@ -65,7 +65,7 @@ def test_what_the_sensor_does_not_see_is_not_seen(places):
     depth_m = np.full((160, 200), 1e-4, np.float32)
     depth_m[80:] = PRESS_M
     touch = Touch(ContactShape(depth_m, PRESS_M), geometry)
-    depths, seen = turned_patches(touch, np.zeros(3), np.eye(3), np.array([0.0, np.pi / 2]))
+    depths, seen = rotate_patches(touch, np.zeros(3), np.eye(3), np.array([0.0, np.pi / 2]))
     middle = PATCH_PX // 2
     assert not seen[0, :, :middle].any()
     assert seen[0, middle, middle + 1 : middle + 15].all()
@@ -75,7 +75,7 @@ def test_what_the_sensor_does_not_see_is_not_seen(places):
 
 def test_a_pose_puts_its_place_where_it_is_said_to_be(places):
     at_m = np.array([[1e-3, -2e-3, 0.0195]])
-    (T,) = translation(at_m) @ places.poses(np.array([5]), np.array([0.7]))
+    (T,) = make_translation(at_m) @ places.poses(np.array([5]), np.array([0.7]))
     place = np.linalg.inv(places.T_place_object[5]) @ [0, 0, 0, 1]
     assert (T @ place)[:3] == pytest.approx(at_m[0], abs=1e-12)
     assert T[2, :3] == pytest.approx(places.T_place_object[5][2, :3])

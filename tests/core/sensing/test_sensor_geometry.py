@@ -47,7 +47,7 @@ def test_x_points_right_and_y_down_in_the_image() -> None:
 @BOTH
 def test_a_point_projects_to_the_scaled_pixel_after_resizing(geometry: SensorGeometry) -> None:
     points = np.random.default_rng(1).uniform(-1 * MM, 1 * MM, (20, 3)) + np.array([0, 0, 20 * MM])
-    resized = geometry.resized(24, 9)
+    resized = geometry.resize(24, 9)
     assert resized.shape == (9, 24)
     np.testing.assert_allclose(project(resized, points), project(geometry, points) * [3.0, 1.5])
     np.testing.assert_allclose(resized.rectangle, geometry.rectangle)
@@ -55,7 +55,7 @@ def test_a_point_projects_to_the_scaled_pixel_after_resizing(geometry: SensorGeo
 
 @BOTH
 def test_resizing_back_restores_the_sensor(geometry: SensorGeometry) -> None:
-    back = geometry.resized(16, 12).resized(8, 6)
+    back = geometry.resize(16, 12).resize(8, 6)
     assert back.describe() == pytest.approx(geometry.describe())
 
 
@@ -64,15 +64,15 @@ def test_resizing_back_restores_the_sensor(geometry: SensorGeometry) -> None:
 def test_every_nth_pixel_sees_what_it_saw_before(geometry: SensorGeometry, step: int) -> None:
     geometry = dataclasses.replace(geometry, observed=np.random.default_rng(2).random(geometry.shape) < 0.7)
     depth = np.random.default_rng(3).uniform(18 * MM, 24 * MM, geometry.shape)
-    sparse = geometry.every(step)
+    sparse = geometry.subsample(step)
     np.testing.assert_allclose(sparse.backproject(depth[::step, ::step]), geometry.backproject(depth)[::step, ::step])
     np.testing.assert_array_equal(sparse.observed_mask, geometry.observed_mask[::step, ::step])
 
 
 def test_long_side_keeps_the_proportion() -> None:
-    assert PINHOLE.with_long_side(80).shape == (60, 80)
+    assert PINHOLE.resize_long_side(80).shape == (60, 80)
     upright = dataclasses.replace(PINHOLE, width_px=6, height_px=8)
-    assert upright.with_long_side(80).shape == (80, 60)
+    assert upright.resize_long_side(80).shape == (80, 60)
 
 
 def test_the_view_is_the_default_rectangle() -> None:
@@ -85,8 +85,8 @@ def test_the_view_is_the_default_rectangle() -> None:
 def test_a_rectangle_may_reach_beyond_the_view_where_objects_touch_unseen() -> None:
     geometry = dataclasses.replace(ORTHOGRAPHIC, rectangle_m=(-0.2 * MM, 5 * MM, -5 * MM, 0.25 * MM))
     np.testing.assert_allclose(geometry.rectangle, [-0.2 * MM, 5 * MM, -5 * MM, 0.25 * MM])
-    np.testing.assert_allclose(geometry.every(3).rectangle, geometry.rectangle)
-    pressed = geometry.pressed(0.1 * MM, 0.1 * MM)
+    np.testing.assert_allclose(geometry.subsample(3).rectangle, geometry.rectangle)
+    pressed = geometry.press(0.1 * MM, 0.1 * MM)
     for g in (geometry, pressed):
         np.testing.assert_allclose(g.gel_middle_m, [2.4 * MM, -2.375 * MM, geometry.surface_m])
 
@@ -119,8 +119,8 @@ def test_the_mask_is_resized_with_the_image() -> None:
     geometry = dataclasses.replace(PINHOLE, observed=observed)
     expected = np.zeros((12, 16), bool)
     expected[:6, 8:] = True
-    np.testing.assert_array_equal(geometry.resized(16, 12).observed_mask, expected)
-    np.testing.assert_array_equal(geometry.resized(4, 2).observed_mask, [[False, False, True, True], [False] * 4])
+    np.testing.assert_array_equal(geometry.resize(16, 12).observed_mask, expected)
+    np.testing.assert_array_equal(geometry.resize(4, 2).observed_mask, [[False, False, True, True], [False] * 4])
 
 
 CHANGES = {
@@ -171,9 +171,9 @@ def test_contradictory_numbers_are_refused(change: dict, words: str) -> None:
 def test_the_same_sensor_may_have_another_image_size_or_mask_but_no_other_field() -> None:
     blind = np.ones(PINHOLE.shape, bool)
     blind[0] = False
-    assert PINHOLE.is_same_sensor(dataclasses.replace(PINHOLE.resized(3, 20), observed=None))
+    assert PINHOLE.is_same_sensor(dataclasses.replace(PINHOLE.resize(3, 20), observed=None))
     assert PINHOLE.is_same_sensor(dataclasses.replace(PINHOLE, observed=blind))
-    assert PINHOLE.is_same_sensor(PINHOLE.every(2))
+    assert PINHOLE.is_same_sensor(PINHOLE.subsample(2))
     inner = dataclasses.replace(PINHOLE, rectangle_m=(-1e-3, 1e-3, -1e-3, 1e-3))
     assert not inner.is_same_sensor(dataclasses.replace(inner, fx=2 * inner.fx))
     for change in ({"fx": 1.01 * PINHOLE.fx}, {"cy": PINHOLE.cy + 1}, {"standoff_m": 2 * PINHOLE.standoff_m},

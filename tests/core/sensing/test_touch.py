@@ -8,7 +8,7 @@ from message_helpers import naming
 
 from tactile_loc.core.errors import NoContactError, TouchError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch, contact_depth, contact_shape_from_array
+from tactile_loc.core.sensing.touch import ContactShape, Touch, compute_contact_depth, contact_shape_from_array
 
 MM = 1e-3
 PINHOLE = SensorGeometry("pinhole", 8, 6, fx=40.0, fy=50.0, cx=3.7, cy=3.1, standoff_m=20 * MM, max_depth_m=2 * MM)
@@ -22,7 +22,7 @@ def slope() -> np.ndarray:
 
 def test_contact_depth_is_clipped_between_the_surface_and_the_press_depth() -> None:
     z = np.array([[19.0, 20.0, 20.5, 21.5, 25.0, np.inf]]) * MM
-    depth = contact_depth(z, PINHOLE, 1 * MM)
+    depth = compute_contact_depth(z, PINHOLE, 1 * MM)
     assert depth.dtype == np.float32
     np.testing.assert_allclose(depth, np.array([[0.0, 0.0, 0.5, 1.0, 1.0, 1.0]]) * MM, atol=5e-9)
     np.testing.assert_array_equal(ContactShape(depth, 1 * MM).contact, [[True, True, True, False, False, False]])
@@ -30,7 +30,7 @@ def test_contact_depth_is_clipped_between_the_surface_and_the_press_depth() -> N
 
 def test_a_lighter_press_cuts_the_same_depths() -> None:
     shape = ContactShape(np.array([[0.0, 0.4, 0.8, 2.0]], np.float32) * np.float32(MM), 2 * MM)
-    light = shape.pressed_to(0.5 * MM)
+    light = shape.press_to(0.5 * MM)
     assert light.press_depth_m == 0.5 * MM
     np.testing.assert_allclose(light.depth_m, np.array([[0.0, 0.4, 0.5, 0.5]]) * MM, rtol=1e-6)
     np.testing.assert_array_equal(light.contact, [[True, True, False, False]])
@@ -38,7 +38,7 @@ def test_a_lighter_press_cuts_the_same_depths() -> None:
 
 def test_a_shape_cannot_be_pressed_deeper_afterwards() -> None:
     shape = ContactShape(np.array([[0.0, 0.5]], np.float32) * np.float32(MM), 0.5 * MM)
-    same = shape.pressed_to(2 * MM)
+    same = shape.press_to(2 * MM)
     assert same.press_depth_m == 0.5 * MM
     np.testing.assert_array_equal(same.contact, shape.contact)
 
@@ -106,7 +106,7 @@ def test_a_touch_must_fit_its_sensor() -> None:
     shape = contact_shape_from_array(slope(), 2 * MM)
     assert Touch(shape, PINHOLE).press_depth_m == shape.press_depth_m
     with pytest.raises(TouchError, match=naming("6 x 8", "12 x 16", "image_size_px")):
-        Touch(shape, PINHOLE.resized(16, 12))
+        Touch(shape, PINHOLE.resize(16, 12))
 
 
 def test_contact_must_be_seen_where_the_sensor_observes() -> None:

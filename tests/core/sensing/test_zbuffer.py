@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry.rigid import make_transform, random_rotations, rotation_about, translation
+from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, make_translation, rotation_about
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.contact import bring_to_contact
-from tactile_loc.core.sensing.zbuffer import nearest_depths
+from tactile_loc.core.sensing.zbuffer import draw_nearest_depths
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.testing.problems import LOPSIDED_CAMERAS
 
@@ -31,44 +31,44 @@ def test_a_slanted_plane_has_the_depth_that_geometry_says(camera):
     corners = np.array([[x, y, 0.0215 + 0.03 * x] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
     plane = TriangleMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
     wide = dataclasses.replace(camera, max_depth_m=0.01)
-    depth = nearest_depths(plane, np.eye(4)[None], wide)[0]
+    depth = draw_nearest_depths(plane, np.eye(4)[None], wide)[0]
     x = wide.pixel_slopes[0]
     expected = 0.0215 / (1 - 0.03 * x) if camera.is_pinhole else 0.0215 + 0.03 * x
     np.testing.assert_allclose(depth, np.broadcast_to(expected, depth.shape), rtol=1e-6)
 
 
 def test_rays_and_triangles_agree_on_any_pose(camera, knot):
-    R = random_rotations(6, np.random.default_rng(1))
+    R = draw_rotations(6, np.random.default_rng(1))
     T, touching = bring_to_contact(knot, make_transform(R, [0.001, -0.002, 0.0]), camera)
     assert touching.all()
     limit = camera.standoff_m + camera.max_depth_m
     ours, theirs = (
         np.minimum(depth, limit)
-        for depth in (nearest_depths(knot, T, camera), RaycastRenderer().render(knot, T, camera))
+        for depth in (draw_nearest_depths(knot, T, camera), RaycastRenderer().render(knot, T, camera))
     )
     assert (ours < limit).mean() > 0.01
     assert (np.abs(ours - theirs) < 2e-7).mean() > 0.999  # a pixel's centre may lie on an edge
 
 
 def test_poses_alone_and_together_are_the_same(camera, knot):
-    T = bring_to_contact(knot, make_transform(random_rotations(3, np.random.default_rng(2)), np.zeros(3)), camera)[0]
-    together = nearest_depths(knot, T, camera)
+    T = bring_to_contact(knot, make_transform(draw_rotations(3, np.random.default_rng(2)), np.zeros(3)), camera)[0]
+    together = draw_nearest_depths(knot, T, camera)
     for pose, depth in zip(T, together, strict=True):
-        np.testing.assert_array_equal(nearest_depths(knot, pose[None], camera)[0], depth)
+        np.testing.assert_array_equal(draw_nearest_depths(knot, pose[None], camera)[0], depth)
 
 
 def test_an_object_pressed_in_is_seen_below_the_surface(camera):
     """A refiner may push it there: the plane of a box 1 mm below the surface has its own depth, not the surface's."""
     box = trimesh.creation.box([0.5, 0.5, 0.01])
     mesh = TriangleMesh(np.array(box.vertices), np.array(box.faces, np.int64))
-    depth = nearest_depths(mesh, translation([[0.0, 0.0, camera.standoff_m - 0.001 + 0.005]]), camera)
+    depth = draw_nearest_depths(mesh, make_translation([[0.0, 0.0, camera.standoff_m - 0.001 + 0.005]]), camera)
     np.testing.assert_allclose(depth, camera.standoff_m - 0.001, rtol=1e-6)
 
 
 def test_a_triangle_that_reaches_behind_the_camera_is_seen_before_it():
     g = LOPSIDED_CAMERAS["pinhole"]
     wall = TriangleMesh(np.array([[0.02, -1.0, -0.3], [0.02, 1.0, -0.3], [-0.005, 0.0, 0.0225]]), np.array([[0, 1, 2]]))
-    ours = nearest_depths(wall, np.eye(4)[None], g)[0]
+    ours = draw_nearest_depths(wall, np.eye(4)[None], g)[0]
     theirs = RaycastRenderer().render(wall, np.eye(4)[None], g)[0]
     limit = g.standoff_m + g.max_depth_m
     assert (ours < limit).any()
@@ -76,12 +76,12 @@ def test_a_triangle_that_reaches_behind_the_camera_is_seen_before_it():
 
 
 def test_what_is_deeper_than_the_band_or_beside_the_view_is_not_drawn(camera, knot):
-    far = translation([[0.0, 0.0, 1.0], [5.0, 0.0, camera.standoff_m], [-5.0, 5.0, camera.standoff_m]])
-    assert np.isinf(nearest_depths(knot, far, camera)).all()
+    far = make_translation([[0.0, 0.0, 1.0], [5.0, 0.0, camera.standoff_m], [-5.0, 5.0, camera.standoff_m]])
+    assert np.isinf(draw_nearest_depths(knot, far, camera)).all()
 
 
 def test_no_pose_is_no_work(camera, knot):
-    assert nearest_depths(knot, np.zeros((0, 4, 4)), camera).shape == (0, *camera.shape)
+    assert draw_nearest_depths(knot, np.zeros((0, 4, 4)), camera).shape == (0, *camera.shape)
 
 
 def test_an_edge_between_two_triangles_lets_no_ray_through(camera):
@@ -92,4 +92,4 @@ def test_an_edge_between_two_triangles_lets_no_ray_through(camera):
         np.vstack([[[0.0, 0.0, 0.0]], rim]), np.array([[0, 1 + i, 1 + (i + 1) % 24] for i in range(24)])
     )
     centred = dataclasses.replace(camera, cx=45.5, cy=32.5)
-    assert np.isfinite(nearest_depths(mesh, translation([[0.0, 0.0, 0.022]]), centred)).all()
+    assert np.isfinite(draw_nearest_depths(mesh, make_translation([[0.0, 0.0, 0.022]]), centred)).all()

@@ -6,10 +6,10 @@ import trimesh
 from message_helpers import naming
 
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.geometry.rigid import is_rigid, make_transform, rotation_about, translation
+from tactile_loc.core.geometry.rigid import is_rigid, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.sensing.contact import lowest_points
-from tactile_loc.core.simulation.contact_poses import contact_grid, enough_contact, random_contact_poses
+from tactile_loc.core.sensing.contact import find_lowest_points
+from tactile_loc.core.simulation.contact_poses import draw_contact_poses, make_contact_grid, mark_contact
 from tactile_loc.io.meshes import load_object
 from tactile_loc.plugins.grids.face import FaceGrid
 
@@ -36,7 +36,7 @@ class Fixed(FaceGrid):
 @pytest.mark.parametrize("spacing_mm", [4.0, 6.0])
 def test_the_spacing_asked_for_is_met(make_scene, pinhole, name, spacing_mm):
     """In spite of contact, which moves poses along z, most of all on a tilted or curved face."""
-    grid = contact_grid(face(spacing_mm, "auto"), make_scene(load_object(name), pinhole))
+    grid = make_contact_grid(face(spacing_mm, "auto"), make_scene(load_object(name), pinhole))
     assert grid.neighbour_spacing().mean() == pytest.approx(spacing_mm * 1e-3, rel=0.05)
 
 
@@ -48,54 +48,54 @@ class Wider(FaceGrid):
 
 
 def test_a_sampler_whose_poses_end_up_too_far_apart_is_asked_again(make_scene, pinhole, box):
-    grid = contact_grid(Wider(FaceGrid.Options(spacing_mm=4.0, face="+z")), make_scene(box, pinhole))
+    grid = make_contact_grid(Wider(FaceGrid.Options(spacing_mm=4.0, face="+z")), make_scene(box, pinhole))
     assert grid.neighbour_spacing().mean() == pytest.approx(0.004, rel=0.05)
 
 
 def test_steps_that_options_fix_are_left_out_of_the_spacing(make_scene, pinhole, box):
     """Tilts closer than the spacing must not be made up for by a coarser lattice of x and y."""
     scene = make_scene(box, pinhole)
-    tilted = contact_grid(face(4.0, tilt_deg=6.0), scene)
+    tilted = make_contact_grid(face(4.0, tilt_deg=6.0), scene)
     R, x_m = tilted.T_sensor_object[:, :3, :3], tilted.T_sensor_object[:, 0, 3]
     of_one_rotation = np.unique(x_m[(R[0] == R).all(axis=(1, 2))].round(9))
     assert np.diff(of_one_rotation).min() == pytest.approx(0.004, rel=1e-6)
-    assert len(tilted) > 7 * len(contact_grid(face(4.0), scene))
+    assert len(tilted) > 7 * len(make_contact_grid(face(4.0), scene))
 
 
 def test_all_poses_touch(make_scene, pinhole, box):
-    grid = contact_grid(face(5.0), make_scene(box, pinhole))
+    grid = make_contact_grid(face(5.0), make_scene(box, pinhole))
     assert is_rigid(grid.T_sensor_object)
-    lowest = lowest_points(box.mesh, grid.T_sensor_object, pinhole.rectangle)
+    lowest = find_lowest_points(box.mesh, grid.T_sensor_object, pinhole.rectangle)
     np.testing.assert_allclose(lowest, pinhole.standoff_m, atol=1e-12)
 
 
 def test_poses_without_contact_are_dropped(make_scene, flat_camera, box):
-    beside = translation([0.05, 0.0, 0.0])
-    poses = np.stack([np.eye(4), beside, translation([0.005, 0, 0])])
-    grid = contact_grid(Fixed(poses), make_scene(box, flat_camera))
+    beside = make_translation([0.05, 0.0, 0.0])
+    poses = np.stack([np.eye(4), beside, make_translation([0.005, 0, 0])])
+    grid = make_contact_grid(Fixed(poses), make_scene(box, flat_camera))
     assert len(grid) == 2
     assert grid.T_sensor_object[:, 0, 3].tolist() == [0.0, 0.005]
 
 
 def test_no_contact_at_all_is_refused(make_scene, flat_camera, box):
     scene = make_scene(box, flat_camera)
-    nowhere = Fixed(translation([[0.05, 0.0, 0.0], [0.06, 0.0, 0.0]]))
+    nowhere = Fixed(make_translation([[0.05, 0.0, 0.0], [0.06, 0.0, 0.0]]))
     with pytest.raises(GridError, match="box"):
-        contact_grid(nowhere, scene)
+        make_contact_grid(nowhere, scene)
     with pytest.raises(GridError, match=naming("box", "0.25 %", "grid.min_contact_percent")):
-        random_contact_poses(nowhere, scene, 1, np.random.default_rng(0))
+        draw_contact_poses(nowhere, scene, 1, np.random.default_rng(0))
 
 
 def test_a_single_pose_is_a_grid(make_scene, flat_camera, box):
-    assert len(contact_grid(Fixed(np.eye(4)[None]), make_scene(box, flat_camera))) == 1
+    assert len(make_contact_grid(Fixed(np.eye(4)[None]), make_scene(box, flat_camera))) == 1
 
 
 def test_symmetric_duplicates_are_gone(make_scene, flat_camera, make_box):
     half_turn = make_transform(rotation_about([0, 0, 1], np.pi), np.zeros(3))
-    poses = np.stack([np.eye(4), half_turn, translation([0.005, 0, 0])])
+    poses = np.stack([np.eye(4), half_turn, make_translation([0.005, 0, 0])])
     kept = {
         symmetry: len(
-            contact_grid(Fixed(poses), make_scene(make_box(0.02, 0.01, 0.01, symmetry=symmetry), flat_camera))
+            make_contact_grid(Fixed(poses), make_scene(make_box(0.02, 0.01, 0.01, symmetry=symmetry), flat_camera))
         )
         for symmetry in ("none", "z2", "x2")
     }
@@ -105,7 +105,9 @@ def test_symmetric_duplicates_are_gone(make_scene, flat_camera, make_box):
 @pytest.mark.parametrize("spacing_mm", [3.0, 4.0, 5.0])
 def test_a_symmetric_face_needs_a_share_of_the_poses(make_scene, pinhole, make_box, spacing_mm):
     def size(symmetry: str) -> int:
-        return len(contact_grid(face(spacing_mm), make_scene(make_box(0.03, 0.02, 0.012, symmetry=symmetry), pinhole)))
+        return len(
+            make_contact_grid(face(spacing_mm), make_scene(make_box(0.03, 0.02, 0.012, symmetry=symmetry), pinhole))
+        )
 
     alone = size("none")
     assert size("z2") == pytest.approx(alone / 2, rel=0.1)
@@ -115,7 +117,7 @@ def test_a_symmetric_face_needs_a_share_of_the_poses(make_scene, pinhole, make_b
 
 def test_a_regular_prisms_and_a_turned_parts_faces(make_scene, pinhole, make_object):
     def grid(symmetry: str) -> PoseGrid:
-        return contact_grid(
+        return make_contact_grid(
             face(4.0), make_scene(make_object(trimesh.creation.cylinder(0.012, 0.01, sections=36), symmetry), pinhole)
         )
 
@@ -134,8 +136,8 @@ def test_no_pose_is_far_from_a_symmetric_grid(make_scene, pinhole, make_object, 
     )
     obj = make_object(solid, symmetry)
     scene = make_scene(obj, pinhole)
-    grid = contact_grid(face(4.0), scene)
-    distance, _ = grid.nearest(random_contact_poses(face(4.0), scene, 200, np.random.default_rng(0)))
+    grid = make_contact_grid(face(4.0), scene)
+    distance, _ = grid.nearest(draw_contact_poses(face(4.0), scene, 200, np.random.default_rng(0)))
     # In a cubic cell of side s the farthest corner is 0.87 s away, a random place 0.48 s.
     assert distance.max() < 1.1 * 0.004
     assert distance.mean() < 0.55 * 0.004
@@ -147,25 +149,25 @@ def test_enough_contact_is_a_share_of_the_observed_pixels(make_scene, flat_camer
     pixels = 60 * 44
     for i, count in enumerate([0, 1, pixels // 10, pixels // 10 - 1]):
         depths[i].ravel()[:count] = 0.0
-    assert enough_contact(depths, scene, 0.0).tolist() == [False, True, True, True]
-    assert enough_contact(depths, scene, 10.0).tolist() == [False, False, True, False]
-    assert not enough_contact(depths, scene, 100.0).any()
+    assert mark_contact(depths, scene, 0.0).tolist() == [False, True, True, True]
+    assert mark_contact(depths, scene, 10.0).tolist() == [False, False, True, False]
+    assert not mark_contact(depths, scene, 100.0).any()
 
 
 @pytest.mark.parametrize("count", [1, 40, 300])
 def test_random_poses_touch_and_are_as_many_as_asked(make_scene, pinhole, box, count):
     scene = make_scene(box, pinhole)
-    poses = random_contact_poses(face(5.0, min_contact_percent=3.0), scene, count, np.random.default_rng(1))
+    poses = draw_contact_poses(face(5.0, min_contact_percent=3.0), scene, count, np.random.default_rng(1))
     assert poses.shape == (count, 4, 4)
     assert is_rigid(poses)
-    np.testing.assert_allclose(lowest_points(box.mesh, poses, pinhole.rectangle), pinhole.standoff_m, atol=1e-12)
-    assert enough_contact(scene.contact_depths(poses), scene, 3.0).all()
+    np.testing.assert_allclose(find_lowest_points(box.mesh, poses, pinhole.rectangle), pinhole.standoff_m, atol=1e-12)
+    assert mark_contact(scene.render_contact_depths(poses), scene, 3.0).all()
 
 
 def test_random_poses_are_off_the_grid_and_all_over_it(make_scene, pinhole, box):
     scene = make_scene(box, pinhole)
-    poses = random_contact_poses(face(5.0), scene, 300, np.random.default_rng(2))
-    grid = contact_grid(face(5.0), scene)
+    poses = draw_contact_poses(face(5.0), scene, 300, np.random.default_rng(2))
+    grid = make_contact_grid(face(5.0), scene)
     distance, index = grid.nearest(poses)
     assert (distance > 1e-4).all()
     assert distance.mean() < 0.6 * 0.005
@@ -177,17 +179,17 @@ def test_random_poses_are_off_the_grid_and_all_over_it(make_scene, pinhole, box)
 
 def test_random_poses_follow_their_generator(make_scene, pinhole, box):
     scene = make_scene(box, pinhole)
-    assert np.array_equal(*(random_contact_poses(face(5.0), scene, 9, np.random.default_rng(3)) for _ in range(2)))
+    assert np.array_equal(*(draw_contact_poses(face(5.0), scene, 9, np.random.default_rng(3)) for _ in range(2)))
 
 
 @pytest.mark.parametrize("spacing_mm", [0.0, -1.0, float("nan")])
 def test_an_impossible_spacing_is_refused(make_scene, pinhole, box, spacing_mm):
     sampler = FaceGrid(FaceGrid.Options.model_construct(spacing_mm=spacing_mm, face="+z", tilt_deg=0.0, tilt_steps=3))
     with pytest.raises(GridError, match=naming(f"{spacing_mm:g} mm", "spacing_mm")):
-        contact_grid(sampler, make_scene(box, pinhole))
+        make_contact_grid(sampler, make_scene(box, pinhole))
 
 
 def test_the_metric_is_the_scenes_own(make_scene, pinhole, box):
-    grid = contact_grid(face(6.0), make_scene(box, pinhole))
+    grid = make_contact_grid(face(6.0), make_scene(box, pinhole))
     assert isinstance(grid.metric, PoseMetric)
     assert grid.metric.object is box

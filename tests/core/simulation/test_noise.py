@@ -19,7 +19,7 @@ from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import is_rigid, rotation_about
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.core.simulation.noise import NOISE, TouchNoise, noise_level
+from tactile_loc.core.simulation.noise import NOISE, TouchNoise, make_noise
 from tactile_loc.io.config import TouchConfig
 
 PRESS_M = 0.002
@@ -54,14 +54,14 @@ def shapes(make_scene, pinhole, box) -> np.ndarray:
     T = np.tile(np.eye(4), (12, 1, 1))
     T[:, :3, :3] = R
     scene = make_scene(box, pinhole)
-    return scene.contact_depths(scene.in_contact(T)[0])
+    return scene.render_contact_depths(scene.bring_to_contact(T)[0])
 
 
 def test_the_levels_are_those_that_can_be_asked_for():
-    assert [noise_level(name) for name in NOISE] == list(NOISE.values())
+    assert [make_noise(name) for name in NOISE] == list(NOISE.values())
     assert list(get_args(TouchConfig.model_fields["noise"].annotation)) == list(Noise) == list(NOISE)
     with pytest.raises(ConfigError, match=naming("'mlid'", *NOISE, "'mild'")):
-        noise_level("mlid")
+        make_noise("mlid")
 
 
 def test_the_description_is_json_that_makes_the_noise_again():
@@ -327,14 +327,14 @@ def test_a_contact_shape_is_cut_where_the_press_is_taken_to_be(measured_m, conta
 
 
 def test_the_documented_levels_are_the_programs():
-    page = (Path(__file__).parents[3] / "docs" / "conventions.md").read_text()
-    table = page.split("## Touch noise\n")[1].split("\n## ")[0]
+    page = (Path(__file__).parents[3] / "docs" / "noise.md").read_text()
+    table = page.split("## Settings\n")[1].split("\n## ")[0]
     for line in documented_rows():
         assert line in table
 
 
 def documented_rows() -> list[str]:
-    """The lines of the table in docs/conventions.md, from what the program has."""
+    """The lines of the table in docs/noise.md, from what the program has."""
     mm, percent = (lambda v: f"{1e3 * v:g} mm" if v else "0"), (lambda v: f"{100 * v:g} %" if v else "0")
     write = {
         "press_share": lambda v: f"{100 * v[0]:g} to {100 * v[1]:g} %" if v[0] < v[1] else f"{100 * v[0]:g} %",

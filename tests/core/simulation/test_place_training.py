@@ -8,21 +8,21 @@ import pytest
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.sensing.places import PATCH_PX
-from tactile_loc.core.simulation.noise import noise_level
-from tactile_loc.core.simulation.place_training import PlaceProblem, as_anchored
-from tactile_loc.testing.problems import place_training_problem
+from tactile_loc.core.simulation.noise import make_noise
+from tactile_loc.core.simulation.place_training import PlaceProblem, move_to_anchors
+from tactile_loc.testing.problems import make_place_training_problem
 
 COUNT, DECOYS, PRESS_M = 16, 5, 1.2e-3
 
 
 @pytest.fixture(scope="module")
 def problem() -> PlaceProblem:
-    return place_training_problem()
+    return make_place_training_problem()
 
 
 @pytest.fixture(scope="module")
 def touches(problem):
-    return problem.draw(COUNT, noise_level("none"), np.random.default_rng(1))
+    return problem.draw(COUNT, make_noise("none"), np.random.default_rng(1))
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def test_a_touch_is_near_its_label(problem, touches):
     assert (labels.off_m <= problem.reach_m).all()
     turn = make_transform(rotation_about([0, 0, 1], labels.yaw_rad), np.zeros(3))
     T = turn @ problem.places.T_place_object[labels.numbers]
-    seen_m = problem.turned.metric.symmetric_distance(as_anchored(shown, touches.T_sensor_object), T)
+    seen_m = problem.rotated.metric.symmetric_distance(move_to_anchors(shown, touches.T_sensor_object), T)
     np.testing.assert_allclose(seen_m, labels.off_m, atol=1e-9)
 
 
@@ -60,12 +60,12 @@ def test_the_right_view_shows_what_its_key_does_and_decoys_do_not(problem, batch
 
 
 def test_a_decoy_that_symmetry_makes_right_does_not_count():
-    whole = place_training_problem(symmetry="z2")
-    batch = whole.draw(COUNT, noise_level("none"), np.random.default_rng(1)).batch(
+    whole = make_place_training_problem(symmetry="z2")
+    batch = whole.draw(COUNT, make_noise("none"), np.random.default_rng(1)).batch(
         COUNT, np.random.default_rng(2), PRESS_M, 60
     )
-    plain = place_training_problem()
-    other = plain.draw(COUNT, noise_level("none"), np.random.default_rng(1)).batch(
+    plain = make_place_training_problem()
+    other = plain.draw(COUNT, make_noise("none"), np.random.default_rng(1)).batch(
         COUNT, np.random.default_rng(2), PRESS_M, 60
     )
     assert batch.counts.mean() < other.counts.mean()
@@ -73,7 +73,7 @@ def test_a_decoy_that_symmetry_makes_right_does_not_count():
 
 def test_noise_keeps_every_touch_a_touch(problem):
     rng = np.random.default_rng(3)
-    touches = problem.draw(COUNT, noise_level("strong"), rng)
+    touches = problem.draw(COUNT, make_noise("strong"), rng)
     for press_m in problem.key_presses_m[[0, -1]]:
         batch = touches.batch(COUNT, rng, press_m)
         assert batch.depth_m.shape[:2] == (COUNT, 1)

@@ -31,7 +31,7 @@ def test_touches_are_what_their_true_poses_look_like(make_scene, pinhole, box, s
         assert is_rigid(touch.T_sensor_object)
         again = scene.contact_shape(touch.T_sensor_object, 0.001).depth_m
         np.testing.assert_allclose(touch.contact_shape.depth_m, again, atol=1e-6)
-        in_contact, touching = scene.pressed(0.001).in_contact(touch.T_sensor_object[None])
+        in_contact, touching = scene.press(0.001).bring_to_contact(touch.T_sensor_object[None])
         assert touching.all()
         np.testing.assert_allclose(in_contact[0], touch.T_sensor_object, atol=1e-12)
 
@@ -95,8 +95,8 @@ def test_no_noise_is_what_was_without(make_scene, pinhole, box, sampler, press_m
         simulate_touches(sampler, scene, 6, np.random.default_rng(7), press_m, noise) for noise in (None, NOISE["none"])
     )
     for x, y in zip(a, b, strict=True):
-        pressed = scene.pressed(press_m or pinhole.max_depth_m)
-        clean = pressed.contact_depths(x.T_sensor_object[None])[0]
+        pressed = scene.press(press_m or pinhole.max_depth_m)
+        clean = pressed.render_contact_depths(x.T_sensor_object[None])[0]
         assert x.contact_shape.depth_m.tobytes() == y.contact_shape.depth_m.tobytes() == clean.tobytes()
         assert x.press_depth_m == y.press_depth_m == (press_m or pinhole.max_depth_m)
         assert np.array_equal(x.T_sensor_object, y.T_sensor_object)
@@ -131,7 +131,7 @@ def test_a_given_press_is_the_actual_one_and_measured_with_an_error(make_scene, 
     assert measured.min() < 0.00095
     assert measured.max() > 0.00105
     for touch in touches:
-        clean = scene.pressed(0.001, 0.002).contact_depths(touch.T_sensor_object[None])[0]
+        clean = scene.press(0.001, 0.002).render_contact_depths(touch.T_sensor_object[None])[0]
         assert np.array_equal(touch.contact_shape.contact, clean < np.float32(min(0.001, touch.press_depth_m)))
         shown = touch.contact_shape.contact
         assert np.array_equal(touch.contact_shape.depth_m[shown], clean[shown])
@@ -161,7 +161,7 @@ def test_spurious_contact_alone_is_no_touch(make_scene, pinhole, box, sampler):
     """Missing patches take all contact of some touches away; what patches then show does not make them touches."""
     scene, noise = make_scene(box, pinhole), TouchNoise(missing=3.0, spurious=20.0, patch_m=0.008)
     for touch in simulate_touches(sampler, scene, 20, np.random.default_rng(12), None, noise):
-        clean = scene.contact_depths(touch.T_sensor_object[None])[0] < np.float32(pinhole.max_depth_m)
+        clean = scene.render_contact_depths(touch.T_sensor_object[None])[0] < np.float32(pinhole.max_depth_m)
         least = sampler.options.min_contact_percent / 100 * pinhole.observed_mask.sum()
         assert (touch.contact_shape.contact & clean & pinhole.observed_mask).sum() >= least
 

@@ -7,21 +7,21 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.errors import GridError
-from tactile_loc.core.geometry.rigid import invert, make_transform, random_rotations, translation
+from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, make_translation
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.slots.common_poses import SAMPLE, common_poses
+from tactile_loc.core.slots.common_poses import SAMPLE, find_common_poses
 
 
 @pytest.fixture(scope="module")
 def grid(box) -> PoseGrid:
     x = np.stack(np.meshgrid(np.arange(12), np.arange(11), np.arange(5)), -1).reshape(-1, 3) * 0.002
     assert len(x) > 2 * SAMPLE
-    return PoseGrid(translation(x), PoseMetric(box))
+    return PoseGrid(make_translation(x), PoseMetric(box))
 
 
 def sensors(count: int, seed: int = 0) -> list[np.ndarray]:
     rng = np.random.default_rng(seed)
-    return list(make_transform(random_rotations(count, rng), rng.normal(scale=0.1, size=(count, 3))))
+    return list(make_transform(draw_rotations(count, rng), rng.normal(scale=0.1, size=(count, 3))))
 
 
 def parts(grid: PoseGrid, T_base_sensor: list[np.ndarray], keeps: list[np.ndarray]) -> list[PoseGrid]:
@@ -39,7 +39,7 @@ def test_they_are_the_intersection_and_each_is_found(grid):
     T_base_sensor = sensors(4)
     grids = parts(grid, T_base_sensor, keeps)
     possible = x + y < 0.03
-    common = common_poses(grids, T_base_sensor, 0.3, possible)
+    common = find_common_poses(grids, T_base_sensor, 0.3, possible)
     assert np.array_equal(common.first, np.flatnonzero(np.all([possible, *keeps], axis=0)))
     for T, other, found in zip(T_base_sensor, grids, common.found, strict=True):
         seen = invert(T) @ T_base_sensor[0] @ grid.T_sensor_object[common.first]
@@ -53,7 +53,7 @@ def test_the_error_names_the_contact_that_drops_the_last(grid):
     lefts = [int((x < 0.009).sum()), int((x > 0.011).sum())]  # the one that keeps fewer is asked first
     contact, left = (2, lefts[0]) if lefts[0] < lefts[1] else (4, lefts[1])
     with pytest.raises(GridError, match=naming(contact, left, 660)):
-        common_poses(parts(grid, T_base_sensor, keeps), T_base_sensor, 0.3, np.ones(len(grid), bool))
+        find_common_poses(parts(grid, T_base_sensor, keeps), T_base_sensor, 0.3, np.ones(len(grid), bool))
 
 
 def test_who_excludes_most_of_what_is_left_is_asked_next(grid):
@@ -63,10 +63,10 @@ def test_who_excludes_most_of_what_is_left_is_asked_next(grid):
     assert keeps[0].sum() < keeps[1].sum() < keeps[2].sum()
     T_base_sensor = sensors(4)
     with pytest.raises(GridError, match=naming(4, keeps[0].sum(), 660)):
-        common_poses(parts(grid, T_base_sensor, keeps), T_base_sensor, 0.3, np.ones(len(grid), bool))
+        find_common_poses(parts(grid, T_base_sensor, keeps), T_base_sensor, 0.3, np.ones(len(grid), bool))
 
 
 def test_nothing_possible_is_for_the_caller_to_say(grid):
-    common = common_poses([grid, grid], sensors(2), 1.5, np.zeros(len(grid), bool))
+    common = find_common_poses([grid, grid], sensors(2), 1.5, np.zeros(len(grid), bool))
     assert common.first.shape == (0,)
     assert common.found.shape == (2, 0)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about, translation
+from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
 from tactile_loc.core.sensing.imprints import OUTLINE_SHARE
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
-from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, pressed_block, with_depth
+from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, press_block, replace_depth
 
 RADIUS_M = 0.008
 
@@ -24,13 +24,13 @@ def ball_scene(make_object, make_scene, flat_camera):
 def test_a_balls_contact_shape_is_its_cap(ball_scene):
     g = ball_scene.geometry
     centre = np.array([0.001, -0.0015])
-    T, touching = ball_scene.in_contact(translation([[*centre, 0.0]]))
+    T, touching = ball_scene.bring_to_contact(make_translation([[*centre, 0.0]]))
     assert touching.all()
     assert T[0, 2, 3] == pytest.approx(g.standoff_m + RADIUS_M, abs=1e-6)
     x, y = np.meshgrid((np.arange(60) + 0.5 - g.cx) / g.fx, (np.arange(44) + 0.5 - g.cy) / g.fy)
     rho = np.minimum(np.hypot(x - centre[0], y - centre[1]), RADIUS_M)
     cap = np.minimum(RADIUS_M - np.sqrt(RADIUS_M**2 - rho**2), g.max_depth_m)
-    depths = ball_scene.contact_depths(T)
+    depths = ball_scene.render_contact_depths(T)
     assert (depths.shape, depths.dtype) == ((1, 44, 60), np.float32)
     # Height map cells are 0.1 mm wide: on the rim's slope of one half they may be off by some 0.05 mm.
     np.testing.assert_allclose(depths[0], cap, atol=8e-5)
@@ -38,14 +38,14 @@ def test_a_balls_contact_shape_is_its_cap(ball_scene):
 
 
 def test_a_lighter_press_shows_the_same_cut_off(ball_scene):
-    T, _ = ball_scene.in_contact(translation([[0.0, 0.0, 0.0]]))
-    full, light = ball_scene.contact_depths(T), ball_scene.contact_depths(T, 0.0005)
+    T, _ = ball_scene.bring_to_contact(make_translation([[0.0, 0.0, 0.0]]))
+    full, light = ball_scene.render_contact_depths(T), ball_scene.render_contact_depths(T, 0.0005)
     np.testing.assert_array_equal(light, np.minimum(full, np.float32(0.0005)))
     assert 0 < (light < np.float32(0.0005)).sum() < (full < np.float32(0.002)).sum()
 
 
 def test_contact_shape_brings_the_pose_to_contact_first(ball_scene):
-    near, far = (ball_scene.contact_shape(translation([0.001, 0.002, z]), 0.001) for z in (0.0, 5.0))
+    near, far = (ball_scene.contact_shape(make_translation([0.001, 0.002, z]), 0.001) for z in (0.0, 5.0))
     assert near.press_depth_m == 0.001
     assert near.contact.any()
     np.testing.assert_allclose(near.depth_m, far.depth_m, atol=1e-6)
@@ -54,7 +54,7 @@ def test_contact_shape_brings_the_pose_to_contact_first(ball_scene):
 def test_x_is_right_and_y_is_down(make_box, make_scene, flat_camera):
     """A box at +x and +y shows in the last columns and rows; turned by yaw, its long side follows."""
     scene = make_scene(make_box(0.008, 0.003, 0.004), flat_camera)
-    contact = scene.contact_shape(translation([0.007, 0.005, 0.0]), 0.002).contact
+    contact = scene.contact_shape(make_translation([0.007, 0.005, 0.0]), 0.002).contact
     rows, columns = np.nonzero(contact)
     assert columns.mean() + 0.5 == pytest.approx(29.0 + 0.007 * 2500, abs=0.6)
     assert rows.mean() + 0.5 == pytest.approx(21.0 + 0.005 * 2500, abs=0.6)
@@ -66,17 +66,17 @@ def test_x_is_right_and_y_is_down(make_box, make_scene, flat_camera):
 
 
 def test_no_pose_is_no_work(ball_scene):
-    assert ball_scene.contact_depths(np.zeros((0, 4, 4))).shape == (0, 44, 60)
+    assert ball_scene.render_contact_depths(np.zeros((0, 4, 4))).shape == (0, 44, 60)
 
 
 @pytest.fixture(params=list(CAMERAS))
 def problem(request):
-    return pressed_block(request.param)
+    return press_block(request.param)
 
 
 def test_the_truth_explains_all_and_less_with_every_offset(problem):
     offsets = np.array([0.0, 0.3, 0.6, 1.2, 2.4, 4.8]) * 1e-3
-    poses = np.stack([problem.candidate((x, 0.0, 0.0)).T_sensor_object for x in offsets])
+    poses = np.stack([problem.make_candidate((x, 0.0, 0.0)).T_sensor_object for x in offsets])
     explained = problem.scene.imprint_ious(poses, problem.touch)
     assert explained[0] == pytest.approx(1.0, abs=1e-6)
     assert (np.diff(explained) < -0.01).all()
@@ -84,21 +84,21 @@ def test_the_truth_explains_all_and_less_with_every_offset(problem):
 
 
 def test_what_is_explained_depends_on_no_more_of_z_than_a_press_is_known_to_nor_on_company(problem):
-    poses = np.stack([problem.candidate((x, 0.0, 0.02)).T_sensor_object for x in (0.0, 0.001, 0.002)])
+    poses = np.stack([problem.make_candidate((x, 0.0, 0.02)).T_sensor_object for x in (0.0, 0.001, 0.002)])
     together = problem.scene.imprint_ious(poses, problem.touch)
     for off_m in (2e-4, -2e-4):
-        lifted = translation([0.0, 0.0, off_m]) @ poses
+        lifted = make_translation([0.0, 0.0, off_m]) @ poses
         np.testing.assert_allclose(problem.scene.imprint_ious(lifted, problem.touch), together, atol=1e-6)
-    hovering = translation([0.0, 0.0, 0.004]) @ poses
+    hovering = make_translation([0.0, 0.0, 0.004]) @ poses
     np.testing.assert_array_equal(problem.scene.imprint_ious(hovering, problem.touch), 0.0)
-    half_pressed = translation([0.0, 0.0, 0.0012]) @ poses
+    half_pressed = make_translation([0.0, 0.0, 0.0012]) @ poses
     assert problem.scene.imprint_ious(half_pressed, problem.touch)[0] < 0.8 * together[0]
     alone = [problem.scene.imprint_ious(T[None], problem.touch)[0] for T in poses]
     np.testing.assert_allclose(alone, together, atol=1e-6)
 
 
 def test_a_pose_beside_the_sensor_explains_nothing(problem):
-    away = translation([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]]) @ problem.truth
+    away = make_translation([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]]) @ problem.truth
     np.testing.assert_allclose(problem.scene.imprint_ious(away, problem.touch), [1.0, 0.0], atol=1e-6)
     assert problem.scene.imprint_ious(away[:0], problem.touch).shape == (0,)
 
@@ -109,15 +109,15 @@ def test_unobserved_pixels_explain_nothing_and_ask_for_nothing(problem):
     geometry = dataclasses.replace(problem.touch.geometry, observed=observed)
     touch = dataclasses.replace(problem.touch, geometry=geometry)
     depth = np.where(observed, touch.contact_shape.depth_m, np.float32(0))
-    scores = [problem.scene.imprint_ious(problem.truth[None], t)[0] for t in (touch, with_depth(touch, depth))]
+    scores = [problem.scene.imprint_ious(problem.truth[None], t)[0] for t in (touch, replace_depth(touch, depth))]
     np.testing.assert_allclose(scores, 1.0, atol=1e-6)
 
 
 def test_explained_in_numbers(make_box, make_scene, flat_camera):
     """A flat box, ten by ten pixels, against its touch moved by half its width, and against one half as deep."""
     press = 0.002
-    scene = make_scene(make_box(0.004, 0.004, 0.004), flat_camera).pressed(press)
-    T, _ = scene.in_contact(translation([[0.0, 0.0, 0.0], [0.002, 0.0, 0.0]]))
+    scene = make_scene(make_box(0.004, 0.004, 0.004), flat_camera).press(press)
+    T, _ = scene.bring_to_contact(make_translation([[0.0, 0.0, 0.0], [0.002, 0.0, 0.0]]))
     full = scene.contact_shape(T[0], press)
     assert full.contact.sum() == 100
     assert (full.depth_m[full.contact] == 0).all()
@@ -131,8 +131,8 @@ def test_explained_in_numbers(make_box, make_scene, flat_camera):
 
 def drawings(camera):
     """The block's pressed scene, a pose in contact (1, 4, 4), metres, and the same scene drawn as in the paper."""
-    problem = pressed_block(camera)
-    return problem.scene, problem.scene.in_contact(problem.truth[None])[0], dataclasses.replace(
+    problem = press_block(camera)
+    return problem.scene, problem.scene.bring_to_contact(problem.truth[None])[0], dataclasses.replace(
         problem.scene, drawing="paper"
     )  # fmt: skip
 
@@ -140,44 +140,46 @@ def drawings(camera):
 @pytest.mark.parametrize("press_m", [0.002, 0.0012])
 def test_parallel_rays_see_the_same_however_it_is_drawn(press_m):
     pressed, T, paper = drawings("orthographic")
-    for draw in (lambda scene: scene.contact_depths(T, press_m), lambda scene: scene.grid_depths(T)):
+    for draw in (lambda scene: scene.render_contact_depths(T, press_m), lambda scene: scene.render_grid_depths(T)):
         np.testing.assert_allclose(draw(paper), draw(pressed), atol=1e-8)
 
 
 def test_the_paper_s_drawing_is_of_the_object_where_it_just_touches():
     pressed, T, paper = drawings("pinhole")
     touching = dataclasses.replace(pressed, geometry=CAMERAS["pinhole"])
-    just, _ = touching.in_contact(T)
+    just, _ = touching.bring_to_contact(T)
     assert just[0, 2, 3] == pytest.approx(T[0, 2, 3] + pressed.geometry.indentation_m)
-    np.testing.assert_array_equal(paper.contact_depths(T), touching.contact_depths(just))
-    np.testing.assert_array_equal(paper.grid_depths(T), touching.grid_depths(just))
-    seen, drawn = (scene.contact_depths(T)[0] < np.float32(0.002) for scene in (pressed, paper))
+    np.testing.assert_array_equal(paper.render_contact_depths(T), touching.render_contact_depths(just))
+    np.testing.assert_array_equal(paper.render_grid_depths(T), touching.render_grid_depths(just))
+    seen, drawn = (scene.render_contact_depths(T)[0] < np.float32(0.002) for scene in (pressed, paper))
     ratio = np.sqrt(np.count_nonzero(drawn) / np.count_nonzero(seen))
     assert 23 / 25 - 0.03 < ratio < 0.99, "an outline up to 8 % smaller"
-    np.testing.assert_array_equal(paper.as_seen().contact_depths(T), pressed.contact_depths(T))
+    np.testing.assert_array_equal(
+        paper.use_pressed_drawing().render_contact_depths(T), pressed.render_contact_depths(T)
+    )
 
 
 def test_poses_are_pressed_poses_however_they_are_drawn():
     """What a touch's own drawing explains best is the true pose: nothing moves along z."""
     pressed, T, paper = drawings("pinhole")
-    touch = Touch(ContactShape(paper.contact_depths(T)[0], 0.002), CAMERAS["pinhole"])
+    touch = Touch(ContactShape(paper.render_contact_depths(T)[0], 0.002), CAMERAS["pinhole"])
     assert paper.imprint_ious(T, touch)[0] == pytest.approx(1.0)
     assert pressed.imprint_ious(T, touch)[0] < 0.99
 
 
 def test_a_tiny_contact_is_explained_by_its_true_pose(make_object):
     """Of a ball's tip, a quarter of a percent of the sensor: some thirty pixels are compared, drawn in another way."""
-    camera = CAMERAS["orthographic"].resized(240, 180)
+    camera = CAMERAS["orthographic"].resize(240, 180)
     ball = make_object(trimesh.creation.icosphere(5, RADIUS_M), name="ball")
     scene, other = (Scene(ball, camera, renderer) for renderer in (HeightmapRenderer(), ReferenceRenderer()))
     share, press_m = 1.0, 8e-4
     while share > 0.0035:
         press_m *= 0.8
-        pressed = other.pressed(press_m)
-        T, _ = pressed.in_contact(translation([[0.001, 0.0005, 0.0]]))
-        shape = ContactShape(pressed.contact_depths(T)[0], press_m)
+        pressed = other.press(press_m)
+        T, _ = pressed.bring_to_contact(make_translation([[0.001, 0.0005, 0.0]]))
+        shape = ContactShape(pressed.render_contact_depths(T)[0], press_m)
         share = float(shape.contact[camera.observed_mask].mean())
     assert share > 0.0015
-    contact, imprint, _ = scene.of_touch(touch := Touch(shape, camera)).explained(T, touch)
+    contact, imprint, _ = scene.match_touch(touch := Touch(shape, camera)).compare_imprints(T, touch)
     assert contact[0] > 0.9
     assert imprint[0] > 0.9

@@ -27,8 +27,8 @@ from tactile_loc.io.streams.ros_messages import (
     POSE,
     TF,
     RosPose,
+    decode_image,
     encode,
-    image_array,
     make_image,
     make_pose,
     make_topic,
@@ -81,7 +81,7 @@ def test_another_library_reads_what_is_written(recorded):
     images = [(time, message) for topic, time, message in found if topic == "/gel/image"]
     for k, (time, message) in enumerate(images):
         assert (time, read_stamp_ns(message.header), message.header.frame_id) == (k * S + 9, k * S + 7, "gel")
-        np.testing.assert_array_equal(image_array(message), IMAGES[k])
+        np.testing.assert_array_equal(decode_image(message), IMAGES[k])
     pose = next(message for topic, _, message in found if topic == "/object/pose")
     np.testing.assert_allclose(read_pose(pose).T, T, atol=1e-12)
     assert list(pose.pose.covariance)[::7] == [1, 2, 3, 4, 5, 6]
@@ -96,8 +96,8 @@ def test_what_is_written_is_read(recorded):
     assert choose_image_topic(contents, recorded, None).name == "/gel/image"
     for k, message in enumerate(recording.read_messages("/gel/image")):
         assert message.log_time_ns == k * S + 9
-        np.testing.assert_array_equal(image_array(message.decode()), IMAGES[k])
-    np.testing.assert_allclose(recording.read_frame_tree().lookup("base", "gel", S), T @ T, atol=1e-12)
+        np.testing.assert_array_equal(decode_image(message.decode()), IMAGES[k])
+    np.testing.assert_allclose(recording.read_frame_tree().look_up("base", "gel", S), T @ T, atol=1e-12)
     assert recording.damage == ""
 
 
@@ -147,7 +147,7 @@ def test_bags_are_read(tmp_path, kind):
     for k, found in enumerate(recording.read_messages()):
         message = found.decode()
         assert (found.log_time_ns, read_stamp_ns(message.header)) == (k * S + 9, k * S + 7)
-        np.testing.assert_array_equal(image_array(message), IMAGES[k])
+        np.testing.assert_array_equal(decode_image(message), IMAGES[k])
 
 
 def test_bags_without_definitions_are_read(tmp_path):
@@ -161,7 +161,7 @@ def test_bags_without_definitions_are_read(tmp_path):
         database.execute("UPDATE schema SET schema_version = 3")
     (message,) = Recording(tmp_path / "drive").read_messages()
     assert message.topic == make_topic("/gel/image", IMAGE)
-    np.testing.assert_array_equal(image_array(message.decode()), IMAGES[0])
+    np.testing.assert_array_equal(decode_image(message.decode()), IMAGES[0])
 
 
 def test_channels_of_one_topic_are_one_topic(tmp_path):
@@ -190,7 +190,7 @@ def test_of_a_recording_that_breaks_off_the_beginning_is_read(tmp_path, compress
         counts.append(sum(contents.counts.values()))
         assert not missing(contents.damage, counts[-1])
         for k, message in enumerate(recording.read_messages()):
-            np.testing.assert_array_equal(image_array(message.decode()), IMAGES[k])
+            np.testing.assert_array_equal(decode_image(message.decode()), IMAGES[k])
     assert counts[0] >= 1
     assert counts[0] < counts[1] < counts[2] <= 6
 

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.errors import FrameError, RecordingError, TouchError
 from tactile_loc.core.geometry.frame_tree import FrameTree
-from tactile_loc.core.geometry.hand_eye import moved
-from tactile_loc.core.geometry.rigid import covariance_along, make_transform, random_rotations
-from tactile_loc.io.streams.ros_messages import RosPose, add_transforms, image_array, read_transform
+from tactile_loc.core.geometry.hand_eye import move
+from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, rotate_covariance
+from tactile_loc.io.streams.ros_messages import RosPose, add_transforms, decode_image, read_transform
 
 RGB = np.random.default_rng(0).integers(0, 256, (5, 4, 3), np.uint8)
 
@@ -37,43 +37,43 @@ def compressed(values: np.ndarray, kind: str) -> Fields:
 
 @pytest.mark.parametrize(("encoding", "order"), [("rgb8", [0, 1, 2]), ("bgr8", [2, 1, 0])])
 def test_colours_are_red_first_whatever_the_encoding(encoding, order):
-    np.testing.assert_array_equal(image_array(raw(padded(RGB[..., order]), encoding, 14)), RGB)
+    np.testing.assert_array_equal(decode_image(raw(padded(RGB[..., order]), encoding, 14)), RGB)
     alpha = np.dstack([RGB[..., order], np.full((5, 4, 1), 7, np.uint8)])
-    np.testing.assert_array_equal(image_array(raw(alpha.tobytes(), f"{encoding[:3]}a8", 16)), RGB)
+    np.testing.assert_array_equal(decode_image(raw(alpha.tobytes(), f"{encoding[:3]}a8", 16)), RGB)
 
 
 def test_grey_and_depths():
-    np.testing.assert_array_equal(image_array(raw(padded(RGB[..., 0]), "mono8", 6)), RGB[..., 0])
+    np.testing.assert_array_equal(decode_image(raw(padded(RGB[..., 0]), "mono8", 6)), RGB[..., 0])
     depth = np.random.default_rng(1).random((5, 4))
     for big, dtype in ((False, "<f4"), (True, ">f4")):
-        found = image_array(raw(depth.astype(dtype).tobytes(), "32FC1", 16, big))
+        found = decode_image(raw(depth.astype(dtype).tobytes(), "32FC1", 16, big))
         assert found.dtype == np.float32
         assert found.dtype.isnative
         np.testing.assert_array_equal(found, depth.astype(np.float32))
 
 
 def test_compressed_images():
-    np.testing.assert_array_equal(image_array(compressed(RGB, "png")), RGB)
-    np.testing.assert_array_equal(image_array(compressed(RGB[..., 0], "png")), RGB[..., 0])
+    np.testing.assert_array_equal(decode_image(compressed(RGB, "png")), RGB)
+    np.testing.assert_array_equal(decode_image(compressed(RGB[..., 0], "png")), RGB[..., 0])
     smooth = np.broadcast_to(np.array([200, 90, 10], np.uint8), (16, 16, 3))
-    assert np.abs(image_array(compressed(smooth, "jpeg")).astype(int) - smooth).max() <= 3
+    assert np.abs(decode_image(compressed(smooth, "jpeg")).astype(int) - smooth).max() <= 3
 
 
 def test_images_that_cannot_be_read_are_one_sentence():
     with pytest.raises(RecordingError, match=naming("'bayer_rggb8'", "bgr8")):
-        image_array(raw(b"", "bayer_rggb8", 4))
+        decode_image(raw(b"", "bayer_rggb8", 4))
     for data, step in ((RGB.tobytes()[:-1], 12), (RGB.tobytes(), 11), (b"", 12)):
         with pytest.raises(TouchError, match=naming("4 x 5", "rgb8", 60, step)):
-            image_array(raw(data, "rgb8", step))
+            decode_image(raw(data, "rgb8", step))
     with pytest.raises(TouchError, match="png"):
-        image_array(Fields(format="png", data=compressed(RGB, "png").data[:40]))
+        decode_image(Fields(format="png", data=compressed(RGB, "png").data[:40]))
     with pytest.raises(RecordingError, match=naming("I;16", "png")):
-        image_array(compressed(RGB[..., 0].astype(np.uint16), "png"))
+        decode_image(compressed(RGB[..., 0].astype(np.uint16), "png"))
 
 
 def test_poses_go_to_ros_and_back():
     rng = np.random.default_rng(2)
-    for R in random_rotations(5, rng):
+    for R in draw_rotations(5, rng):
         T = make_transform(R, rng.normal(size=3))
         np.testing.assert_allclose(RosPose.of(T, None).T, T, atol=1e-12)
     assert RosPose.of(np.eye(4), None).covariance[0] == -1
@@ -84,16 +84,16 @@ def test_poses_go_to_ros_and_back():
 def test_the_covariance_in_the_base_is_that_of_samples_about_the_fixed_axes():
     """Errors drawn in the sensor's frame as RefinedPose has them, seen from the base as ROS defines a covariance."""
     rng = np.random.default_rng(3)
-    R_sensor, R_object = random_rotations(2, rng)
+    R_sensor, R_object = draw_rotations(2, rng)
     T_base_sensor = make_transform(R_sensor, rng.normal(size=3))
     T_sensor_object = make_transform(R_object, rng.normal(size=3))
     half = rng.normal(size=(6, 6)) * np.repeat([2e-3, 1e-2], 3)[:, None]
     C = half @ half.T
-    samples = T_base_sensor @ moved(T_sensor_object, rng.multivariate_normal(np.zeros(6), C, 100_000))
+    samples = T_base_sensor @ move(T_sensor_object, rng.multivariate_normal(np.zeros(6), C, 100_000))
     T_base_object = T_base_sensor @ T_sensor_object
     turned = Rotation.from_matrix(samples[:, :3, :3] @ T_base_object[:3, :3].T).as_euler("xyz")  # fixed axes
     errors = np.hstack([samples[:, :3, 3] - T_base_object[:3, 3], turned])
-    found = np.reshape(RosPose.of(T_base_object, covariance_along(C, R_sensor)).covariance, (6, 6))
+    found = np.reshape(RosPose.of(T_base_object, rotate_covariance(C, R_sensor)).covariance, (6, 6))
     sampled = errors.T @ errors / len(errors)
     std = np.sqrt(np.diag(found))
     np.testing.assert_allclose(sampled / np.outer(std, std), found / np.outer(std, std), atol=0.02)
@@ -116,4 +116,4 @@ def test_the_slash_of_old_frame_names_is_dropped():
         transform=Fields(translation=zero, rotation=Fields(x=0.0, y=0.0, z=0.0, w=1.0)),
     )  # fmt: skip
     add_transforms(tree, Fields(transforms=[one]), fixed=False)
-    np.testing.assert_allclose(tree.lookup("base", "gel", 1_000_000_005), np.eye(4))
+    np.testing.assert_allclose(tree.look_up("base", "gel", 1_000_000_005), np.eye(4))

@@ -72,7 +72,7 @@ def test_errors_are_the_distances_to_the_truth(record, localizer, localization):
 
 def test_a_symmetric_twin_of_the_truth_is_no_error(localizer, localization):
     T = localization.best.T_sensor_object
-    half_turn = localizer.object.symmetry.elements()[1]
+    half_turn = localizer.object.symmetry.list_elements()[1]
     assert with_truth(localization, T @ half_turn).measure_errors_m(localizer.object)[0] == pytest.approx(0, abs=1e-9)
     shifted = T.copy()
     shifted[0, 3] += 0.003

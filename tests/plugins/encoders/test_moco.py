@@ -16,14 +16,14 @@ torch = pytest.importorskip("torch")
 
 from tactile_loc.core.errors import ConfigError, GridError, TrainingError, WeightsError  # noqa: E402
 from tactile_loc.core.simulation.listed_training import ListedProblem  # noqa: E402
-from tactile_loc.core.simulation.noise import noise_level  # noqa: E402
+from tactile_loc.core.simulation.noise import make_noise  # noqa: E402
 from tactile_loc.core.slots.encoder import Checkpoints  # noqa: E402
 from tactile_loc.locate.localizer import Localizer  # noqa: E402
 from tactile_loc.plugins.encoders.moco import encoder as module  # noqa: E402
 from tactile_loc.plugins.encoders.moco import recipe, training  # noqa: E402
 from tactile_loc.plugins.encoders.moco.encoder import MocoEncoder  # noqa: E402
 from tactile_loc.store.store import StageStore  # noqa: E402
-from tactile_loc.testing.problems import place_training_problem  # noqa: E402
+from tactile_loc.testing.problems import make_place_training_problem  # noqa: E402
 
 TINY = {"epochs": 3, "queries": 64, "batch": 32, "channels": 4, "noise": "mild"}
 FEW = 64  # touches to validate with
@@ -101,7 +101,7 @@ def test_the_slow_copy_has_the_statistics_of_the_network_and_lagging_weights():
 @pytest.mark.slow
 def test_it_learns_to_tell_the_poses_apart(problem):
     encoder = make(epochs=4, queries=256, noise="none", patience=4)
-    encoder.recipe = encoder.recipe.changed(momentum=0.9, refresh=4)  # few steps: the keys must follow quickly
+    encoder.recipe = encoder.recipe.change(momentum=0.9, refresh=4)  # few steps: the keys must follow quickly
     geometry, clean = problem.scene.geometry, np.concatenate(list(problem.shapes()))
     encoder.fit(problem)
     bank = encoder.encode(clean, geometry.max_depth_m, geometry)
@@ -114,10 +114,10 @@ def test_it_learns_to_tell_the_poses_apart(problem):
 
 
 def encoder_touches(problem, rng):
-    from tactile_loc.core.simulation.contact_poses import random_contact_poses
+    from tactile_loc.core.simulation.contact_poses import draw_contact_poses
 
-    poses = random_contact_poses(problem.sampler, problem.scene, 60, rng)
-    return problem.scene.contact_depths(poses), problem.grid.nearest(poses)[1]
+    poses = draw_contact_poses(problem.sampler, problem.scene, 60, rng)
+    return problem.scene.render_contact_depths(poses), problem.grid.nearest(poses)[1]
 
 
 def test_the_same_seed_learns_the_same_and_another_one_does_not(problem, learned):
@@ -236,14 +236,14 @@ def test_the_input_is_the_observed_contact_averaged_and_the_press(problem):
     depth[0, : geometry.height_px // 2] = 0.0
     depth[0, 0, 0] = 0.3 * geometry.max_depth_m
     press_m = np.array([0.5 * geometry.max_depth_m])
-    planes = recipe.input_planes(depth, press_m, geometry, 40, "depth")
-    assert planes.shape == (1, 3, *geometry.with_long_side(40).shape)
+    planes = recipe.make_input_planes(depth, press_m, geometry, 40, "depth")
+    assert planes.shape == (1, 3, *geometry.resize_long_side(40).shape)
     np.testing.assert_allclose(planes[0, 0].mean(), 0.5, atol=0.02)
     np.testing.assert_allclose(planes[0, 1].mean(), 0.25, atol=0.01)
     np.testing.assert_allclose(planes[0, 2], 0.5)
-    whole = recipe.input_planes(depth, press_m, geometry, max(geometry.shape), "depth")
+    whole = recipe.make_input_planes(depth, press_m, geometry, max(geometry.shape), "depth")
     np.testing.assert_allclose(whole[0, 1, 0, 0], 0.2, atol=1e-6)
-    mask_alone = recipe.input_planes(depth, press_m, geometry, 40, "binary")
+    mask_alone = recipe.make_input_planes(depth, press_m, geometry, 40, "binary")
     assert torch.equal(mask_alone, planes[:, [0, 2]])
 
 
@@ -262,7 +262,7 @@ def test_a_localizer_trains_once_and_reads_it_back(store):
 @pytest.fixture(scope="module")
 def places(one_thread):
     """One that has learned the places of a small block, and what it learned from."""
-    problem, encoder = place_training_problem(), make(epochs=2)
+    problem, encoder = make_place_training_problem(), make(epochs=2)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, "VALIDATION_TOUCHES", FEW)
         encoder.fit(problem)
@@ -320,7 +320,7 @@ def test_decoys_count_as_wrong_answers_unless_they_are_right(places):
     encoder, problem = places
     network = encoder._make_network(0, True)
     trainer = training.Trainer(encoder.recipe, problem, network, torch.device("cpu"), decoys=2)
-    batch = problem.draw(4, noise_level("none"), np.random.default_rng(0)).batch(4, np.random.default_rng(1), 1e-3, 2)
+    batch = problem.draw(4, make_noise("none"), np.random.default_rng(0)).batch(4, np.random.default_rng(1), 1e-3, 2)
     batch = dataclasses.replace(batch, counts=np.array([[True, True, False]] * 4))
     keys = trainer._keys(trainer.key_network, 1e-3)
     scores = trainer._scores(trainer._embed(batch), keys, batch).reshape(4, 3, len(problem))
@@ -340,12 +340,12 @@ def test_decoys_change_what_is_learned_and_its_key(places):
 
 @pytest.mark.slow
 def test_it_learns_to_tell_places_apart():
-    problem = place_training_problem()
+    problem = make_place_training_problem()
     encoder = make(epochs=6, queries=256, noise="none", patience=6)
-    encoder.recipe = encoder.recipe.changed(momentum=0.9, refresh=4)
+    encoder.recipe = encoder.recipe.change(momentum=0.9, refresh=4)
     encoder.fit(problem)
     press_m = float(problem.key_presses_m[-1])
-    batch = problem.draw(60, noise_level("none"), np.random.default_rng(7)).batch(60, np.random.default_rng(8), press_m)
+    batch = problem.draw(60, make_noise("none"), np.random.default_rng(7)).batch(60, np.random.default_rng(8), press_m)
     keys = encoder.encode(np.concatenate(list(problem.clean_keys(press_m))), press_m, problem.geometry)
     vectors, _ = encoder.encode_seen(batch.depth_m[:, 0], batch.seen[:, 0], press_m, problem.geometry)
     ranks = (vectors @ keys.T > np.sum(vectors * keys[batch.labels], axis=1)[:, None]).sum(axis=1)

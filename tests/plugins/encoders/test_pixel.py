@@ -111,14 +111,14 @@ def test_a_batch_is_its_shapes_one_by_one():
 @pytest.mark.parametrize("long_side", [16, 60, 80, 128])
 def test_touch_and_bank_have_the_same_cells_whatever_their_resolutions(width, height, cells, long_side):
     fine = sensor(width, height)
-    coarse = fine.with_long_side(long_side)
+    coarse = fine.resize_long_side(long_side)
     dimensions = {pixel(cells).encode(np.zeros((1, *g.shape), np.float32), PRESS_M, g).shape for g in (fine, coarse)}
     assert len(dimensions) == 1
 
 
 def test_the_same_view_at_another_resolution_is_close():
     fine = sensor(160, 120)
-    coarse = fine.resized(80, 60)
+    coarse = fine.resize(80, 60)
     vectors = []
     for g in (fine, coarse):
         x, y = (s[None] if axis else s[:, None] for axis, s in zip((1, 0), g.pixel_slopes, strict=True))

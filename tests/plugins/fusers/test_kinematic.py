@@ -5,7 +5,7 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.errors import ConfigError, GridError
-from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about, translation
+from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.plugins.fusers.kinematic import KinematicFuser
@@ -17,7 +17,7 @@ T_BASE = [np.eye(4), make_transform(rotation_about([-1, 0, 2], 2.1), [0.21, -0.1
 def line(box, places: list[int], log_p: list[float], sensor: int = 0) -> PosePosterior:
     """Poses 3 mm apart, as the first sensor has them, seen by `sensor`."""
     x = 0.003 * np.array(places, float)
-    in_first = translation(np.column_stack([x, 0 * x, 0 * x]))
+    in_first = make_translation(np.column_stack([x, 0 * x, 0 * x]))
     return PosePosterior(PoseGrid(invert(T_BASE[sensor]) @ in_first, PoseMetric(box)), np.array(log_p, float))
 
 

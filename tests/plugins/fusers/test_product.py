@@ -6,7 +6,7 @@ from message_helpers import naming
 from pydantic import ValidationError
 
 from tactile_loc.core.errors import ConfigError, GridError
-from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about, translation
+from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.plugins.fusers.product import ProductFuser
@@ -15,7 +15,7 @@ from tactile_loc.plugins.fusers.product import ProductFuser
 @pytest.fixture
 def posterior(box) -> PosePosterior:
     x = 0.001 * np.arange(4.0)
-    grid = PoseGrid(translation(np.column_stack([x, 0 * x, 0 * x])), PoseMetric(box))
+    grid = PoseGrid(make_translation(np.column_stack([x, 0 * x, 0 * x])), PoseMetric(box))
     return PosePosterior(grid, np.log([0.1, 0.2, 0.3, 0.4]))
 
 
@@ -87,7 +87,7 @@ T_BASE = [
 def toy(box, places: list[int], weights: list[float], sensor: int = 0, trained: list[float] | None = None):
     """Poses on a line, `places` steps of 3 mm along it in the first sensor's frame, as another sensor sees them."""
     x = STEP_M * np.array(places, float)
-    in_first = translation(np.column_stack([x, 0 * x, 0 * x]))
+    in_first = make_translation(np.column_stack([x, 0 * x, 0 * x]))
     grid = PoseGrid(invert(T_BASE[sensor]) @ T_BASE[0] @ in_first, PoseMetric(box))
     return PosePosterior(grid, np.log(weights), None if trained is None else np.log(trained))
 
@@ -172,7 +172,7 @@ def test_equivalent_poses_are_one(make_box, cylinder, symmetry):
     """The second grid holds other equivalents of the same poses."""
     obj = cylinder if "inf" in symmetry else make_box(0.03, 0.02, 0.012, symmetry=symmetry)
     plain = toy(obj, [0, 1, 2], [0.2, 0.3, 0.5])
-    seen = invert(T_BASE[1]) @ T_BASE[0] @ plain.grid.T_sensor_object @ obj.symmetry.elements(0.5)[[1, -1, 1]]
+    seen = invert(T_BASE[1]) @ T_BASE[0] @ plain.grid.T_sensor_object @ obj.symmetry.list_elements(0.5)[[1, -1, 1]]
     second = PosePosterior(PoseGrid(seen, plain.grid.metric), np.log([0.5, 0.3, 0.2]))
     fused = ProductFuser(ProductFuser.Options(reach=0.1)).fuse([plain, second], T_BASE[:2])
     np.testing.assert_allclose(fused.probabilities, np.array([0.1, 0.09, 0.1]) / 0.29, atol=1e-9)
@@ -193,7 +193,7 @@ def test_very_small_probabilities_neither_vanish_nor_overflow(box):
 def test_one_grid_seen_from_elsewhere_is_looked_up(box):
     """A sensor that has moved on by a step: a pose is where the one before it was."""
     first = toy(box, [0, 1, 2], [0.2, 0.3, 0.5])
-    T_moved = T_BASE[0] @ translation([STEP_M, 0, 0])
+    T_moved = T_BASE[0] @ make_translation([STEP_M, 0, 0])
     fused = ProductFuser(ProductFuser.Options(reach=0.1)).fuse([first, first], [T_BASE[0], T_moved])
     np.testing.assert_allclose(fused.probabilities, np.array([0, 0.3 * 0.2, 0.5 * 0.3]) / 0.21, atol=1e-9)
 

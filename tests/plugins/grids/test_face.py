@@ -11,7 +11,7 @@ from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.io.meshes import load_object
-from tactile_loc.plugins.grids.face import SIDES, FaceGrid, resting_normal, turns_alike
+from tactile_loc.plugins.grids.face import SIDES, FaceGrid, count_turns_alike, find_resting_normal
 
 
 def face(side: str = "auto", **options) -> FaceGrid:
@@ -35,7 +35,7 @@ def test_the_named_side_points_into_the_sensor(pinhole, box, side):
 def test_auto_is_the_face_nearest_to_the_centroid(pinhole, make_object, shift_m):
     """Of a 30 x 20 x 12 mm box one of the largest two; of these equals, that of the greater normal."""
     obj = wedge_shaped(make_object, shift_m)
-    np.testing.assert_allclose(resting_normal(obj.mesh.vertices_m, obj.mesh.centroid_m), [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(find_resting_normal(obj.mesh.vertices_m, obj.mesh.centroid_m), [0, 0, 1], atol=1e-9)
     assert np.array_equal(face("auto").sample(obj, pinhole, 0.01), face("+z").sample(obj, pinhole, 0.01))
 
 
@@ -47,13 +47,13 @@ def test_auto_of_a_tetrahedron_is_its_side_nearest_the_centroid():
     corner = vertices[[0, 0, 0, 1]]
     distances = np.einsum("nk,nk->n", normals, corner - mesh.centroid_m)
     assert (distances > 0).all()
-    found = resting_normal(mesh.vertices_m, mesh.centroid_m)
+    found = find_resting_normal(mesh.vertices_m, mesh.centroid_m)
     np.testing.assert_allclose(found, normals[distances.argmin()], atol=1e-9)
 
 
 def test_auto_turns_with_the_object(box):
     R = rotation_about([1, 2, 3], 0.8)
-    found = resting_normal(box.mesh.vertices_m @ R.T, box.mesh.centroid_m)
+    found = find_resting_normal(box.mesh.vertices_m @ R.T, box.mesh.centroid_m)
     assert abs(found @ R @ [0, 0, 1]) == pytest.approx(1.0)
 
 
@@ -169,7 +169,7 @@ def test_symmetric_yaws_coincide(pinhole, make_box, make_object):
     ("z6*x2", [1, 0, 0], 2), ("zinf", [0, 0, 1], np.inf), ("zinf", [1, 0, 0], 1), ("zinf*x2", [0.6, 0.8, 0], 2),
 ])  # fmt: skip
 def test_turns_that_look_alike(symmetry, normal, turns):
-    assert turns_alike(SymmetryGroup.parse(symmetry, np.zeros(3)), np.array(normal, float)) == turns
+    assert count_turns_alike(SymmetryGroup.parse(symmetry, np.zeros(3)), np.array(normal, float)) == turns
 
 
 def test_same_seed_same_poses(pinhole):

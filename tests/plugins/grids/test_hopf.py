@@ -10,27 +10,27 @@ from scipy.spatial import cKDTree
 
 from tactile_loc.core.errors import GridError
 from tactile_loc.core.geometry.rigid import (
+    draw_rotations,
     is_rigid,
     make_transform,
-    random_rotations,
+    make_translation,
     rotation_angle,
     rotation_to_quaternion,
-    translation,
 )
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.slots.all_rotations import centroid_range
+from tactile_loc.core.slots.all_rotations import find_centroid_range
 from tactile_loc.plugins.grids.hopf import (
     HopfGrid,
-    children,
-    hopf_rotations,
-    pixel_angles,
-    rotation_count,
-    rotation_grid,
-    spin_axis,
+    compute_pixel_angles,
+    count_rotations,
+    find_spin_axis,
+    list_children,
+    make_hopf_rotations,
+    make_rotation_grid,
 )
 
 GEOMETRY = SensorGeometry("orthographic", 40, 30, 2000, 2000, 20, 15, 0.025, 0.002)  # 20 x 15 mm
@@ -57,7 +57,7 @@ def centroids(obj: ObjectModel, T: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("obj", [BRICK, ROD, PLATE, model(trimesh.creation.icosphere(2, 0.02))])
 @pytest.mark.parametrize("spacing_m", [0.004, 0.005])
 def test_neighbouring_rotations_are_a_spacing_apart_whatever_the_shape(obj, spacing_m):
-    R = rotation_grid(obj, spacing_m).all_representatives()
+    R = make_rotation_grid(obj, spacing_m).all_representatives()
     turned = PoseGrid(make_transform(R, -R @ obj.mesh.centroid_m), PoseMetric(obj))
     assert 0.85 < np.median(turned.neighbour_spacing()) / spacing_m < 1.15
 
@@ -71,10 +71,10 @@ def test_poses_are_a_spacing_apart():
 
 def test_spin_is_about_the_axis_that_stands_out():
     for obj, axis in ((ROD, [1, 0, 0]), (PLATE, [0, 0, 1])):
-        found, about_m, across_m = spin_axis(obj)
+        found, about_m, across_m = find_spin_axis(obj)
         np.testing.assert_allclose(np.abs(found), axis, atol=1e-9)
         assert (about_m < across_m) == (obj is ROD)
-    _, about_m, across_m = spin_axis(box(0.03, 0.03, 0.03))
+    _, about_m, across_m = find_spin_axis(box(0.03, 0.03, 0.03))
     mean_square = 0.03**2 * (2 * 1 / 4 + 4 * 1 / 12) / 6  # two faces at a / 2, four spread evenly from -a / 2 to a / 2
     np.testing.assert_allclose([about_m, across_m], np.sqrt(2 * mean_square))
 
@@ -108,8 +108,8 @@ def test_the_plane_is_covered_wherever_boxes_overlap():
 
 
 def test_poses_beyond_the_range_have_no_contact_and_most_within_have():
-    R = random_rotations(100, np.random.default_rng(3))
-    low, high = centroid_range(BRICK, R, GEOMETRY)
+    R = draw_rotations(100, np.random.default_rng(3))
+    low, high = find_centroid_range(BRICK, R, GEOMETRY)
     for limit_m in (low - 1e-4, high + 1e-4):
         beyond = np.concatenate([limit_m, np.zeros((100, 1))], axis=1)
         assert not bring_to_contact(BRICK.mesh, make_transform(R, beyond), GEOMETRY)[1].any()
@@ -121,7 +121,7 @@ def test_grid_does_not_depend_on_where_the_origin_is():
     shift = (0.03, -0.02, 0.05)
     T = HopfGrid().sample(BRICK, GEOMETRY, 0.015)
     moved = HopfGrid().sample(box(0.06, 0.04, 0.03, shift_m=shift), GEOMETRY, 0.015)
-    np.testing.assert_allclose(moved @ translation(shift), T, atol=1e-9)
+    np.testing.assert_allclose(moved @ make_translation(shift), T, atol=1e-9)
 
 
 def test_a_box_needs_a_quarter_of_the_poses():
@@ -131,7 +131,7 @@ def test_a_box_needs_a_quarter_of_the_poses():
 
 def test_half_turns_about_the_spin_axis_take_exactly_half():
     obj = box(0.08, 0.012, 0.01, "x2")
-    grid = rotation_grid(obj, 0.006)
+    grid = make_rotation_grid(obj, 0.006)
     assert grid.n_psi % 2 == 0
     assert len(grid.all_representatives()) * 2 == len(grid)
 
@@ -140,7 +140,7 @@ def test_half_turns_about_the_spin_axis_take_exactly_half():
 @pytest.mark.parametrize(("symmetry", "share"), [("zinf", 1.0), ("zinf*x2", 0.5)])
 def test_a_turned_part_has_one_rotation_for_each_direction(symmetry, share, level):
     obj = model(trimesh.creation.cylinder(0.008, 0.05), symmetry)
-    grid = rotation_grid(obj, 0.004, level)
+    grid = make_rotation_grid(obj, 0.004, level)
     R = grid.all_representatives()
     assert len(R) == pytest.approx(share * 12 * grid.nside**2, rel=0.03)
     axes = R[:, :, 2]
@@ -196,7 +196,7 @@ def test_random_poses_are_uniform_over_rotations_and_their_regions():
     T = HopfGrid().random(ROD, GEOMETRY, 20_000, np.random.default_rng(0))
     assert T.shape == (20_000, 4, 4)
     assert is_rigid(T)
-    low, high = centroid_range(ROD, T[:, :3, :3], GEOMETRY)
+    low, high = find_centroid_range(ROD, T[:, :3, :3], GEOMETRY)
     place = (centroids(ROD, T)[:, :2] - low) / (high - low)
     assert place.min() >= 0
     assert place.max() <= 1
@@ -216,7 +216,7 @@ def test_random_poses_repeat_with_the_seed():
 
 
 def centres(nside: int) -> np.ndarray:
-    z, azimuth_rad = pixel_angles(nside, np.arange(12 * nside**2))
+    z, azimuth_rad = compute_pixel_angles(nside, np.arange(12 * nside**2))
     s = np.sqrt(1 - z**2)
     return np.stack([s * np.cos(azimuth_rad), s * np.sin(azimuth_rad), z], axis=-1)
 
@@ -251,14 +251,14 @@ def to_nearest(R: np.ndarray, grid: np.ndarray, k: int = 1) -> tuple[np.ndarray,
 
 
 def test_base_pixels_are_where_healpix_has_them():
-    z, azimuth_rad = pixel_angles(1, np.arange(12))
+    z, azimuth_rad = compute_pixel_angles(1, np.arange(12))
     np.testing.assert_allclose(z, np.repeat([2 / 3, 0, -2 / 3], 4), atol=1e-15)
     north, equator = [45, 135, 225, 315], [0, 90, 180, 270]
     np.testing.assert_allclose(np.degrees(azimuth_rad) % 360, [*north, *equator, *north])
 
 
 def test_known_pixels_of_nside_2():
-    z, azimuth_rad = pixel_angles(2, np.arange(48))
+    z, azimuth_rad = compute_pixel_angles(2, np.arange(48))
     rings, counts = np.unique(z.round(12), return_counts=True)
     np.testing.assert_allclose(rings, [-11 / 12, -2 / 3, -1 / 3, 0, 1 / 3, 2 / 3, 11 / 12], atol=1e-12)
     assert counts.tolist() == [4, 8, 8, 8, 8, 8, 4]
@@ -288,8 +288,8 @@ def test_pixels_have_equal_area():
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_counts_and_proper_distinct_rotations(level):
     n = 2**level
-    R = hopf_rotations(n, 6 * n)
-    assert len(R) == rotation_count(n, 6 * n) == 72 * 8**level
+    R = make_hopf_rotations(n, 6 * n)
+    assert len(R) == count_rotations(n, 6 * n) == 72 * 8**level
     np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
     np.testing.assert_allclose(np.linalg.det(R), 1)
     np.testing.assert_allclose(R[:: 6 * n, :, 2], centres(n), atol=1e-12)  # z turns to the pixel's centre
@@ -297,7 +297,7 @@ def test_counts_and_proper_distinct_rotations(level):
 
 @pytest.mark.parametrize(("nside", "spacing_deg"), [(1, 60.0), (2, 30.0), (3, 20.0), (4, 15.0)])
 def test_neighbours_are_at_the_published_spacing(nside, spacing_deg):
-    R = hopf_rotations(nside, 6 * nside)
+    R = make_hopf_rotations(nside, 6 * nside)
     nearest_deg = np.degrees(to_nearest(R, R, k=2)[0])
     assert 0.93 * spacing_deg < nearest_deg.mean() <= spacing_deg * (1 + 1e-9)
     assert nearest_deg.max() <= spacing_deg * (1 + 1e-9)  # the next spin is never farther
@@ -311,14 +311,14 @@ def test_no_rotation_is_farther_than_a_cell_reaches(nside):
     angles' cosines multiply. Together they bound the distance from any rotation to the grid.
     """
     bound = 2 * np.arccos(np.cos(largest_pixel_radius(nside) / 2) * np.cos(np.pi / (6 * nside) / 2))
-    angle, _ = to_nearest(random_rotations(20_000, np.random.default_rng(0)), hopf_rotations(nside, 6 * nside))
+    angle, _ = to_nearest(draw_rotations(20_000, np.random.default_rng(0)), make_hopf_rotations(nside, 6 * nside))
     assert 0.75 * bound < angle.max() <= bound
 
 
 @pytest.mark.parametrize("nside", [1, 2])
 def test_each_rotation_is_nearest_to_its_share(nside):
-    grid = hopf_rotations(nside, 6 * nside)
-    _, index = to_nearest(random_rotations(20_000, np.random.default_rng(1)), grid)
+    grid = make_hopf_rotations(nside, 6 * nside)
+    _, index = to_nearest(draw_rotations(20_000, np.random.default_rng(1)), grid)
     share = np.bincount(index, minlength=len(grid)) * (len(grid) / 20_000)
     chance = np.sqrt(len(grid) / 20_000)
     assert np.abs(share - 1).max() < 4.5 * chance
@@ -327,13 +327,13 @@ def test_each_rotation_is_nearest_to_its_share(nside):
 
 def test_indices_pick_from_the_whole():
     some = np.array([5, 700, 0, 5])
-    np.testing.assert_array_equal(hopf_rotations(4, 11, some), hopf_rotations(4, 11)[some])
+    np.testing.assert_array_equal(make_hopf_rotations(4, 11, some), make_hopf_rotations(4, 11)[some])
 
 
 def test_children_cut_every_cell_into_eight_around_its_centre():
     nside, n_psi = 3, 18
-    coarse, fine = hopf_rotations(nside, n_psi), hopf_rotations(2 * nside, 2 * n_psi)
-    family = children(np.arange(len(coarse)), nside, n_psi)
+    coarse, fine = make_hopf_rotations(nside, n_psi), make_hopf_rotations(2 * nside, 2 * n_psi)
+    family = list_children(np.arange(len(coarse)), nside, n_psi)
     assert np.array_equal(np.sort(family.ravel()), np.arange(len(fine)))  # a partition of the finer grid
     step = rotation_angle(np.swapaxes(coarse, 1, 2)[:, None] @ fine[family])
     # Spins are counted from a frame that turns with the azimuth near the south pole, where cells are sheared.

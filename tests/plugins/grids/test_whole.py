@@ -10,8 +10,8 @@ from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.places import BELOW, FAR, PATCH_PX, PITCH_M, STEP_M
-from tactile_loc.plugins.grids.whole import WholeGrid, distinct_directions, flat_directions, sphere
-from tactile_loc.testing.problems import CAMERAS, block, box
+from tactile_loc.plugins.grids.whole import WholeGrid, find_distinct_directions, find_flat_directions, make_sphere
+from tactile_loc.testing.problems import CAMERAS, make_block, make_box
 
 STEP_RAD = np.sqrt(4 * np.pi / 4000)
 
@@ -31,7 +31,7 @@ def ball():
 
 
 def test_directions_are_spread_evenly():
-    found = sphere(2000)
+    found = make_sphere(2000)
     assert np.linalg.norm(found, axis=1) == pytest.approx(1)
     assert np.abs(found.mean(axis=0)).max() < 1e-3
     cosine = np.sort(found @ found.T, axis=1)[:, -2]
@@ -52,7 +52,7 @@ def test_a_ball_has_one_place_a_direction_and_its_patch_is_a_sphere(ball):
 
 
 def test_the_corners_of_a_box_touch_first_and_faces_nearly_level():
-    mesh = box((-0.01, -0.006, -0.004), (0.01, 0.006, 0.004))
+    mesh = make_box((-0.01, -0.006, -0.004), (0.01, 0.006, 0.004))
     places = places_of(of(mesh)).T_place_object
     where = -np.einsum("nji,nj->ni", places[:, :3, :3], places[:, :3, 3])
     tilted = np.abs(places[:, 2, :3]).max(axis=1) < 0.999
@@ -62,7 +62,7 @@ def test_the_corners_of_a_box_touch_first_and_faces_nearly_level():
 
 
 def test_along_an_edge_that_lies_level_there_are_places():
-    long = box((-0.02, -0.003, -0.003), (0.02, 0.003, 0.003))
+    long = make_box((-0.02, -0.003, -0.003), (0.02, 0.003, 0.003))
     sampler = WholeGrid(WholeGrid.Options(apart_mm=2.0))
     heights = np.full((60, 120), np.inf, np.float32)
     heights[30, 20:100] = 0.01
@@ -73,32 +73,32 @@ def test_along_an_edge_that_lies_level_there_are_places():
 
 
 def test_directions_that_look_alike_are_searched_once():
-    obj = of(box((-0.01, -0.01, -0.004), (0.01, 0.01, 0.004)), symmetry=SymmetryGroup.parse("z4", np.zeros(3)))
-    directions = sphere(4000)
-    kept = distinct_directions(directions, obj, STEP_RAD)
+    obj = of(make_box((-0.01, -0.01, -0.004), (0.01, 0.01, 0.004)), symmetry=SymmetryGroup.parse("z4", np.zeros(3)))
+    directions = make_sphere(4000)
+    kept = find_distinct_directions(directions, obj, STEP_RAD)
     assert 0.2 < len(kept) / len(directions) < 0.35
-    S = obj.symmetry.elements()[:, :3, :3]
+    S = obj.symmetry.list_elements()[:, :3, :3]
     alike = np.einsum("kij,nj->nki", S, directions)
     nearest_deg = np.degrees(np.arccos(np.clip((alike @ kept.T).max(axis=(1, 2)), -1, 1)))
     assert nearest_deg.max() < 4.0  # each has one that looks alike among them
 
 
 def test_without_symmetry_all_directions_are_searched():
-    assert len(distinct_directions(sphere(500), block(), 0.1)) == 500
+    assert len(find_distinct_directions(make_sphere(500), make_block(), 0.1)) == 500
 
 
 def test_no_poses_are_listed():
     with pytest.raises(ConfigError, match="--grid face"):
-        WholeGrid().sample(block(), CAMERAS["orthographic"], 0.003)
+        WholeGrid().sample(make_block(), CAMERAS["orthographic"], 0.003)
 
 
 def test_an_object_of_half_a_metre_is_refused():
     with pytest.raises(GridError, match=naming("table", "663 mm", "500 mm", "--grid face")):
-        places_of(of(box((-0.3, -0.1, -0.1), (0.3, 0.1, 0.1)), "table"))
+        places_of(of(make_box((-0.3, -0.1, -0.1), (0.3, 0.1, 0.1)), "table"))
 
 
 def test_drawn_poses_touch_with_their_lowest_point_over_the_sensor():
-    camera, obj = CAMERAS["orthographic"], block()
+    camera, obj = CAMERAS["orthographic"], make_block()
     T = WholeGrid().random(obj, camera, 300, np.random.default_rng(0))
     points = obj.mesh.vertices_m @ np.swapaxes(T[:, :3, :3], -1, -2) + T[:, None, :3, 3]
     lowest = points[np.arange(300), points[..., 2].argmin(axis=1)]
@@ -110,19 +110,19 @@ def test_drawn_poses_touch_with_their_lowest_point_over_the_sensor():
 
 def test_more_places_than_fit_are_refused_with_a_number_that_fits():
     with pytest.raises(GridError, match=r"grid.directions=\d+") as refused:
-        places_of(block(), max_places=100)
+        places_of(make_block(), max_places=100)
     fewer = int(str(refused.value).split("grid.directions=")[1].split(",")[0])
     assert fewer == 100
 
 
 def test_the_faces_of_a_box_are_looked_at_straight_on():
-    mesh = box((-0.01, -0.006, -0.004), (0.01, 0.006, 0.004))
-    flat = flat_directions(mesh, 4e-6)
+    mesh = make_box((-0.01, -0.006, -0.004), (0.01, 0.006, 0.004))
+    flat = find_flat_directions(mesh, 4e-6)
     assert sorted(map(tuple, np.rint(flat).astype(int).tolist())) == sorted(
         [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
     )
     assert np.abs(flat).max(axis=1) == pytest.approx(1)
-    assert len(flat_directions(mesh, 2e-4)) == 2  # those of 20 x 12 mm
+    assert len(find_flat_directions(mesh, 2e-4)) == 2  # those of 20 x 12 mm
     places = places_of(of(mesh))
     level = (places.patches[:, 18:23, 18:23] == BELOW).all(axis=(1, 2))
     assert level.sum() > 50  # faces, 2 mm apart

@@ -5,7 +5,7 @@ import pytest
 
 from tactile_loc.core.progress import Progress
 from tactile_loc.core.sensing.places import CAMERA
-from tactile_loc.core.sensing.turned_patches import anchor, turned_patches
+from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
 from tactile_loc.core.simulation.touch_simulation import simulate_touches
 from tactile_loc.core.slots.scene import Scene
 from tactile_loc.io.meshes import load_object
@@ -41,7 +41,7 @@ def place_bank(store) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     assert localizer.search is not None
     (touch,) = localizer.simulate(1, seed=3, noise="strong")
     places, yaws_rad, press_m = localizer.search.places, localizer.search.yaws_rad, touch.press_depth_m
-    depths_m, seen = turned_patches(touch, *anchor(touch), yaws_rad)
+    depths_m, seen = rotate_patches(touch, *find_anchor(touch), yaws_rad)
     queries, weights = localizer.encoder.encode_seen(depths_m, seen, press_m, CAMERA)
     assert 0.2 < weights.mean() < 0.8
     return queries, weights, localizer.encoder.encode(places.depths(press_m, slice(None)), press_m, CAMERA)

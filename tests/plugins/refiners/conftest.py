@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about, transform_points, translation
+from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about, transform_points
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.simulation.touch_simulation import simulate_touches
@@ -41,9 +41,9 @@ def off_by(pin_scene) -> OffBy:
     def make(touch: Touch, mm: float, degrees: float, direction: float) -> Candidate:
         centre = transform_points(touch.T_sensor_object, pin_scene.object.mesh.centroid_m[None])[0]
         turn = make_transform(rotation_about([0, 0, 1], np.radians(degrees)), np.zeros(3))
-        step = translation([mm * 1e-3 * np.cos(direction), mm * 1e-3 * np.sin(direction), 0])
-        T = step @ translation(centre) @ turn @ translation(-centre) @ touch.T_sensor_object
-        return Candidate(pin_scene.in_contact(T[None])[0][0], 0, 0.0)
+        step = make_translation([mm * 1e-3 * np.cos(direction), mm * 1e-3 * np.sin(direction), 0])
+        T = step @ make_translation(centre) @ turn @ make_translation(-centre) @ touch.T_sensor_object
+        return Candidate(pin_scene.bring_to_contact(T[None])[0][0], 0, 0.0)
 
     return make
 
@@ -62,5 +62,5 @@ def elsewhere(pin_scene, pin_touches) -> tuple[Touch, Candidate]:
     depth[:4, :4] = 0.0
     centred = touch.T_sensor_object.copy()
     centred[:2, 3] -= transform_points(centred, pin_scene.object.mesh.centroid_m[None])[0, :2]
-    candidate = Candidate(pin_scene.in_contact(centred[None])[0][0], 0, 0.0)
+    candidate = Candidate(pin_scene.bring_to_contact(centred[None])[0][0], 0, 0.0)
     return Touch(ContactShape(depth, touch.press_depth_m), g), candidate

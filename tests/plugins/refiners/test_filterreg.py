@@ -7,14 +7,14 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial import cKDTree
 
-from tactile_loc.core.geometry.rigid import is_rigid, make_transform, rotation_about, transform_points, translation
+from tactile_loc.core.geometry.rigid import is_rigid, make_transform, make_translation, rotation_about, transform_points
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.registration.cloud_refiner import Cloud
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.refiner import Candidate
 from tactile_loc.plugins.refiners.filterreg import kernels
 from tactile_loc.plugins.refiners.filterreg.refiner import REACH, FilterRegRefiner, Mixtures
-from tactile_loc.plugins.refiners.filterreg.twists import exponential, solved
+from tactile_loc.plugins.refiners.filterreg.twists import exponential, solve
 
 Options = FilterRegRefiner.Options
 
@@ -38,14 +38,14 @@ def small_motion(scale: float = 1.0) -> np.ndarray:
 def normal_equations(source: Cloud, observed, along: float = 0.0) -> np.ndarray:
     result, T = np.zeros((1, 6, 7)), np.eye(4)[None]
     starts, which, centre = np.array([0, len(source)]), np.array([0]), source.points_mm.mean(axis=0)[None]
-    kernels.equations(0, 1, source.points_mm, source.normals, starts, which, T, centre, observed, along, result)
+    kernels.add_equations(0, 1, source.points_mm, source.normals, starts, which, T, centre, observed, along, result)
     return result[0]
 
 
 def test_the_sums_are_those_of_all_points_within_reach():
     """The table, its columns and the cut-off against a plain sum over a KD-tree's neighbours."""
     target, sigma = bowl(), 0.4
-    observed = Mixtures(target, 0.1).at(sigma, merged=False)
+    observed = Mixtures(target, 0.1).make_mixture(sigma, merged=False)
     near = cKDTree(target.points_mm).query_ball_point(target.points_mm[:: len(target.points_mm) // 100], REACH * sigma)
     expected = []
     for i, js in zip(range(0, 900, 9), near, strict=True):
@@ -59,7 +59,7 @@ def test_the_sums_are_those_of_all_points_within_reach():
 def test_the_normal_equations_are_the_costs_derivatives(along):
     """By finite differences of the weighted cost, its correspondences held."""
     target, source = bowl(), moved(bowl(60, seed=1), small_motion())
-    observed = Mixtures(target, 0.1).at(0.5, merged=False)
+    observed = Mixtures(target, 0.1).make_mixture(0.5, merged=False)
     x, n, y = source.points_mm, source.normals, target.points_mm
     squared = ((x[:, None] - y) ** 2).sum(axis=2)
     w = np.maximum(0.0, n @ target.normals.T) * np.exp(-0.5 * squared / 0.5**2) * (squared < (REACH * 0.5) ** 2)
@@ -68,7 +68,7 @@ def test_the_normal_equations_are_the_costs_derivatives(along):
     trust, centre = m / (m + observed.outlier), x.mean(axis=0)
 
     def cost(twist):
-        T = translation(centre) @ exponential(twist[None])[0] @ translation(-centre)
+        T = make_translation(centre) @ exponential(twist[None])[0] @ make_translation(-centre)
         apart = transform_points(T, x) - mean
         flat = (apart * normal).sum(axis=1)
         return 0.5 * (trust * ((1 - along) * flat**2 + along * (apart**2).sum(axis=1))).sum()
@@ -83,10 +83,10 @@ def test_the_normal_equations_are_the_costs_derivatives(along):
 def test_merging_boxes_changes_the_step_by_little():
     source = moved(bowl(300, seed=1), small_motion(0.5))
     mixtures = Mixtures(bowl(), 0.1)
-    fine, coarse = mixtures.at(1.0, merged=False), mixtures.at(1.0, merged=True)
+    fine, coarse = mixtures.make_mixture(1.0, merged=False), mixtures.make_mixture(1.0, merged=True)
     assert len(coarse.rows) < 0.3 * len(fine.rows)
     assert coarse.rows[:, 0].sum() == len(fine.rows)
-    twists, _ = solved(np.stack([normal_equations(source, m) for m in (fine, coarse)]))
+    twists, _ = solve(np.stack([normal_equations(source, m) for m in (fine, coarse)]))
     np.testing.assert_allclose(twists[0], twists[1], atol=0.15 * np.abs(twists[0]).max())
 
 
@@ -126,7 +126,7 @@ def test_outliers_are_forgiven():
 
 
 def test_point_to_plane_slides_where_point_to_point_sticks():
-    T = translation([0.8, 0.0, 0.0])
+    T = make_translation([0.8, 0.0, 0.0])
     source, target = moved(bowl(600, seed=1), T), bowl(3000)
 
     def left(**options):
@@ -152,7 +152,7 @@ def test_many_are_registered_as_one_by_one():
     """Also when one settles early, one late and one has nothing in reach: none disturbs another."""
     target, refiner = bowl(2000), FilterRegRefiner(Options(sigma_mm=0.4))
     sources = [moved(bowl(300 + 50 * i, seed=i), small_motion(scale)) for i, scale in enumerate((0.0, 1.0, 0.3))]
-    sources.insert(1, moved(bowl(100), translation([100.0, 0, 0])))
+    sources.insert(1, moved(bowl(100), make_translation([100.0, 0, 0])))
     many = refiner.register_many(sources, target)
     assert len({one.iterations for one in many}) > 2
     for source, result in zip(sources, many, strict=True):
@@ -165,7 +165,7 @@ def test_many_are_registered_as_one_by_one():
 
 
 def test_nothing_in_reach_is_no_registration():
-    found = FilterRegRefiner().register(moved(bowl(), translation([0, 0, 50.0])), bowl())
+    found = FilterRegRefiner().register(moved(bowl(), make_translation([0, 0, 50.0])), bowl())
     assert (found.T_mm, found.converged, found.iterations) == (None, False, 1)
 
 
@@ -195,7 +195,7 @@ def test_a_plane_stays_where_it_lies():
     plane = Cloud(np.column_stack([x, y, 0 * x]), np.tile([0.0, 0.0, -1.0], (2000, 1)), 0.2)
     inner = Cloud(plane.points_mm[(abs(x) < 3) & (abs(y) < 3)][::3], plane.normals[:300], 0.4)
     inner = Cloud(inner.points_mm[:200], inner.normals[:200], 0.4)
-    T = FilterRegRefiner().register(moved(inner, translation([0, 0, 0.3])), plane).T_mm
+    T = FilterRegRefiner().register(moved(inner, make_translation([0, 0, 0.3])), plane).T_mm
     np.testing.assert_allclose(T[:3, 3], [0, 0, -0.3], atol=1e-3)
 
 
@@ -238,7 +238,7 @@ def test_pixels_that_are_not_a_number_are_no_contact(pin_scene, pin_touches, off
 def test_candidates_of_one_touch_are_refined_together(pin_scene, pin_touches, off_by, error_mm):
     touch = pin_touches[1]
     candidates = [off_by(touch, mm, 2.0, float(mm * 5)) for mm in (0.2, 1.5, 0.8)]
-    candidates.append(dataclasses.replace(candidates[0], T_sensor_object=translation([0.2, 0, 0])))
+    candidates.append(dataclasses.replace(candidates[0], T_sensor_object=make_translation([0.2, 0, 0])))
     many = FilterRegRefiner().refine_many(touch, candidates, pin_scene)
     for candidate, result in zip(candidates, many, strict=True):
         alone = FilterRegRefiner().refine(touch, candidate, pin_scene)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry.rigid import is_rigid, make_transform, rotation_about, transform_points, translation
+from tactile_loc.core.geometry.rigid import is_rigid, make_transform, make_translation, rotation_about, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import PoseMetric
@@ -41,9 +41,9 @@ def off_by(touch: Touch, scene: Scene, mm: float, degrees: float, direction: flo
     """A candidate that lies `mm` and `degrees` about z beside the true pose, brought to contact."""
     centre = transform_points(touch.T_sensor_object, scene.object.mesh.centroid_m[None])[0]
     turn = make_transform(rotation_about([0, 0, 1], np.radians(degrees)), np.zeros(3))
-    step = translation([mm * 1e-3 * np.cos(direction), mm * 1e-3 * np.sin(direction), 0])
-    T = step @ translation(centre) @ turn @ translation(-centre) @ touch.T_sensor_object
-    return Candidate(scene.in_contact(T[None])[0][0], 0, 0.0)
+    step = make_translation([mm * 1e-3 * np.cos(direction), mm * 1e-3 * np.sin(direction), 0])
+    T = step @ make_translation(centre) @ turn @ make_translation(-centre) @ touch.T_sensor_object
+    return Candidate(scene.bring_to_contact(T[None])[0][0], 0, 0.0)
 
 
 def error_mm(touch: Touch, T: np.ndarray, scene: Scene) -> float:
@@ -54,7 +54,7 @@ def test_a_candidate_off_the_sensor_is_brought_to_contact(scene, touches):
     """Its contact is what is registered, so that where it was along z must not matter."""
     touch = touches[0]
     candidate = off_by(touch, scene, 0.5, 2.0, 1.0)
-    lifted = Candidate(translation([0.0, 0.0, 0.002]) @ candidate.T_sensor_object, 0, 0.0)
+    lifted = Candidate(make_translation([0.0, 0.0, 0.002]) @ candidate.T_sensor_object, 0, 0.0)
     a, b = (IcpRefiner().refine(touch, c, scene).T_sensor_object for c in (candidate, lifted))
     np.testing.assert_allclose(a, b, atol=1e-6)
 
@@ -115,9 +115,9 @@ def test_a_touch_far_from_the_candidate_is_no_success(scene, touches):
     depth = np.full(g.shape, touch.press_depth_m, np.float32)
     depth[:4, :4] = 0.0
     elsewhere = Touch(ContactShape(depth, touch.press_depth_m), g)
-    centred = translation([0.0, 0.0, 0.0]) @ touch.T_sensor_object
+    centred = make_translation([0.0, 0.0, 0.0]) @ touch.T_sensor_object
     centred[:2, 3] -= transform_points(centred, scene.object.mesh.centroid_m[None])[0, :2]
-    candidate = Candidate(scene.in_contact(centred[None])[0][0], 0, 0.0)
+    candidate = Candidate(scene.bring_to_contact(centred[None])[0][0], 0, 0.0)
     refined = IcpRefiner().refine(elsewhere, candidate, scene)
     assert not refined.converged
     assert refined.contact_iou == 0.0
@@ -129,7 +129,7 @@ def test_a_cloud_of_hardly_a_point_is_no_success(scene):
     depth = np.full(g.shape, 0.001, np.float32)
     depth[100, 100] = 0.0
     speck = Touch(ContactShape(depth, 0.001), g)
-    candidate = Candidate(scene.in_contact(np.eye(4)[None])[0][0], 0, 0.0)
+    candidate = Candidate(scene.bring_to_contact(np.eye(4)[None])[0][0], 0, 0.0)
     refined = IcpRefiner(IcpRefiner.Options(walls=False)).refine(speck, candidate, scene)
     assert not refined.converged
     assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)
@@ -159,12 +159,16 @@ def test_tilt_and_height_are_refined_too(camera):
     solid = trimesh.util.concatenate(parts)
     mesh = TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
     scene = Scene(ObjectModel("bumps", mesh, SymmetryGroup.parse("none", np.zeros(3))), g, RaycastRenderer())
-    scene = scene.pressed(0.002)
-    true = scene.in_contact(translation([0.0005, 0.0002, 0.0])[None])[0][0]
+    scene = scene.press(0.002)
+    true = scene.bring_to_contact(make_translation([0.0005, 0.0002, 0.0])[None])[0][0]
     touch = Touch(scene.contact_shape(true, 0.002), g, T_sensor_object=true)
     tilt = make_transform(rotation_about([1, 0.5, 0.3], np.radians(2.5)), [0.0004, -0.0003, 0.0])
     candidate = Candidate(
-        scene.in_contact((translation(true[:3, 3]) @ tilt @ translation(-true[:3, 3]) @ true)[None])[0][0], 0, 0.0
+        scene.bring_to_contact((make_translation(true[:3, 3]) @ tilt @ make_translation(-true[:3, 3]) @ true)[None])[0][
+            0
+        ],
+        0,
+        0.0,
     )
     refined = IcpRefiner().refine(touch, candidate, scene)
     before = PoseMetric(scene.object).distance(candidate.T_sensor_object, true)

@@ -9,8 +9,8 @@ import trimesh
 from tactile_loc.core.geometry.rigid import (
     invert,
     make_transform,
+    make_translation,
     rotation_about,
-    translation,
 )
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -18,7 +18,7 @@ from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.core.slots.refiner import Candidate
 from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.plugins.refiners.joint import JointRefiner
-from tactile_loc.testing.problems import ReferenceRenderer, stepped_block
+from tactile_loc.testing.problems import ReferenceRenderer, make_stepped_block
 
 CAMERAS = {
     "orthographic": SensorGeometry("orthographic", 96, 72, 5000.0, 5000.0, 48.0, 36.0, 0.010, 0.002),
@@ -29,10 +29,10 @@ DIRECTIONS = ([0, 0, 1], [1, 0, 0], [0.3, 1, 0.2])  # of the object, that are pr
 
 def pressed(obj, geometry, R, xy_m, press_m) -> Touch:
     """The touch of an object turned by R, its centroid at x, y over the sensor, pressed in."""
-    scene = Scene(obj, geometry.pressed(press_m), ReferenceRenderer())
+    scene = Scene(obj, geometry.press(press_m), ReferenceRenderer())
     start = make_transform(R, [*xy_m, 0.0] - R @ obj.mesh.centroid_m)
-    T = scene.in_contact(start[None])[0]
-    shape = ContactShape(scene.contact_depths(T)[0], press_m)
+    T = scene.bring_to_contact(start[None])[0]
+    shape = ContactShape(scene.render_contact_depths(T)[0], press_m)
     return Touch(shape, geometry, T_base_sensor=invert(T[0]), T_sensor_object=T[0])
 
 
@@ -58,12 +58,12 @@ def towards(direction) -> np.ndarray:
 def moved(T, obj, shift_m, turn_deg, about) -> np.ndarray:
     centre = T[:3, :3] @ obj.mesh.centroid_m + T[:3, 3]
     turn = make_transform(rotation_about(about, np.radians(turn_deg)), np.zeros(3))
-    return translation(centre + np.array(shift_m)) @ turn @ translation(-centre) @ T
+    return make_translation(centre + np.array(shift_m)) @ turn @ make_translation(-centre) @ T
 
 
 @pytest.fixture(scope="module")
 def block(make_object):
-    mesh = stepped_block()
+    mesh = make_stepped_block()
     return make_object(trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False), name="block")
 
 
@@ -108,7 +108,7 @@ def test_a_ball_is_where_its_imprint_is(make_object, corner):
     _, x1, _, y1 = geometry.rectangle
     x, y = (x1 + 1e-4, y1 + 2e-4) if corner else (0.002, -0.001)
     touch = pressed(ball, geometry, np.eye(3), (x, y), 0.001)
-    start = translation([0.0006, -0.0004, 0.0005]) @ touch.T_sensor_object
+    start = make_translation([0.0006, -0.0004, 0.0005]) @ touch.T_sensor_object
     (found,) = JointRefiner().refine_together(views_of(ball, [touch]), [Candidate(start, 0, 0.0)])
     np.testing.assert_allclose(found.T_sensor_object[:3, 3], touch.T_sensor_object[:3, 3], atol=5e-5)
     if not corner:
@@ -124,7 +124,7 @@ def test_a_cone_is_where_its_tip_is(make_object):
     touch = pressed(cone, geometry, np.eye(3), (0.0015, -0.001), press_m)
     area_m2 = touch.contact_shape.contact.sum() * geometry.pixel_pitch_m**2
     assert area_m2 == pytest.approx(np.pi * (press_m * np.tan(half)) ** 2, rel=0.05)
-    start = translation([-0.0005, 0.0006, 0.0004]) @ touch.T_sensor_object
+    start = make_translation([-0.0005, 0.0006, 0.0004]) @ touch.T_sensor_object
     (found,) = JointRefiner().refine_together(views_of(cone, [touch]), [Candidate(start, 0, 0.0)])
     tip = found.T_sensor_object @ [0.0, 0.0, -height, 1.0]
     np.testing.assert_allclose(tip[2], geometry.surface_m - press_m, atol=5e-5)
@@ -183,7 +183,7 @@ def test_a_sensor_that_is_off_is_solved_for(make_box):
     believed, doubted = [], []
     for std_m, into in ((1e-6, believed), (1e-3, doubted)):
         views = views_of(box, touches, sensor_std_m=std_m)
-        T = translation([0.0, 0.0, -0.001]) @ views[1].T_sensor_first
+        T = make_translation([0.0, 0.0, -0.001]) @ views[1].T_sensor_first
         views = [View(touches[0], views[0].scene), View(touches[1], views[1].scene, T, std_m)]
         (found,) = JointRefiner().refine_together(views, [Candidate(truth, 0, 0.0)])
         into.append(abs(found.T_sensor_object[2, 3] - truth[2, 3]))
@@ -196,7 +196,7 @@ def test_a_sensor_that_is_off_is_solved_for(make_box):
 def test_the_first_sensors_error_is_its_own(block):
     """Where the first sensor sees the object follows from all touches; its covariance is that of what it sees."""
     touches = [pressed(block, CAMERAS["orthographic"], towards(d), (0.0, 0.0), 0.001) for d in DIRECTIONS]
-    off = translation([0.0006, 0.0, 0.0])  # the others' sensors are where they are said to be
+    off = make_translation([0.0006, 0.0, 0.0])  # the others' sensors are where they are said to be
     nominal = views_of(block, touches, sensor_std_m=1e-6)
     moved_views = [View(v.touch, v.scene, v.T_sensor_first @ off, 1e-6) for v in nominal[1:]]
     truth = touches[0].T_sensor_object

@@ -8,7 +8,7 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.errors import MissingLibraryError
-from tactile_loc.core.geometry.rigid import is_rigid, make_transform, rotation_about, transform_points, translation
+from tactile_loc.core.geometry.rigid import is_rigid, make_transform, make_translation, rotation_about, transform_points
 from tactile_loc.core.registration.cloud_refiner import Cloud
 from tactile_loc.core.slots.registry import registry
 
@@ -62,7 +62,7 @@ def test_the_unit_does_not_matter(k):
 
 def test_the_lattices_of_two_images_do_not_hold_on_to_one_another():
     """A shift by a whole pixel is undone, though every point then lies on another."""
-    shift = translation([0.5, 0.0, 0.0])
+    shift = make_translation([0.5, 0.0, 0.0])
     found = KissIcpRefiner().register(moved(steps(), shift), steps())
     assert abs(found.T_mm[0, 3] + 0.5) < 0.15
 
@@ -77,10 +77,10 @@ def test_spread_points_stay_on_their_surface():
 
 
 def test_nothing_in_reach_is_no_registration():
-    found = KissIcpRefiner().register(moved(steps(), translation([0, 0, 50.0])), steps())
+    found = KissIcpRefiner().register(moved(steps(), make_translation([0, 0, 50.0])), steps())
     assert (found.T_mm, found.converged, found.iterations) == (None, False, 0)
-    assert not has_pairs(steps().points_mm, steps(), translation([0, 0, 3.0]), 1.0)
-    assert has_pairs(steps().points_mm, steps(), translation([0, 0, 3.0]), 5.0)
+    assert not has_pairs(steps().points_mm, steps(), make_translation([0, 0, 3.0]), 1.0)
+    assert has_pairs(steps().points_mm, steps(), make_translation([0, 0, 3.0]), 5.0)
 
 
 def test_few_iterations_do_not_claim_to_have_converged():

@@ -7,22 +7,29 @@ import pytest
 import trimesh
 from pydantic import ValidationError
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about, transform_points, translation
+from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about, transform_points
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.slots.refiner import Candidate
 from tactile_loc.core.slots.scene import Scene
-from tactile_loc.plugins.refiners.render.pictures import Pictures, within_reach
+from tactile_loc.plugins.refiners.render.pictures import Pictures, keep_within_reach
 from tactile_loc.plugins.refiners.render.refiner import RenderRefiner
-from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, planar_pose, pressed_block, touch_at, with_depth
+from tactile_loc.testing.problems import (
+    CAMERAS,
+    ReferenceRenderer,
+    make_planar_pose,
+    make_touch,
+    press_block,
+    replace_depth,
+)
 
 TILT = make_transform(rotation_about([1.0, 0.4, 0.0], np.radians(2.0)), np.zeros(3))
 
 
 @pytest.fixture(scope="module", params=list(CAMERAS))
 def problem(request):
-    return pressed_block(request.param)
+    return press_block(request.param)
 
 
 @pytest.fixture(scope="module")
@@ -32,15 +39,15 @@ def refiner() -> RenderRefiner:
 
 def tilted(problem) -> Candidate:
     """The truth off in all directions: along the surface, in yaw, and tilted by two degrees."""
-    T = problem.candidate((0.0009, -0.0007, np.radians(4.0))).T_sensor_object @ TILT
-    return Candidate(problem.scene.in_contact(T[None])[0][0], 0, 0.0)
+    T = problem.make_candidate((0.0009, -0.0007, np.radians(4.0))).T_sensor_object @ TILT
+    return Candidate(problem.scene.bring_to_contact(T[None])[0][0], 0, 0.0)
 
 
 def test_an_offset_in_all_directions_is_undone_to_a_small_part_of_a_pixel(refiner, problem):
     candidate = tilted(problem)
     refined = refiner.refine(problem.touch, candidate, problem.scene)
-    assert problem.error_m(candidate) > 1e-3
-    assert problem.error_m(refined) < 0.05 * problem.touch.geometry.pixel_pitch_m
+    assert problem.measure_error_m(candidate) > 1e-3
+    assert problem.measure_error_m(refined) < 0.05 * problem.touch.geometry.pixel_pitch_m
     assert refined.converged
     assert refined.contact_iou > 0.99
     assert refined.iterations > 3
@@ -49,24 +56,24 @@ def test_an_offset_in_all_directions_is_undone_to_a_small_part_of_a_pixel(refine
 def test_the_sensors_border_holds_the_pose_too(refiner, problem):
     """Pressed at the sensor's edge, which cuts the contact: it must not be pulled inwards."""
     x0, x1, _, _ = problem.scene.geometry.rectangle
-    truth = problem.scene.in_contact(planar_pose(0.42 * (x1 - x0), 0.001, 0.4)[None])[0][0]
-    cut = dataclasses.replace(problem, truth=truth, touch=touch_at(problem.scene, truth, 0.002))
+    truth = problem.scene.bring_to_contact(make_planar_pose(0.42 * (x1 - x0), 0.001, 0.4)[None])[0][0]
+    cut = dataclasses.replace(problem, truth=truth, touch=make_touch(problem.scene, truth, 0.002))
     assert cut.touch.contact_shape.contact[:, -1].any()
-    candidate = cut.candidate((-0.0008, 0.0006, np.radians(3.0)))
+    candidate = cut.make_candidate((-0.0008, 0.0006, np.radians(3.0)))
     refined = refiner.refine(cut.touch, candidate, cut.scene)
-    assert cut.error_m(refined) < 0.1 * cut.touch.geometry.pixel_pitch_m
+    assert cut.measure_error_m(refined) < 0.1 * cut.touch.geometry.pixel_pitch_m
 
 
 def test_what_a_touch_does_not_show_is_left_alone(refiner):
     """A bar across the whole sensor: beside it the candidate moves, along it the touch says nothing."""
     bar = trimesh.creation.box([0.3, 0.006, 0.01])
     g = SensorGeometry("orthographic", 80, 80, 4000.0, 4000.0, 40.0, 40.0, 0.02, 0.001)
-    block = pressed_block("orthographic")
+    block = press_block("orthographic")
     mesh = dataclasses.replace(block.scene.object.mesh, vertices_m=np.array(bar.vertices), faces=np.array(bar.faces))
     scene = Scene(dataclasses.replace(block.scene.object, mesh=mesh), g, ReferenceRenderer())
-    truth = scene.in_contact(np.eye(4)[None])[0][0]
-    touch = touch_at(scene, truth, 0.001)
-    candidate = Candidate(translation([0.004, 0.001, 0.0]) @ truth, 0, 0.0)
+    truth = scene.bring_to_contact(np.eye(4)[None])[0][0]
+    touch = make_touch(scene, truth, 0.001)
+    candidate = Candidate(make_translation([0.004, 0.001, 0.0]) @ truth, 0, 0.0)
     moved = refiner.refine(touch, candidate, scene).T_sensor_object[:3, 3] - candidate.T_sensor_object[:3, 3]
     assert abs(moved[0]) < 2e-5
     assert moved[1] == pytest.approx(-0.001, abs=0.5 * g.pixel_pitch_m)  # edges along the rows say no more
@@ -77,13 +84,15 @@ def test_spurious_and_missing_contact_hardly_pull(refiner, problem):
     depth[4:10, 48:56] = 0.3 * problem.touch.press_depth_m
     middle = np.argwhere(problem.touch.contact_shape.contact).mean(axis=0).astype(int)
     depth[middle[0] : middle[0] + 4, middle[1] : middle[1] + 4] = problem.touch.press_depth_m
-    refined = refiner.refine(with_depth(problem.touch, depth), tilted(problem), problem.scene)
-    assert problem.error_m(refined) < 0.15 * problem.touch.geometry.pixel_pitch_m
+    refined = refiner.refine(replace_depth(problem.touch, depth), tilted(problem), problem.scene)
+    assert problem.measure_error_m(refined) < 0.15 * problem.touch.geometry.pixel_pitch_m
 
 
 def test_no_answer_explains_the_touch_worse_than_the_candidate(refiner, problem):
     rng = np.random.default_rng(0)
-    candidates = [problem.candidate((*rng.uniform(-0.006, 0.006, 2), rng.uniform(-np.pi, np.pi))) for _ in range(12)]
+    candidates = [
+        problem.make_candidate((*rng.uniform(-0.006, 0.006, 2), rng.uniform(-np.pi, np.pi))) for _ in range(12)
+    ]
     refined = refiner.refine_many(problem.touch, candidates, problem.scene)
     before, after = (
         problem.scene.imprint_ious(np.stack([p.T_sensor_object for p in poses]), problem.touch)
@@ -94,7 +103,11 @@ def test_no_answer_explains_the_touch_worse_than_the_candidate(refiner, problem)
 
 
 def test_many_are_refined_as_one_by_one(refiner, problem):
-    candidates = [problem.candidate((0.0006, -0.0005, 0.03)), tilted(problem), problem.candidate((0.2, 0.0, 0.0))]
+    candidates = [
+        problem.make_candidate((0.0006, -0.0005, 0.03)),
+        tilted(problem),
+        problem.make_candidate((0.2, 0.0, 0.0)),
+    ]
     together = refiner.refine_many(problem.touch, candidates, problem.scene)
     for candidate, found in zip(candidates, together, strict=True):
         alone = refiner.refine(problem.touch, candidate, problem.scene)
@@ -106,14 +119,14 @@ def test_many_are_refined_as_one_by_one(refiner, problem):
 
 def test_where_the_candidate_is_along_z_does_not_matter(refiner, problem):
     candidate = tilted(problem)
-    lifted = Candidate(translation([0.0, 0.0, 0.003]) @ candidate.T_sensor_object, 0, 0.0)
+    lifted = Candidate(make_translation([0.0, 0.0, 0.003]) @ candidate.T_sensor_object, 0, 0.0)
     a, b = (refiner.refine(problem.touch, c, problem.scene).T_sensor_object for c in (candidate, lifted))
     np.testing.assert_allclose(a, b, atol=1e-9)
 
 
 def test_the_answer_is_in_contact(refiner, problem):
     T = refiner.refine(problem.touch, tilted(problem), problem.scene).T_sensor_object
-    np.testing.assert_allclose(problem.scene.in_contact(T[None])[0][0], T, atol=1e-9)
+    np.testing.assert_allclose(problem.scene.bring_to_contact(T[None])[0][0], T, atol=1e-9)
 
 
 def test_noise_is_reckoned_with_and_its_absence_too(problem):
@@ -121,8 +134,8 @@ def test_noise_is_reckoned_with_and_its_absence_too(problem):
     rng = np.random.default_rng(5)
     depth, press = problem.touch.contact_shape.depth_m, problem.touch.press_depth_m
     rough = depth + rng.normal(0, 4e-4, depth.shape)
-    noisy = with_depth(problem.touch, np.where(depth < press, np.clip(rough, 0, 0.999 * press), press).astype("f4"))
-    candidate = problem.candidate((0.0009, 0.0, 0.0))
+    noisy = replace_depth(problem.touch, np.where(depth < press, np.clip(rough, 0, 0.999 * press), press).astype("f4"))
+    candidate = problem.make_candidate((0.0009, 0.0, 0.0))
     loose, firm = (RenderRefiner(RenderRefiner.Options(patch_mm=mm)) for mm in (0.0, 40.0))
     moved = [
         PoseMetric(problem.scene.object).distance(
@@ -131,7 +144,7 @@ def test_noise_is_reckoned_with_and_its_absence_too(problem):
         for refiner in (loose, firm)
     ]
     assert moved[1] < 0.8 * moved[0]
-    assert problem.error_m(firm.refine(problem.touch, candidate, problem.scene)) < 5e-5
+    assert problem.measure_error_m(firm.refine(problem.touch, candidate, problem.scene)) < 5e-5
 
 
 def test_options_that_make_no_sense_are_refused():
@@ -148,25 +161,25 @@ def pictures(problem, width_m: float = 0.0, in_contact: bool = False) -> Picture
 def test_a_sharp_picture_is_the_imprint_as_a_share_of_the_press(problem):
     shape = problem.touch.contact_shape
     expected = 1 - shape.depth_m / shape.press_depth_m
-    np.testing.assert_allclose(pictures(problem).of_touch().reshape(shape.depth_m.shape), expected, atol=1e-6)
+    np.testing.assert_allclose(pictures(problem).draw_touch().reshape(shape.depth_m.shape), expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("drawing", ["pressed", "paper"])
 def test_pictures_are_drawn_as_the_scene_draws(drawing):
-    problem = pressed_block("pinhole")
+    problem = press_block("pinhole")
     scene, touch = dataclasses.replace(problem.scene, drawing=drawing), problem.touch
     p = Pictures.blurred(scene.object.mesh, touch.geometry, touch.contact_shape, 0.0, False, drawing)
-    expected = 1 - scene.contact_depths(problem.truth[None], touch.press_depth_m) / touch.press_depth_m
-    seen = p.of_poses(problem.truth[None])[0].reshape(expected.shape)
+    expected = 1 - scene.render_contact_depths(problem.truth[None], touch.press_depth_m) / touch.press_depth_m
+    seen = p.draw_poses(problem.truth[None])[0].reshape(expected.shape)
     assert (np.abs(seen - expected) > 1e-4).mean() < 0.002
 
 
 def test_the_true_pose_makes_the_touchs_picture(problem):
     for width_m in (0.0, 0.5e-3, 1.5e-3):
         p = pictures(problem, width_m)
-        seen, drawn = p.of_poses(problem.truth[None])
+        seen, drawn = p.draw_poses(problem.truth[None])
         assert np.array_equal(drawn[0], problem.truth)
-        assert (np.abs(seen[0] - p.of_touch()) > 1e-4).mean() < 0.002  # a pixel's centre may lie on an edge
+        assert (np.abs(seen[0] - p.draw_touch()) > 1e-4).mean() < 0.002  # a pixel's centre may lie on an edge
 
 
 def test_a_blur_keeps_the_imprints_volume_and_place(problem):
@@ -175,7 +188,7 @@ def test_a_blur_keeps_the_imprints_volume_and_place(problem):
     h, w = (side // blurred.block for side in blurred.geometry.shape)
     volumes, centres = [], []
     for p, shape in ((sharp, sharp.geometry.shape), (blurred, (h, w))):
-        picture = p.of_touch().reshape(shape).astype(float)
+        picture = p.draw_touch().reshape(shape).astype(float)
         u = (np.arange(shape[1]) + 0.5) * p.pixel_m
         volumes.append(picture.sum() * p.pixel_m**2)
         centres.append((picture.sum(axis=0) * u).sum() / picture.sum())
@@ -188,7 +201,7 @@ def test_a_rotation_turns_about_the_contacts_centre(problem):
     moves = np.zeros((3, 6))
     moves[:, 3:] = 2.0 * np.eye(3)
     inverse = np.linalg.inv(problem.truth)
-    for T in p.moved(np.repeat(problem.truth[None], 3, axis=0), moves):
+    for T in p.move(np.repeat(problem.truth[None], 3, axis=0), moves):
         centre = transform_points(T @ inverse, p.centre_m[None])[0]
         np.testing.assert_allclose(centre, p.centre_m, atol=1e-12)
         assert not np.allclose(T, problem.truth)
@@ -200,17 +213,17 @@ def test_in_contact_z_follows_and_is_no_direction_of_its_own(problem):
     assert (p.directions[:, 2] == 0).all()
     lifted = problem.truth.copy()
     lifted[2, 3] += 0.003
-    seen, drawn = p.of_poses(lifted[None])
+    seen, drawn = p.draw_poses(lifted[None])
     np.testing.assert_allclose(drawn[0], problem.truth, atol=1e-9)
-    assert (np.abs(seen[0] - p.of_touch()) > 1e-4).mean() < 0.002
+    assert (np.abs(seen[0] - p.draw_touch()) > 1e-4).mean() < 0.002
 
 
 def test_what_is_out_of_reach_makes_no_difference(problem):
     mesh, g = problem.scene.object.mesh, problem.touch.geometry
-    part = within_reach(mesh, g, problem.truth[None])
+    part = keep_within_reach(mesh, g, problem.truth[None])
     assert 0 < len(part.faces) < len(mesh.faces)
     p = pictures(problem)
-    whole = p.of_poses(problem.truth[None])[0]
-    near = Pictures.blurred(part, g, problem.touch.contact_shape, 0.0, False).of_poses(problem.truth[None])[0]
+    whole = p.draw_poses(problem.truth[None])[0]
+    near = Pictures.blurred(part, g, problem.touch.contact_shape, 0.0, False).draw_poses(problem.truth[None])[0]
     np.testing.assert_array_equal(whole, near)
     np.testing.assert_array_equal(*(bring_to_contact(m, problem.truth[None], g)[0] for m in (mesh, part)))

@@ -106,7 +106,7 @@ def test_closed_renderer_opens_again(camera, sphere, pressed, new_pyrender):
 
 
 def test_sizes_and_meshes_may_alternate(camera, sphere, bracket, pressed, new_pyrender):
-    renderer, small = new_pyrender(), camera.resized(45, 32)
+    renderer, small = new_pyrender(), camera.resize(45, 32)
     expected = renderer.render(sphere, pressed, camera)
     assert renderer.render(sphere, pressed, small).shape == (1, 32, 45)
     assert (renderer.render(bracket, pressed, camera) != expected).any()
@@ -136,14 +136,14 @@ def test_winding_does_not_matter(camera, sphere, pressed, new_pyrender, which):
 
 
 def test_only_doubtful_parts_are_drawn_twice(sphere, quad, new_pyrender):
-    from tactile_loc.plugins.renderers.pyrender.gl import faces_to_draw
+    from tactile_loc.plugins.renderers.pyrender.gl import choose_faces
 
     count = len(sphere.vertices_m)
     both = TriangleMesh(np.r_[sphere.vertices_m, quad.vertices_m], np.r_[sphere.faces, quad.faces + count])
     inverted = TriangleMesh(sphere.vertices_m, sphere.faces[:, ::-1])
-    assert len(faces_to_draw(sphere)) == len(sphere.faces)
-    assert len(faces_to_draw(inverted)) == 2 * len(sphere.faces)
-    assert len(faces_to_draw(both)) == len(sphere.faces) + 4
+    assert len(choose_faces(sphere)) == len(sphere.faces)
+    assert len(choose_faces(inverted)) == 2 * len(sphere.faces)
+    assert len(choose_faces(both)) == len(sphere.faces) + 4
 
 
 def test_the_whole_contact_band_is_between_the_clipping_planes(camera, quad, new_pyrender):

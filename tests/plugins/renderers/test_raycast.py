@@ -10,7 +10,7 @@ from message_helpers import naming
 from pydantic import ValidationError
 
 from tactile_loc.core.errors import RenderError
-from tactile_loc.core.geometry.rigid import make_transform, random_rotations
+from tactile_loc.core.geometry.rigid import draw_rotations, make_transform
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -22,7 +22,7 @@ Options = RaycastRenderer.Options
 
 def contact_poses(mesh, g, count=12):
     rng = np.random.default_rng(3)
-    R = random_rotations(count, rng)
+    R = draw_rotations(count, rng)
     offset = np.c_[rng.uniform(-0.012, 0.012, (count, 2)), np.zeros(count)]
     T, touching = bring_to_contact(mesh, make_transform(R, offset), g)
     return T[touching]

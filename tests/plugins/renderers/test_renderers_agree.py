@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.rigid import make_transform, random_rotations
+from tactile_loc.core.geometry.rigid import draw_rotations, make_transform
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -28,7 +28,7 @@ PARTS = {
 }
 
 CAMERAS = {
-    "pinhole": SensorGeometry("pinhole", 470, 470, 291.5, 289.0, 235.0, 235.0, 0.025, 0.002).resized(200, 200),
+    "pinhole": SensorGeometry("pinhole", 470, 470, 291.5, 289.0, 235.0, 235.0, 0.025, 0.002).resize(200, 200),
     "orthographic": SensorGeometry("orthographic", 200, 200, 5000.0, 5000.0, 100.0, 100.0, 0.025, 0.002),
 }
 LEAST_MASK_AGREEMENT = {"pinhole": 0.99, "orthographic": 0.995}
@@ -46,7 +46,7 @@ def touches(request: pytest.FixtureRequest, part: TriangleMesh):
     """The camera, its name, contact poses, and the ray caster's contact depths."""
     g = CAMERAS[request.param]
     rng = np.random.default_rng(11)
-    R = np.repeat(random_rotations(4, rng), 3, axis=0)
+    R = np.repeat(draw_rotations(4, rng), 3, axis=0)
     offset = np.c_[rng.uniform(-0.01, 0.01, (len(R), 2)), np.zeros(len(R))]
     T, touching = bring_to_contact(part, make_transform(R, offset - R @ part.centroid_m), g)
     return request.param, g, T[touching], RaycastRenderer().render(part, T[touching], g)

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.rigid import make_transform, random_rotations, rotation_about
+from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import contact_depth
+from tactile_loc.core.sensing.touch import compute_contact_depth
 
 NANOMETRES_100 = 1e-7
 
@@ -27,7 +27,7 @@ def ball_depth(rays, centre_m, radius_m):
 
 def poses(mesh: TriangleMesh, g: SensorGeometry, count: int = 5) -> np.ndarray:
     rng = np.random.default_rng(7)
-    R = random_rotations(count, rng)
+    R = draw_rotations(count, rng)
     offset = np.c_[rng.uniform(-0.003, 0.003, (count, 2)), np.zeros(count)]
     T, touching = bring_to_contact(mesh, make_transform(R, offset - R @ mesh.centroid_m), g)
     assert touching.all()
@@ -57,7 +57,7 @@ def test_sphere_contact_depth_in_closed_form(exact_renderer, sphere):
     """Seen straight from above, the contact depth at distance q from the contact is r - sqrt(r^2 - q^2)."""
     g = SensorGeometry("orthographic", 41, 41, 10_000.0, 10_000.0, 20.5, 20.5, 0.02, 0.002)
     T = make_transform(np.eye(3), [0.0, 0.0, 0.028])[None]
-    shape = contact_depth(exact_renderer.render(sphere, T, g), g, 0.002)[0]
+    shape = compute_contact_depth(exact_renderer.render(sphere, T, g), g, 0.002)[0]
     q = (np.arange(41) - 20) * 1e-4
     np.testing.assert_allclose(shape[20], 0.008 - np.sqrt(0.008**2 - q**2), atol=2e-6)
     np.testing.assert_allclose(shape[:, 20], 0.008 - np.sqrt(0.008**2 - q**2), atol=2e-6)
@@ -153,5 +153,5 @@ def test_half_resolution_is_every_other_centre(exact_renderer, camera, quad):
     T = make_transform(rotation_about([0.4, 1, 0], 0.03), [0, 0, camera.standoff_m + 0.001])[None]
     fine = exact_renderer.render(quad, T, camera)[0]
     height, width = (size // 2 for size in camera.shape)
-    coarse = exact_renderer.render(quad, T, camera.resized(width, height))[0]
+    coarse = exact_renderer.render(quad, T, camera.resize(width, height))[0]
     np.testing.assert_allclose(fine.reshape(height, 2, width, 2).mean((1, 3)), coarse, rtol=1e-4)

@@ -31,7 +31,7 @@ from tactile_loc.imaging.optics import OPTICS  # noqa: E402
 from tactile_loc.imaging.shading import render_background  # noqa: E402
 from tactile_loc.io.touches import read_touch  # noqa: E402
 from tactile_loc.plugins.sensors.calibrated import CalibratedSensor  # noqa: E402
-from tactile_loc.testing import checks_for  # noqa: E402
+from tactile_loc.testing import list_checks  # noqa: E402
 
 BALLS = ball_set(12)
 PRESS_M = 7e-4
@@ -63,7 +63,7 @@ def test_it_is_registered(sensor):
 
 
 def test_it_keeps_the_contract(sensor):
-    checks = checks_for(sensor)
+    checks = list_checks(sensor)
     assert len(checks) > 8
     for check in checks:
         check(sensor)

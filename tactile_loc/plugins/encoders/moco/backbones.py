@@ -51,7 +51,7 @@ class Backbone(nn.Module):
         return self.feature_map(images).flatten(1)
 
 
-def norm_layer(norm: Norm, width: int, groups: int) -> nn.Module:
+def make_norm_layer(norm: Norm, width: int, groups: int) -> nn.Module:
     """Return batch normalisation, or group normalisation in `groups` groups, of `width` channels.
 
     Raises ConfigError when `norm` is neither "batch" nor "group".
@@ -75,7 +75,7 @@ class ResNet(Backbone):
     def __init__(self, name: str, in_channels: int, channels: int | None, norm: Norm) -> None:
         super().__init__(name, 32, in_channels, _list_convolutions(name, _WIDTHS[-1], 1)[-1][0], channels)
         self.conv1 = nn.Conv2d(in_channels, 64, 7, 2, 3, bias=False)
-        self.bn1 = norm_layer(norm, 64, _GROUPS)
+        self.bn1 = make_norm_layer(norm, 64, _GROUPS)
         self.relu = nn.ReLU(inplace=True)
         self.maxpool = nn.MaxPool2d(3, 2, 1)
         incoming = 64
@@ -109,12 +109,12 @@ class _Block(nn.Module):
         into, total_stride = incoming, 1
         for number, (width, kernel, stride) in enumerate(convolutions, 1):
             self.add_module(f"conv{number}", nn.Conv2d(into, width, kernel, stride, kernel // 2, bias=False))
-            self.add_module(f"bn{number}", norm_layer(norm, width, _GROUPS))
+            self.add_module(f"bn{number}", make_norm_layer(norm, width, _GROUPS))
             into, total_stride = width, total_stride * stride
         self.downsample: nn.Module | None = None
         if total_stride != 1 or incoming != into:
             shortcut = nn.Conv2d(incoming, into, 1, total_stride, bias=False)
-            self.downsample = nn.Sequential(shortcut, norm_layer(norm, into, _GROUPS))
+            self.downsample = nn.Sequential(shortcut, make_norm_layer(norm, into, _GROUPS))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         branch = x
@@ -151,7 +151,7 @@ class SmallBackbone(Backbone):
         stages, incoming = [], in_channels
         for width in _SMALL_WIDTHS:
             convolution = nn.Conv2d(incoming, width, 3, 2, 1, bias=False)
-            stages.append(nn.Sequential(convolution, norm_layer(norm, width, 8), nn.ReLU(inplace=True)))
+            stages.append(nn.Sequential(convolution, make_norm_layer(norm, width, 8), nn.ReLU(inplace=True)))
             incoming = width
         self.stages = nn.Sequential(*stages)
 

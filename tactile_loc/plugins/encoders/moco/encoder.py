@@ -32,7 +32,7 @@ from tactile_loc.plugin import (
 )
 from tactile_loc.plugins.encoders.moco.backbones import Backbone, load_pretrained, make_backbone
 from tactile_loc.plugins.encoders.moco.recipe import PRESETS, Recipe, Signal
-from tactile_loc.plugins.encoders.moco.training import Trainer, local_cuda
+from tactile_loc.plugins.encoders.moco.training import Trainer, find_local_cuda
 
 PLANES = "planes"  # how many the input has, in the file of weights; without it, those of shapes that are wholly seen
 SMALLER = 4  # times smaller is a batch of touches that places are learned from: more and lighter steps learn faster
@@ -82,7 +82,7 @@ class MocoEncoder(Encoder):
             include={"backbone", "channels", "signal", "epochs", "queries", "batch", "rate"}
         )
         changes = {name: value for name, value in chosen.items() if value is not None}
-        self.recipe: Recipe = PRESETS[self.options.preset].changed(
+        self.recipe: Recipe = PRESETS[self.options.preset].change(
             **changes,
             noise=self.options.noise,
             negatives=self.options.negatives,
@@ -107,7 +107,7 @@ class MocoEncoder(Encoder):
                 "the encoder 'moco' was asked to run on CUDA, but torch sees no CUDA device here; install a CUDA "
                 "build of torch and a driver, or set encoder.device to cpu"
             )
-        return local_cuda() if wanted != "cpu" and torch.cuda.is_available() else torch.device("cpu")
+        return find_local_cuda() if wanted != "cpu" and torch.cuda.is_available() else torch.device("cpu")
 
     def fit(self, problem: TrainingProblem) -> None:
         """Train on simulated touches, together with the other processes if torchrun started several.
@@ -115,17 +115,17 @@ class MocoEncoder(Encoder):
         Raises GridError for a grid too large for memory, WeightsError, ConfigError, MissingLibraryError.
         """
         _require_memory(self.recipe, len(problem))
-        _settle_threads()
+        _reset_threads()
         recipe, options = self.recipe, self.options
         if problem.partly_seen and options.batch is None:
-            recipe = recipe.changed(batch=max(2, recipe.batch // SMALLER))
+            recipe = recipe.change(batch=max(2, recipe.batch // SMALLER))
         network = self._make_network(options.seed, problem.partly_seen)
         trainer = Trainer(recipe, problem, network, self.device, options.tensorboard, options.decoys)
         self._network = trainer.run()
 
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:
         """Return unit embeddings (N, D) of contact depths (N, H, W) in metres cut at `press_depth_m`."""
-        return self._encoded(depth_m, np.ones(depth_m.shape, np.bool_), press_depth_m, geometry)
+        return self._encode(depth_m, np.ones(depth_m.shape, np.bool_), press_depth_m, geometry)
 
     def encode_seen(
         self, depth_m: Float32, seen: NDArray[np.bool_], press_depth_m: float, geometry: SensorGeometry
@@ -135,14 +135,14 @@ class MocoEncoder(Encoder):
         A network that learned from touches that are partly seen knows what is not seen; to another it is no contact.
         """
         press = np.float32(press_depth_m)
-        embeddings = self._encoded(np.where(seen, depth_m, press), seen, press_depth_m, geometry)
+        embeddings = self._encode(np.where(seen, depth_m, press), seen, press_depth_m, geometry)
         return embeddings, np.ones_like(embeddings)
 
-    def _encoded(
+    def _encode(
         self, depth_m: Float32, seen: NDArray[np.bool_], press_depth_m: float, geometry: SensorGeometry
     ) -> Float32:
         network = self._require_trained()
-        _settle_threads()
+        _reset_threads()
         known = seen if network.in_channels == self.recipe.planes(partly_seen=True) else None
         press = np.full(len(depth_m), press_depth_m)
         with torch.inference_mode():
@@ -191,7 +191,7 @@ class MocoEncoder(Encoder):
         return network
 
 
-def _settle_threads() -> None:
+def _reset_threads() -> None:
     """Let torch compute with its own number of threads, whatever ran before: the sums depend on it.
 
     When numba starts its threads, it sets OpenMP's number of threads, and so torch's, for the thread that it is called

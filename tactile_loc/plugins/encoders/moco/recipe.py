@@ -46,7 +46,7 @@ class Recipe:
     patience: int = 8
     seed: int = 0
 
-    def changed(self, **changes: Any) -> Recipe:
+    def change(self, **changes: Any) -> Recipe:
         """Return the recipe with some settings changed."""
         return replace(self, **changes)
 
@@ -78,14 +78,14 @@ class Recipe:
 
         `seen` (N, H, W) are the pixels that are known; it is for networks that have a plane for them.
         """
-        planes = input_planes(depth_m, press_m, geometry, self.image_px, self.signal, seen).to(device)
+        planes = make_input_planes(depth_m, press_m, geometry, self.image_px, self.signal, seen).to(device)
         if device.type == "cuda":
             planes = planes.contiguous(memory_format=torch.channels_last)
         with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
             return F.normalize(network(planes).flatten(1), dim=1)
 
 
-def input_planes(
+def make_input_planes(
     depth_m: Float32, press_m: NDArray[np.float64], geometry: SensorGeometry, image_px: int, signal: Signal,
     seen: NDArray[np.bool_] | None = None,
 ) -> torch.Tensor:  # fmt: skip
@@ -104,7 +104,7 @@ def input_planes(
         planes.append(np.asarray(known, np.float32))
     images = torch.from_numpy(np.stack(planes, axis=1))
     small = geometry.shape if seen is not None and image_px < 2 * max(geometry.shape) else None
-    small = geometry.with_long_side(image_px).shape if small is None else small
+    small = geometry.resize_long_side(image_px).shape if small is None else small
     images = images if images.shape[-2:] == small else F.interpolate(images, small, mode="area")
     share = torch.from_numpy(press / deepest)[:, None].expand(-1, 1, *small)
     return torch.cat([images, share], dim=1)

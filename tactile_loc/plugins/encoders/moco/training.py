@@ -23,7 +23,7 @@ from tactile_loc.plugin import (
     TrainingError,
     TrainingProblem,
     TrainingTouches,
-    noise_level,
+    make_noise,
     rank,
 )
 from tactile_loc.plugins.encoders.moco.backbones import Backbone
@@ -78,7 +78,7 @@ class Crew:
         return said[0]  # type: ignore[no-any-return]
 
 
-def local_cuda() -> torch.device:
+def find_local_cuda() -> torch.device:
     """Return the GPU of this process: the one that torchrun numbered, else the first."""
     return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
 
@@ -138,7 +138,7 @@ class Trainer:
         self.key_network = copy.deepcopy(self.network).requires_grad_(False)
         self.optimizer = _make_optimizer(recipe, self.network)
         count = self.crew.share(recipe.queries)
-        self.source = QuerySource(problem, noise_level(recipe.noise), count, recipe.seed, self.crew.rank)
+        self.source = QuerySource(problem, make_noise(recipe.noise), count, recipe.seed, self.crew.rank)
         self.batch, self.decoys = min(count, self.crew.share(recipe.batch)), decoys
         self.steps = recipe.repeats * max(1, recipe.queries // recipe.batch)
         self.epoch, self.best, self.stale = 0, math.inf, 0
@@ -181,7 +181,7 @@ class Trainer:
         losses: list[float] = []
         for step in range(self.steps):
             if step == 0 or (self.recipe.refresh and step % self.recipe.refresh == 0):
-                press_m = self._drawn_press(step)
+                press_m = self._draw_press(step)
                 keys = self._keys(self.key_network, press_m)
             loss = self._step(queries.batch(self.batch, order, press_m, self.decoys), keys, step, order)
             losses.append(loss)
@@ -190,7 +190,7 @@ class Trainer:
         self.epoch += 1
         return float(np.mean(losses))
 
-    def _drawn_press(self, step: int) -> float:
+    def _draw_press(self, step: int) -> float:
         """The press, metres, at which touches and keys are compared from a step on, the same in all processes."""
         presses_m = self.problem.key_presses_m
         rng = np.random.default_rng([self.recipe.seed, self.epoch, 4, step])

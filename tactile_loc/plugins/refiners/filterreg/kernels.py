@@ -57,7 +57,7 @@ def sort_into_columns(rows, low, cell, columns):
 
 
 @njit(fast=True)
-def mean_density(samples, mixture):
+def measure_mean_density(samples, mixture):
     """Return the mean sum of weights at samples (S, 7) of the cloud itself."""
     total = 0.0
     for i in range(len(samples)):
@@ -95,7 +95,7 @@ def _expect(x, n, mixture):
 
 
 @njit(fast=True)
-def equations(first, last, points, normals, starts, which, T, centres, mixture, along, result):
+def add_equations(first, last, points, normals, starts, which, T, centres, mixture, along, result):
     """Add to the normal equations `result` (K, 6, 7) of the candidates `which` (K,) from first to last.
 
     Candidate c has the points from starts[c] to starts[c + 1], moved by T (C, 4, 4); they turn about centres (K, 3).

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.plugin import Cloud, CloudRefiner, Registration, in_threads
+from tactile_loc.plugin import Cloud, CloudRefiner, Registration, run_in_threads
 from tactile_loc.plugins.refiners.filterreg import kernels
-from tactile_loc.plugins.refiners.filterreg.twists import solved, turned_about
+from tactile_loc.plugins.refiners.filterreg.twists import solve, turn_about
 
 REACH = 2.5  # standard deviations at which a Gaussian is cut off
 MOST_BOXES = 2_000_000  # into which points are merged; a cloud that spans more is left as it is
@@ -55,7 +55,7 @@ class Mixtures:
         self._samples = self._rows[:: max(1, len(points) // SAMPLES)].copy()
         self._odds = outlier / (1.0 - outlier)
 
-    def at(self, sigma_mm: float, merged: bool) -> Mixture:
+    def make_mixture(self, sigma_mm: float, merged: bool) -> Mixture:
         """Return the mixture with one Gaussian a point or, `merged`, one for all points of a box one sigma wide.
 
         Merging changes the sums by little, as Gaussians a sigma apart add up to a nearly even density, and saves time
@@ -66,7 +66,7 @@ class Mixtures:
         columns = (self._extent[:2] / cell).astype(np.int64) + 1
         starts, rows = kernels.sort_into_columns(rows, self._low, cell, columns)
         bare = Mixture(rows, starts, self._low, cell, columns, float(sigma_mm), REACH * sigma_mm, 0.0)
-        return bare._replace(outlier=self._odds * kernels.mean_density(self._samples, bare))
+        return bare._replace(outlier=self._odds * kernels.measure_mean_density(self._samples, bare))
 
     def _merge(self, box_mm: float) -> NDArray[np.float64]:
         boxes = np.floor(self._extent / box_mm) + 1
@@ -122,10 +122,10 @@ class FilterRegRefiner(CloudRefiner):
         options, mixtures = self.options, Mixtures(target, self.options.outlier)
         sigma, last, done = options.sigma_mm, max(options.sigma_end_mm, SPACINGS * target.spacing_mm), 0
         while sigma > last and done < options.iterations:
-            yield mixtures.at(sigma, merged=True), False
+            yield mixtures.make_mixture(sigma, merged=True), False
             sigma, done = sigma * options.anneal, done + 1
         if done < options.iterations:
-            final = mixtures.at(last, merged=False)
+            final = mixtures.make_mixture(last, merged=False)
             yield from ((final, True) for _ in range(options.iterations - done))
 
 
@@ -150,16 +150,16 @@ class _Moving:
         T, middles = self.T[going], self.middles[going]
         centres = (T[:, :3, :3] @ middles[:, :, None])[:, :, 0] + T[:, :3, 3]
         equations = np.zeros((len(going), 6, 7))
-        in_threads(
-            kernels.equations, len(going), self.points, self.normals, self.starts, going, self.T, centres, observed,
+        run_in_threads(
+            kernels.add_equations, len(going), self.points, self.normals, self.starts, going, self.T, centres, observed,
             point_weight, equations,
         )  # fmt: skip
-        twists, moved_mm = solved(equations)
+        twists, moved_mm = solve(equations)
         reached = np.isfinite(moved_mm)
         self.iterations[going] += 1
         self.found[going] |= reached
         these = going[reached]
-        self.T[these] = turned_about(self.T[these], centres[reached], twists[reached])
+        self.T[these] = turn_about(self.T[these], centres[reached], twists[reached])
         return moved_mm
 
     def results(self) -> list[Registration]:

@@ -16,7 +16,7 @@ RIDGE = 1e-3  # of the equations' mean diagonal: damps steps in directions that 
 SMALL = 1e-3  # rad: below, the series' next terms are lost in rounding
 
 
-def solved(equations: Floats) -> tuple[Floats, Floats]:
+def solve(equations: Floats) -> tuple[Floats, Floats]:
     """Return the twists (K, 6) that solve normal equations (K, 6, 7), and the root mean square (K,), mm, of the moves.
 
     Both are NaN where there are no points.
@@ -55,7 +55,7 @@ def exponential(twists: Floats) -> Floats:
     return motions
 
 
-def turned_about(T: Floats, centres: Floats, twists: Floats) -> Floats:
+def turn_about(T: Floats, centres: Floats, twists: Floats) -> Floats:
     """Return the poses (K, 4, 4), translation in mm, after twists (K, 6) about centres (K, 3), mm."""
     motions = exponential(twists)
     motions[:, :3, 3] += centres - (motions[:, :3, :3] @ centres[..., None])[..., 0]

@@ -13,13 +13,13 @@ from tactile_loc.plugin import (
     Poses,
     SensorGeometry,
     TriangleMesh,
-    as_drawn,
     bring_to_contact,
-    in_threads,
+    draw_nearest_depths,
+    find_drawing,
     make_transform,
-    nearest_depths,
+    make_translation,
     njit,
-    translation,
+    run_in_threads,
 )
 
 Floats = NDArray[np.float64]
@@ -63,7 +63,7 @@ class Pictures:
         block = min(max(1, int(BLOCK * width_m / pitch_m)), *geometry.shape)
         thinning = max(1, block // THINNED)
         block //= thinning
-        geometry, wanted = geometry.every(thinning), wanted.every(thinning)
+        geometry, wanted = geometry.subsample(thinning), wanted.subsample(thinning)
         taps = _make_gaussian(width_m / (block * geometry.pixel_pitch_m))
         centre_m, radius_m = _measure_contact(geometry, wanted)
         lever_m = max(radius_m, LEAST_LEVER_PX * pitch_m)
@@ -82,37 +82,37 @@ class Pictures:
         """The size of a picture's pixel, metres."""
         return self.block * self.geometry.pixel_pitch_m
 
-    def of_touch(self) -> Float32:
+    def draw_touch(self) -> Float32:
         """Return the touch's own picture (P,)."""
         return self._draw_depths(self.wanted.depth_m[None])[0]
 
-    def of_poses(self, T_sensor_object: Poses) -> tuple[Float32, Poses]:
+    def draw_poses(self, T_sensor_object: Poses) -> tuple[Float32, Poses]:
         """Return the pictures (N, P) of poses (N, 4, 4), metres, and the poses that were drawn."""
         T = bring_to_contact(self.mesh, T_sensor_object, self.geometry)[0] if self.in_contact else T_sensor_object
-        drawn, camera = as_drawn(T, self.geometry, self.drawing)
-        depth = nearest_depths(self.mesh, drawn, camera.band)
+        drawn, camera = find_drawing(T, self.geometry, self.drawing)
+        depth = draw_nearest_depths(self.mesh, drawn, camera.band)
         depth -= camera.full_penetration_m
         return self._draw_depths(depth), T
 
-    def moved(self, T_sensor_object: Poses, moves: Floats) -> Poses:
+    def move(self, T_sensor_object: Poses, moves: Floats) -> Poses:
         """Return poses (N, 4, 4), metres, moved by (N, 6) steps."""
         from scipy.spatial.transform import Rotation
 
         by = moves * self.steps
         turn = make_transform(Rotation.from_rotvec(by[:, 3:]).as_matrix(), np.zeros(3))
-        return translation(self.centre_m + by[:, :3]) @ turn @ translation(-self.centre_m) @ T_sensor_object
+        return make_translation(self.centre_m + by[:, :3]) @ turn @ make_translation(-self.centre_m) @ T_sensor_object
 
     def _draw_depths(self, depth_m: Float32) -> Float32:
         """The pictures (N, P) of contact depths (N, H, W), metres, which need not be cut."""
         small = np.empty((len(depth_m), *(side // self.block for side in self.geometry.shape)), np.float32)
         press = np.float32(self.wanted.press_depth_m)
-        in_threads(_average, len(small), depth_m, self.geometry.observed_mask, press, self.block, small)
+        run_in_threads(_average, len(small), depth_m, self.geometry.observed_mask, press, self.block, small)
         if len(self.taps) > 1:
-            in_threads(_filter, len(small), small, self.taps)
+            run_in_threads(_filter, len(small), small, self.taps)
         return small.reshape(len(small), -1)
 
 
-def within_reach(mesh: TriangleMesh, geometry: SensorGeometry, T_sensor_object: Poses) -> TriangleMesh:
+def keep_within_reach(mesh: TriangleMesh, geometry: SensorGeometry, T_sensor_object: Poses) -> TriangleMesh:
     """Return only those faces of a mesh that poses near these (N, 4, 4), in contact, can press in. Metres."""
     height = mesh.vertices_m @ T_sensor_object[:, 2, :3].T + T_sensor_object[:, 2, 3]
     near = height.min(axis=1)[mesh.faces].min(axis=1) < geometry.band.standoff_m + REACH * geometry.band.max_depth_m

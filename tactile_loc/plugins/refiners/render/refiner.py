@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat
 
 from tactile_loc.plugin import Candidate, ComponentOptions, PoseMetric, Poses, RefinedPose, Refiner, Scene, Touch
-from tactile_loc.plugins.refiners.render.pictures import Float32, Floats, Pictures, within_reach
+from tactile_loc.plugins.refiners.render.pictures import Float32, Floats, Pictures, keep_within_reach
 
 DAMPINGS = np.array([0.1, 1.0, 10.0])  # that are tried, times the last that was good
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-4, 30.0
@@ -46,7 +46,7 @@ class Descent:
 
         A pose has settled when it moves by less than `settled` steps, or no damping makes it better.
         """
-        picture, T = self.pictures.of_poses(T.copy())
+        picture, T = self.pictures.draw_poses(T.copy())
         still, iterations = np.zeros(len(T), bool), np.zeros(len(T), np.int64)
         damping = np.full(len(T), FIRST_DAMPING)
         for _ in range(most):
@@ -77,7 +77,7 @@ class Descent:
     def _draw(self, T: Poses, moves: Floats) -> tuple[Float32, Poses]:
         """Pictures (K, M, P) of poses (K, 4, 4) after each of their moves (K, M, 6), and these poses (K, M, 4, 4)."""
         count, many = moves.shape[:2]
-        seen, there = self.pictures.of_poses(self.pictures.moved(np.repeat(T, many, axis=0), moves.reshape(-1, 6)))
+        seen, there = self.pictures.draw_poses(self.pictures.move(np.repeat(T, many, axis=0), moves.reshape(-1, 6)))
         return seen.reshape(count, many, -1), there.reshape(count, many, 4, 4)
 
     def _build_equations(self, T: Poses, picture: Float32, start: Floats) -> tuple[Floats, Floats, Floats]:
@@ -167,7 +167,7 @@ class RenderRefiner(Refiner):
         if len(candidates) == 0:
             return []
         before = np.stack([candidate.T_sensor_object for candidate in candidates])
-        start, touching = Scene(scene.object, touch.geometry, scene.renderer).in_contact(before)
+        start, touching = Scene(scene.object, touch.geometry, scene.renderer).bring_to_contact(before)
         after, settled, iterations = before.copy(), np.zeros(len(before), bool), np.zeros(len(before), np.int64)
         if touching.any():
             found = self._descend(touch, start[touching], scene)
@@ -178,7 +178,7 @@ class RenderRefiner(Refiner):
         self, touch: Touch, scene: Scene, before: Poses, after: Poses, settled: Flags, iterations: Counts
     ) -> list[RefinedPose]:
         """Results of the refined poses, and of the candidates (K, 4, 4) that explain the touch better than theirs."""
-        scores = [scene.explained(T, touch) for T in (before, after)]
+        scores = [scene.compare_imprints(T, touch) for T in (before, after)]
         contact, imprint = (np.stack([one[k] for one in scores]) for k in (0, 1))
         good = (imprint[1] >= imprint[0]) & (contact[1] >= contact[0] - ROUGHLY)
         T = np.where(good[:, None, None], after, before)
@@ -189,17 +189,17 @@ class RenderRefiner(Refiner):
     def _descend(self, touch: Touch, T: Poses, scene: Scene) -> tuple[Poses, Flags, Counts]:
         """Poses (K, 4, 4) after all descents, which of them settled in the last (K,), and all iterations (K,)."""
         options, metric = self.options, PoseMetric(scene.object)
-        geometry, wanted = touch.thinned(options.image_px)
+        geometry, wanted = touch.thin(options.image_px)
         still, iterations = np.zeros(len(T), bool), np.zeros(len(T), np.int64)
         if not (wanted.contact & geometry.observed_mask).any():
             return T, still, iterations
-        mesh = within_reach(scene.object.mesh, geometry, T)
+        mesh = keep_within_reach(scene.object.mesh, geometry, T)
         start, hold = metric.embed(T), (options.patch_mm / options.spread_mm) ** 2
         for number, width_mm in enumerate(options.widths_mm, start=1):
             last = number == len(options.widths_mm)
             pictures = Pictures.blurred(mesh, geometry, wanted, width_mm * 1e-3, last, scene.drawing)
             tolerance = options.tolerance + options.blurred_tolerance * width_mm
-            descent = Descent(pictures, pictures.of_touch(), tolerance, metric, start, hold)
+            descent = Descent(pictures, pictures.draw_touch(), tolerance, metric, start, hold)
             T, still, done = descent.run(T, options.max_iterations, SETTLED if last else ON_THE_WAY)
             iterations += done
         return T, still, iterations

@@ -63,7 +63,7 @@ class DepthScene:
 
     def __init__(self, mesh: TriangleMesh, geometry: SensorGeometry) -> None:
         self.mesh, self.geometry = mesh, geometry
-        surface = pyrender.Primitive(mesh.vertices_m.astype(np.float32), indices=faces_to_draw(mesh))
+        surface = pyrender.Primitive(mesh.vertices_m.astype(np.float32), indices=choose_faces(mesh))
         self._camera = DepthCamera(geometry)
         self._scene = pyrender.Scene()
         self._scene.add(self._camera)
@@ -75,7 +75,7 @@ class DepthScene:
         return self._camera.depth_m(offscreen.render(self._scene, _FLAGS, {self._node: _BLACK}))
 
 
-def faces_to_draw(mesh: TriangleMesh) -> NDArray[np.int64]:
+def choose_faces(mesh: TriangleMesh) -> NDArray[np.int64]:
     """Return the faces (F', 3), those that may be seen from behind in both windings: pyrender drops back faces.
 
     Only a connected part that is closed and wound outward is never seen from behind.

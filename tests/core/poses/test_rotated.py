@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry.rigid import make_transform, random_rotations, rotation_about
+from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.poses.turned import TurnedPoses
+from tactile_loc.core.poses.rotated import RotatedPoses
 
 YAWS_RAD = np.radians(np.arange(0, 360, 0.5))
 
 
 def poses(count: int, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    return make_transform(random_rotations(count, rng), rng.normal(scale=0.005, size=(count, 3)))
+    return make_transform(draw_rotations(count, rng), rng.normal(scale=0.005, size=(count, 3)))
 
 
 @pytest.fixture(params=["none", "z3", "x2*y2", "zinf", "zinf*x2"])
@@ -34,7 +34,7 @@ def turned(T: np.ndarray) -> np.ndarray:
 
 def test_the_nearest_is_that_of_all_yaws_tried(metric):
     places, truths = poses(7, 1), poses(5, 2)
-    off_m, index, yaw_rad = TurnedPoses(places, metric).nearest(truths)
+    off_m, index, yaw_rad = RotatedPoses(places, metric).nearest(truths)
     for k, truth in enumerate(truths):
         tried = np.stack([
             metric.symmetric_distance(np.broadcast_to(truth, (len(YAWS_RAD), 4, 4)), turned(place)) for place in places
@@ -47,7 +47,7 @@ def test_the_nearest_is_that_of_all_yaws_tried(metric):
 
 def test_distances_at_given_yaws_are_those_of_the_metric(metric):
     places, truths, numbers = poses(6, 3), poses(4, 4), np.array([5, 0, 2, 2])
-    off_m = TurnedPoses(places, metric).distances(truths, numbers, np.tile(YAWS_RAD[::40], (4, 1)))
+    off_m = RotatedPoses(places, metric).distances(truths, numbers, np.tile(YAWS_RAD[::40], (4, 1)))
     for k, truth in enumerate(truths):
         some = turned(places[numbers[k]])[::40]
         expected = metric.symmetric_distance(np.broadcast_to(truth, some.shape), some)
@@ -56,7 +56,7 @@ def test_distances_at_given_yaws_are_those_of_the_metric(metric):
 
 def test_many_are_looked_up_in_parts(metric, monkeypatch):
     places, truths = poses(6, 5), poses(9, 6)
-    whole = TurnedPoses(places, metric).nearest(truths)
-    monkeypatch.setattr("tactile_loc.core.poses.turned.AT_ONCE", 12)
-    for one, other in zip(whole, TurnedPoses(places, metric).nearest(truths), strict=True):
+    whole = RotatedPoses(places, metric).nearest(truths)
+    monkeypatch.setattr("tactile_loc.core.poses.rotated.AT_ONCE", 12)
+    for one, other in zip(whole, RotatedPoses(places, metric).nearest(truths), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)

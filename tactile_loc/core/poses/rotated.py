@@ -1,4 +1,4 @@
-"""Poses that may be turned by any yaw about the sensor's z axis: which of them, and which yaw, is nearest to a pose.
+"""Poses that may be rotated by any yaw about the sensor's z axis: which of them, and which yaw, is nearest to a pose.
 
 With phi(T) of the pose metric as a matrix P (3, k), one column for each axis of the object's spread and one for its
 centroid, a turn by a yaw is Rz P. The least |A - Rz B|^2 over yaws follows from the largest trace of Rz^T A B^T. With
@@ -18,8 +18,8 @@ Float = NDArray[np.float64]
 AT_ONCE = 4_000_000  # pairs of poses compared together
 
 
-class TurnedPoses:
-    """N poses `T_sensor_object` (N, 4, 4), metres, each of which may be turned by any yaw about the sensor's z axis."""
+class RotatedPoses:
+    """N poses `T_sensor_object` (N, 4, 4), metres, each of which may be rotated by any yaw about the sensor's z."""
 
     def __init__(self, T_sensor_object: Poses, metric: PoseMetric) -> None:
         self.metric = metric
@@ -30,7 +30,7 @@ class TurnedPoses:
         return len(self._squared)
 
     def nearest(self, T_sensor_object: Poses) -> tuple[Float, NDArray[np.int64], Float]:
-        """Return distances (M,), metres, indices (M,) and yaws (M,), rad, of the turned poses nearest to (M, 4, 4).
+        """Return distances (M,), metres, indices (M,) and yaws (M,), rad, of the rotated poses nearest to (M, 4, 4).
 
         Poses that look the same by the object's symmetry are equal.
         """
@@ -47,17 +47,17 @@ class TurnedPoses:
         least, index, yaw_rad = np.full(len(rows), np.inf), np.zeros(len(rows), np.int64), np.zeros(len(rows))
         for phi in self.metric.embed_orbits(T_sensor_object):
             across, along = _rows(phi)
-            turned = across @ self._across.conj().T
-            gained = self._squared - 2 * (np.abs(turned) + along @ self._along.T)
+            rotated = across @ self._across.conj().T
+            gained = self._squared - 2 * (np.abs(rotated) + along @ self._along.T)
             best = gained.argmin(axis=1)
             squared = gained[rows, best] + _squared(across, along)
             better = squared < least
             least, index = np.where(better, squared, least), np.where(better, best, index)
-            yaw_rad = np.where(better, np.angle(turned[rows, best]), yaw_rad)
+            yaw_rad = np.where(better, np.angle(rotated[rows, best]), yaw_rad)
         return np.sqrt(np.maximum(least, 0.0)), index, yaw_rad
 
     def distances(self, T_sensor_object: Poses, numbers: NDArray[np.int64], yaw_rad: Float) -> Float:
-        """Return the distances (M, V), metres, of poses (M, 4, 4) from poses `numbers` (M,) turned by yaws (M, V), rad.
+        """Return the distances (M, V), metres, of poses (M, 4, 4) from poses `numbers` (M,) at yaws (M, V), rad.
 
         Symmetry is regarded.
         """
@@ -65,8 +65,8 @@ class TurnedPoses:
         ours, heights = self._across[numbers], self._along[numbers]
         for phi in self.metric.embed_orbits(T_sensor_object):
             across, along = _rows(phi)
-            turned = np.einsum("mk,mk->m", across, ours.conj())[:, None]
-            trace = (turned * np.exp(-1j * yaw_rad)).real + np.einsum("mk,mk->m", along, heights)[:, None]
+            rotated = np.einsum("mk,mk->m", across, ours.conj())[:, None]
+            trace = (rotated * np.exp(-1j * yaw_rad)).real + np.einsum("mk,mk->m", along, heights)[:, None]
             least = np.minimum(least, (self._squared[numbers] + _squared(across, along))[:, None] - 2 * trace)
         return np.asarray(np.sqrt(np.maximum(least, 0.0)))
 

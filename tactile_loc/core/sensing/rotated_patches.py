@@ -1,4 +1,4 @@
-"""The patch of a touch that is compared with those of places, turned back by many yaws; compiled (numba).
+"""The patch of a touch that is compared with those of places, rotated back by many yaws; compiled (numba).
 
 Where the gel is curved it is looked at from straight above the gel there, as an object that is touched there is.
 """
@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.compiled import in_threads, njit
+from tactile_loc.core.compiled import njit, run_in_threads
 from tactile_loc.core.geometry.rigid import align_to_z
 from tactile_loc.core.sensing.places import PATCH_PX, PITCH_M, Float32
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -19,7 +19,7 @@ from tactile_loc.core.sensing.touch import Touch
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
 
 
-def anchor(touch: Touch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def find_anchor(touch: Touch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return where the place that touches first is, where the touch is deepest, and how the gel lies there.
 
     The place (3,), metres, and R_sensor_gel (3, 3), whose third axis is the gel's normal, out of the sensor.
@@ -43,10 +43,10 @@ def _find_gel_frame(geometry: SensorGeometry, row: int, column: int) -> NDArray[
     return align_to_z(np.array([-across, -down, 1.0])).T
 
 
-def turned_patches(
+def rotate_patches(
     touch: Touch, anchor_m: NDArray[np.float64], R_sensor_gel: NDArray[np.float64], yaw_rad: NDArray[np.float64]
 ) -> tuple[Float32, NDArray[np.bool_]]:
-    """Return what a touch shows around its anchor (3,), metres, as CAMERA sees it turned back by each of M yaws (M,).
+    """Return what a touch shows around its anchor (3,), metres, as CAMERA sees it rotated back by each of M yaws (M,).
 
     That is contact depths (M, PATCH_PX, PATCH_PX), metres, from the plane across the gel's normal, the third axis of
     R_sensor_gel (3, 3), cut at the touch's press depth, and which pixels the sensor observes; others are no contact.
@@ -56,7 +56,7 @@ def turned_patches(
     seen = np.empty(depth_m.shape, np.bool_)
     camera = (geometry.is_pinhole, geometry.fx, geometry.fy, geometry.cx, geometry.cy)
     deepest_m = np.broadcast_to(np.asarray(geometry.full_penetration_m, np.float64), geometry.shape)
-    in_threads(
+    run_in_threads(
         _turn, len(yaw_rad), shape.depth_m, np.float32(shape.press_depth_m), geometry.observed_mask, camera, deepest_m,
         anchor_m, R_sensor_gel, np.asarray(yaw_rad, float), depth_m, seen,
     )  # fmt: skip

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""The rooms of the code and what each imports, read from every import statement, late and type-checking ones included.
+"""The packages of the code and what each imports, read from every import statement, late ones included.
 
-Run it to renew the table of docs/architecture.md and its picture, docs/images/rooms.svg.
+Run it to renew the table of docs/architecture.md and its picture, docs/images/packages.svg.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-PAGE, PICTURE = ROOT / "docs" / "architecture.md", ROOT / "docs" / "images" / "rooms.svg"
+PAGE, PICTURE = ROOT / "docs" / "architecture.md", ROOT / "docs" / "images" / "packages.svg"
 FOLDERS = ("tactile_loc", "cli/tactile_loc_cli", "benchmarks", "docs")
-# From the ground up: a room imports only rooms of lower layers, never its neighbours. A number is a box's place across.
+# From the ground up: a package imports only packages of lower layers, never its neighbours.
+# A number is a box's place across.
 LAYERS: tuple[dict[str, float], ...] = (
     {"core": 1.8},
     {"plugin": 0, "store": 2.2, "data": 3.4},
@@ -31,7 +32,7 @@ LAYERS: tuple[dict[str, float], ...] = (
     {"tactile_loc": 1},
     {"benchmarks": 0, "cli": 2, "docs": 4},
 )
-LAYER_OF = {room: number for number, layer in enumerate(LAYERS) for room in layer}
+LAYER_OF = {package: number for number, layer in enumerate(LAYERS) for package in layer}
 PATHS = {
     "plugin": "tactile_loc/plugin.py", "tactile_loc": "tactile_loc/__init__.py",
     "cli": "cli/tactile_loc_cli", "benchmarks": "benchmarks", "docs": "docs",
@@ -84,45 +85,49 @@ def is_ours(module: str) -> bool:
     return module in modules()
 
 
-def room(module: str) -> str:
-    """Return the room that a module of ours is in."""
+def package(module: str) -> str:
+    """Return the package that a module of ours is in."""
     path = modules()[module].relative_to(ROOT).as_posix()
     alone = next((name for name, start in PATHS.items() if path == start or path.startswith(f"{start}/")), None)
     return alone or module.split(".")[1]
 
 
-def rooms_imported() -> dict[str, list[str]]:
-    """Return the rooms that each room imports, the highest first."""
-    pairs = {(room(i.importer), room(i.imported)) for i in imports() if is_ours(i.imported)}
+def packages_imported() -> dict[str, list[str]]:
+    """Return the packages that each package imports, the highest first."""
+    pairs = {(package(i.importer), package(i.imported)) for i in imports() if is_ours(i.imported)}
     return {r: sorted((b for a, b in pairs if a == r != b), key=lambda b: (-LAYER_OF[b], b)) for r in LAYER_OF}
 
 
 def libraries_imported() -> dict[str, list[str]]:
-    """Return the libraries, beside Python's own, that each room imports."""
-    pairs = {(room(i.importer), i.imported.partition(".")[0]) for i in imports() if not is_ours(i.imported)}
+    """Return the libraries, beside Python's own, that each package imports."""
+    pairs = {(package(i.importer), i.imported.partition(".")[0]) for i in imports() if not is_ours(i.imported)}
     return {r: sorted({b for a, b in pairs if a == r}, key=str.lower) for r in LAYER_OF}
 
 
 def with_table(page: str) -> str:
-    """Return the page with what each row's room imports, as the code has it. Raises KeyError for an unknown room."""
-    rooms, libraries = rooms_imported(), libraries_imported()
+    """Return the page with what each row's package imports, as the code has it. Raises KeyError for an unknown one."""
+    packages, libraries = packages_imported(), libraries_imported()
 
     def row(match: re.Match[str]) -> str:
-        name = room_at(match["path"])
-        cells = (f"`{match['path']}`", match["holds"], *(", ".join(r[name]) or "nothing" for r in (rooms, libraries)))
+        name = package_at(match["path"])
+        cells = (
+            f"`{match['path']}`",
+            match["holds"],
+            *(", ".join(r[name]) or "nothing" for r in (packages, libraries)),
+        )
         return f"| {' | '.join(cells)} |"
 
     return ROW.sub(row, page)
 
 
-def room_at(path: str) -> str:
-    """Return the room at a path of the table."""
+def package_at(path: str) -> str:
+    """Return the package at a path of the table."""
     return {start: name for name, start in PATHS.items()}.get(path, path.rpartition("/")[2])
 
 
 def arrows() -> list[tuple[str, str]]:
-    """Return (room, room it imports), without those that follow from others: a to c where a to b and b to c are."""
-    direct = {name: set(found) for name, found in rooms_imported().items()}
+    """Return (package, package it imports), without what follows from others: a to c where a to b and b to c are."""
+    direct = {name: set(found) for name, found in packages_imported().items()}
 
     def below(name: str) -> set[str]:
         return direct[name].union(*(below(b) for b in direct[name] if LAYER_OF[b] < LAYER_OF[name]))
@@ -143,7 +148,7 @@ TIP = (
 
 
 def picture() -> str:
-    """Return the picture: a box for each room, layer by layer from the top, and an arrow for each of `arrows`."""
+    """Return the picture: a box for each package, layer by layer from the top, and an arrow for each of `arrows`."""
     width = PITCH * (1 + max(x for layer in LAYERS for x in layer.values()))
     height = len(LAYERS) * (HEIGHT + GAP)
     size = f'viewBox="0 0 {width:.0f} {height}" width="{width:.0f}" height="{height}"'
@@ -155,7 +160,7 @@ def picture() -> str:
 
 
 def _place(name: str) -> tuple[float, float]:
-    """The middle of a room's box, pixels."""
+    """The middle of a package's box, pixels."""
     above = len(LAYERS) - 1 - LAYER_OF[name]
     return PITCH * (LAYERS[LAYER_OF[name]][name] + 0.5), 0.5 * (GAP + HEIGHT) + above * (HEIGHT + GAP)
 
@@ -167,7 +172,7 @@ def _box(name: str) -> str:
 
 
 def _arrow(start: tuple[float, float], end: tuple[float, float]) -> str:
-    """An arrow that runs down its room's column, where no box is, and turns aside in the last gap between layers."""
+    """An arrow that runs down its package's column, where no box is, and turns aside in the last gap between layers."""
     (x0, y0), (x1, y1) = start, end
     y0, y1 = y0 + HEIGHT / 2, y1 - HEIGHT / 2
     turn, middle = y1 - GAP, y1 - 0.4 * GAP
