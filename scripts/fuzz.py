@@ -21,12 +21,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from unittest import mock
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT / name) for name in ("scripts", "tests", ".", "cli")]  # tests have helpers that write results
+from record import OURS, PROGRAM, ROOT, Done, Record, limited, make_parser
 
-from fuzzing.readers import READERS  # noqa: E402
-from fuzzing.trial import READ, REFUSED, SECONDS, Job, Verdict, make_input, read_all  # noqa: E402
-from record import OURS, PROGRAM, Done, Record, limited, make_parser  # noqa: E402
+sys.path.append(str(ROOT / "tests"))  # which have helpers that write results
+
+from fuzzing.readers import READERS
+from fuzzing.trial import READ, REFUSED, SECONDS, Job, Verdict, make_input, read_all
 
 PATIENCE_S = SECONDS + 60  # for a process that does not even hear its alarm
 EXPECTED = (0, 2, 3)  # exit codes of a command: done, refused, something to notice

@@ -9,18 +9,14 @@ moments, but what they hit depends on the machine. OUT/record.json keeps what ha
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT / name) for name in ("scripts", ".", "cli")]
+from killing.cases import CASES, cases
+from killing.commands import COMMANDS, make_inputs
+from killing.trials import Plan, at_once, full, kill, read_only
+from record import Record, make_parser
+from tactile_loc_cli.console import make_progress
 
-from killing.cases import CASES, cases  # noqa: E402
-from killing.commands import COMMANDS, make_inputs  # noqa: E402
-from killing.trials import Plan, at_once, full, kill, read_only  # noqa: E402
-from record import Record, make_parser  # noqa: E402
-from tactile_loc_cli.console import make_progress  # noqa: E402
-
-from tactile_loc.evaluation.tabular import format_markdown  # noqa: E402
+from tactile_loc.evaluation.tabular import format_markdown
 
 KINDS = {"kill": kill, "full": full, "read-only": read_only, "at-once": at_once, "cases": cases}
 NUMBERS = dict(zip(KINDS, (200, 50, 20, 12, len(CASES)), strict=True))
