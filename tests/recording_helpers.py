@@ -10,7 +10,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from tactile_loc.io.ros_messages import IMAGE, make_image
+from tactile_loc.io.streams.ros_messages import IMAGE, make_image
 
 S = 1_000_000_000
 
