@@ -68,6 +68,7 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[st
     return contents(folder / "store")
 
 
+@pytest.mark.slow
 def test_an_interrupted_build_is_resumed_and_ends_alike(tmp_path, uninterrupted):
     store = tmp_path / "store"
     process = start(tmp_path, store, "first shard")

@@ -102,6 +102,7 @@ def object_points(browser: Any) -> np.ndarray:
     return np.array(browser.execute_script(script)).T
 
 
+@pytest.mark.slow
 def test_a_run_is_drawn_and_another_candidate_moves_the_object(show, run_folder):
     browser = show(run_folder)
     assert set(plots(browser)) == {"scene", "surface", "yaw", "modes", "times"}
