@@ -114,20 +114,30 @@ class PlaceSearch:
 
     def alike(self, touch: Touch, count: int) -> tuple[Poses, NDArray[np.float64]]:
         """Return the poses (K, 4, 4), metres, of the `count` most similar rotated places, and their scores (K,)."""
-        from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
-
         matcher = self._banks.matcher(touch.press_depth_m)
         press_m = min(self._banks.bank_press_m(touch.press_depth_m), touch.press_depth_m)
-        anchor_m, R_sensor_gel = find_anchor(touch)
-        depths_m, seen = rotate_patches(touch, anchor_m, R_sensor_gel, self.yaws_rad)
-        cut_m = np.minimum(depths_m, np.float32(press_m))
-        queries, weights = self.encoder.encode_seen(cut_m, seen, press_m, CAMERA)
-        scores = matcher.scores(queries, weights)
-        best = np.argpartition(-scores, min(count, scores.size) - 1, axis=None)[:count]
-        best = best[scores.ravel()[best] > -np.inf]  # a matcher may score fewer
-        yaw, number = np.unravel_index(best, scores.shape)
-        poses = make_transform(R_sensor_gel, anchor_m) @ self.places.poses(number, self.yaws_rad[yaw])
-        return poses, scores.ravel()[best].astype(float)
+        T_sensor_anchor, codes = encode_rotated(touch, self.encoder, press_m, self.yaws_rad)
+        scores = matcher.scores(*codes)
+        yaw, number = find_highest(scores, count)
+        return T_sensor_anchor @ self.places.poses(number, self.yaws_rad[yaw]), scores[yaw, number].astype(float)
+
+
+def encode_rotated(
+    touch: Touch, encoder: Encoder, press_m: float, yaws_rad: NDArray[np.float64]
+) -> tuple[Poses, tuple[Scores, Scores]]:
+    """Return T_sensor_anchor (4, 4), metres, and the codes and weights (M, ...) of a touch rotated to M yaws."""
+    from tactile_loc.core.sensing.rotated_patches import find_anchor, rotate_patches
+
+    anchor_m, R_sensor_gel = find_anchor(touch)
+    depths_m, seen = rotate_patches(touch, anchor_m, R_sensor_gel, yaws_rad)
+    cut_m = np.minimum(depths_m, np.float32(press_m))
+    return make_transform(R_sensor_gel, anchor_m), encoder.encode_seen(cut_m, seen, press_m, CAMERA)
+
+
+def find_highest(scores: Scores, count: int) -> tuple[NDArray[np.int64], ...]:
+    """Return the rows and columns (K,) of the `count` highest scores (M, N), without those of -inf, unsorted."""
+    best = np.argpartition(-scores, min(count, scores.size) - 1, axis=None)[:count]
+    return np.unravel_index(best[scores.ravel()[best] > -np.inf], scores.shape)
 
 
 @dataclass(frozen=True, eq=False)
