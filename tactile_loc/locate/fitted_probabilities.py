@@ -143,7 +143,6 @@ class FittedProbabilities:
         work.save_json(conformal.STAGE, {"scores": scores, "entropies": entropies})
 
     def _describe_examples(self, touches: Sequence[int], count: int, seed: int) -> dict[str, Any]:
-        """Return what decides examples of fused touches, as JSON values."""
         return {
             "touches": list(touches), "examples": count, "seed": seed, "fuser": self.fuser.describe(),
             "scores": self.temperature_key().digest, "temperature": self.temperature,

@@ -87,7 +87,6 @@ class Localizer:
         return registry().create(slot, chosen.name, chosen.options)
 
     def _require_compatible(self, renderer: Any) -> None:
-        """Raise ConfigError for components that cannot work together."""
         made = {
             "sensor": self.sensor, "grid": self.sampler, "encoder": self.encoder, "refiner": self.refinement.refiner,
             "fuser": self.fuser, "renderer": renderer, "matcher": self._create("matcher"),
@@ -384,7 +383,6 @@ class _Query:
         return temper(self.prior, lambda count: power(len(self.observations) + told) / power(count))
 
     def _calibrate(self, posterior: PosePosterior) -> PoseSet | None:
-        """Make the set of poses for the coverage asked for; None without one."""
         if self.coverage is None:
             return None
         return PoseSet.of(posterior, self.first.probabilities.conformal_sets(posterior.touches), self.coverage)
@@ -392,7 +390,6 @@ class _Query:
     def _refine(
         self, modes: Sequence[Any], alone: Sequence[PosePosterior], posterior: PosePosterior
     ) -> tuple[tuple[Hypothesis, ...], Agreement]:
-        """Refine modes against all touches except outliers."""
         first, options = self.first, self.first.config.hypotheses
         radius_m = options.start_radius * first.mode_radius_m
 

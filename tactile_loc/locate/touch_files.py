@@ -153,7 +153,6 @@ def read_observations(localizer: Localizer, path: Path) -> list[Observation]:
 
 
 def _replace_sensor(localizer: Localizer, sensor: str) -> Localizer:
-    """Return the localizer with another sensor, given by name, folder or file."""
     kind = find_sensor_kind(sensor)
     chosen = SlotConfig(name=kind, options={"path": sensor}) if kind else SlotConfig(name=sensor)
     config = localizer.config.model_copy(update={"sensor": chosen})

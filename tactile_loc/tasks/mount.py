@@ -213,7 +213,6 @@ def _is_near(T_flange_sensor: Poses, nominal: Floats) -> NDArray[np.bool_]:
 
 
 def _refine(localizer: Localizer, given: FlangeTouches, guess: MountGuess, best_ious: Floats) -> FoundMount:
-    """Refine a guess to the mount near it that explains the touches best."""
     registration = _Registration.of(localizer, given)
     kept = np.ones(len(given), bool)
     X, Y = registration.converge(guess.T_flange_sensor, guess.T_base_object, kept)

@@ -173,7 +173,6 @@ def foresee(scene: Scene, modes: PoseModes, approaches: Sequence[Approach]) -> F
 
 
 def _release(scene: Scene) -> Scene:
-    """Return the scene with an unpressed sensor."""
     geometry = scene.geometry
     bare = dataclasses.replace(geometry, standoff_m=geometry.surface_m, indentation_m=0.0)
     return dataclasses.replace(scene, geometry=bare)
@@ -307,7 +306,6 @@ def _find_press_m(approach: Approach, modes: PoseModes) -> float:
 
 
 def _press_coarsely(scene: Scene, press_m: float) -> Scene:
-    """Return the scene of a pressed sensor with few pixels."""
     geometry = scene.geometry.press(press_m)
     step = max(1, round(max(geometry.shape) / LOOKED_AT_PX))
     return dataclasses.replace(scene, geometry=geometry.subsample(step))

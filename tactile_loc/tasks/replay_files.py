@@ -67,7 +67,6 @@ def replay_to(
 
 
 def _finish(kept: Journal, replay: Replay, frames: int, estimator: Estimator) -> None:
-    """Locate the frames that are not in the journal yet."""
     finished = len(kept.records)
     with replay.localizer.progress.task(f"locating the images on {replay.topic.name}", frames) as advance:
         advance(finished)

@@ -72,7 +72,6 @@ def _identify(path: Path) -> list[Any]:
 
 
 def _keep_whole(lines: list[bytes]) -> Iterator[FrameRecord]:
-    """Yield the records of lines, up to an incomplete one."""
     for number, line in enumerate(lines):
         try:
             record = FrameRecord.model_validate_json(line)

@@ -251,7 +251,6 @@ class Tracker:
         return self._see_from(replace(mode, known=mode.known.predict(creep)), T)
 
     def _see_from(self, mode: _Mode, T_base_sensor: Floats) -> _Mode:
-        """Return a mode as a sensor at (4, 4) sees it."""
         T, covariance = mode.known.view_from(T_base_sensor, self._gel_m)
         return replace(mode, T_sensor_object=T, covariance=covariance)
 

@@ -226,7 +226,6 @@ def _record_touch(touch: Touch, source: TouchConfig) -> TouchRecord:
 
 
 def _record_touches(localization: Localization, source: TouchConfig) -> list[TouchRecord]:
-    """Make the records of the located touches, with their agreement."""
     agreement = localization.agreement
     records = [_record_touch(touch, source) for touch in localization.touches]
     return [
