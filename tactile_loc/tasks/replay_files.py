@@ -52,7 +52,7 @@ def replay_to(
     path = out.with_name(f"{out.name}.journal")
     with open_journal(path, replay) as kept:
         if kept.stale:
-            log.warning("%s is of another replay, recording or version; all images are located again", path)
+            log.warning("%s is of another replay or of another version; all images are located again", path)
         resumed = len(kept.records)
         _finish(kept, replay, frames, estimator or (lambda touch: LocatedFrame.of(replay.localizer.localize(touch))))
         summary = ReplaySummary.of(kept.records)

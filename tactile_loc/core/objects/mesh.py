@@ -40,7 +40,7 @@ class TriangleMesh:
 
     @cached_property
     def corners_m(self) -> NDArray[np.float64]:
-        """The vertices (V, 3) that faces have, metres."""
+        """The vertices (V, 3) that belong to faces, metres."""
         return self.vertices_m[np.unique(self.faces)]
 
     @cached_property
@@ -80,16 +80,16 @@ class TriangleMesh:
 
     @cached_property
     def digest(self) -> str:
-        """Hash of the surface: what identifies it in the store."""
+        """Hash of the surface, which identifies it in the store."""
         parts = (np.ascontiguousarray(self.vertices_m, "<f8"), np.ascontiguousarray(self.faces, "<i8"))
         return hashlib.sha256(b"".join(p.tobytes() for p in parts)).hexdigest()
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectModel:
-    """A known object: a surface in metres, the rotations that map it onto itself, and what was noticed on loading.
+    """A known object: a surface in metres, the rotations that map it onto itself, and notes from loading it.
 
-    Raises ObjectError when the surface is empty, non-finite, has no extent, or an impossible size.
+    Raises ObjectError for a surface that is empty, not finite, without extent or of an impossible size.
     """
 
     name: str
@@ -107,7 +107,7 @@ class ObjectModel:
 
 
 def check_surface(mesh: TriangleMesh, name: str) -> None:
-    """Raise ObjectError, in one sentence, when the surface in metres cannot be that of a graspable object."""
+    """Raise ObjectError unless the surface, in metres, can be that of a graspable object."""
     if len(mesh.faces) == 0 or len(mesh.vertices_m) == 0:
         raise ObjectError(f"{name} is an empty mesh: it has no faces; export it again as a surface mesh")
     if not np.isfinite(mesh.vertices_m).all():
@@ -118,6 +118,6 @@ def check_surface(mesh: TriangleMesh, name: str) -> None:
     size = float(mesh.extents_m.max())
     if not SMALLEST_M <= size <= LARGEST_M:
         raise ObjectError(
-            f"{name} is {size * 1e3:.4g} mm long; objects from 1 mm to 1 m can be located, so its unit is probably "
-            "another: give --units m, mm, cm or inch"
+            f"{name} is {size * 1e3:.4g} mm long, but objects from 1 mm to 1 m can be located, so its unit is probably "
+            "wrong; give --units m, mm, cm or inch"
         )

@@ -43,8 +43,8 @@ class Registration:
     """The observations of N touches, and the object: its triangles, `samples` of its surface and its centre `middle`.
 
     `T_sensor_first` (N, 4, 4) are the sensor poses up to a twist about each touch's centre. Its variances are
-    `sensor` (N, 6), of the sensor's pose, and `press` (N, 6), of its press. `noise` is the least standard deviation of a
-    point, which the observed weights assume.
+    `sensor` (N, 6), of the sensor's pose, and `press` (N, 6), of its press. `noise` is the least standard deviation of
+    a point, which the observed weights assume.
     """
 
     observed: Observed
@@ -139,7 +139,7 @@ class Registration:
         return A * surer[..., None], b * surer
 
     def _marginalise_first(self, parts: Floats, T: Floats) -> Floats:
-        """Return the information (K, 6, 6) of twists of the pose in the first sensor's frame, about the object's centre.
+        """Return the information (K, 6, 6) of twists of the first sensor's pose of the object, about its centre.
 
         Of `parts` (K, 2, 6, 6), the first touch's is direct, except for its press. The others' is reduced by the error
         of the first sensor's pose.

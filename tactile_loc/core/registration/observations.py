@@ -94,7 +94,7 @@ def _middle_mm(touch: Seen, points_mm: Floats) -> Floats:
 
 
 def _image_mm(touch: Seen) -> NDArray[np.float32]:
-    """Return the least height and the nearest contact's place, mm, of every four neighbouring pixels: (H - 1, W - 1, 4).
+    """Return the least height and the nearest contact's place, mm, of each four neighbouring pixels: (H - 1, W - 1, 4).
 
     If none of the four shows contact, the height is the gel's, negated.
     """

@@ -141,8 +141,9 @@ class Registry:
         found = self.find(slot, name)
         if found.spec.interface > INTERFACE_VERSION:
             raise PluginLoadError(
-                f"the {slot} {name!r} of {found.distribution} needs plugin interface {found.spec.interface} or newer, "
-                f"and this tactile-loc has {INTERFACE_VERSION}: pip install --upgrade tactile-loc"
+                f"the {slot} {name!r} of {found.distribution} needs a tactile-loc with plugin interface "
+                f"{found.spec.interface} or newer, and this one has {INTERFACE_VERSION}: pip install --upgrade "
+                "tactile-loc"
             )
         if found.spec not in self._kinds:
             self._kinds[found.spec] = self._import_component(found)

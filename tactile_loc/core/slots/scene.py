@@ -46,7 +46,7 @@ class Scene:
     drawing: Drawing = "pressed"
 
     def use_pressed_drawing(self) -> Scene:
-        """Return the scene that renders what the sensor really sees, as touches show it."""
+        """Return the scene that renders the pressed object, as real sensors see it."""
         return dataclasses.replace(self, drawing="pressed")
 
     def bring_to_contact(self, T_sensor_object: Poses) -> tuple[Poses, NDArray[np.bool_]]:
