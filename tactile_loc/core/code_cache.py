@@ -58,7 +58,7 @@ def open_code_folder(function: Callable[..., Any], chosen: str = "") -> Folder:
 
 def _open(path: Path, chosen: str, files: set[Path], constants: set[str]) -> Folder:
     try:
-        sources = [f"{file.name} {_hash(file)}" for file in sorted(files)]
+        sources = [f"{file.name} {sha256(file.read_bytes()).hexdigest()}" for file in sorted(files)]
     except OSError:  # a function that it calls is not in a file
         return None
     key = sha256("\n".join([numba.__version__, *sources, *sorted(constants)]).encode()).hexdigest()[:16]
@@ -143,10 +143,6 @@ def _read_cells(function: Callable[..., Any]) -> list[Any]:
 
 def _is_number(value: object) -> bool:
     return all(map(_is_number, value)) if isinstance(value, tuple) else isinstance(value, bool | int | float)
-
-
-def _hash(path: Path) -> str:
-    return sha256(path.read_bytes()).hexdigest()
 
 
 def _delete_unreadable(folder: Path, files: set[Path]) -> None:

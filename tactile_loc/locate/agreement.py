@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,20 +25,6 @@ ALONE = 8  # poses that are refined against one touch alone
 Hypotheses = tuple[Hypothesis, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    """The hypotheses of all touches except `outliers`, and the touches that contradict the best of them."""
-
-    outliers: tuple[int, ...]
-    hypotheses: Hypotheses
-    far: frozenset[int]
-
-    @property
-    def rest_agree(self) -> bool:
-        """Whether the others agree well, and each touch that is left out contradicts them."""
-        return self.far == set(self.outliers) and self.hypotheses[0].imprint_iou >= WELL
-
-
 def find_agreement(
     find: Callable[[tuple[int, ...]], Hypotheses], best_alone: Callable[[], NDArray[np.float64]]
 ) -> tuple[Hypotheses, Agreement]:
@@ -55,19 +40,27 @@ def find_agreement(
     best = ious.max(axis=0)
     if (ious[0] < 1 - FAR).any():
         best = np.maximum(best, best_alone())
-    if not _try((), found, best).far:
-        return found, Agreement(tuple(best.tolist()))
+    best_ious = tuple(best.tolist())
+    if not _find_far(found, best):
+        return found, Agreement(best_ious)
     left_out: tuple[int, ...] = ()
     while len(left_out) < (len(best) - 1) // 2:
-        more = [(*left_out, k) for k in range(len(best)) if k not in left_out]
-        trials = [_try(outliers, find(outliers), best) for outliers in more]
-        blamed = [trial for trial in trials if trial.rest_agree]
+        trials = {(*left_out, k): find((*left_out, k)) for k in range(len(best)) if k not in left_out}
+        blamed = [
+            outliers for outliers, hypotheses in trials.items()
+            if _find_far(hypotheses, best) == set(outliers) and hypotheses[0].imprint_iou >= WELL
+        ]  # fmt: skip
         if len(blamed) == 1:
-            return blamed[0].hypotheses, Agreement(tuple(best.tolist()), tuple(sorted(blamed[0].outliers)), True)
+            return trials[blamed[0]], Agreement(best_ious, tuple(sorted(blamed[0])), True)
         if blamed:
             break
-        left_out = max(trials, key=lambda trial: trial.hypotheses[0].imprint_iou).outliers
-    return found, Agreement(tuple(best.tolist()), (), True)
+        left_out = max(trials, key=lambda outliers: trials[outliers][0].imprint_iou)
+    return found, Agreement(best_ious, (), True)
+
+
+def _find_far(hypotheses: Hypotheses, best: NDArray[np.float64]) -> set[int]:
+    """Find the touches that the best hypothesis explains far worse than another pose does."""
+    return set(np.flatnonzero(best - hypotheses[0].imprint_ious > FAR).tolist())
 
 
 def explain_alone(
@@ -106,8 +99,3 @@ def require_within_reach(touches: Sequence[Touch], obj: ObjectModel) -> None:
             f"the sensors are at least {1e3 * apart_m:,.0f} mm apart, but {obj.name} is only {1e3 * size_m:.0f} mm "
             "long; give each T_base_sensor in metres, from the sensor to one common base"
         )
-
-
-def _try(outliers: tuple[int, ...], hypotheses: Hypotheses, best: NDArray[np.float64]) -> _Trial:
-    short = best - hypotheses[0].imprint_ious
-    return _Trial(outliers, hypotheses, frozenset(map(int, np.flatnonzero(short > FAR))))

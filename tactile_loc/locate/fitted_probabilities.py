@@ -19,13 +19,7 @@ from tactile_loc.core.slots.fuser import Fuser
 from tactile_loc.core.slots.scene import Scene, View
 from tactile_loc.locate import conformal, probabilities
 from tactile_loc.locate.conformal import ConformalSets
-from tactile_loc.locate.probabilities import (
-    FusedExample,
-    FusedScaling,
-    TemperatureScaling,
-    fit_fused_scaling,
-    fit_temperature_scaling,
-)
+from tactile_loc.locate.probabilities import FusedExample, FusedScaling, TemperatureScaling
 from tactile_loc.locate.scoring import Scores
 from tactile_loc.locate.search import search_together
 from tactile_loc.locate.sources import PlaceSource, PoseSource
@@ -96,7 +90,7 @@ class FittedProbabilities:
                     scores.append(found)
                     truth.append(self.source.find_truth(grid, touch))
                     advance(1)
-        fitted = fit_temperature_scaling(scores, np.array(truth), self.source.searched)
+        fitted = probabilities.fit_temperature_scaling(scores, np.array(truth), self.source.searched)
         work.save_json(probabilities.STAGE, asdict(fitted))
 
     @cached_property
@@ -119,7 +113,7 @@ class FittedProbabilities:
             for example in self._examples(number, count, seed + EACH_LEVEL * place, level)
             if example.fused is not None
         ]
-        work.save_json(probabilities.FUSED_STAGE, asdict(fit_fused_scaling(fused, self.source.searched)))
+        work.save_json(probabilities.FUSED_STAGE, asdict(probabilities.fit_fused_scaling(fused, self.source.searched)))
 
     def conformal_sets(self, touches: int) -> ConformalSets:
         """Return the calibrated sets for this number of touches, fitted now or loaded from the store."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -15,7 +15,8 @@ from tactile_loc.core.deprecation import keep_old_names
 from tactile_loc.core.errors import ConfigError, GridError, TouchError, quote
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior, SeenFrom, count_touches, temper
 from tactile_loc.core.progress import Progress, StageTimes
 from tactile_loc.core.registration.joint_registration import JointRegistration
@@ -336,6 +337,10 @@ class _Query:
     def touches(self) -> list[Touch]:
         return [touch for _, touch in self.observations]
 
+    @property
+    def start_radius_m(self) -> float:
+        return self.first.config.hypotheses.start_radius * self.first.mode_radius_m
+
     def score_each(self) -> list[PosePosterior]:
         """Score each touch: over its localizer's grid, or over the poses found by a search with all touches."""
         searches = [localizer.search for localizer, _ in self.observations]
@@ -388,31 +393,32 @@ class _Query:
         return PoseSet.of(posterior, self.first.probabilities.conformal_sets(posterior.touches), self.coverage)
 
     def _refine(
-        self, modes: Sequence[Any], alone: Sequence[PosePosterior], posterior: PosePosterior
+        self, modes: Sequence[Mode], alone: Sequence[PosePosterior], posterior: PosePosterior
     ) -> tuple[tuple[Hypothesis, ...], Agreement]:
-        first, options = self.first, self.first.config.hypotheses
-        radius_m = options.start_radius * first.mode_radius_m
+        find = partial(self._find_hypotheses, modes, posterior.grid.metric)
+        return (find(()), Agreement()) if len(self.views) == 1 else find_agreement(find, partial(self._explain, alone))
 
-        def find(outliers: tuple[int, ...] = ()) -> tuple[Hypothesis, ...]:
-            some = modes
-            if outliers:
-                trusted = [view for k, view in enumerate(self.views) if k not in outliers]
-                some = keep_likeliest(modes, trusted, radius_m, options)
-            return find_hypotheses(
-                self.views, some, first.refinement.refine, posterior.grid.metric, first.merge_radius_m, self.known,
-                self.times, outliers,
-            )  # fmt: skip
+    def _find_hypotheses(
+        self, modes: Sequence[Mode], metric: PoseMetric, outliers: tuple[int, ...]
+    ) -> tuple[Hypothesis, ...]:
+        """Refine modes against all touches except outliers."""
+        first = self.first
+        if outliers:
+            trusted = [view for k, view in enumerate(self.views) if k not in outliers]
+            modes = keep_likeliest(modes, trusted, self.start_radius_m, first.config.hypotheses)
+        return find_hypotheses(
+            self.views, modes, first.refinement.refine, metric, first.merge_radius_m, self.known, self.times, outliers
+        )
 
-        def at_best() -> NDArray[np.float64]:
-            own = alone
-            if first.source.searched:
-                own = [localizer.posteriors([touch], self.times)[0] for localizer, touch in self.observations]
-            with self.times.stage("refine"):
-                ious = [explain_alone(view, p, first.refinement.refine, radius_m, options)
-                        for view, p in zip(self.views, own, strict=True)]  # fmt: skip
-            return np.array(ious)
-
-        return (find(), Agreement()) if len(self.views) == 1 else find_agreement(find, at_best)
+    def _explain(self, alone: Sequence[PosePosterior]) -> NDArray[np.float64]:
+        """Return the imprint IoU (N,) of the pose that explains each touch best on its own."""
+        first = self.first
+        if first.source.searched:
+            alone = [localizer.posteriors([touch], self.times)[0] for localizer, touch in self.observations]
+        with self.times.stage("refine"):
+            ious = [explain_alone(view, p, first.refinement.refine, self.start_radius_m, first.config.hypotheses)
+                    for view, p in zip(self.views, alone, strict=True)]  # fmt: skip
+        return np.array(ious)
 
     def find_excluding(self, alone: Sequence[PosePosterior]) -> tuple[int, ...]:
         """Find the one touch of three or more that excludes all poses of the others; empty if none or several do."""

@@ -16,7 +16,6 @@ from tactile_loc.locate.model import STAGE_VERSIONS, train_encoder
 from tactile_loc.locate.scoring import Scores
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
-from tactile_loc.store.workspace import Workspace
 
 TRAINING_VERSION = 1  # of how the touches are drawn from which an encoder learns
 ENCODED = 512  # places encoded at once: what fits a cache
@@ -61,10 +60,8 @@ class PlaceBanks:
         if not self.trained:
             return self._encode(press_depth_m)
         key = StageKey("bank", STAGE_VERSIONS["bank"], {"trained": self.trained, "press_depth_m": press_depth_m})
-        return np.asarray(self.store.build(key, lambda work: self._save(work, press_depth_m)).load_array("bank"))
-
-    def _save(self, work: Workspace, press_depth_m: float) -> None:
-        work.save_array("bank", self._encode(press_depth_m))
+        stored = self.store.build(key, lambda work: work.save_array("bank", self._encode(press_depth_m)))
+        return np.asarray(stored.load_array("bank"))
 
     def _encode(self, press_depth_m: float) -> Scores:
         starts = range(0, len(self.places), ENCODED)

@@ -164,7 +164,9 @@ def fit_fused_scaling(fused: Sequence[FusedExample], searched: bool = False) -> 
         known = log_p[np.isfinite(log_p)]
         for k, exponent in enumerate(EXPONENTS):
             power = FusedScaling(exponent).power(touches)
-            losses[k] -= max(power * log_p[truth] - _log_sum(power * known), np.log(LEAST))
+            logits = power * known
+            total = float(logits.max() + np.log(np.exp(logits - logits.max()).sum()))
+            losses[k] -= max(power * log_p[truth] - total, np.log(LEAST))
     return FusedScaling(float(EXPONENTS[np.argmin(losses)]), found)
 
 
@@ -217,8 +219,3 @@ def _fit_found(best: NDArray[np.float64], found: NDArray[np.bool_]) -> tuple[flo
 
     offset, slope = minimize(loss, np.zeros(2)).x
     return float(offset), float(slope)
-
-
-def _log_sum(logits: NDArray[np.float64]) -> float:
-    peak = logits.max()
-    return float(peak + np.log(np.exp(logits - peak).sum()))

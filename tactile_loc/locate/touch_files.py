@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_loc.core.errors import NoContactError, TactileLocError, TouchError
 from tactile_loc.core.geometry.rigid import axis_angle
@@ -59,15 +60,19 @@ class LocatedFile:
 
     def make_row(self) -> dict[str, str]:
         """Return a row of results.csv, whose columns are COLUMNS: the best pose in mm and degrees."""
+        row = {"touch": self.path.name, "verdict": self.verdict or "", "says": self.problem}
         if self.best is None:
-            return {"touch": self.path.name, "verdict": self.verdict or "", "says": self.problem}
-        best, T = self.best, self.best.T_sensor_object
-        angle_deg, axis = axis_angle(T[:3, :3])
-        cells = [
-            self.path.name, self.verdict or "", f"{best.probability:.4f}", f"{best.imprint_iou:.3f}",
-            *(f"{1e3 * v:.3f}" for v in T[:3, 3]), f"{angle_deg:.2f}", *(f"{v:.4f}" for v in axis),
-        ]  # fmt: skip
-        return dict(zip(COLUMNS, [*cells, ""], strict=True))
+            return row
+        row |= {"probability": f"{self.best.probability:.4f}", "imprint_iou": f"{self.best.imprint_iou:.3f}"}
+        return row | make_pose_cells(self.best.T_sensor_object)
+
+
+def make_pose_cells(T: NDArray[np.float64]) -> dict[str, str]:
+    """Return a pose (4, 4), metres, as cells of a table: x, y, z in mm, the rotation in degrees, and its axis."""
+    angle_deg, axis = axis_angle(T[:3, :3])
+    places = {f"{name}_mm": f"{1e3 * v:.3f}" for name, v in zip("xyz", T[:3, 3], strict=True)}
+    axes = {f"axis_{name}": f"{v:.4f}" for name, v in zip("xyz", axis, strict=True)}
+    return {**places, "turn_deg": f"{angle_deg:.2f}", **axes}
 
 
 def is_folder(path: Path) -> bool:

@@ -180,17 +180,13 @@ def make_mount_record(localizer: Localizer, found: FoundMount) -> MountRecord:
             zip(found.given.touches, found.residuals, found.first_residuals, found.imprint_ious, strict=True)
         )
     ]  # fmt: skip
-    fit = found.fit
+    fit, sensor = found.fit, localizer.config.sensor
+    sensor_name = Path(str(sensor.options["path"])).stem if "path" in sensor.options else sensor.name
     return MountRecord(
         T_flange_sensor=fit.T_flange_sensor.tolist(), covariance=fit.covariance.tolist(),
-        T_base_object=fit.T_base_object.tolist(), object=localizer.object.name, sensor=_name_sensor(localizer),
+        T_base_object=fit.T_base_object.tolist(), object=localizer.object.name, sensor=sensor_name,
         variance_factor=fit.variance, touch=touches,
     )  # fmt: skip
-
-
-def _name_sensor(localizer: Localizer) -> str:
-    sensor = localizer.config.sensor
-    return Path(str(sensor.options["path"])).stem if "path" in sensor.options else sensor.name
 
 
 def _locate(localizer: Localizer, touches: Sequence[Touch]) -> list[tuple[Hypothesis, ...]]:
@@ -267,7 +263,8 @@ class _Registration:
         stepped = [self.registration.step([view], T[None], scale_mm) for view, T in pairs]
         S = np.concatenate([poses for poses, _ in stepped])
         own = np.stack([NOTHING if covariance is None else covariance for _, (covariance,) in stepped])
-        return Measured(S, own + _estimate_flange_errors(self.given, S))
+        std = np.array([[t.T_base_sensor_std_m] * 3 + [t.T_base_sensor_std_rad] * 3 for t in self.given.touches])
+        return Measured(S, own + move_covariance(std[:, None] ** 2 * np.eye(6), S[:, :3, 3] - self.given.gel_m))
 
     def find_trusted(self, X: Floats, Y: Floats, best_ious: Floats) -> NDArray[np.bool_]:
         """Find which touches (N,) contradict X and Y neither in the object's pose nor in its imprint there."""
@@ -285,12 +282,6 @@ class _Registration:
         """How well the object explains each touch (N,) where X and Y predict it."""
         pairs = zip(self.views, self.predict(X, Y), strict=True)
         return np.array([float(view.imprint_ious(T[None])[0]) for view, T in pairs])
-
-
-def _estimate_flange_errors(given: FlangeTouches, T_sensor_object: Poses) -> Floats:
-    """The covariances (N, 6, 6) of where a sensor sees the object that come from errors of the flange's pose."""
-    std = np.array([[t.T_base_sensor_std_m] * 3 + [t.T_base_sensor_std_rad] * 3 for t in given.touches])
-    return move_covariance(std[:, None] ** 2 * np.eye(6), T_sensor_object[:, :3, 3] - given.gel_m)
 
 
 def require_motions(given: FlangeTouches) -> None:

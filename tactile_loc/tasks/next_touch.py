@@ -163,19 +163,14 @@ def choose_next_touch(
 def foresee(scene: Scene, modes: PoseModes, approaches: Sequence[Approach]) -> Foreseen:
     """Return what approaches would meet, for each mode as the true one."""
     T = invert(np.stack([a.T_base_sensor for a in approaches]))[:, None] @ modes.T_base_object[None]
-    touching, over = _release(scene).bring_to_contact(T.reshape(-1, 4, 4))
+    bare = dataclasses.replace(scene.geometry, standoff_m=scene.geometry.surface_m, indentation_m=0.0)  # unpressed
+    touching, over = dataclasses.replace(scene, geometry=bare).bring_to_contact(T.reshape(-1, 4, 4))
     T_contact = touching.reshape(T.shape)
     travel_m = T[..., 2, 3] - T_contact[..., 2, 3]
     over = over.reshape(travel_m.shape)
     T_contact[..., 2, 3] -= np.array([_find_press_m(a, modes) for a in approaches])[:, None]
     longest_m = np.array([a.travel_m for a in approaches])[:, None]
     return Foreseen(T_contact, travel_m, over & (travel_m >= 0) & (travel_m <= longest_m), over & (travel_m < 0))
-
-
-def _release(scene: Scene) -> Scene:
-    geometry = scene.geometry
-    bare = dataclasses.replace(geometry, standoff_m=geometry.surface_m, indentation_m=0.0)
-    return dataclasses.replace(scene, geometry=bare)
 
 
 def compute_expected_entropy(nats: Float64, probabilities: Float64, tells: Bools) -> Float64:
@@ -243,7 +238,9 @@ def _compare_drawn(
     nats, tells = _compare_travels(seen), seen.meets.copy()
     for press_m in {_find_press_m(a, modes) for a in approaches}:
         some = [k for k, a in enumerate(approaches) if _find_press_m(a, modes) == press_m]
-        glance = _press_coarsely(scene, press_m)
+        geometry = scene.geometry.press(press_m)
+        step = max(1, round(max(geometry.shape) / LOOKED_AT_PX))
+        glance = dataclasses.replace(scene, geometry=geometry.subsample(step))
         observed, pitch_m = glance.geometry.observed_mask, glance.geometry.pixel_pitch_m
         for k, (rows, depths) in zip(some, _draw(glance, _select(seen, some)), strict=True):
             if len(rows):
@@ -303,12 +300,6 @@ def _require_usable(approaches: Sequence[Approach], costs: Float64, modes: PoseM
 
 def _find_press_m(approach: Approach, modes: PoseModes) -> float:
     return modes.press_m if approach.press_m is None else approach.press_m
-
-
-def _press_coarsely(scene: Scene, press_m: float) -> Scene:
-    geometry = scene.geometry.press(press_m)
-    step = max(1, round(max(geometry.shape) / LOOKED_AT_PX))
-    return dataclasses.replace(scene, geometry=geometry.subsample(step))
 
 
 def _select(seen: Foreseen, which: Sequence[int] | NDArray[np.int64]) -> Foreseen:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.results.result_arrays import NAME, read_arrays
 from tactile_loc.locate.results.result_json import read_record
 from tactile_loc.tasks.next_touch import NextTouch, RatedApproach
-from tactile_loc.tasks.pose_modes import PoseModes, find_distinct_modes, measure_sharpness
+from tactile_loc.tasks.pose_modes import PoseModes, find_distinct_modes
 
 SCHEMA_VERSION = 1
 
@@ -84,9 +83,9 @@ def read_modes(path: str | Path) -> tuple[PoseModes, NDArray[np.float64] | None]
     if T_base_sensor is not None:
         poses = T_base_sensor @ poses
     p = np.array([h.probability for h in record.hypotheses])
-    modes = find_distinct_modes(obj, poses, p, arrays.touches[0].geometry, record.touch.indentation_m)
-    sharpness = measure_sharpness([h.imprint_iou for h in record.hypotheses])
-    return dataclasses.replace(modes, sharpness=sharpness), T_base_sensor
+    ious = [h.imprint_iou for h in record.hypotheses]
+    geometry = arrays.touches[0].geometry
+    return find_distinct_modes(obj, poses, p, geometry, record.touch.indentation_m, ious), T_base_sensor
 
 
 def make_next_touch_record(found: NextTouch) -> NextTouchRecord:

@@ -92,7 +92,9 @@ class PoseFilter:
         H = _propagate_errors(seen.T_base_sensor, T, seen.at_m)
         e = compute_pose_errors(seen.T_sensor_object, T) / UNIT - H[:, 6:] @ errors
         known = H @ P @ H.T
-        doubt = _measure_doubt(e, known + fresh * _to_unit(seen.common) + _to_unit(seen.own))
+        S = known + fresh * _to_unit(seen.common) + _to_unit(seen.own)
+        # Student's t, whose heavy tails suit registrations that end in another valley: S may be too small
+        doubt = max(1.0, (FREEDOM + float(e @ np.linalg.solve(S, e))) / (FREEDOM + 6))
         P[TOUCH, TOUCH] += doubt * fresh * _to_unit(seen.common)
         own = doubt * _to_unit(seen.own)
         S = H @ P @ H.T + own
@@ -100,15 +102,6 @@ class PoseFilter:
         kept_back = np.eye(18) - K @ H
         P = kept_back @ P @ kept_back.T + K @ own @ K.T  # Joseph's form: stays positive
         return PoseFilter(move(self.T_base_object, UNIT * (K[POSE] @ e)), errors + K[6:] @ e, (P + P.T) / 2)
-
-
-def _measure_doubt(e: Floats, S: Floats) -> float:
-    """Return the factor, at least 1, by which a touch's covariance is too small.
-
-    The error (6,) with covariance S (6, 6) is taken as Student's t, whose heavy tails suit registrations that end in
-    another valley.
-    """
-    return max(1.0, (FREEDOM + float(e @ np.linalg.solve(S, e))) / (FREEDOM + 6))
 
 
 def _propagate_errors(T_base_sensor: Floats, T_sensor_object: Floats, at_m: Floats) -> Floats:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,9 +13,7 @@ from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.locate.hypotheses import choose_best_apart
 from tactile_loc.locate.results.localization import Localization
 
 Float64 = NDArray[np.float64]
@@ -51,20 +48,8 @@ class PoseModes:
         poses = np.stack([h.T_sensor_object for h in found.hypotheses])
         p = np.array([h.probability for h in found.hypotheses])
         obj = found.posterior.grid.metric.object
-        modes = find_distinct_modes(obj, T_base_sensor @ poses, p, touch.geometry, touch.indentation_m)
-        return dataclasses.replace(modes, sharpness=measure_sharpness([h.imprint_iou for h in found.hypotheses]))
-
-    @classmethod
-    def of_posterior(
-        cls, posterior: PosePosterior, geometry: SensorGeometry, press_m: float,
-        T_base_sensor: Float64 | None = None, radius_m: float = 1.5e-3,
-    ) -> PoseModes:  # fmt: skip
-        """Return the most probable poses of a posterior, none within `radius_m` metres of a more probable one."""
-        modes = choose_best_apart(posterior, radius_m, MOST_MODES)
-        T = np.eye(4) if T_base_sensor is None else T_base_sensor
-        p = np.array([mode.probability for mode in modes])
-        poses = T @ np.stack([mode.T_sensor_object for mode in modes])
-        return find_distinct_modes(posterior.grid.metric.object, poses, p, geometry, press_m)
+        ious = [h.imprint_iou for h in found.hypotheses]
+        return find_distinct_modes(obj, T_base_sensor @ poses, p, touch.geometry, touch.indentation_m, ious)
 
     @property
     def entropy(self) -> float:
@@ -78,15 +63,16 @@ def measure_sharpness(imprint_ious: Sequence[float]) -> float:
     The nats of evidence were fitted to touches whose true pose leaves a share NOISY unexplained. If the best hypothesis
     leaves less, smaller differences count.
     """
-    return float(np.clip(NOISY / max(1 - max(imprint_ious), 1e-6), 1.0, SHARPEST))
+    return float(np.clip(NOISY / max(1 - max(imprint_ious, default=0.0), 1e-6), 1.0, SHARPEST))
 
 
 def find_distinct_modes(
-    obj: ObjectModel, T_base_object: Poses, probabilities: Float64, geometry: SensorGeometry, press_m: float
-) -> PoseModes:
+    obj: ObjectModel, T_base_object: Poses, probabilities: Float64, geometry: SensorGeometry, press_m: float,
+    imprint_ious: Sequence[float] = (),
+) -> PoseModes:  # fmt: skip
     """Return poses (K, 4, 4), metres, and probabilities (K,) as modes, at most MOST_MODES; merge equivalent poses.
 
-    Raises TouchError when all probabilities are 0.
+    The modes' sharpness comes from `imprint_ious`, 0 to 1. Raises TouchError when all probabilities are 0.
     """
     order = np.argsort(-probabilities, kind="stable")
     order = order[probabilities[order] > 0]
@@ -97,7 +83,8 @@ def find_distinct_modes(
     mass = np.bincount(of[listed], probabilities[order[listed]])[kept]
     likelier = np.argsort(-mass, kind="stable")
     p, poses = mass[likelier], T_base_object[order[kept[likelier]]]
-    return PoseModes(obj, poses, p / p.sum(), geometry, press_m, max(0.0, 1 - float(p.sum())))
+    unlisted, sharpness = max(0.0, 1 - float(p.sum())), measure_sharpness(imprint_ious)
+    return PoseModes(obj, poses, p / p.sum(), geometry, press_m, unlisted, sharpness)
 
 
 def compute_entropy(p: Float64) -> Float64:

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_loc.core.geometry.rigid import axis_angle
 from tactile_loc.io.streams.recordings import RecordingWriter, write_recording
 from tactile_loc.io.streams.ros_messages import POSE, RosPose, make_pose
 from tactile_loc.locate.results.located_frame import LocatedFrame
-from tactile_loc.locate.touch_files import write_csv
+from tactile_loc.locate.touch_files import make_pose_cells, write_csv
 from tactile_loc.store.files import write_json
 from tactile_loc.tasks.replay import Estimator, FrameRecord, Replay, ReplaySummary, require_located
 from tactile_loc.tasks.replay_journal import Journal, open_journal
@@ -118,11 +117,8 @@ def make_row(record: FrameRecord) -> dict[str, str]:
     }  # fmt: skip
     if record.T_frame_object is None:
         return cells
-    angle_deg, axis = axis_angle(record.T[:3, :3])
     cells |= {"probability": f"{record.probability:.4f}", "imprint_iou": f"{record.imprint_iou:.3f}"}
-    cells |= {f"{name}_mm": f"{1e3 * v:.3f}" for name, v in zip("xyz", record.T[:3, 3], strict=True)}
-    cells |= {"turn_deg": f"{angle_deg:.2f}"}
-    cells |= {f"axis_{name}": f"{v:.4f}" for name, v in zip("xyz", axis, strict=True)}
+    cells |= make_pose_cells(record.T)
     if record.covariance is not None:
         variances = np.diag(record.covariance)
         std_m, std_rad = np.sqrt(variances[:3].mean()), np.sqrt(variances[3:].mean())

@@ -181,7 +181,9 @@ class Tracker:
         slipped = slips and self._slip(touch, is_keyframe)
         contradicted = not self._modes or self._is_contradicted(is_keyframe)
         search = contradicted or (
-            is_keyframe and not self._is_certain and len(self._keyframes) < self.options.keyframes
+            is_keyframe
+            and self._probabilities()[0] < self.options.certain
+            and len(self._keyframes) < self.options.keyframes
         )
         keys = self._keyframes
         if slipped:
@@ -206,10 +208,6 @@ class Tracker:
         T = invert(T_base_first) @ T_base_second
         shift_m = np.linalg.norm(T[:3, :3] @ self._gel_m + T[:3, 3] - self._gel_m)
         return float(shift_m + 1e-3 * self.options.lever_mm * rotation_angle(T[:3, :3]))
-
-    @property
-    def _is_certain(self) -> bool:
-        return bool(self._probabilities()[0] >= self.options.certain)
 
     def _probabilities(self) -> Floats:
         evidence = np.array([mode.evidence for mode in self._modes])

@@ -98,15 +98,11 @@ def solve_closed_form(T_base_flange: Poses, T_sensor_object: Poses) -> tuple[Pos
     R_F, R_S = T_base_flange[..., :3, :3], T_sensor_object[..., :3, :3]
     kronecker = np.einsum("...nij,...nlk->...ikjl", R_F, R_S).reshape(*R_F.shape[:-3], 9, 9)  # of F X S, row by row
     _, _, right = np.linalg.svd(kronecker)
-    R_X = _find_nearest_rotation(right[..., 0, :].reshape(*right.shape[:-2], 3, 3))
+    M = right[..., 0, :].reshape(*right.shape[:-2], 3, 3)  # its sign is arbitrary
+    R_X = _average_rotations((M * np.sign(np.linalg.det(M))[..., None, None])[..., None, :, :])
     R_Y = _average_rotations(R_F @ R_X[..., None, :, :] @ R_S)
     t_X, t_Y = _solve_translations(T_base_flange, R_X, T_sensor_object[..., :3, 3])
     return make_transform(R_X, t_X), make_transform(R_Y, t_Y)
-
-
-def _find_nearest_rotation(M: Floats) -> Floats:
-    """Return the rotations (..., 3, 3) nearest to matrices with arbitrary sign."""
-    return _average_rotations((M * np.sign(np.linalg.det(M))[..., None, None])[..., None, :, :])
 
 
 def _average_rotations(R: Floats) -> Floats:
@@ -149,7 +145,9 @@ def fit_hand_eye(
     H, _, chi2 = _build_equations(T_base_flange, T_sensor_object, weighing, X, Y)
     total = (weights_of(chi2)[:, None, None] * H).sum(axis=0)
     freedom, variance = _estimate_variance(chi2, covariances, total)
-    return HandEyeFit(X, Y, chi2, _reduce_to_mount(total) / UNIT / UNIT[:, None], freedom, variance)
+    # the Schur complement is the information of X for any Y
+    mount = np.asarray(total[:6, :6] - total[:6, 6:] @ np.linalg.solve(_damp(total[6:, 6:]), total[6:, :6]))
+    return HandEyeFit(X, Y, chi2, mount / UNIT / UNIT[:, None], freedom, variance)
 
 
 def _build_equations(F: Poses, S: Poses, weighing: Floats, X: Floats, Y: Floats) -> tuple[Floats, Floats, Floats]:
@@ -176,11 +174,6 @@ def _weigh(chi2: Floats) -> Floats:
 def _damp(H: Floats) -> Floats:
     """Add a little to the information's diagonal, so that undetermined directions stay unchanged."""
     return H + np.diag(1e-9 * np.diag(H) + LEAST_INFORMATION)
-
-
-def _reduce_to_mount(H: Floats) -> Floats:
-    """Return the information (6, 6) of X for any Y: the Schur complement."""
-    return np.asarray(H[:6, :6] - H[:6, 6:] @ np.linalg.solve(_damp(H[6:, 6:]), H[6:, :6]))
 
 
 def _estimate_variance(chi2: Floats, covariances: Floats, information: Floats) -> tuple[int, float]:

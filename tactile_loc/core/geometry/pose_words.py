@@ -25,11 +25,10 @@ class PoseWords:
 def format_pose_words(T: NDArray[np.float64], std: NDArray[np.float64] | None = None) -> PoseWords:
     """Write a pose (4, 4), metres, and standard deviations (6,), metres and radians, along and about the axes."""
     angle_deg, axis = axis_angle(T[:3, :3])
-    known = PoseWords(join_numbers(1e3 * T[:3, 3], 1), f"{angle_deg:.1f}°", f"({join_numbers(axis, 2)})")
+    known = join_numbers(1e3 * T[:3, 3], 1), f"{angle_deg:.1f}°", f"({join_numbers(axis, 2)})"
     if std is None:
-        return known
-    along, about = join_numbers(1e3 * std[:3], 2), f"{join_numbers(np.degrees(std[3:]), 1)}°"
-    return PoseWords(known.place, known.turn, known.axis, along, about)
+        return PoseWords(*known)
+    return PoseWords(*known, join_numbers(1e3 * std[:3], 2), f"{join_numbers(np.degrees(std[3:]), 1)}°")
 
 
 def join_numbers(values: Iterable[float], digits: int) -> str:

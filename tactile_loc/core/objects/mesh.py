@@ -71,12 +71,10 @@ class TriangleMesh:
 
     def sample(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
         """Draw points (count, 3) in metres uniformly over the surface."""
-        a, b, c = np.moveaxis(self.triangles_m[self._draw_faces(count, rng)], 1, 0)
+        faces = rng.choice(len(self.faces), size=count, p=self.face_areas / self.face_areas.sum())
+        a, b, c = np.moveaxis(self.triangles_m[faces], 1, 0)
         r, s = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
         return (1 - r) * a + r * (1 - s) * b + r * s * c
-
-    def _draw_faces(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-        return rng.choice(len(self.faces), size=count, p=self.face_areas / self.face_areas.sum())
 
     @cached_property
     def digest(self) -> str:

@@ -63,7 +63,10 @@ def observe(touches: Sequence[Seen], points: int, noise_m: float, patch_m: float
     images = [_image_mm(touch) for touch in touches]
     sizes = np.array([image.shape[:2] for image in images])
     starts = np.cumsum([0, *(len(cloud[0]) for cloud in clouds)])
-    middles = np.stack([_middle_mm(t, cloud[0]) for t, cloud in zip(touches, clouds, strict=True)])
+    middles = np.stack([
+        cloud[0].mean(axis=0) if len(cloud[0]) else touch.geometry.gel_middle_m * MILLI  # thinning may leave nothing
+        for touch, cloud in zip(touches, clouds, strict=True)
+    ])  # fmt: skip
     cameras = np.stack([_camera_mm(t, weight) for t in touches])
     pixels = np.concatenate([image.reshape(-1, 4) for image in images])
     offsets = np.cumsum([0, *sizes.prod(axis=1)[:-1]])
@@ -84,13 +87,6 @@ def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple
     patches = max(FEWEST_PATCHES, len(points) * (pitch_mm / patch_mm) ** 2)
     points, normals, slack_mm = points[::every] * MILLI, normals[::every], slack_mm[::every]
     return points, normals, np.full(len(points), patches / max(len(points), 1) / noise_mm**2), slack_mm
-
-
-def _middle_mm(touch: Seen, points_mm: Floats) -> Floats:
-    """Return the middle (3,) of the contact, mm; that of the gel if thinning left no contact."""
-    if len(points_mm):
-        return np.asarray(points_mm.mean(axis=0))
-    return touch.geometry.gel_middle_m * MILLI
 
 
 def _image_mm(touch: Seen) -> NDArray[np.float32]:

@@ -151,11 +151,6 @@ class PlaceProblem(TrainingProblem):
         """Largest distance of a touch's pose from the nearest place's, metres."""
         return REACH * 1e-3 * self.sampler.options.spacing_mm
 
-    @property
-    def yaw_step_rad(self) -> float:
-        """The step between the yaws tried, rad."""
-        return float(2 * np.pi / self.sampler.options.turns)
-
     def touch(self, depth_m: Float32, press_m: float) -> Touch | None:
         """Return the touch of a contact depth (H, W) at full press, cut at `press_m`, metres; None if it is invalid."""
         geometry = self.fine.geometry
@@ -191,7 +186,7 @@ class PlaceTouches(TrainingTouches):
 
         problem, chosen = self.problem, np.sort(rng.choice(len(self), count, replace=False))
         touches, labels = self._make_noisy(chosen, rng, press_m)
-        step_rad, poses = problem.yaw_step_rad, self.T_sensor_object[chosen]
+        step_rad, poses = float(2 * np.pi / problem.sampler.options.turns), self.T_sensor_object[chosen]
         yaw_rad = np.empty((count, 1 + decoys))
         yaw_rad[:, 0] = labels.yaw_rad + step_rad * rng.uniform(-0.5, 0.5, count)
         away_rad = rng.uniform(CLEAR * step_rad, 2 * np.pi - CLEAR * step_rad, (count, decoys))

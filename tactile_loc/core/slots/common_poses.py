@@ -177,17 +177,10 @@ def _list_others(grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reac
     others: dict[int, OtherSensor] = {}
     for number, (grid, T) in enumerate(zip(grids[1:], T_base_sensor[1:], strict=True), start=1):
         if grid is not grids[0] or not np.array_equal(T, T_base_sensor[0]):
-            others[number] = OtherSensor(grid, invert(T) @ T_base_sensor[0], reach * _find_spacing_m(grids[0], grid))
+            # a pose of the first grid is as inexact as its grid is coarse; a grid of one pose has no spacing
+            spacing_m = max((m for m in (grids[0].spacing_m, grid.spacing_m) if np.isfinite(m)), default=np.inf)
+            others[number] = OtherSensor(grid, invert(T) @ T_base_sensor[0], reach * spacing_m)
     return others
-
-
-def _find_spacing_m(first: PoseGrid, other: PoseGrid) -> float:
-    """Return the coarser spacing, metres: a pose of the first grid is as inexact as its grid is coarse.
-
-    A grid of one pose has no spacing; with two such grids there is no bound.
-    """
-    known = [m for m in (first.spacing_m, other.spacing_m) if np.isfinite(m)]
-    return max(known, default=np.inf)
 
 
 def _order_others(others: dict[int, OtherSensor], T_first_object: Poses) -> list[int]:

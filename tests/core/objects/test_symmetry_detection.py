@@ -286,7 +286,7 @@ def test_refusal_names_the_turn_the_gap_and_the_place() -> None:
     assert "about z" in message
     assert re.search(r"\d mm", message)
     assert any(not missing(message, f"{angle} deg") for angle in (60, 120, 240, 300))
-    assert message.count(".") == message.count(".", 0, -1) + 1, "one sentence"
+    assert not re.search(r"\.(\s|$)", message), "one sentence"
 
 
 @pytest.mark.parametrize(("text", "name"), [("zinf", "notched cylinder"), ("zinf*x2", "frustum"), ("z3", "cube")])
