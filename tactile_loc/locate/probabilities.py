@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_softmax
 
 from tactile_loc.core.errors import ConfigError
 from tactile_loc.core.poses.metric import PoseGrid
@@ -82,6 +81,8 @@ class TemperatureScaling:
 
     def log_p(self, scores: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return log-probabilities (..., N) of scores (..., N), higher is more similar; -inf stays -inf."""
+        from scipy.special import log_softmax  # scipy takes a while to import
+
         sharp = np.asarray(log_softmax(np.asarray(scores, np.float64) / self.temperature, axis=-1))
         if self.tail == 0:
             return sharp
