@@ -1,4 +1,4 @@
-"""Touches given by a path, and the table of what became of them."""
+"""Touches from paths, and the table of their results."""
 
 from __future__ import annotations
 

@@ -202,7 +202,7 @@ def test_rings_of_facets_turned_against_each_other_are_round(count: int) -> None
 
 
 def test_a_rough_scan_has_the_symmetry_that_is_declared() -> None:
-    """A box scanned with 0.03 mm of noise: a sensor would see it, and who declares the symmetry is believed."""
+    """A box scanned with 0.03 mm of noise: a sensor would see it, but a declared symmetry is accepted."""
     vertices_m, faces = subdivided(BODIES["box"][0], 4)
     merged_m, index = np.unique(np.round(vertices_m, 9), axis=0, return_inverse=True)
     scan = merged_m + np.random.default_rng(0).normal(0.0, 3e-5, merged_m.shape), index.reshape(-1)[faces]
