@@ -22,7 +22,7 @@ SHARD = 64
 
 
 class Counting(RaycastRenderer):
-    """Remembers how many poses each call rendered, may break off at one, and may be of another make."""
+    """Remembers how many poses each call rendered, may break off at one, and may have another version."""
 
     def __init__(self, stop_at: int | None = None, make: str = "counting") -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""From scores to probabilities: what is known is found again, and as often right as it says."""
+"""Probabilities from scores: known parameters are found again, and probabilities are true."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SCORES = np.array([0.1, 0.5, 0.2, 0.0, -3.0, 0.5], np.float32)
 
 
 def drawn(scaling: TemperatureScaling, touches: int, rng: np.random.Generator, poses: int = 60):
-    """Scores of touches, and truths that are as probable as the scaling says."""
+    """Return scores of touches, with true poses that are as probable as the scaling says."""
     scores = rng.normal(size=(touches, poses))
     p = np.exp(scaling.log_p(scores))
     return list(scores), np.array([rng.choice(poses, p=row) for row in p])
@@ -111,7 +111,7 @@ def test_what_errs_alike_adds_nothing_and_what_errs_apart_all(alike, exponent):
 
 
 def test_what_the_best_pose_explains_tells_how_probably_the_truth_was_found():
-    """Examples that are found with a probability that grows with what is explained: the fit gives it back."""
+    """The probability that examples are found grows with their score: the fit recovers it."""
     rng = np.random.default_rng(8)
     explained = rng.random(3000)
     truth = np.where(rng.random(3000) < 1 / (1 + np.exp(4 - 8 * explained)), 0, -1)
@@ -148,7 +148,7 @@ def test_several_touches_are_fused_as_surely_as_was_fitted(tmp_path, monkeypatch
 
 
 def test_an_earlier_posterior_is_as_sure_as_all_touches_make(tmp_path, monkeypatch):
-    """Of the one seen first and handed on, and the second, no more is left than of both seen together."""
+    """Two touches one after the other leave as much certainty as both together."""
     localizer = Localizer.create("pin", store=StageStore(tmp_path), **COARSE)
     monkeypatch.setattr(localizer.probabilities, "fused_scaling", FusedScaling(0.75))
     first, second = localizer.simulate(2, seed=2)
