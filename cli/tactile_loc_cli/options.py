@@ -71,7 +71,7 @@ class RunOptions:
         float | None,
         declare(
             "--press-depth", "MM",
-            "Press depth in mm. Default: from the touch file, else estimated; the maximal depth where none is read.",
+            "Press depth in mm. Default: from the touch file, or estimated; for simulated touches the maximal depth.",
         ),
     ] = None  # fmt: skip
     noise: Annotated[Noise | None, declare("--noise", None, "Noise of simulated touches. Default: none.")] = None
@@ -109,8 +109,7 @@ class RunOptions:
         declare("--config", "FILE.toml", "Read settings from a TOML file. Options on the command line override it."),
     ] = None
     drop_outliers: Annotated[
-        bool,
-        declare("--drop-outliers", None, "With a list of touches: leave out those that contradict all others."),
+        bool, declare("--drop-outliers", None, "With a list of touches: leave out those that contradict all others.")
     ] = False
     top: Annotated[int | None, declare("--top", "N", "Number of poses to list. Default: 10.")] = None
     coverage: Annotated[

@@ -56,8 +56,7 @@ PublicFormat = Annotated[
     Format | None, typer.Option("--format", help="FOLDER is a public calibration set of this format.")
 ]
 BallRadius = Annotated[
-    float | None,
-    declare("--ball-radius", "MM", "Radius of the ball in mm, without presses.csv or with --format."),
+    float | None, declare("--ball-radius", "MM", "Radius of the ball in mm, without presses.csv or with --format.")
 ]
 PixelSize = Annotated[
     float | None, declare("--mm-per-px", "MM", "Size of a pixel on the gel in mm, without sensor.toml.")

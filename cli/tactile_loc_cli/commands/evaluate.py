@@ -61,8 +61,7 @@ TouchKind = enum.StrEnum("TouchKind", "SHAPES IMAGES")
 Touches = Annotated[
     TouchKind,
     typer.Option(
-        "--touches",
-        help="Contact shapes, or images of them for a sensor that was calibrated on simulated images.",
+        "--touches", help="Contact shapes, or images of them for a sensor that was calibrated on simulated images."
     ),
 ]
 TouchNoise = Annotated[

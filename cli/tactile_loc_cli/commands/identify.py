@@ -16,15 +16,13 @@ DEFAULT_OUT = Path("tactile-loc-identify")
 NONE_OF_THESE = 1
 
 Objects = Annotated[
-    Path,
-    options.declare("--objects", "FOLDER", "Folder of the objects' mesh files (stl, obj, ply, off)."),
+    Path, options.declare("--objects", "FOLDER", "Folder of the objects' mesh files (stl, obj, ply, off).")
 ]
 Touches = Annotated[
     str, options.declare("--touch", "FILE|LIST", "A touch file, or a list (.toml) of several touches of one object.")
 ]
 Located = Annotated[
-    int,
-    options.declare("--located", "N", "Number of objects to locate: the most likely ones of a coarse search."),
+    int, options.declare("--located", "N", "Number of objects to locate: the most likely ones of a coarse search.")
 ]
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of identification.json.")]
 Given = Annotated[RunOptions, options.takes("units", "touch_unit", "press_depth", "sensor", "option", "config")]
@@ -38,9 +36,9 @@ def identify(
     out: Out = DEFAULT_OUT,
     store: options.Store = None,
 ) -> dict[str, Any]:
-    """Find which of several objects was touched, if any, and where it is.
+    """Find which of several objects was touched.
 
-    Each object's model is built once and stored. The exit code is 1 if "none of these" is most probable.
+    It also locates the object. Each object's model is built once and stored. The exit code is 1 if "none of these" is most probable.
     """
     from tactile_loc.io.streams.records import write_record
     from tactile_loc.store.store import StageStore

@@ -53,8 +53,7 @@ Track = Annotated[
     ),
 ]
 Out = Annotated[
-    Path | None,
-    options.declare("--out", "FILE.jsonl", "Write each result as a line of JSON. Default: write no file."),
+    Path | None, options.declare("--out", "FILE.jsonl", "Write each result as a line of JSON. Default: write no file.")
 ]
 Port = Annotated[
     int,
@@ -85,9 +84,9 @@ def live(
     rerun: options.Rerun = None,
     store: options.Store = None,
 ) -> dict[str, Any]:
-    """Locate an object in each frame of a camera, a folder or a video, as they arrive.
+    """Locate an object in each frame as it arrives.
 
-    A local web page shows the results; --out writes them as lines of JSON. If frames arrive faster than they are
+    Frames come from a camera, a folder or a video. A local web page shows the results; --out writes them as lines of JSON. If frames arrive faster than they are
     located, only the newest is used. The command ends with the video or with Ctrl-C.
     """
     from tactile_loc.io.streams.frame_sources import open_source

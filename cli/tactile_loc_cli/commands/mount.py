@@ -34,7 +34,7 @@ Given = Annotated[RunOptions, options.takes("object", "units", "symmetry", "touc
 def mount(
     touch: Touches, given: Given, nominal: Nominal = None, out: Out = DEFAULT_OUT, store: options.Store = None
 ) -> dict[str, Any]:
-    """Find where a sensor is mounted on the robot's flange.
+    """Find where a sensor is mounted on a flange.
 
     Touch a known, fixed part with the flange at known poses that rotate about two or more axes. Touches that contradict
     the others are left out and named. To use the result in a list of touches, write mount = "mount.toml" and give

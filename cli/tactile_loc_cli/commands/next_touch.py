@@ -17,18 +17,18 @@ Result = Annotated[
     Path, typer.Argument(metavar="RESULT", help="A result.json written by run, with its .npz beside it.")
 ]
 Candidates = Annotated[
-    Path,
-    options.declare("--candidates", "FILE.toml", "Approaches: [[approach]] tables, each with its start pose."),
+    Path, options.declare("--candidates", "FILE.toml", "Approaches: [[approach]] tables, each with its start pose.")
 ]
 Top = Annotated[int, options.declare("--top", "N", "Number of approaches to show; the file has all of them.")]
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of next_touch.json and next_touch.png.")]
 
 
 def next_touch(result: Result, candidates: Candidates, top: Top = 10, out: Out = DEFAULT_OUT) -> dict[str, Any]:
-    """Choose where to touch next to distinguish the poses that a result lists.
+    """Choose where to touch next.
 
-    For each pose and approach, the touch is simulated: how far the sensor travels until contact, and what it then
-    sees. Approaches are ranked by their expected information per cost. Poses that no approach distinguishes are named.
+    The next touch should distinguish the poses that a result lists. For each pose and approach, the command simulates
+    the sensor's travel until contact and the contact shape. Approaches are ranked by their expected information per
+    cost. Poses that no approach distinguishes are named.
     """
     from tactile_loc.drawing.pictures import save_figure
     from tactile_loc.drawing.tasks import draw_next_touch

@@ -23,8 +23,7 @@ BROKEN_CONTRACT = 1
 Slot = Annotated[str | None, typer.Argument(metavar="SLOT", help="Only this slot.")]
 Name = Annotated[str | None, typer.Argument(metavar="NAME", help="List the options of this component.")]
 Check = Annotated[
-    bool,
-    typer.Option("--check", help="Run the contract checks of SLOT NAME; exit code 1 if it breaks a contract."),
+    bool, typer.Option("--check", help="Run the contract checks of SLOT NAME; exit code 1 if it breaks a contract.")
 ]
 SetOption = Annotated[list[str] | None, set_option("With --check: set an option of the component; may be repeated.")]
 Properties = Annotated[
@@ -50,7 +49,9 @@ def objects() -> dict[str, Any]:
 def plugins(
     slot: Slot = None, name: Name = None, check: Check = False, option: SetOption = None, properties: Properties = False
 ) -> dict[str, Any]:
-    """List the components of every slot, or the options of one component.
+    """List components and their options, or check one.
+
+    Without SLOT and NAME, the components of every slot are listed; with both, the options of one component.
 
     --check runs the contract checks of one component and reports each failure. --properties also tests general
     properties on random inputs: frames, orders, symmetric copies, image sizes, mirror images.

@@ -19,9 +19,9 @@ Out = Annotated[
 
 
 def report(result: Result, out: Out = None) -> dict[str, Any]:
-    """Show a result as one HTML file: of a run, an evaluation (also with --contacts), or a sweep.
+    """Show a result as one HTML file.
 
-    The file is self-contained and works offline.
+    It shows a run, an evaluation (also with --contacts), or a sweep. The file is self-contained and works offline.
     """
     from tactile_loc.reports import find_source, write_report
 

@@ -50,10 +50,10 @@ def run(
     rerun: options.Rerun = None,
     store: options.Store = None,
 ) -> dict[str, Any]:
-    """Locate an object from one touch, from several touches together, or from each touch of a folder.
+    """Locate an object from one touch or several.
 
-    Without options, it locates a demo object from a simulated touch (of eight, the one with the most contact). The
-    object's model is built once and stored.
+    The touches of a list are used together, those of a folder one by one. Without options, a demo object is located
+    from a simulated touch (of eight, the one with the most contact). The object's model is built once and stored.
     """
     from tactile_loc.locate.touch_files import is_folder
 

@@ -25,8 +25,7 @@ PlanFile = Annotated[
     Path | None, typer.Argument(metavar="PLAN.toml", help="The plan; options on the command line override it.")
 ]
 Objects = Annotated[
-    list[str] | None,
-    declare("--object", "FILE|DEMO,...", "Mesh files or demo objects. Default: all demo objects."),
+    list[str] | None, declare("--object", "FILE|DEMO,...", "Mesh files or demo objects. Default: all demo objects.")
 ]
 Sensors = Annotated[list[str] | None, declare("--sensor", "NAME|PATH,...", "Sensors. Default: gelslim.")]
 Renderers = Annotated[list[str] | None, declare("--renderer", "NAME,...", "Renderers. Default: heightmap.")]

@@ -19,8 +19,7 @@ Slot = Annotated[
     ),
 ]
 Name = Annotated[
-    str,
-    typer.Argument(metavar="NAME", help="Its name: lower case, words joined by hyphens.", show_default=False),
+    str, typer.Argument(metavar="NAME", help="Its name: lower case, words joined by hyphens.", show_default=False)
 ]
 Out = Annotated[
     Path | None, typer.Option("--out", metavar="FOLDER", help="New folder to write. Default: tactile-loc-NAME.")
