@@ -86,8 +86,9 @@ def live(
 ) -> dict[str, Any]:
     """Locate an object in each frame as it arrives.
 
-    Frames come from a camera, a folder or a video. A local web page shows the results; --out writes them as lines of JSON. If frames arrive faster than they are
-    located, only the newest is used. The command ends with the video or with Ctrl-C.
+    Frames come from a camera, a folder or a video. A local web page shows the results; --out writes them as lines of
+    JSON. If frames arrive faster than they are located, only the newest is used. The command ends with the video or
+    with Ctrl-C.
     """
     from tactile_loc.io.streams.frame_sources import open_source
     from tactile_loc.tasks.live import LiveLocator, LiveSummary
