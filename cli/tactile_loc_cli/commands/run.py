@@ -108,7 +108,7 @@ def _require_none(prior: Path | None, report: bool, rerun: Path | None) -> None:
     """Raise ConfigError for options of a single result, which a folder of touches excludes."""
     for given, flag in ((prior, "--prior"), (rerun, "--rerun"), (report, "--report")):
         if given:
-            raise ConfigError(f"{flag} needs a single result; leave it out, or give one touch instead of a folder")
+            raise ConfigError(f"{flag} needs a single result; leave it out with a folder of touches, or give one touch")
 
 
 def _read_prior(localizer: Localizer, touch: Touch, path: Path | None) -> Prior | None:
