@@ -85,12 +85,12 @@ def test_it_says_how_certain_how_far_off_how_long_and_where(result):
 
 def test_it_says_which_side_of_the_object_was_searched(cli, result):
     mesh = load_object(result["object"]["name"]).mesh
-    (line,) = [line for line in result["stdout"].splitlines() if line.startswith("side ")]
+    (line,) = [line for line in result["stdout"].splitlines() if line.startswith("searched: the object's side")]
     shown = [float(word) for word in re.search(r"\((.*?)\)", line)[1].split(",")]
     assert shown == pytest.approx(find_resting_normal(mesh.vertices_m, mesh.centroid_m), abs=0.006)
     chosen = cli("run", "--object", "pin", *TINY, "-o", "grid.face=+y", "--out", "chosen")
     assert chosen.exit_code == 0, chosen.stderr
-    assert not [line for line in chosen.stdout.splitlines() if line.startswith("side ")]
+    assert not [line for line in chosen.stdout.splitlines() if line.startswith("searched: the object's side")]
 
 
 def test_files_that_belong_together_are_written_while_others_wait(result):

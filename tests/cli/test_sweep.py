@@ -123,7 +123,7 @@ def test_units_are_of_the_objects_that_are_given(cli, plan, tmp_path):
 @pytest.mark.parametrize(
     ("words", "mentioned"),
     [
-        ([], ("sweep",)),
+        ([], ("plan",)),
         (["none.toml"], ("none.toml",)),
         (["bad.toml"], ("bad.toml", "'refinr'", "'refiner'")),
         (["--refiner", "none,ipc"], ("'ipc'",)),
