@@ -15,6 +15,7 @@ import platform
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -148,9 +149,9 @@ def main() -> None:
     if arguments.device == "cuda" and not torch.cuda.is_available():
         parser.error("torch sees no CUDA device here; rehearse with --device cpu")
     device = torch.device(arguments.device)
-    recipe = PRESETS[arguments.preset].change(**({"queries": arguments.queries} if arguments.queries else {}))
+    recipe = replace(PRESETS[arguments.preset], **({"queries": arguments.queries} if arguments.queries else {}))
     chip = torch.cuda.get_device_name() if device.type == "cuda" else platform.processor() or "CPU"
-    print(json.dumps({"chip": chip, "torch": torch.__version__, "recipe": recipe.describe()}, indent=1), flush=True)
+    print(json.dumps({"chip": chip, "torch": torch.__version__, "recipe": asdict(recipe)}, indent=1), flush=True)
     print(json.dumps({"latency_ms": time_latencies(recipe, arguments.keys, device, arguments.rounds)}, indent=1))
     print(json.dumps({"training": time_epochs(recipe, arguments, device)}, indent=1))
 

@@ -101,7 +101,9 @@ def test_the_slow_copy_has_the_statistics_of_the_network_and_lagging_weights():
 @pytest.mark.slow
 def test_it_learns_to_tell_the_poses_apart(problem):
     encoder = make(epochs=4, queries=256, noise="none", patience=4)
-    encoder.recipe = encoder.recipe.change(momentum=0.9, refresh=4)  # few steps: the keys must follow quickly
+    encoder.recipe = dataclasses.replace(
+        encoder.recipe, momentum=0.9, refresh=4
+    )  # few steps: the keys must follow quickly
     geometry, clean = problem.scene.geometry, np.concatenate(list(problem.shapes()))
     encoder.fit(problem)
     bank = encoder.encode(clean, geometry.max_depth_m, geometry)
@@ -342,7 +344,7 @@ def test_decoys_change_what_is_learned_and_its_key(places):
 def test_it_learns_to_tell_places_apart():
     problem = make_place_training_problem()
     encoder = make(epochs=6, queries=256, noise="none", patience=6)
-    encoder.recipe = encoder.recipe.change(momentum=0.9, refresh=4)
+    encoder.recipe = dataclasses.replace(encoder.recipe, momentum=0.9, refresh=4)
     encoder.fit(problem)
     press_m = float(problem.key_presses_m[-1])
     batch = problem.draw(60, make_noise("none"), np.random.default_rng(7)).batch(60, np.random.default_rng(8), press_m)

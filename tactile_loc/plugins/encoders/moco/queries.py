@@ -1,4 +1,4 @@
-"""The touches that the learned encoder trains on: rendered ahead of the trainer."""
+"""The learned encoder's training touches, rendered ahead of the trainer."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from tactile_loc.plugin import TouchNoise, TrainingProblem, TrainingTouches
 
 
 class QuerySource:
-    """Renders `count` touches an epoch, the next epoch's while the present one is being used.
+    """Renders `count` touches for each epoch, while the trainer uses the epoch before.
 
-    Each `rank` of processes that train together renders others.
+    Processes that train together have different `rank`s, and render different touches.
     """
 
     def __init__(self, problem: TrainingProblem, noise: TouchNoise, count: int, seed: int, rank: int = 0) -> None:
@@ -32,7 +32,7 @@ class QuerySource:
                 yield touches
 
     def validation(self, count: int) -> TrainingTouches:
-        """Return touches that no epoch trains on."""
+        """Return touches that are not used in training."""
         return self._render([self.seed, 0, 1], count)
 
     def _render(self, seed: list[int], count: int) -> TrainingTouches:
