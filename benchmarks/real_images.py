@@ -26,9 +26,8 @@ from numpy.typing import NDArray
 from tactile_loc.calibration.calibrate import Calibrated, calibrate
 from tactile_loc.calibration.circles import Circle, compare_colours, find_imprint, find_rim
 from tactile_loc.calibration.folder import write_calibration
-from tactile_loc.calibration.health import Health, measure_health
 from tactile_loc.calibration.presses import PressFolder, choose_size_px, convert, read_presses
-from tactile_loc.calibration.reading import measure_press_m
+from tactile_loc.calibration.reading import Health, measure_health, measure_press_m
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import load_image
 from tactile_loc.locate.localizer import Localizer
@@ -135,7 +134,7 @@ class SpherePress:
         change = compare_colours(image, estimator.background)
         imprint = find_imprint(change)
         assert imprint is not None
-        circle, _ = find_rim(change, imprint.circle)
+        circle = find_rim(change, imprint.circle)
         pitch_mm = 1e3 * estimator.geometry.pixel_pitch_m
         away_mm, radius_mm = pitch_mm * circle.measure_distance_px(image.shape[:2]), pitch_mm * circle.radius_px
         below_mm = SMALL_SPHERE_MM - np.sqrt(SMALL_SPHERE_MM**2 - np.minimum(away_mm, radius_mm) ** 2)

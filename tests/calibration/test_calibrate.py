@@ -31,10 +31,10 @@ from tactile_loc.calibration.calibrate import (  # noqa: E402
     split,
 )
 from tactile_loc.calibration.estimator import GelEstimator  # noqa: E402
-from tactile_loc.calibration.health import Health  # noqa: E402
 from tactile_loc.calibration.labels import Chosen, LabelledPresses, PressLabel  # noqa: E402
 from tactile_loc.calibration.photometric import PhotometricEstimator  # noqa: E402
 from tactile_loc.calibration.presses import read_presses  # noqa: E402
+from tactile_loc.calibration.reading import Health  # noqa: E402
 from tactile_loc.core.errors import CalibrationError, ConfigError  # noqa: E402
 from tactile_loc.core.progress import Progress  # noqa: E402
 from tactile_loc.store.store import StageStore  # noqa: E402

@@ -45,9 +45,11 @@ class FaceGrid(GridSampler):
 
         face: str = Field(default="auto", description="side that touches: +x, -x, +y, -y, +z, -z, auto")
         tilt_deg: float = Field(
-            default=0.0, ge=0.0, le=45.0,
+            default=0.0,
+            ge=0.0,
+            le=45.0,
             description="largest tilt about x and y, degrees; spacing_mm then applies to x, y and yaw only",
-        )  # fmt: skip
+        )
         tilt_steps: int = Field(default=3, ge=2, le=15, description="tilts for each axis, evenly from -tilt to +tilt")
         max_poses: int = Field(default=2_000_000, ge=1, description="largest allowed number of poses")
 

@@ -35,12 +35,9 @@ class CalibratedSensor(DepthSensor):
         image = np.asarray(image)
         if image.ndim == 2 and image.dtype != np.uint8:
             return super().contact_shape(image)
-        seen, known = self.read_indentation(image), self.calibration
+        known = self.calibration
+        seen = known.read_indentation(image)
         return find_contact_shape(seen, self.geometry, known.noise_m, known.estimator.sees_skirt, known.false_press_m)
-
-    def read_indentation(self, image: NDArray[Any]) -> NDArray[np.float32]:
-        """Return the gel's indentation (H, W), metres. Raises TouchError for an image of another sensor."""
-        return self.calibration.read_indentation(image)
 
     def simulated_image(self, shape: ContactShape, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Return the simulated image (H, W, 3) of a contact shape, with the optics of the calibration's images.

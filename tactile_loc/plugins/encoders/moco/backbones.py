@@ -163,8 +163,13 @@ class SmallBackbone(Backbone):
 
 
 def make_backbone(
-    name: str, *, generator: torch.Generator, in_channels: int = 1, channels: int | None = 16, norm: Norm = "group",
-) -> Backbone:  # fmt: skip
+    name: str,
+    *,
+    generator: torch.Generator,
+    in_channels: int = 1,
+    channels: int | None = 16,
+    norm: Norm = "group",
+) -> Backbone:
     """Return the backbone `name` ("small", "resnet18", "resnet50") on the CPU, with weights drawn by `generator`.
 
     `in_channels` is the number of input planes, with the contact mask first. `channels` is the number of the map's

@@ -58,9 +58,14 @@ class Recipe:
         return scores + keys
 
     def embed(
-        self, network: nn.Module, depth_m: Float32, press_m: NDArray[np.float64], geometry: SensorGeometry,
-        device: torch.device, seen: NDArray[np.bool_] | None = None,
-    ) -> torch.Tensor:  # fmt: skip
+        self,
+        network: nn.Module,
+        depth_m: Float32,
+        press_m: NDArray[np.float64],
+        geometry: SensorGeometry,
+        device: torch.device,
+        seen: NDArray[np.bool_] | None = None,
+    ) -> torch.Tensor:
         """Return unit vectors (N, D) of contact depths (N, H, W) in metres, cut at press depths (N,).
 
         `seen` (N, H, W) marks the known pixels, for networks with a plane for them.

@@ -7,7 +7,8 @@ import json
 import logging
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,6 +20,7 @@ from torch import nn
 
 from tactile_loc.plugin import (
     MissingLibraryError,
+    TouchNoise,
     TrainingBatch,
     TrainingError,
     TrainingProblem,
@@ -27,8 +29,9 @@ from tactile_loc.plugin import (
     rank,
 )
 from tactile_loc.plugins.encoders.moco.backbones import Backbone
-from tactile_loc.plugins.encoders.moco.queries import QuerySource
 from tactile_loc.plugins.encoders.moco.recipe import Recipe
+
+log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
@@ -80,39 +83,48 @@ def find_local_cuda() -> torch.device:
     return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
 
 
-class TrainingLog:
-    """Writes a TensorBoard log with one point for each epoch; without a folder, nothing."""
+def open_board(folder: str, epochs_done: int) -> Any:
+    """Open a TensorBoard log, and hide the points of an interrupted run after `epochs_done`.
 
-    def __init__(self, folder: str | None, epochs_done: int = 0) -> None:
-        """Open the log, and hide the points of an interrupted run after `epochs_done`.
+    Raises MissingLibraryError when TensorBoard is not installed.
+    """
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError as error:
+        raise MissingLibraryError(
+            "encoder.tensorboard needs tensorboard; install it with pip install tensorboard, or omit the option"
+        ) from error
+    return SummaryWriter(Path(folder).expanduser(), purge_step=epochs_done + 1)
 
-        Raises MissingLibraryError when TensorBoard is not installed.
-        """
-        self._writer = None
-        if folder is None:
+
+class QuerySource:
+    """Renders `count` touches for each epoch, while the trainer uses the epoch before.
+
+    Processes that train together have different `rank`s, and render different touches.
+    """
+
+    def __init__(self, problem: TrainingProblem, noise: TouchNoise, count: int, seed: int, rank: int = 0) -> None:
+        self.problem, self.noise, self.count, self.seed, self.rank = problem, noise, count, seed, rank
+
+    def epochs(self, first: int, last: int) -> Iterator[TrainingTouches]:
+        """Yield the touches of epochs `first` ... `last` - 1."""
+        if first >= last:
             return
-        try:
-            from torch.utils.tensorboard import SummaryWriter
-        except ImportError as error:
-            raise MissingLibraryError(
-                "encoder.tensorboard needs tensorboard; install it with pip install tensorboard, or omit the option"
-            ) from error
-        self._writer = SummaryWriter(Path(folder).expanduser(), purge_step=epochs_done + 1)
+        with ThreadPoolExecutor(1) as ahead:
+            coming = ahead.submit(self._render, [self.seed, first, 0, self.rank], self.count)
+            for epoch in range(first, last):
+                touches = coming.result()
+                if epoch + 1 < last:
+                    coming = ahead.submit(self._render, [self.seed, epoch + 1, 0, self.rank], self.count)
+                yield touches
 
-    def epoch(self, number: int, values: dict[str, float]) -> None:
-        """Write the values of an epoch; epochs count from 1."""
-        if self._writer is not None:
-            for name, value in values.items():
-                self._writer.add_scalar(name, value, number)
-            self._writer.flush()
+    def validation(self, count: int) -> TrainingTouches:
+        """Return touches that are not used in training."""
+        return self._render([self.seed, 0, 1], count)
 
-    def close(self) -> None:
-        """Finish the file."""
-        if self._writer is not None:
-            self._writer.close()
+    def _render(self, seed: list[int], count: int) -> TrainingTouches:
+        return self.problem.draw(count, self.noise, np.random.default_rng(seed))
 
-
-log = logging.getLogger(__name__)
 
 VALIDATION_TOUCHES = 256
 VALIDATION_PRESSES = 4
@@ -146,11 +158,12 @@ class Trainer:
         Raises TrainingError when the loss becomes NaN in the first epoch. In a later epoch, training stops instead.
         """
         self._resume()
-        self.board = TrainingLog(self.log_folder if self.crew.rank == 0 else None, self.epoch)
+        self.board = open_board(self.log_folder, self.epoch) if self.log_folder and self.crew.rank == 0 else None
         try:
             self._run_epochs(self.source.validation(VALIDATION_TOUCHES))
         finally:
-            self.board.close()
+            if self.board is not None:
+                self.board.close()
             self.crew.leave()
         self.network.load_state_dict(self.best_weights)
         return self.network.eval()
@@ -272,9 +285,11 @@ class Trainer:
         shown = f"loss {loss:.2f}, validation loss {validation_loss:.2f}, validation best-1 {error_m * 1e3:.2f} mm"
         self.problem.progress.note(shown)
         log.info("epoch %d: %s", self.epoch, shown)
-        self.board.epoch(
-            self.epoch, {"loss": loss, "validation/loss": validation_loss, "validation/best-1_mm": error_m * 1e3}
-        )
+        if self.board is not None:
+            self.board.add_scalar("loss", loss, self.epoch)
+            self.board.add_scalar("validation/loss", validation_loss, self.epoch)
+            self.board.add_scalar("validation/best-1_mm", error_m * 1e3, self.epoch)
+            self.board.flush()
         if validation_loss < self.best:
             self.best, self.stale, self.best_weights = validation_loss, 0, _copy_weights(self.network)
         else:
