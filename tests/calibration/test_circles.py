@@ -1,4 +1,4 @@
-"""A ball's visible circle in simulated images: where it truly is, in noise, uneven light and near the border."""
+"""A ball's visible circle in simulated images: correct in noise, in uneven light and near the border."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether an image is what the calibrated sensor would see: figures whose value is known."""
+"""The health of images with known figures."""
 
 from __future__ import annotations
 

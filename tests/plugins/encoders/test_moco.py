@@ -1,4 +1,4 @@
-"""The learned encoder: it learns, the same seed learns the same, and an interruption changes nothing."""
+"""The learned encoder learns, is reproducible for a seed, and is not changed by an interruption."""
 
 from __future__ import annotations
 
@@ -263,7 +263,7 @@ def test_a_localizer_trains_once_and_reads_it_back(store):
 
 @pytest.fixture(scope="module")
 def places(one_thread):
-    """One that has learned the places of a small block, and what it learned from."""
+    """Return an encoder that has learned the places of a small block, and its training problem."""
     problem, encoder = make_place_training_problem(), make(epochs=2)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, "VALIDATION_TOUCHES", FEW)

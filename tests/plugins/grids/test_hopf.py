@@ -308,9 +308,9 @@ def test_neighbours_are_at_the_published_spacing(nside, spacing_deg):
 
 @pytest.mark.parametrize("nside", [1, 2, 3, 4])
 def test_no_rotation_is_farther_than_a_cell_reaches(nside):
-    """Swing to the centre of the pixel, then spin to the nearest spin: the axes are at right angles, so the half
+    """Bound the distance by rotating to the pixel's centre, then to the nearest spin.
 
-    angles' cosines multiply. Together they bound the distance from any rotation to the grid.
+    The axes are at right angles, so the cosines of the half angles multiply.
     """
     bound = 2 * np.arccos(np.cos(largest_pixel_radius(nside) / 2) * np.cos(np.pi / (6 * nside) / 2))
     angle, _ = to_nearest(draw_rotations(20_000, np.random.default_rng(0)), all_rotations(nside, 6 * nside))
