@@ -1,4 +1,4 @@
-"""A folder of presses: every kind of row, all that can be wrong with one, and public sets as they were written."""
+"""A folder of presses: every kind of row, every fault of a row, and public sets in their formats."""
 
 from __future__ import annotations
 
@@ -393,7 +393,7 @@ PUBLIC = {
 
 @pytest.fixture
 def public(shared_data: Path, tmp_path: Path):
-    """Convert a public set, of which no copy is part of the project, and read it."""
+    """Convert and read a public set, which is not part of the project."""
 
     def read(name: str):
         format, file, ball_mm, mm_per_px, (height, width), *_ = PUBLIC[name]

@@ -1,4 +1,4 @@
-"""The learned encoder: it learns, the same seed learns the same, and an interruption changes nothing."""
+"""The learned encoder learns, is reproducible for a seed, and is not changed by an interruption."""
 
 from __future__ import annotations
 
@@ -102,7 +102,9 @@ def test_the_slow_copy_has_the_statistics_of_the_network_and_lagging_weights():
 @pytest.mark.slow
 def test_it_learns_to_tell_the_poses_apart(problem):
     encoder = make(epochs=2, queries=256, noise="none")
-    encoder.recipe = encoder.recipe.change(momentum=0.9, refresh=8)  # few steps: the keys must follow quickly
+    encoder.recipe = dataclasses.replace(
+        encoder.recipe, momentum=0.9, refresh=8
+    )  # few steps: the keys must follow quickly
     geometry, clean = problem.scene.geometry, np.concatenate(list(problem.shapes()))
     encoder.fit(problem)
     bank = encoder.encode(clean, geometry.max_depth_m, geometry)
@@ -262,7 +264,7 @@ def test_a_localizer_trains_once_and_reads_it_back(store):
 
 @pytest.fixture(scope="module")
 def places(one_thread):
-    """One that has learned the places of a small block, and what it learned from."""
+    """Return an encoder that has learned the places of a small block, and its training problem."""
     problem, encoder = make_place_training_problem(), make(**PLACES)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, "VALIDATION_TOUCHES", FEW)
@@ -343,7 +345,7 @@ def test_decoys_change_what_is_learned_and_its_key(places):
 def test_it_learns_to_tell_places_apart(places):
     _, problem = places
     encoder = make(epochs=2, queries=128, noise="none")
-    encoder.recipe = encoder.recipe.change(momentum=0.9, refresh=8)
+    encoder.recipe = dataclasses.replace(encoder.recipe, momentum=0.9, refresh=8)
     encoder.fit(problem)
     press_m = float(problem.key_presses_m[-1])
     batch = problem.draw(60, make_noise("none"), np.random.default_rng(7)).batch(60, np.random.default_rng(8), press_m)

@@ -1,7 +1,4 @@
-"""Twists that solve normal equations, and the rigid motions they stand for.
-
-A twist (6,) is a rotation (rad) before a translation (mm).
-"""
+"""Twists that solve normal equations, and their rigid motions. A twist (6,) is a rotation (rad) and a shift (mm)."""
 
 from __future__ import annotations
 
@@ -12,26 +9,25 @@ from tactile_loc.plugin import cross_matrix
 
 Floats = NDArray[np.float64]
 
-RIDGE = 1e-3  # of the equations' mean diagonal: damps steps in directions that a contact hardly fixes
-SMALL = 1e-3  # rad: below, the series' next terms are lost in rounding
+RIDGE = 1e-3  # of the equations' mean diagonal: damps directions that a contact hardly determines
+SMALL = 1e-3  # rad: angles below use the series, whose next terms are below rounding
 
 
 def solve(equations: Floats) -> tuple[Floats, Floats]:
-    """Return the twists (K, 6) that solve normal equations (K, 6, 7), and the root mean square (K,), mm, of the moves.
+    """Return the twists (K, 6) that solve normal equations (K, 6, 7), and the RMS moves (K,), mm.
 
-    Both are NaN where there are no points.
+    Both are NaN for a candidate without points.
     """
     diagonal = np.diagonal(equations[:, :, :6], axis1=1, axis2=2)
     turning, sliding = diagonal[:, :3].sum(axis=1), diagonal[:, 3:].sum(axis=1)
     known = (sliding > 0) & (turning >= 0) & np.isfinite(turning + sliding)
     turning, sliding = turning[known], sliding[known]
-    unit = np.ones((len(turning), 6))  # radians a mm
+    unit = np.ones((len(turning), 6))  # radians per mm
     unit[:, :3] = np.sqrt(np.divide(sliding, turning, out=np.ones_like(sliding), where=turning > 0))[:, None]
     stiff = equations[known, :, :6] * unit[:, :, None] * unit[:, None]
     ridge = RIDGE * np.trace(stiff, axis1=1, axis2=2) / 6
-    scaled = np.linalg.solve(stiff + ridge[:, None, None] * np.eye(6), (equations[known, :, 6] * unit)[..., None])[
-        ..., 0
-    ]
+    wanted = (equations[known, :, 6] * unit)[..., None]
+    scaled = np.linalg.solve(stiff + ridge[:, None, None] * np.eye(6), wanted)[..., 0]
     twists, moved_mm = np.full((len(equations), 6), np.nan), np.full(len(equations), np.nan)
     twists[known], moved_mm[known] = scaled * unit, np.sqrt((scaled**2).sum(axis=1))
     return twists, moved_mm
