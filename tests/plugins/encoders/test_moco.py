@@ -104,7 +104,7 @@ def test_it_learns_to_tell_the_poses_apart(problem):
     encoder = make(epochs=2, queries=256, noise="none")
     encoder.recipe = dataclasses.replace(
         encoder.recipe, momentum=0.9, refresh=8
-    )  # few steps: the keys must follow quickly
+    )
     geometry, clean = problem.scene.geometry, np.concatenate(list(problem.shapes()))
     encoder.fit(problem)
     bank = encoder.encode(clean, geometry.max_depth_m, geometry)
