@@ -102,9 +102,7 @@ def test_the_slow_copy_has_the_statistics_of_the_network_and_lagging_weights():
 @pytest.mark.slow
 def test_it_learns_to_tell_the_poses_apart(problem):
     encoder = make(epochs=2, queries=256, noise="none")
-    encoder.recipe = dataclasses.replace(
-        encoder.recipe, momentum=0.9, refresh=8
-    )
+    encoder.recipe = dataclasses.replace(encoder.recipe, momentum=0.9, refresh=8)
     geometry, clean = problem.scene.geometry, np.concatenate(list(problem.shapes()))
     encoder.fit(problem)
     bank = encoder.encode(clean, geometry.max_depth_m, geometry)
