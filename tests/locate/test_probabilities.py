@@ -179,7 +179,7 @@ def test_a_localizer_learns_once_and_with_another_encoder_anew(tmp_path, monkeyp
     assert first.tail in TAILS
     other = Localizer.create("pin", store=store, encoder={"name": "pixel", "cells": 8}, **COARSE)
     assert other.probabilities.temperature_scaling != first
-    monkeypatch.setattr("tactile_loc.locate.fitted_probabilities.fit_temperature_scaling", None)
+    monkeypatch.setattr("tactile_loc.locate.probabilities.fit_temperature_scaling", None)
     again = Localizer.create("pin", store=store, **COARSE)
     assert again.probabilities.temperature_scaling == first
     keys = {localizer.probabilities.temperature_key().digest for localizer in (again, other)}
@@ -188,7 +188,7 @@ def test_a_localizer_learns_once_and_with_another_encoder_anew(tmp_path, monkeyp
 
 
 def test_a_temperature_that_is_asked_for_is_taken(tmp_path, monkeypatch):
-    monkeypatch.setattr("tactile_loc.locate.fitted_probabilities.fit_temperature_scaling", None)
+    monkeypatch.setattr("tactile_loc.locate.probabilities.fit_temperature_scaling", None)
     assert Localizer.create(
         "pin", store=StageStore(tmp_path), temperature=0.5, **COARSE
     ).probabilities.temperature_scaling == TemperatureScaling(0.5)
@@ -205,7 +205,7 @@ def test_what_is_shipped_is_fitted_to_as_many_touches_as_it_says(tmp_path, monke
         fitted_to.append(len(scores))
         return fit_temperature_scaling(scores, *others)
 
-    monkeypatch.setattr("tactile_loc.locate.fitted_probabilities.fit_temperature_scaling", fit)
+    monkeypatch.setattr("tactile_loc.locate.probabilities.fit_temperature_scaling", fit)
     scaling = localizer.probabilities.temperature_scaling
     assert fitted_to == [shipped_touches]
     held = 0
