@@ -37,7 +37,7 @@ SHARED = {"as_json": (Json, False), "verbose": (Verbose, 0), "quiet": (Quiet, Fa
 def make_command(function: Callable[..., dict[str, Any] | None]) -> Callable[..., None]:
     """Make a command of a function that prints its result and returns it as JSON values.
 
-    A parameter of type RunOptions becomes several options of the command; `options.takes` names them.
+    A parameter of type RunOptions becomes several options of the command; `options.Takes` names them.
     """
     name = function.__name__.replace("_", "-")
     own = list(inspect.signature(function, eval_str=True).parameters.values())

@@ -43,7 +43,7 @@ def set_option(about: str, metavar: str = "SLOT.OPTION=VALUE") -> Any:
 class RunOptions:
     """The options that decide a run, each with its declaration; None where it was not given.
 
-    A command takes some of them through a parameter of this type: see `takes`.
+    A command takes some of them through a parameter of this type: see `Takes`.
     """
 
     object: Annotated[
@@ -121,22 +121,17 @@ class RunOptions:
     seed: Annotated[int | None, declare("--seed", "N", "Seed of everything random. Default: 0.")] = None
 
 
-@dataclass(frozen=True)
 class Takes:
-    """The names of the options that a command takes, in the order of RunOptions."""
+    """Marks a command's parameter of type RunOptions: `names` are the options that it takes, by default all.
 
-    names: tuple[str, ...]
-
-
-def takes(*names: str) -> Takes:
-    """Return the mark of a command's parameter of type RunOptions; without names it takes all options.
-
-    Annotated[RunOptions, takes("object", "seed")] becomes --object and --seed on the command line.
+    Annotated[RunOptions, Takes("object", "seed")] becomes --object and --seed on the command line.
     """
-    known = tuple(field.name for field in fields(RunOptions))
-    if unknown := set(names) - {*known}:
-        raise ValueError(f"there are no options {', '.join(sorted(unknown))}; declare them as fields of RunOptions")
-    return Takes(tuple(name for name in known if name in names) if names else known)
+
+    def __init__(self, *names: str) -> None:
+        known = tuple(field.name for field in fields(RunOptions))
+        if unknown := set(names) - {*known}:
+            raise ValueError(f"there are no options {', '.join(sorted(unknown))}; declare them as fields of RunOptions")
+        self.names = tuple(name for name in known if name in names) if names else known
 
 
 Rerun = Annotated[

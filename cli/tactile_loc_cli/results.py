@@ -56,7 +56,7 @@ def _summarise(record: ResultRecord) -> Iterator[str]:
         yield "searched: the whole object; if you know that it touches with its face +z: --grid face -o grid.face=+z"
     if (grid["name"], grid["options"].get("face")) == ("face", "auto"):
         yield (
-            f"searched: {_describe_side(record)}, its lowest resting side; another side: -o grid.face=+z; "
+            f"searched: {_describe_side(record)}, on which it rests lowest; another side: -o grid.face=+z; "
             "the whole object: --grid whole"
         )
     if (errors := record.errors) is not None:

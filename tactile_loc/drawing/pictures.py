@@ -146,7 +146,7 @@ def _draw_candidates(
         draw_outline(axes, touch)
         axes.set(xticks=[], yticks=[])
         axes.set_title(_write_caption(i, hypothesis.probability, hypothesis.imprint_iou, errors_m), size=8.5, pad=4)
-    _write_heading(panel, "best explanations: probability, imprint IoU" if columns == 2 else "best")
+    _write_heading(panel, "best explanations: probability, imprint IoU" if columns == 2 else "best poses")
     panel.text(0.5, 0.012, "red: observed outline", size=9, ha="center", va="bottom", color=OUTLINE)
 
 
@@ -156,7 +156,7 @@ def _write_heading(panel: SubFigure, text: str) -> None:
 
 def _write_caption(i: int, probability: float, imprint_iou: float, errors_m: Sequence[float] | None) -> str:
     text = f"{i + 1}:  {format_percent(probability)},  IoU {100 * imprint_iou:.0f} %"
-    return text if errors_m is None else f"{text},  error {format_millimetres(errors_m[i])}"
+    return text if errors_m is None else f"{text},  {format_millimetres(errors_m[i])} off"
 
 
 def _draw_scene(panel: SubFigure, localization: Localization, scene: Scene) -> None:

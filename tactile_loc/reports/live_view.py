@@ -103,15 +103,11 @@ def _write_pose(record: LiveRecord) -> dict[str, str]:
     }  # fmt: skip
 
 
-def _measure_reach_mm(mesh: TriangleMesh) -> float:
-    """Return the diagonal of the object's bounding box, mm."""
-    return 1e3 * float(np.linalg.norm(np.ptp(mesh.vertices_m, axis=0)))
-
-
 def _compute_bounds(mesh: TriangleMesh, geometry: SensorGeometry) -> list[list[float]]:
     """Return the range along x, y, z, mm, that holds the sensor, and the object at any pose in contact."""
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
-    reach_mm, z = _measure_reach_mm(mesh) + scene.MARGIN_MM, 1e3 * geometry.surface_m
+    diagonal_mm = 1e3 * float(np.linalg.norm(np.ptp(mesh.vertices_m, axis=0)))
+    reach_mm, z = diagonal_mm + scene.MARGIN_MM, 1e3 * geometry.surface_m
     return [[x0 - reach_mm, x1 + reach_mm], [y0 - reach_mm, y1 + reach_mm], [z - scene.MARGIN_MM, z + reach_mm]]
 
 

@@ -39,13 +39,13 @@ def make_result_page(record: ResultRecord, arrays: ResultArrays) -> Page:
     data = collect_data(record, arrays)
     truth = record.touch.T_sensor_object is not None
     header = [*COLUMNS, *([] if record.errors is None else ["error (mm)"])]
-    notes = [*record.object.notes, *list_doubts(record)]
+    notes, seconds = [*record.object.notes, *list_doubts(record)], record.seconds.get("model")
     sections = [
         Section("summary", "", {"numbers": list(_list_numbers(record)), "notes": notes}),
         Section("candidates", "Candidates", {"header": header, "rows": _list_rows(record), "truth": truth}),
         Section("contact", "Contact shapes", _describe_contact(record, arrays)),
         Section("distribution", "Distribution", _describe_distribution(record, arrays, data)),
-        Section("times", "Times", {"built": _write_build_time(record)}),
+        Section("times", "Times", {"built": "" if seconds is None else f"{seconds:.3g}"}),
         Section("made", "Settings", _describe_settings(record)),
     ]
     title = f"{record.object.name} on {record.sensor_name}"
@@ -202,11 +202,6 @@ def _write_side(side: dict[str, Any]) -> str:
     if side["kind"] == "lean":
         return f"Around the side {normal} in the object's frame:"
     return f"Any side can face the sensor; the most probable is {normal} in the object's frame."
-
-
-def _write_build_time(record: ResultRecord) -> str:
-    seconds = record.seconds.get("model")
-    return "" if seconds is None else f"{seconds:.3g}"
 
 
 def _describe_settings(record: ResultRecord) -> dict[str, Any]:

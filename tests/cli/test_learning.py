@@ -1,4 +1,4 @@
-"""The learned encoder from the command line: tables that can be had again, and what is said when it cannot learn."""
+"""The learned encoder from the command line: reproducible tables, and errors when it cannot learn."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`tactile-loc new-plugin`: what it writes works, is tested, and is found; what cannot be written is refused."""
+"""`tactile-loc new-plugin`: the written package works, has tests and is found; bad names and folders are errors."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def is_locked(folder: Path) -> bool:
 
 @pytest.fixture(scope="module")
 def result(store: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
-    """What `run` finds on a tiny grid, and what it says and writes."""
+    """What `run` finds on a tiny grid, with its output and files."""
     folder, write, alone = tmp_path_factory.mktemp("run"), result_arrays.write_arrays, []
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -116,7 +116,7 @@ def test_a_plain_setting_is_given_like_a_components_option(cli, tmp_path):
 
 
 def as_toml(value: object) -> str:
-    """A JSON value as TOML writes it in one line; what is null is left out."""
+    """Write a JSON value as one line of TOML, without nulls."""
     if isinstance(value, dict):
         pairs = [f"{key} = {as_toml(item)}" for key, item in value.items() if item is not None]
         return "{" + ", ".join(pairs) + "}"

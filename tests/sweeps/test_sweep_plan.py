@@ -1,4 +1,4 @@
-"""A plan: which values a sweep has, and what is refused."""
+"""A plan: the values of a sweep, and errors."""
 
 from __future__ import annotations
 

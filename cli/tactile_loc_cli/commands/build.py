@@ -18,7 +18,7 @@ MOST_MEASURED = 2000  # poses for the mean spacing of a grid
 
 Given = Annotated[
     RunOptions,
-    options.takes(
+    options.Takes(
         "object", "units", "symmetry", "press_depth", "sensor", "grid", "renderer", "encoder", "option", "config",
         "seed",
     ),

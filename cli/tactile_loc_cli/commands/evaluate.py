@@ -73,7 +73,7 @@ Seed = Annotated[int, options.declare("--seed", "N", "Seed of the touches and th
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of results.json, .csv, .md and the pictures.")]
 Given = Annotated[
     RunOptions,
-    options.takes("units", "symmetry", "sensor", "renderer", "matcher", "refiner", "fuser", "option", "config"),
+    options.Takes("units", "symmetry", "sensor", "renderer", "matcher", "refiner", "fuser", "option", "config"),
 ]
 
 

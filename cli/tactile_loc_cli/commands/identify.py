@@ -25,7 +25,7 @@ Located = Annotated[
     int, options.declare("--located", "N", "Number of objects to locate: the most likely ones of a coarse search.")
 ]
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of identification.json.")]
-Given = Annotated[RunOptions, options.takes("units", "touch_unit", "press_depth", "sensor", "option", "config")]
+Given = Annotated[RunOptions, options.Takes("units", "touch_unit", "press_depth", "sensor", "option", "config")]
 
 
 def identify(

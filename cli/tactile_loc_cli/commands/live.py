@@ -64,7 +64,7 @@ Port = Annotated[
 View = Annotated[bool, typer.Option("--view/--no-view", help="Show frames and poses on a local web page.")]
 Given = Annotated[
     RunOptions,
-    options.takes(
+    options.Takes(
         "object", "units", "symmetry", "touch_unit", "press_depth", "sensor", "zero", "grid", "renderer", "encoder",
         "matcher", "refiner", "option", "config", "seed",
     ),

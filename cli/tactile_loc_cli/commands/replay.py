@@ -48,7 +48,7 @@ Out = Annotated[
 ]
 Given = Annotated[
     RunOptions,
-    options.takes(
+    options.Takes(
         "object", "units", "symmetry", "press_depth", "sensor", "grid", "renderer", "encoder", "matcher", "refiner",
         "option", "config", "seed",
     ),

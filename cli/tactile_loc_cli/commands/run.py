@@ -17,8 +17,6 @@ from tactile_loc_cli.console import make_progress, say, say_written
 from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
-    from tactile_loc.core.poses.priors import Prior
-    from tactile_loc.core.sensing.touch import Touch
     from tactile_loc.io.config import RunConfig
     from tactile_loc.locate.localizer import Localizer, Observation
     from tactile_loc.locate.results.localization import Localization
@@ -30,7 +28,7 @@ logger = logging.getLogger(__name__)
 DEFAULT_OUT = Path("tactile-loc-result")
 DRAWN = 8  # touches to simulate; the one with the most contact is used
 
-Given = Annotated[RunOptions, options.takes()]
+Given = Annotated[RunOptions, options.Takes()]
 PriorFile = Annotated[Path | None, options.declare("--prior", "FILE", "Prior knowledge of the pose: a TOML file.")]
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of result.json, .npz and .png.")]
 Pictures = Annotated[
@@ -73,10 +71,11 @@ def _locate_together(
     localizer: Localizer, prior: Path | None, out: Path, page: bool, rerun: Path | None
 ) -> dict[str, Any]:
     """Locate the object from one touch or from a list of touches; show, write and return the result."""
+    from tactile_loc.io.prior_files import read_prior
     from tactile_loc.locate.localizer import localize_together
 
     observations = _read_observations(localizer)
-    known = _read_prior(localizer, observations[0][1], prior)
+    known = None if prior is None else read_prior(prior, localizer.object).view_from(observations[0][1].T_base_sensor)
     start = time.perf_counter()
     for one, touch in observations:
         build_model(one, touch.press_depth_m)
@@ -109,13 +108,6 @@ def _require_none(prior: Path | None, report: bool, rerun: Path | None) -> None:
     for given, flag in ((prior, "--prior"), (rerun, "--rerun"), (report, "--report")):
         if given:
             raise ConfigError(f"{flag} needs a single result; leave it out with a folder of touches, or give one touch")
-
-
-def _read_prior(localizer: Localizer, touch: Touch, path: Path | None) -> Prior | None:
-    """Return the prior in the sensor frame of the first touch."""
-    from tactile_loc.io.prior_files import read_prior
-
-    return None if path is None else read_prior(path, localizer.object).view_from(touch.T_base_sensor)
 
 
 def _read_observations(localizer: Localizer) -> list[Observation]:

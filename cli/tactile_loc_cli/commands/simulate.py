@@ -50,7 +50,7 @@ Images = Annotated[
 Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of the touches, poses.json and touches.png.")]
 Given = Annotated[
     RunOptions,
-    options.takes(
+    options.Takes(
         "object", "units", "symmetry", "press_depth", "noise", "sensor", "grid", "renderer", "option", "config", "seed"
     ),
 ]

@@ -71,7 +71,7 @@ def sweep(
     plan: PlanFile = None,
     object: Objects = None,
     *,
-    given: Annotated[options.RunOptions, options.takes("units", "symmetry")],
+    given: Annotated[options.RunOptions, options.Takes("units", "symmetry")],
     sensor: Sensors = None,
     renderer: Renderers = None,
     grid: Grids = None,
