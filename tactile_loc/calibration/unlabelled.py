@@ -131,7 +131,7 @@ def _require_balls(found: FoundPresses, ball_px: float | None) -> None:
             usual_px = float(np.median([press.circle.radius_px for press in found.presses if press.circle is not None]))
             raise CalibrationError(
                 f"the imprints have a radius of about {usual_px:.0f} px, larger than the ball's {ball_px:.2g} px; "
-                "check --ball-radius (mm) and --mm-per-px"
+                "check --ball-radius, in mm, and --mm-per-px"
             )
         raise CalibrationError(f"no image shows one whole ball: {causes}; {HOW_TO_PRESS}")
 

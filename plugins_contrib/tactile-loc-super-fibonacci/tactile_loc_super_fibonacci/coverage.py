@@ -33,13 +33,13 @@ class Spread:
     neighbour_rad: float
 
 
-def spread_of(R: Float, asked: int = ASKED, seed: int = 0) -> Spread:
+def spread_of(R: Float, asked: int = ASKED) -> Spread:
     """Measure the spread of samples R (N, 3, 3), N > 1, with `asked` random rotations."""
     from scipy.spatial import cKDTree
 
     q = rotation_to_quaternion(R)
     tree = cKDTree(np.concatenate([q, -q]))  # q and -q are the same rotation
-    queries = rotation_to_quaternion(draw_rotations(asked, np.random.default_rng(seed)))
+    queries = rotation_to_quaternion(draw_rotations(asked, np.random.default_rng(0)))
     nearest = angle_of_chord(tree.query(queries)[0])
     neighbour = angle_of_chord(tree.query(q, k=2)[0][:, 1])
     return Spread(*(float(v) for v in (nearest.max(), nearest.mean(), neighbour.min(), neighbour.mean())))

@@ -33,7 +33,7 @@ from tactile_loc.plugin import (
 )
 from tactile_loc.plugins.encoders.moco.backbones import Backbone, load_pretrained, make_backbone
 from tactile_loc.plugins.encoders.moco.recipe import PRESETS, Recipe, Signal
-from tactile_loc.plugins.encoders.moco.training import Trainer, find_local_cuda
+from tactile_loc.plugins.encoders.moco.training import Trainer
 
 PLANES = "planes"  # key of the number of input planes in the weights file; older files have none
 SMALLER = 4  # divides the batch for places: more and smaller steps learn faster
@@ -103,7 +103,9 @@ class MocoEncoder(Encoder):
                 "the encoder 'moco' cannot use CUDA, because torch finds no CUDA device; install a CUDA build of torch "
                 "and a driver, or set encoder.device to cpu"
             )
-        return find_local_cuda() if wanted != "cpu" and torch.cuda.is_available() else torch.device("cpu")
+        if wanted == "cpu" or not torch.cuda.is_available():
+            return torch.device("cpu")
+        return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))  # torchrun's number of this process
 
     def fit(self, problem: TrainingProblem) -> None:
         """Train on simulated touches, together with the other processes if torchrun started several.

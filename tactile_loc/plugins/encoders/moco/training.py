@@ -78,11 +78,6 @@ class Crew:
         return sent[0]  # type: ignore[no-any-return]
 
 
-def find_local_cuda() -> torch.device:
-    """Return the GPU of this process: the one that torchrun assigned, else the first."""
-    return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
-
-
 def open_board(folder: str, epochs_done: int) -> Any:
     """Open a TensorBoard log, and hide the points of an interrupted run after `epochs_done`.
 
