@@ -152,9 +152,9 @@ def worse_found(r: Results) -> list[float]:
 SETTINGS = {
     "README.md": ("Python 3.11 or newer", "The median is below 0.01 mm on most parts"),
     "docs/benchmarks.md": (
-        "without a GPU, Python 3.11; the date",
-        "are of 2026-11-21, when objects were drawn where they just touch; a pressed object's outline is up to 8 % "
-        "larger to the GelSlim's pinhole camera",
+        "without a GPU, Python 3.11.",
+        "are of 2026-11-21. At that time objects were drawn where they just touch. To the GelSlim's pinhole camera, "
+        "the outline of a pressed object is up to 8 % larger",
     ),
 }
 QUOTES: dict[str, dict[str, Values]] = {
@@ -193,55 +193,49 @@ QUOTES: dict[str, dict[str, Values]] = {
     "docs/identify.md": {"a fixed misfit: {} nats for one touch, {} nats for each of several":
                          lambda r: [NullEvidence().alone, NullEvidence().together]},
     "docs/quickstart.md": {"{} MB for the hook": lambda r: r.at("search", 1, "MB", "hook")},
-    "docs/benchmarks.md": {
+    "docs/benchmarks/one-touch.md": {
         "Every model is built in {} to {} s": range_of("single_touch", 1, "build s"),
-        "encoding, matching and refining one pose take {} to {} ms":
+        "Encoding, matching and refining one pose take {} to {} ms":
             lambda r: ends([sum(r.at("single_touch", 1, "ms: encode, match, refine", row[0]))
                             for row in r["single_touch"].table(1).rows]),
-        "explains the touch best is at {} to {} mm on seven of the nine": one_touch,
-        "The ten most probable come within {} and {} times closest":
+        "(*chosen*) is {} to {} mm off on seven of the nine": one_touch,
+        "Their ten most probable poses come within {} and {} times *closest*":
             lambda r: [r.at("single_touch", 1, "best-10", name)[0] / r.at("single_touch", 1, "closest", name)[0]
                        for name in ("AutoMate 00308_plug", "pulley (MBRFA30)")],
-        "most probable pose is nearer on {} of {} objects, in geometric mean at {} times the error": learned,
-        "within {} times the nearest grid pose's error on nine, {} times on the ambiguous 00308": learned_over_closest,
-        "Training takes {} to {} s an object": range_of("encoders", 1, "training"),
+    },
+    "docs/benchmarks/several-touches.md": {
         "**Of what two, three and five touches determine, {}, {} and {} % is located within 0.5 mm**; {} % of all "
         "examples of three touches and {} % of five": five_located,
-        "{} to {} % of the truths, not 5, are outside the 95 % ellipsoid":
-            lambda r: ends([100 - share for share in r.column("covariances", 1, "in 95 %")]),
-        "ends at a median of {} mm at most": lambda r: [max(r.column("joint", 1, "error, mm"))],
+    },
+    "docs/benchmarks/outliers-mount.md": {
         "A right touch is named in {} of {} examples without a wrong one, and in none of {} with one": wrongly,
         "the wrong one is named in {} of {} examples, of sensors that are a little off in {} of {}": named,
-        "ten touches tell the place to {} mm and the turn to {} degrees":
+        "ten touches tell the place to {} mm and the rotation to {} degrees":
             lambda r: [r.at("mount", 1, place, "mild", "10")[0] for place in (3, 4)],
-        "The head on GelSlim is located to {} mm": lambda r: r.at("replay", 1, "error, mm (90 %)", "head, GelSlim")[:1],
-        "the journal and writing cost {} to {} ms an image": range_of("replay", 1, "beside locating, ms"),
-        "After the first touch the chosen ones need {} more, random ones {}: hardly fewer, and {} instead of {} % are "
-        "known within three": more_touches,
-        "{} % of the left-out parts are taken for another":
-            lambda r: [100 - r.at("identify", 1, "left out: rejected", "2")[0]],
+    },
+    "docs/benchmarks/outside-the-model.md": {
         "within 1 mm in {} % of the examples with the same mesh, {} and {} % with scans, {} % decimated, {} % with the "
         "unseen noise": lambda r: outside(r, 5, *DRAWN),
-        "Their median grows from {} mm to what the mesh is off, and more": lambda r: medians_outside(r, DRAWN[0])[1:],
+        "Their median grows from {} mm to the error of the mesh and more": lambda r: medians_outside(r, DRAWN[0])[1:],
         "{} to {} mm with scans, {} to {} mm decimated":
             lambda r: [*medians_outside(r, *DRAWN[1:3]), *medians_outside(r, DRAWN[3])],
-        "One touch suffers: {} % with the same mesh, {} and {} % with scans, {} % decimated, {} % with the unseen "
-        "noise": lambda r: outside(r, 3, *DRAWN),
-        "but for the 50 % sets of one touch, which hold {} %":
-            lambda r: r.at("credible_sets", 1, "fused: 50, 80, 95 %", "1")[:1],
-        "Five presses that are spread come to {}, {}, {} and {} times the error of all": presses("5", 1),
-        "ten to {}, {}, {} and {}; five at random": presses("10", 1),
-        "five at random to {}, {}, {} and {}": presses("5", 0),
-        "On the others they are worse by {} and {} % as long": worse_found,
-        "The press depth is off by {} to {} mm on average": range_of("simulated_images", 1, "press off, mm"),
-        "the 95 % sets hold the truth of {} to {} % of the touches": range_of("evaluate", 2, "95 %"),
-        "half of the probability holds the truth of {} to {} % of the touches": range_of("evaluate", 2, "50 %"),
-        "Located alone, a frame takes {} to {} times as long as tracking it":
-            lambda r: ends(ratios(*(r.column("sequences", 1, "time, ms (99 %)")[k::3] for k in (1, 0)))),
+        "One touch is within 1 mm in {} % with the same mesh, {} and {} % with scans, {} % decimated, {} % with the "
+        "unseen noise": lambda r: outside(r, 3, *DRAWN),
     },
-    "docs/evaluation.md": {
+    "docs/benchmarks/evaluation-results.md": {
+        "on the hook the median falls from {} to {} mm": second_contact,
         "Contact alone stays at {} to {} of a random pose's error with seven contacts; best-1 is {} to {} times nearer":
             seven_contacts,
+    },
+    "docs/benchmarks/probabilities.md": {
+        "The worst are the 50 % sets of one touch, which hold {} %":
+            lambda r: r.at("credible_sets", 1, "fused: 50, 80, 95 %", "1")[:1],
+        "The 95 % sets hold the truth of {} to {} % of the touches": range_of("evaluate", 2, "95 %"),
+        "half of the probability holds the truth of {} to {} % of the touches": range_of("evaluate", 2, "50 %"),
+        "{} to {} % of the truths, not 5, are outside the 95 % ellipsoid":
+            lambda r: ends([100 - share for share in r.column("covariances", 1, "in 95 %")]),
+    },
+    "docs/benchmarks/encoders.md": {
         "The learned encoder's best-1 is below that of pixels on {} of {} objects, in geometric mean {} of it": learned,
         "Its ten most probable poses come within {} times the nearest grid pose's error on all objects but the "
         "ambiguous 00308 ({})": learned_over_closest,
@@ -249,5 +243,29 @@ QUOTES: dict[str, dict[str, Values]] = {
             lambda r: [median(encoded(r, encoder, "reg-1")) for encoder in ("moco", "pixel")],
         "A training took {} to {} s": range_of("encoders", 1, "training"),
         **{f"| {name}, {line} | {paper} | {{}} | {{}} |": beside_the_paper(name, line) for name, line, paper in PAPER},
+    },
+    "docs/benchmarks/tracking.md": {
+        "Located alone, a frame takes {} to {} times as long as tracking it":
+            lambda r: ends(ratios(*(r.column("sequences", 1, "time, ms (99 %)")[k::3] for k in (1, 0)))),
+        "The head on GelSlim is located to {} mm": lambda r: r.at("replay", 1, "error, mm (90 %)", "head, GelSlim")[:1],
+        "the journal and writing cost {} to {} ms an image": range_of("replay", 1, "beside locating, ms"),
+    },
+    "docs/benchmarks/next-touch.md": {
+        "After the first touch the chosen ones need {} more, random ones {}: hardly fewer, and {} instead of {} % are "
+        "known within three": more_touches,
+        "{} % of the left-out parts are taken for another":
+            lambda r: [100 - r.at("identify", 1, "left out: rejected", "2")[0]],
+    },
+    "docs/benchmarks/presses-labels.md": {
+        "Five presses that are spread come to {}, {}, {} and {} times the error of all": presses("5", 1),
+        "ten to {}, {}, {} and {}; five at random": presses("10", 1),
+        "five at random to {}, {}, {} and {}": presses("5", 0),
+        "On the others they are worse by {} and {} %": worse_found,
+    },
+    "docs/benchmarks/simulated-images.md": {
+        "The press depth is off by {} to {} mm on average": range_of("simulated_images", 1, "press off, mm"),
+    },
+    "docs/benchmarks/speed.md": {
+        "ends at a median of {} mm at most": lambda r: [max(r.column("joint", 1, "error, mm"))],
     },
 }  # fmt: skip

@@ -1,6 +1,6 @@
 """Small demo objects, so that everything can be tried without a CAD file of one's own.
 
-The meshes are watertight, in metres, made by `scripts/demo_meshes.py`, whose dimensions describe each one's frame.
+The meshes are watertight, in metres, made by `scripts/demo_meshes.py`, whose functions describe each one's frame.
 """
 
 from __future__ import annotations
