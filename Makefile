@@ -35,13 +35,15 @@ pytest: $(STAMP)
 	@echo "test: pytest"
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(RUN) pytest $(PYTEST_FLAGS)
 
-lint: $(STAMP) ## check style, format and types
+lint: $(STAMP) ## check style, format, types and English
 	@echo "lint: ruff check"
 	@$(RUN) ruff check --quiet
 	@echo "lint: ruff format --check"
 	@$(RUN) ruff format --check --quiet
 	@echo "lint: mypy"
 	@$(RUN) mypy --no-error-summary
+	@echo "lint: prose"
+	@$(VENV)/bin/python scripts/check_prose.py
 
 smoke: $(STAMP) ## build the wheel, install it into a fresh environment and try it there
 	@scripts/smoke-wheel.sh $(VENV)/bin/python
