@@ -31,7 +31,7 @@ from statistics import median
 from typing import Any
 
 import figures
-from results import NUMBER, RESULTS, ROOT, Kept, Table, latest, tables, versions
+from results import NUMBER, RESULTS, ROOT, Kept, Table, find_tables, list_versions, read_latest
 
 BENCHMARKS = ROOT / "benchmarks"
 PAGE = ROOT / "docs" / "results.md"
@@ -141,7 +141,7 @@ def keep(name: str, arguments: list[str], folder: Path = RESULTS, run: str = "")
     """
     if not (script := BENCHMARKS / f"{name}.py").exists():
         raise SystemExit(f"bench: there is no benchmark {name}; there are {', '.join(names())}")
-    before = latest(folder).get(run or name)
+    before = read_latest(folder).get(run or name)
     arguments = arguments or (before.arguments if before else [])
     if any(given.startswith(("FILE", "FOLDER")) for given in arguments):
         raise SystemExit(f"bench: {run or name} was measured with files of one's own; name them: {' '.join(arguments)}")
@@ -149,7 +149,7 @@ def keep(name: str, arguments: list[str], folder: Path = RESULTS, run: str = "")
         print(f"bench: other arguments than those that {before.name} was kept with: {' '.join(before.arguments)}")
     first, start = yardstick_ms(), time.perf_counter()
     environment = {**(_threads(before) if before else {}), **os.environ}
-    found = tables(_printed(script, arguments, environment))
+    found = find_tables(_printed(script, arguments, environment))
     if not found:
         raise SystemExit(f"bench: {name} printed no table; nothing is kept")
     known = {(one.metadata["Name"] or "").lower(): one.version for one in metadata.distributions()}
@@ -188,7 +188,7 @@ def names() -> list[str]:
 
 def compare(folder: Path = RESULTS) -> int:
     """Print the changes between the last two versions that have results; return 1 where a time grew."""
-    known = versions(folder)
+    known = list_versions(folder)
     if len(known) < 2:
         print(f"bench: only {known[0]} has results; nothing to compare with" if known else "bench: nothing is kept yet")
         return 0
@@ -219,7 +219,7 @@ def page(folder: Path = RESULTS) -> str:
         "`make bench-compare` reports the changes since the previous version. It fails if a time grew, or a speed\n"
         "fell, by more than a tenth.\n",
     ]
-    runs = latest(folder)
+    runs = read_latest(folder)
     rows = [
         [name, f"`{command(kept)}`", kept.version, kept.date, str(kept.yardstick_ms or kept.source.partition(",")[0])]
         for name, kept in runs.items()
@@ -246,7 +246,7 @@ def command(kept: Kept) -> str:
 
 def keep_all() -> int:
     """Repeat every run of a benchmark, and run every benchmark that has none. Return how many failed."""
-    runs = {name: kept.benchmark for name, kept in latest().items() if kept.benchmark in names()}
+    runs = {name: kept.benchmark for name, kept in read_latest().items() if kept.benchmark in names()}
     failed = 0
     for run, name in {**runs, **{name: name for name in names() if name not in runs.values()}}.items():
         try:
@@ -279,14 +279,14 @@ def main() -> int:
     elif chosen.command == "keep" and chosen.all:
         failed = keep_all()
     elif chosen.command == "keep" and chosen.name:
-        benchmark = latest()[chosen.name].benchmark if chosen.name in latest() else chosen.name
+        benchmark = read_latest()[chosen.name].benchmark if chosen.name in read_latest() else chosen.name
         keep(benchmark, chosen.arguments, run=chosen.run or chosen.name)
     elif chosen.command == "keep":
         parser.error(f"name a benchmark, or say --all; there are {', '.join(names())}")
     PAGE.write_text(page(), encoding="utf-8")
-    for path in figures.renew():
+    for path in figures.renew_pages():
         print(f"bench: wrote {path}")
-    for problem in figures.problems():
+    for problem in figures.find_problems():
         print(f"bench: {problem}")
     return 1 if failed else 0
 

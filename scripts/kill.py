@@ -18,7 +18,7 @@ from tactile_loc_cli.console import make_progress
 from tactile_loc.evaluation.tabular import format_markdown
 
 KINDS = {"kill": kill, "full": fill_disks, "at-once": run_at_once}
-NUMBERS = dict(zip(KINDS, (200, 50, 12), strict=True))
+NUMBERS = {"kill": 200, "full": 50, "at-once": 12}
 NOT_OUTCOMES = ("trials", "most left beside")
 
 
@@ -45,7 +45,7 @@ def main(words: list[str] | None = None) -> int:
     chosen = [name for name in COMMANDS if name in (given.command or COMMANDS)]
     plan = Plan(given.out, make_inputs(given.out / "inputs"), record, chosen, wanted)
     progress = make_progress()
-    for kind in given.names:
+    for kind in given.names or KINDS:
         with progress.task(kind, wanted[kind]) as advance:
             for done in KINDS[kind](plan):
                 advance(done)

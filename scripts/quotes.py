@@ -70,7 +70,7 @@ def renderer(r: Results, digits: int, place: int) -> list[float]:
     """Return the range of the heightmap renderer's poses a second (place 0), or of its ratio to OpenGL's (1)."""
     table, demo = r["renderers-parts"].table(1), r["renderers"].table(1)
     parts = [table.numbers("heightmap", *row[:2])[place] for row in table.rows]
-    column = demo.place(("poses/s", "x pyrender")[place])
+    column = demo.find_column(("poses/s", "x pyrender")[place])
     found = [*parts, *(float(row[column]) for row in demo.rows if "heightmap" in row)]
     return [round(value, digits) for value in ends(found)]
 
@@ -115,7 +115,7 @@ def outliers(r: Results, column: str) -> list[tuple[bool, str, int]]:
     table = r["contacts-outliers"].table(1)
     touches = [row[1] for row in table.rows]
     touches = [next(word for word in touches[k::-1] if word) for k in range(len(touches))]
-    place = table.place(column)
+    place = table.find_column(column)
     return [(row[2] != "none", word, int(row[place])) for row, word in zip(table.rows, touches, strict=True)]
 
 

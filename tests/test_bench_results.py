@@ -21,11 +21,11 @@ PRINTED = """symmetry found
 
 def kept(version, yardstick_ms=10.0, text=PRINTED):
     return bench.Kept("joint", ["pin"], version, "2026-01-01", 3.0, yardstick_ms, {"processor": "x", "cores": 2}, {},
-                      bench.tables(text))  # fmt: skip
+                      bench.find_tables(text))  # fmt: skip
 
 
 def test_tables_are_found_in_what_is_printed():
-    first, second = bench.tables(PRINTED)
+    first, second = bench.find_tables(PRINTED)
     assert first.columns == ["object", "faces", "median, ms", "error, mm"]
     assert first.rows[1] == ["", "1768", "60, 70", "12 of 15"]
     assert first.filled[1] == ["pin", "1768", "60, 70", "12 of 15"]
@@ -35,19 +35,19 @@ def test_tables_are_found_in_what_is_printed():
 
 
 def test_a_row_has_as_many_cells_as_its_heading():
-    (table,) = bench.tables("| a | b |\n|---|---|\n| 1 | 2 | 3 |\n| 4 |\n")
+    (table,) = bench.find_tables("| a | b |\n|---|---|\n| 1 | 2 | 3 |\n| 4 |\n")
     assert table.rows == [["1", "2"], ["4", ""]]
     assert table.markdown() == "| a | b |\n|---|---|\n| 1 | 2 |\n| 4 |  |\n"
 
 
 def test_tables_that_touch_are_two():
-    first, second = bench.tables("| a | b |\n|---|---|\n| 1 | 2 |\n| c | d |\n|---|---|\n| 3 | 4 |\n")
+    first, second = bench.find_tables("| a | b |\n|---|---|\n| 1 | 2 |\n| c | d |\n|---|---|\n| 3 | 4 |\n")
     assert (first.rows, second.columns, second.rows) == ([["1", "2"]], ["c", "d"], [["3", "4"]])
 
 
 def test_lines_between_rows_do_not_end_a_table():
     text = "| a |\n|---|\n| 1 |\n  1 touch: pin taken for hook\n| 2 |\n\n| b |\n|---|\n| 3 |\n"
-    assert [table.rows for table in bench.tables(text)] == [[["1"], ["2"]], [["3"]]]
+    assert [table.rows for table in bench.find_tables(text)] == [[["1"], ["2"]], [["3"]]]
 
 
 def test_columns_of_one_name_are_compared_each_with_its_own():
@@ -123,7 +123,7 @@ def test_a_benchmark_is_run_and_kept(tmp_path, monkeypatch, capsys):
     script.write_text(f"import sys\nprint({PRINTED!r})\nsys.exit(len(sys.argv) > 2)\n")
     monkeypatch.setattr(bench, "BENCHMARKS", tmp_path)
     result = bench.keep("tiny", [str(script)], tmp_path / "results")
-    assert result.tables == bench.tables(PRINTED)
+    assert result.tables == bench.find_tables(PRINTED)
     assert result.arguments == ["tiny.py"]  # no path of this machine
     assert result.yardstick_ms > 0
     assert bench.Kept.read(next((tmp_path / "results").glob("*/tiny.json"))) == result
