@@ -14,7 +14,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
 
 from quotes import QUOTES, SETTINGS, Values
@@ -174,9 +174,8 @@ def read_pages(root: Path = ROOT) -> dict[str, str]:
 def find_problems() -> list[str]:
     """Return the problems of the documentation's figures."""
     results = read_latest()
-    return [
-        problem for page, text in read_pages().items() for problem in check_page(page, text, results, list_quotes(page))
-    ]
+    found = (check_page(page, text, results, list_quotes(page)) for page, text in read_pages().items())
+    return list(chain.from_iterable(found))
 
 
 def renew_pages() -> list[Path]:
@@ -195,10 +194,6 @@ def bind(run: str, folder: Path = RESULTS, root: Path = ROOT) -> None:
     results = read_latest(folder)
     if run not in results:
         raise SystemExit(f"bench: there is no run {run}; there are {', '.join(results)}")
-    bound = [
-        one
-        for page, text in read_pages(root).items()
-        for one in find_sentences(text, list_quotes(page))
-        if one.run == run
-    ]
-    replace(results[run], beside=[one.text for one in bound]).write(folder)
+    found = (find_sentences(text, list_quotes(page)) for page, text in read_pages(root).items())
+    bound = [one.text for one in chain.from_iterable(found) if one.run == run]
+    replace(results[run], beside=bound).write(folder)
