@@ -73,16 +73,13 @@ def find_changes(before: Kept, now: Kept) -> list[Change]:
     earlier = {key: value for table in before.tables for key, value in _read_figures(table).items()}
     yardsticks = (before.yardstick_ms, now.yardstick_ms)
     changes = []
-    for (row, column, place), value in (
-        (key, one) for table in now.tables for key, one in _read_figures(table).items()
-    ):
+    for key, value in (item for table in now.tables for item in _read_figures(table).items()):
+        row, column, _ = key
         power = 1 if RATE.search(column) else -1 if TIME.search(column) else 0  # of the yardstick
-        if (row, column, place) in earlier and (all(yardsticks) or not power):
+        if key in earlier and (all(yardsticks) or not power):
             old, new = ((y or 1.0) ** power for y in yardsticks)
             wanted = 1 if RATIO.search(column) else power
-            changes.append(
-                Change(f"{now.name}: {row}, {column}", old * earlier[row, column, place], new * value, wanted)
-            )
+            changes.append(Change(f"{now.name}: {row}, {column}", old * earlier[key], new * value, wanted))
     return changes
 
 
@@ -221,16 +218,10 @@ def format_page(folder: Path = RESULTS) -> str:
         "fell, by more than a tenth.\n",
     ]
     runs = read_latest(folder)
-    rows = [
-        [
-            name,
-            f"`{format_command(kept)}`",
-            kept.version,
-            kept.date,
-            str(kept.yardstick_ms or kept.source.partition(",")[0]),
-        ]
-        for name, kept in runs.items()
-    ]
+    rows = []
+    for name, kept in runs.items():
+        source = kept.source.partition(",")[0]
+        rows.append([name, f"`{format_command(kept)}`", kept.version, kept.date, str(kept.yardstick_ms or source)])
     parts.append(Table(["run", "command", "version", "date", "yardstick, ms, or source"], rows).markdown())
     for name, kept in runs.items():
         if kept.yardstick_ms is not None:

@@ -11,13 +11,12 @@ from __future__ import annotations
 import sys
 
 from killing.commands import COMMANDS, make_inputs
-from killing.trials import Plan, fill_disks, kill, run_at_once
+from killing.trials import Plan, run_trials
 from record import Record, make_parser
 from tactile_loc_cli.console import make_progress
 
 from tactile_loc.evaluation.tabular import format_markdown
 
-KINDS = {"kill": kill, "full": fill_disks, "at-once": run_at_once}
 NUMBERS = {"kill": 200, "full": 50, "at-once": 12}
 NOT_OUTCOMES = ("trials", "most left beside")
 
@@ -35,19 +34,19 @@ def format_table(record: Record) -> str:
 
 def main(words: list[str] | None = None) -> int:
     """Kill and starve the chosen commands; return 1 if there are findings."""
-    numbers = {kind: (number, "number of trials of this kind") for kind, number in NUMBERS.items()}
-    parser = make_parser(__doc__, "kind", KINDS, "kill", **numbers)
+    numbers = {kind: (number, "trials of this kind") for kind, number in NUMBERS.items()}
+    parser = make_parser(__doc__, "kind", NUMBERS, "kill", **numbers)
     parser.add_argument("--command", action="append", metavar="NAME", choices=list(COMMANDS),
                         help="kill this command only; may be repeated")  # fmt: skip
     given = parser.parse_args(words)
     record = Record.open(given.out / "record.json", given.seed)
-    wanted = {kind: getattr(given, kind.replace("-", "_")) for kind in KINDS}
+    wanted = {kind: getattr(given, kind.replace("-", "_")) for kind in NUMBERS}
     chosen = [name for name in COMMANDS if name in (given.command or COMMANDS)]
     plan = Plan(given.out, make_inputs(given.out / "inputs"), record, chosen, wanted)
     progress = make_progress()
-    for kind in given.names or KINDS:
+    for kind in given.names or NUMBERS:
         with progress.task(kind, wanted[kind]) as advance:
-            for done in KINDS[kind](plan):
+            for done in run_trials(plan, kind):
                 advance(done)
         record.save()
     print(format_table(record), end="")

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import accumulate
 from statistics import geometric_mean, mean, median
 
 from results import Results
@@ -92,11 +93,6 @@ def learned(r: Results) -> list[float]:
     return [sum(ratio < 1 for ratio in found), len(found), geometric_mean(found)]
 
 
-def learned_over_closest(r: Results) -> list[float]:
-    """Return the two largest ratios of the learned encoder's best of ten to the closest pose."""
-    return sorted(ratios(encoded(r, "moco", "best-10"), encoded(r, "moco", "closest")))[-2:]
-
-
 def seven_contacts(r: Results) -> list[float]:
     """Return the ranges of normalised errors of contact alone with seven contacts, and of their ratio to best-1."""
     table = r["evaluate-contacts"].table(1)
@@ -113,8 +109,7 @@ def second_contact(r: Results) -> list[float]:
 def outliers(r: Results, column: str) -> list[tuple[bool, str, int]]:
     """Return for each row of the table of outliers whether it has one, the kind of its touches, and a column."""
     table = r["contacts-outliers"].table(1)
-    touches = [row[1] for row in table.rows]
-    touches = [next(word for word in touches[k::-1] if word) for k in range(len(touches))]
+    touches = accumulate((row[1] for row in table.rows), lambda above, cell: cell or above)
     place = table.find_column(column)
     return [(row[2] != "none", word, int(row[place])) for row, word in zip(table.rows, touches, strict=True)]
 
@@ -142,11 +137,9 @@ def more_touches(r: Results) -> list[float]:
 
 def worse_found(r: Results) -> list[float]:
     """Return the excess error of found labels over those by hand, %, for the last two sets."""
-    found, hand = (
-        [r.at("found_labels", 2, column, name)[0] for name in ("160 x 120", "FOTS")]
-        for column in ("found on hand", "hand on hand")
-    )
-    return [100 * (ratio - 1) for ratio in ratios(list(found), list(hand))]
+    columns = ("found on hand", "hand on hand")
+    pairs = ([r.at("found_labels", 2, column, name)[0] for column in columns] for name in ("160 x 120", "FOTS"))
+    return [100 * (found / hand - 1) for found, hand in pairs]
 
 
 SETTINGS = {
@@ -238,7 +231,8 @@ QUOTES: dict[str, dict[str, Values]] = {
     "docs/benchmarks/encoders.md": {
         "The learned encoder's best-1 is below that of pixels on {} of {} objects, in geometric mean {} of it": learned,
         "Its ten most probable poses come within {} times the nearest grid pose's error on all objects but the "
-        "ambiguous 00308 ({})": learned_over_closest,
+        "ambiguous 00308 ({})":
+            lambda r: sorted(ratios(encoded(r, "moco", "best-10"), encoded(r, "moco", "closest")))[-2:],
         "the learned encoder's first pose is at {} mm in the median over the objects, pixels' at {}":
             lambda r: [median(encoded(r, encoder, "reg-1")) for encoder in ("moco", "pixel")],
         "A training took {} to {} s": range_of("encoders", 1, "training"),

@@ -11,6 +11,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -35,10 +36,8 @@ class Table:
     @cached_property
     def filled(self) -> list[list[str]]:
         """The rows, each with its first cell."""
-        rows: list[list[str]] = []
-        for row in self.rows:
-            rows.append([row[0] or (rows[-1][0] if rows else ""), *row[1:]])
-        return rows
+        firsts = accumulate((row[0] for row in self.rows), lambda above, cell: cell or above)
+        return [[first, *row[1:]] for first, row in zip(firsts, self.rows, strict=True)]
 
     def find_column(self, column: str | int) -> int:
         """Return the index of a column, given by name or index. Raises LookupError for an unknown name."""
@@ -121,21 +120,13 @@ class Results(dict[str, Kept]):
 
 def find_tables(text: str) -> list[Table]:
     """Return the Markdown tables of a benchmark's output; other lines between rows do not end a table."""
-    found: list[Table] = []
-    before: list[str] = []
-    is_row = False
-    for line in text.splitlines():
-        cells = [cell.strip() for cell in line.strip()[1:-1].split("|")] if line.strip().startswith("|") else []
-        is_rule = bool(cells) and all(re.fullmatch(r":?-+:?", cell) for cell in cells)
-        if is_rule and before:
-            if is_row:  # that row is the heading of this table
-                found[-1].rows.pop()
-            found.append(Table(before, []))
-        is_row = bool(cells and found and not is_rule)
-        if is_row:
-            count = len(found[-1].columns)
-            found[-1].rows.append((cells + [""] * count)[:count])
-        before = cells
+    lines = [line.strip() for line in text.splitlines() if line.strip().startswith("|")]
+    rows = [[cell.strip() for cell in line[1:-1].split("|")] for line in lines]
+    rules = [k for k, row in enumerate(rows) if k and all(re.fullmatch(r":?-+:?", cell) for cell in row)]
+    found = []
+    for rule, end in zip(rules, [*(k - 1 for k in rules[1:]), len(rows)], strict=False):
+        count = len(rows[rule - 1])
+        found.append(Table(rows[rule - 1], [(row + [""] * count)[:count] for row in rows[rule + 1 : end]]))
     return found
 
 

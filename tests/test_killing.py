@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from killing import remains
 from killing.commands import FLAT, Life, Moment, Place
-from killing.trials import Plan, Trials, kill
+from killing.trials import Plan, Trials, run_trials
 from record import Done, Record
 
 from tactile_loc.store.files import replace_file
@@ -40,11 +40,11 @@ def test_a_build_is_killed_and_begun_again(tmp_path):
     (tmp_path / "inputs").mkdir()
     (tmp_path / "inputs" / "flat.toml").write_text(FLAT)
     plan = Plan(tmp_path, tmp_path / "inputs", Record(tmp_path / "record.json", 0), ["build"], {"kill": 1})
-    killed = sum(kill(plan))
+    killed = sum(run_trials(plan, "kill"))
     assert killed == Trials(plan, "kill", "build").counts["killed"] >= 1
     assert plan.record.findings == []
     assert len(plan.run_calm("build").answer) > 10
-    assert list(kill(plan)) == [killed], "nothing is left to do"
+    assert list(run_trials(plan, "kill")) == [killed], "nothing is left to do"
 
 
 def test_what_is_whole_is_no_finding(place):

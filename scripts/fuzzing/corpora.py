@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
@@ -123,13 +122,12 @@ def result(folder: Path) -> None:
 
 def sweep(folder: Path) -> None:
     """Write the table of a sweep."""
-
-    def configured(row: dict[str, Any]) -> dict[str, Any]:
+    rows = list(sweep_rows())
+    for row in rows:
         grid = {"name": "face", "spacing_mm": row["grid.spacing_mm"]}
         config = RunConfig.from_dict({"object": {"path": row["object"]}, "grid": grid, "refiner": row["refiner"]})
-        return {**row, "configuration": config.model_dump(mode="json")}
-
-    write_sweep(folder, [configured(row) for row in sweep_rows()])
+        row["configuration"] = config.model_dump(mode="json")
+    write_sweep(folder, rows)
 
 
 def mcap(folder: Path) -> None:

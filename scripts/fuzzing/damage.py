@@ -48,17 +48,26 @@ FALSE_SHAPES = [
 ]  # fmt: skip
 BLOCK, BLOCKS = 2**26, 32  # zeros: bytes of a block, and number of blocks
 
-Change = Callable[[bytes, Random], bytes]
-
 
 def damage(name: str, content: bytes, other: bytes, draw: Random) -> bytes:
     """Return the damaged content of a file; it may contain parts of `other`. The suffix of `name` sets the format."""
-    structured = STRUCTURED.get(name.rpartition(".")[2].lower())
-    if structured is not None and draw.random() < 0.5:
-        return structured(content, draw)
+    suffix = name.rpartition(".")[2].lower()
+    if suffix in {"png", "safetensors", *VALUES} and draw.random() < 0.5:
+        return _change_form(suffix, content, draw)
     for _ in range(draw.choice([1, 1, 1, 2, 4, 16])):
         content = _change_bytes(content, other, draw)
     return content
+
+
+def _change_form(suffix: str, content: bytes, draw: Random) -> bytes:
+    """Return content of a valid form with other values."""
+    if suffix == "png":
+        return _change_png(content, draw)
+    if suffix == "safetensors":
+        return _change_safetensors(content, draw)
+    if suffix == "npz" and draw.random() < 0.02:
+        return _make_inflating(next(iter(_arrays(content))))
+    return _change_values(content, *VALUES[suffix], draw)
 
 
 def _draw_place(content: bytes, draw: Random) -> int:
@@ -123,16 +132,12 @@ def _change_value(value: Any, draw: Random) -> Any:
     return draw.choice(others)
 
 
-def _change_with(load: Callable[[bytes], Any], dump: Callable[[Any], bytes]) -> Change:
-    """Return a function that changes values of a format, once or several times."""
-
-    def change(content: bytes, draw: Random) -> bytes:
-        tree = load(content)
-        for _ in range(draw.choice([1, 1, 2, 4])):
-            tree = change_tree(tree, draw)
-        return dump(tree)
-
-    return change
+def _change_values(content: bytes, load: Callable[[bytes], Any], dump: Callable[[Any], bytes], draw: Random) -> bytes:
+    """Return the content of a format with one or several changed values."""
+    tree = load(content)
+    for _ in range(draw.choice([1, 1, 2, 4])):
+        tree = change_tree(tree, draw)
+    return dump(tree)
 
 
 def _as_json(tree: Any) -> bytes:
@@ -223,12 +228,6 @@ def _as_npz(tree: Any) -> bytes:
     return file.getvalue()
 
 
-def _npz(content: bytes, draw: Random) -> bytes:
-    if draw.random() < 0.02:
-        return _make_inflating(next(iter(_arrays(content))))
-    return _change_with(_arrays, _as_npz)(content, draw)
-
-
 @cache
 def _make_inflating(name: str) -> bytes:
     """Return an archive of some MB with one array of zeros of 2 GiB."""
@@ -244,7 +243,7 @@ def _make_inflating(name: str) -> bytes:
 # ---- other formats, with correct checksums and lengths
 
 
-def _png(content: bytes, draw: Random) -> bytes:
+def _change_png(content: bytes, draw: Random) -> bytes:
     """Return a picture whose header has another size, depth or kind."""
     head = bytearray(content[16:29])
     if draw.random() < 0.33:
@@ -254,15 +253,18 @@ def _png(content: bytes, draw: Random) -> bytes:
     return content[:16] + head + struct.pack(">I", zlib.crc32(b"IHDR" + head)) + content[33:]
 
 
-def _safetensors(content: bytes, draw: Random) -> bytes:
+def _change_safetensors(content: bytes, draw: Random) -> bytes:
     size = struct.unpack_from("<Q", content)[0]
-    text = _json(content[8 : 8 + size], draw)
+    text = _change_values(content[8 : 8 + size], *VALUES["json"], draw)
     return struct.pack("<Q", len(text)) + text + content[8 + size :]
 
 
-_json = _change_with(json.loads, _as_json)
-STRUCTURED: Mapping[str, Change] = {
-    "npy": _change_with(_from_npy, _as_npy), "npz": _npz, "png": _png, "safetensors": _safetensors,
-    "json": _json, "gltf": _json, "toml": _change_with(lambda content: tomllib.loads(content.decode()), _as_toml),
-    "csv": _change_with(_rows, _as_csv), "yaml": _change_with(_from_yaml, _as_json),
+def _read_toml(content: bytes) -> Any:
+    return tomllib.loads(content.decode())
+
+
+VALUES: Mapping[str, tuple[Callable[[bytes], Any], Callable[[Any], bytes]]] = {
+    "npy": (_from_npy, _as_npy), "npz": (_arrays, _as_npz), "json": (json.loads, _as_json),
+    "gltf": (json.loads, _as_json), "toml": (_read_toml, _as_toml), "csv": (_rows, _as_csv),
+    "yaml": (_from_yaml, _as_json),
 }  # fmt: skip

@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -25,6 +25,7 @@ KILL = -9
 FINISHED = 0.2  # share of kills after which the command may finish
 PAGE, ROOMY = 4096, 2**30  # bytes of a disk
 PROCESSES, KILLED = 8, 3  # commands at once, and how many of them are killed
+TOGETHER = [f"{name}, {how}" for name in ("build", "run") for how in ("undisturbed", "some killed", "one folder")]
 BEGINS = re.compile(r"Stage (\S+ \S+) is being built\.")
 
 
@@ -49,11 +50,6 @@ class Plan:
     record: Record
     commands: Sequence[str]
     wanted: dict[str, int]
-
-    def share_trials(self, kind: str) -> dict[str, int]:
-        """Return the number of a kind's trials for each command."""
-        every, more = divmod(self.wanted[kind], len(self.commands))
-        return {name: every + (k < more) for k, name in enumerate(self.commands)}
 
     def run_calm(self, name: str) -> Calm:
         """Run a command undisturbed, or read its earlier outcome. Raises RuntimeError when it fails."""
@@ -141,24 +137,6 @@ class Trials:
         self.expect(remains.count_locks(place) <= calm.locks, "more locks than stages")
 
 
-def repeat(
-    plan: Plan, kind: str, shares: Mapping[str, int], try_once: Callable[[Trials], str], counted: str = "trials"
-) -> Iterator[int]:
-    """Repeat the trial of each name until its share is done; yield the progress, in units of `counted`."""
-    for name, wanted in shares.items():
-        trials, before = Trials(plan, kind, name), 0
-        while trials.counts[counted] < wanted:
-            yield trials.counts[counted] - before
-            before = trials.counts[counted]
-            trials.count(try_once(trials))
-        yield trials.counts[counted] - before
-
-
-def kill(plan: Plan) -> Iterator[int]:
-    """Kill each command and start it again; yield the progress."""
-    return repeat(plan, "kill", plan.share_trials("kill"), _kill_once, "killed")
-
-
 def _kill_once(trials: Trials) -> str:
     """Kill a command again and again, with the files that it left, until it may finish or ends before the kill."""
     draw, place, line = trials.make_generator(), Place(trials.folder), COMMANDS[trials.name]
@@ -217,11 +195,6 @@ def _resize(disk: Path, nbytes: int) -> None:
     subprocess.run(["mount", "-o", f"remount,size={nbytes}", str(disk)], check=True)
 
 
-def fill_disks(plan: Plan) -> Iterator[int]:
-    """Run each command on a disk with too little space, then with enough; yield the progress."""
-    return repeat(plan, "full", plan.share_trials("full"), _starve)
-
-
 def _starve(trials: Trials) -> str:
     """Run a command on a disk that holds the inputs and a random share of the space that it needs."""
     if not can_mount():
@@ -244,13 +217,8 @@ def _starve(trials: Trials) -> str:
     return "refused" if done.code else "had space"
 
 
-def run_at_once(plan: Plan) -> Iterator[int]:
-    """Run a command several times at once: undisturbed, with some of them killed, and all into one folder."""
-    names = [f"{name}, {how}" for name in ("build", "run") for how in ("undisturbed", "some killed", "one folder")]
-    return repeat(plan, "at-once", dict.fromkeys(names, plan.wanted["at-once"] // len(names)), _run_together)
-
-
 def _run_together(trials: Trials) -> str:
+    """Run a command several times at once on one store, undisturbed, with some killed, or all into one folder."""
     name, _, how = trials.name.partition(", ")
     draw, folder, left = trials.make_generator(), trials.folder, list(range(PROCESSES))
     roots = [folder / f"{0 if how == 'one folder' else k}" for k in left]
@@ -272,3 +240,20 @@ def _run_together(trials: Trials) -> str:
         twice = [stage for stage, count in begun.items() if count > 1]
         trials.expect(not twice, f"built more than once: {', '.join(twice)}")
     return "done"
+
+
+KINDS = {"kill": _kill_once, "full": _starve, "at-once": _run_together}
+
+
+def run_trials(plan: Plan, kind: str) -> Iterator[int]:
+    """Do the trials of a kind that are still missing; yield the number of trials, or kills, of each step."""
+    names = TOGETHER if kind == "at-once" else plan.commands
+    every, more = divmod(plan.wanted[kind], len(names))
+    counted = "killed" if kind == "kill" else "trials"
+    for k, name in enumerate(names):
+        trials, before = Trials(plan, kind, name), 0
+        while trials.counts[counted] < every + (k < more):
+            yield trials.counts[counted] - before
+            before = trials.counts[counted]
+            trials.count(KINDS[kind](trials))
+        yield trials.counts[counted] - before
