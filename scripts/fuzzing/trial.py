@@ -56,7 +56,7 @@ def judge(reader: Reader, folder: Path) -> Verdict:
         verdict = READ, ""
     except TactileLocError as error:
         verdict = _judge_refusal(error, folder, reader.names_file)
-    except (Exception, TooLongError) as error:  # noqa: BLE001 - whatever a reader lets through is a finding
+    except (Exception, TooLongError) as error:  # noqa: BLE001 - any other exception is a finding
         ours = [frame for frame in traceback.extract_tb(error.__traceback__) if "/tactile_loc" in frame.filename]
         where = f" at {Path(ours[-1].filename).name}:{ours[-1].lineno}" if ours else ""
         verdict = f"{type(error).__name__}{where}", traceback.format_exc()
@@ -106,7 +106,7 @@ def watch_writes() -> None:
             if WRITES.search(mode) if isinstance(mode, str) else isinstance(flags, int) and flags & 3:
                 written.append(os.path.abspath(os.fsdecode(values[0])))
         elif event in MOVES and not any(isinstance(value, int) and value >= 0 for value in values[MOVES[event] :]):
-            written.append(os.path.abspath(str(values[0])))  # not relative to an open folder
+            written.append(os.path.abspath(str(values[0])))  # a name in an open folder lies within it
 
     sys.addaudithook(note)
 
