@@ -29,7 +29,7 @@ from fuzzing.readers import READERS
 from fuzzing.trial import READ, REFUSED, SECONDS, Job, Verdict, make_input, read_all
 
 PATIENCE_S = SECONDS + 60  # for a process that ignores its alarm
-EXPECTED = (0, 2, 3)  # exit codes of a command: done, refused, done with a warning verdict
+EXPECTED = (0, 2)  # exit codes of a command: done, refused
 COMMAND_BYTES = 12 * 2**30  # address space, which libraries reserve without using it
 SPAWN = multiprocessing.get_context("spawn")
 
