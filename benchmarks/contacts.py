@@ -6,7 +6,7 @@ Every contact of at least 0.25 % of the sensor counts, edges and corners too. Th
 which the localizer does not use. The whole object is searched.
 
 For every number of touches the table has the share of examples within 0.5 and 1 mm (root mean square over the surface,
-modulo symmetry), the median error, and the share with any hypothesis that near (found by the search, but not chosen). A
+modulo symmetry) and the median error. It also has the share with any hypothesis that near. A
 set of touches is ambiguous if a pose more than 1 mm away explains all touches as well as the true pose. The table has
 their share, and the share within 0.5 mm of the others. For poses within 1 mm it has the median normalised error squared
 (5.35 for true covariances). The last columns are presses without contact, examples that ended in an error, and the
@@ -57,7 +57,7 @@ LEVELS: dict[str, dict[str, Any]] = {
 AS_WELL = 0.01  # imprint IoU: a smaller difference counts as equally good
 MOVED_MM, MOVED_DEG = 5.0, 10.0
 KINDS = ("none", "moved", "other object")
-VERDICTS = ("agree", "named", "wrongly named", "nobody named", "failed")
+VERDICTS = ("agree", "named", "wrongly named", "no touch named", "failed")
 
 
 class Located(NamedTuple):
@@ -167,7 +167,7 @@ def judge(agreement: Agreement, wrong: int | None) -> str:
     if not agreement.contradictory:
         return "agree"
     if not agreement.outliers:
-        return "nobody named"
+        return "no touch named"
     return "named" if agreement.outliers == (wrong,) else "wrongly named"
 
 
@@ -200,7 +200,7 @@ def measure_outliers(
             "object": localizer.object.name, "sensor": localizer.config.sensor.name, "level": level, "touches": n,
             "wrong": kind, "examples": len(found), **{v: sum(said == v for said, _ in found) for v in VERDICTS},
             "within 1 mm": sum(error_mm < 1 for _, error_mm in found),
-            "within 1 mm, nobody named": sum(error_mm < 1 for said, error_mm in found if said == "nobody named"),
+            "within 1 mm, no touch named": sum(error_mm < 1 for said, error_mm in found if said == "no touch named"),
         }
         for (n, kind), found in rows.items()
     ]  # fmt: skip

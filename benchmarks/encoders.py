@@ -7,9 +7,9 @@ share of a random pose's mean error. Meshes are given as FILE[:UNITS]; by defaul
 `--out`, so an interrupted run can be resumed. Training is timed when it happens.
 
 With `--whole` the whole object is searched instead, from touches of random directions, without, with mild and with
-strong noise. They are drawn by ray casting, which the localizer does not use. The table has the share of touches for
-which one of the 1000 most similar rotated places is within 3 mm of the true pose, and the share for which one of ten
-hypotheses is within 1 mm (root mean square over the surface, modulo symmetry).
+strong noise. They are drawn by ray casting, which the localizer does not use. The table has two
+shares of touches. In the first, one of the 1000 most similar rotated places is within 3 mm of the true pose. In the
+second, one of ten hypotheses is within 1 mm (root mean square over the surface, modulo symmetry).
 """
 
 from __future__ import annotations

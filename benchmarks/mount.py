@@ -3,9 +3,9 @@
 
 Each example has a part at rest at a random pose, a mount with an offset of some centimetres and any rotation, and
 random contacts of the part. Contacts are drawn by ray casting, which the localizer does not use, and give the flange
-poses. For every level of noise and number of touches, the table has the number of refused mounts, the median error and
-the 90 % quantile of the others (of the sensor frame's origin, and of its rotation), the share of truths in the 95 %
-ellipsoid, the number of excluded touches, and the median time. Models are built beforehand. With `--outlier` the
+poses. For every level of noise and number of touches, the table has the number of refused mounts. Of the others it has
+the median error and the 90 % quantile (of the sensor frame's origin, and of its rotation), the share of truths in the
+95 % ellipsoid, the number of excluded touches, and the median time. Models are built beforehand. With `--outlier` the
 flange's pose of one touch in each example is wrong by 5 mm and 10 degrees; then the table also has the share in which
 it was excluded.
 """

@@ -64,7 +64,7 @@ def read_page(text: str) -> Prose:
 
 
 def read_code(text: str) -> Prose:
-    """Yield the line and text of each comment, and of each paragraph of a string that has a space."""
+    """Yield the line and text of each comment, and of each paragraph of a string that has a space, or is a page."""
     parts: set[ast.AST] = set()  # of formatted strings
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.JoinedStr):
@@ -72,6 +72,9 @@ def read_code(text: str) -> Prose:
             values = [part.value if isinstance(part, ast.Constant) else "CODE" for part in node.values]
             yield node.lineno, "".join(map(str, values))
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in parts and " " in node.value:
+            if "```" in node.value:
+                yield from ((node.lineno + line - 1, found) for line, found in read_page(node.value))
+                continue
             for found in re.finditer(r"(?:[^\n]+\n?)+", node.value):
                 is_long = node.end_lineno - node.lineno == node.value.count("\n")  # one literal of several lines
                 yield node.lineno + node.value.count("\n", 0, found.start()) * is_long, found[0]
@@ -111,8 +114,9 @@ def find_faults(sentence: str) -> Iterator[str]:
     for pattern, advice in STARTS.items():
         if re.match(pattern, sentence.lstrip("-*_0123456789.( ")):
             yield f"{start}: {advice}"
-    if len(words) > LONGEST:
-        yield f"{start}: {len(words)} words; split it"
+    longest = max(len(clause.split()) for clause in sentence.split("; "))
+    if longest > LONGEST and not sentence.startswith("|"):
+        yield f"{start}: {longest} words; split it"
 
 
 def list_files(root: Path, names: tuple[str, ...], suffix: str) -> list[Path]:

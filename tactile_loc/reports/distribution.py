@@ -147,9 +147,9 @@ class YawHistogram:
 class SideMap:
     """Probability `mass` (Y, X), with sum one, by the side of the object that faces the sensor.
 
-    "one" is a single side with `normal` (3,) in the object frame. "lean": bins are the lean of that side towards the
-    sensor's x and y, degrees. "globe": bins are the azimuth and elevation of the side in the object frame, degrees, of
-    equal area. `x` and `y` are the edges of the bins.
+    The kind "one" is a single side with `normal` (3,) in the object frame. The bins of "lean" are the lean of that side
+    towards the sensor's x and y, degrees. The bins of "globe" are the azimuth and elevation of the side in the object
+    frame, degrees, of equal area. `x` and `y` are the edges of the bins.
     """
 
     kind: Literal["one", "lean", "globe"]

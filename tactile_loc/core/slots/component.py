@@ -31,7 +31,7 @@ class ComponentOptions(BaseModel):
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a component can and cannot do, as the code needs to know.
+    """Abilities and limits of a component, for the code that uses it.
 
     `exact_undercuts`: a renderer sees surfaces below overhangs. `deterministic`: same input, same output.
     `follows_press_depth`: an encoder's bank must be encoded at the touch's own press depth.

@@ -79,8 +79,7 @@ class HypothesisRecord(Record):
     covariance: Covariance | None = Field(
         default=None,
         description="covariance (6, 6) of the answer's error, in the order and frame of ROS's PoseWithCovariance: "
-        "x, y, z of the object frame's origin (m), rotations about the sensor's x, y, z axes (rad); null if the pose "
-        "was not refined, or the touches do not determine it",
+        "x, y, z of the object frame's origin (m), rotations about the sensor's x, y, z axes (rad); null if unknown",
     )
     error_m: float | None = Field(description="surface distance to the true pose, m; null if that is unknown")
 
