@@ -2,9 +2,9 @@
 """Errors of locating objects from touches that do not follow the localizer's model.
 
 All touches are drawn by ray casting, pressed by 30 to 90 % of the sensor's deepest press, and located with the original
-mesh. They are drawn from four sources: the same mesh; a mesh with smooth errors along its normals, as in a scan (0.05 or
-0.1 mm root mean square, with a correlation length of 2 mm); a mesh decimated to 0.1 mm; and the same mesh with noise to
-which nothing was fitted (`UnseenNoise`). Each case has one touch on the known face (`face`, 3 mm) and three touches
+mesh. They are drawn from four sources: the same mesh; a mesh with smooth errors along its normals, as in a scan (0.05
+or 0.1 mm root mean square, with a correlation length of 2 mm); a mesh decimated to 0.1 mm; and the same mesh with noise
+to which nothing was fitted (`UnseenNoise`). Each case has one touch on the known face (`face`, 3 mm) and three touches
 from any direction with a search of the whole object, as in `contacts.py`. The table has the median error (root mean
 square over the surface, modulo symmetry), the share within 1 mm, and the share with any hypothesis within 1 mm. Meshes
 are given as FILE[:UNITS] or a demo object's name.

@@ -187,9 +187,9 @@ class RegionPrior(PosePrior):
 class PosteriorPrior(PosePrior):
     """An earlier posterior, moved: w(x) = (1 - f) sum_j p_j exp(-d(x, T_new_old x_j)^2 / (2 s^2)) + f / N.
 
-    `T_new_old` (4, 4) is the known motion: T_sensor_object_new = T_new_old @ T_sensor_object_old. For an object at
-    rest it is inv(T_base_sensor_new) @ T_base_sensor_old. The distance d is the pose metric, up to symmetry. s is
-    `std_m`, the uncertainty of the motion, and at least half the earlier grid's spacing, so that the two grids do not miss each
+    `T_new_old` (4, 4) is the known motion: T_sensor_object_new = T_new_old @ T_sensor_object_old. For an object at rest
+    it is inv(T_base_sensor_new) @ T_base_sensor_old. The distance d is the pose metric, up to symmetry. s is `std_m`,
+    the uncertainty of the motion, and at least half the earlier grid's spacing, so that the two grids do not miss each
     other. `floor`, f, leaves a share of 1 / N everywhere, with N earlier poses; the earlier posterior's `elsewhere` is
     added to it. The whole is raised to `power`. Metres.
     Raises ConfigError when the motion is not rigid, std_m is negative or f is not in [0, 1).
