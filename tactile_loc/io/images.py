@@ -134,7 +134,7 @@ def _convert_damage(*others: type[Exception]) -> Iterator[None]:
     """Raise ValueError for any of DAMAGES, and `others`, that the block raises: readers of damaged files raise them."""
     try:
         yield
-    except (*DAMAGES, *others) as error:
+    except DAMAGES + others as error:
         raise ValueError(str(error) or type(error).__name__) from error
 
 

@@ -33,8 +33,8 @@ Covariance = Annotated[list[Six], Field(min_length=6, max_length=6)]
 class Mount:
     """A sensor's pose on the flange: `T_flange_sensor` (4, 4), metres.
 
-    `covariance` (6, 6), if known, is that of the sensor frame's origin x, y, z (m) and of a rotation vector (rad), along
-    the flange's axes.
+    `covariance` (6, 6), if known, is that of the sensor frame's origin x, y, z (m) and of a rotation vector (rad),
+    along the flange's axes.
     """
 
     T_flange_sensor: NDArray[np.float64]

@@ -130,9 +130,7 @@ def _require_pose(touch: ListedTouch, several: bool, of_flange: bool) -> None:
     if not of_flange and touch.T_base_flange is not None and touch.mount is None:
         raise ValueError('T_base_flange needs the sensor\'s mount; give its file, as mount = "mount.toml"')
     if touch.T_base_sensor is None and several and not of_flange:
-        raise ValueError(
-            f"the sensor's pose, which several touches need, is missing; {name_pose_keys('T_base_sensor')}"
-        )
+        raise ValueError(f"several touches need the sensor's pose, which is missing; {name_pose_keys('T_base_sensor')}")
 
 
 def _find_sensor(sensor: str | None, folder: Path) -> str | None:
