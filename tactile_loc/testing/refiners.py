@@ -310,11 +310,7 @@ def _require_sound(result: RefinedPose) -> None:
 
 
 def _require_same(
-    T: NDArray[np.float64],
-    result: RefinedPose,
-    problem: PressedBlock,
-    sentence: str,
-    tolerance_px: float = TOLERANCE_PX,
+    T: Poses, result: RefinedPose, problem: PressedBlock, sentence: str, tolerance_px: float = TOLERANCE_PX
 ) -> None:
     distance_m = float(PoseMetric(problem.scene.object).distance(T, result.T_sensor_object))
     apart = distance_m / problem.touch.geometry.pixel_pitch_m
