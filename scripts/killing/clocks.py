@@ -108,7 +108,7 @@ def waiting_for_one_that_is_killed(trials: Trials, place: Place) -> None:
     done = other.ended(waiting)
     trials.expect("waiting for it" in done.err, "it did not wait", done)
     trials.find_lost(before, other)
-    trials.expect("the piece checkpoint.safetensors is there already" in done.err, "it began anew", done)
+    trials.expect("the saved piece checkpoint.safetensors is used" in done.err, "it began anew", done)
     trials.judge(done, other, "train")
 
 

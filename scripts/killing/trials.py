@@ -29,7 +29,7 @@ PAGE, ROOMY = 4096, 2**30  # bytes of a disk
 LARGEST = 400_000  # bytes of a file, where a limit of that stands for a full disk
 UNWRITABLE = 0.5  # the share of stages that are not stored, where some are to be built
 PROCESSES, KILLED = 8, 3  # at once, and how many of them are killed
-BEGINS = re.compile(r"Stage (\S+ \S+) is being built\.")
+BEGINS = re.compile(r"stage (\S+ \S+) is being built(?! by)")
 
 
 @dataclass(frozen=True)
