@@ -1,4 +1,4 @@
-"""What the tests of the store share: a stage of five pieces, and ways to look at and harm what it left."""
+"""Helpers for tests of the store: a stage of five pieces, and functions to inspect and damage its files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PROJECT = Path(__file__).parents[2]
 
 
 class Five:
-    """Builds five pieces and their sum, counts which were computed, and may break off at one of them."""
+    """Builds five pieces and their sum, counts the computed ones, and may stop at one of them."""
 
     def __init__(self, stop_at: int | None = None, error: BaseException | None = None) -> None:
         self.stop_at, self.error = stop_at, error or KeyboardInterrupt()
