@@ -19,7 +19,6 @@ from tactile_loc.evaluation.metrics import compute_adds
 from tactile_loc.evaluation.protocol import describe_located, sample_surface, save_in_shards
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 
@@ -80,7 +79,8 @@ def evaluate_fusion(
         examples = _Examples(localizer, numbers, touches)
         save_in_shards(work, ARRAYS, count, SHARD, examples.locate)
 
-    return _read(numbers, localizer.store.build(make_fusion_key(localizer, numbers, count, touches), run))
+    artifact = localizer.store.build(make_fusion_key(localizer, numbers, count, touches), run)
+    return FusionEvaluation(numbers, *(artifact.load_array(name, mmap=False) for name in ARRAYS))
 
 
 def make_fusion_key(localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches) -> StageKey:
@@ -165,7 +165,3 @@ def _draw(posterior: PosePosterior, lot: float) -> int:
     """Return the index of the most probable pose; of several, the one chosen by the lot (0 to below 1)."""
     most = np.flatnonzero(posterior.log_p == posterior.log_p.max())
     return int(most[int(lot * len(most))])
-
-
-def _read(contacts: tuple[int, ...], artifact: Artifact) -> FusionEvaluation:
-    return FusionEvaluation(contacts, *(artifact.load_array(name, mmap=False) for name in ARRAYS))

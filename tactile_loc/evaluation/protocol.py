@@ -23,7 +23,6 @@ from tactile_loc.evaluation.ambiguity import AMBIGUOUS, choose_judging_noise, me
 from tactile_loc.evaluation.metrics import compute_add_s, compute_adds, compute_mssd, measure_posterior
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.store.artifact import Artifact
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 
@@ -94,7 +93,8 @@ class TouchEvaluator:
         chosen: int,
     ) -> Poses:  # fmt: skip
         """Return the pose (L, 4, 4) of each line: the nearest to the truth, by ADD, of the line's candidates."""
-        on_grid = np.concatenate([top, guesses, _find_near(grid, T_true)])
+        near = np.argsort(grid.distances(T_true), kind="stable")[:NEAR]
+        on_grid = np.concatenate([top, guesses, near])
         poses = np.concatenate([grid.T_sensor_object[on_grid], refined])
         errors = compute_adds(self.localizer.object, self._points_m, poses, T_true)
         k, n = len(top), len(on_grid)
@@ -178,18 +178,14 @@ def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> Eva
         evaluator = TouchEvaluator(localizer)
         save_in_shards(work, ARRAYS, count, SHARD, lambda numbers: _localise(evaluator, numbers, touches))
 
-    return _read(localizer.store.build(make_evaluation_key(localizer, count, touches), run))
+    artifact = localizer.store.build(make_evaluation_key(localizer, count, touches), run)
+    return Evaluation(*(artifact.load_array(name, mmap=False) for name in ARRAYS))
 
 
 def make_evaluation_key(localizer: Localizer, count: int, touches: SimulatedTouches) -> StageKey:
     """Return the store's key of an evaluation: everything that its errors depend on."""
     refiner = {"refiner": localizer.refinement.refiner.describe()}
     return StageKey("evaluation", PROTOCOL_VERSION, {**describe_located(localizer, touches, count), **refiner})
-
-
-def _find_near(grid: PoseGrid, T_true: Poses) -> NDArray[np.int64]:
-    """Return the indices of the grid poses nearest to the truth by root mean square distance."""
-    return np.argsort(grid.distances(T_true), kind="stable")[:NEAR]
 
 
 def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: SimulatedTouches) -> list[NDArray[Any]]:
@@ -216,10 +212,6 @@ def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: Simulat
 def measure_contact_share(touch: Touch) -> float:
     """Return the share of a touch's observed pixels in contact, 0 to 1."""
     return float(touch.contact_shape.contact[touch.geometry.observed_mask].mean())
-
-
-def _read(artifact: Artifact) -> Evaluation:
-    return Evaluation(*(artifact.load_array(name, mmap=False) for name in ARRAYS))
 
 
 def save_in_shards(

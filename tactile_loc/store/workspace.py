@@ -51,18 +51,6 @@ class Workspace:
         self._kept: set[str] = set()
         self._pieces = self._read_pieces()  # file name -> accepted checksums, the newest first
 
-    def load_or_make(self, name: str, make: Callable[[], NDArray[Any]], keep: bool = True) -> NDArray[Any]:
-        """Return the array that an interrupted build saved under this name, else make and save it.
-
-        `keep=False` is for intermediate results, which are not part of the artifact. Raises StoreError as `save_array`,
-        and the errors of `make`.
-        """
-        array = self.load(name, keep)
-        if array is None:
-            array = np.asarray(make())
-            self.save_array(name, array, keep)
-        return array
-
     def load(self, name: str, keep: bool = True) -> NDArray[Any] | None:
         """Return the array saved under this name, now or by an interrupted build; None if missing or damaged."""
         for read, file_name in ((np.load, f"{name}.npy"), (read_packed, f"{name}.npz")):

@@ -33,7 +33,13 @@ class Five:
         return np.random.default_rng(i).normal(size=(40, 3))
 
     def __call__(self, workspace: Workspace) -> None:
-        pieces = [workspace.load_or_make(f"piece{i}", lambda i=i: self.piece(i), keep=i < 3) for i in range(5)]
+        pieces = []
+        for i in range(5):
+            piece = workspace.load(f"piece{i}", keep=i < 3)
+            if piece is None:
+                piece = self.piece(i)
+                workspace.save_array(f"piece{i}", piece, keep=i < 3)
+            pieces.append(piece)
         workspace.save_array("sum", np.sum(pieces, axis=0))
         workspace.save_json("meta", {"n": 5, "a": [1.5, None]})
 
