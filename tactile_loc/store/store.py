@@ -85,7 +85,7 @@ class StageStore:
             with self._lock(key):
                 artifact = self._open_or_remove(key) or self._make(key, make)
         else:
-            logger.debug("stage %s is in the store", key)
+            logger.debug("stage %s is in the store already", key)
         return artifact
 
     def entries(self) -> list[Entry]:
