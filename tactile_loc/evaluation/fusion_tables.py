@@ -80,7 +80,7 @@ def write_fusion_tables(
     document = tabular.format_json(record_runs(runs, protocol))
     return tabular.write_texts(
         folder, "contacts", json=document, csv=format_csv(runs), md=format_markdown(runs, heading)
-    )  # fmt: skip
+    )
 
 
 def _record_run(run: FusionRun) -> dict[str, Any]:

@@ -90,9 +90,7 @@ def tabulate_areas(runs: Sequence[Run]) -> tabular.Table:
 
     limits = [f"{100 * share:g}" for share in AREAS]
     between = [f"{low} to {high} %" for low, high in itertools.pairwise(limits[1:-1])]
-    return tabular.tabulate(
-        runs, ["refused", f"below {limits[1]} %", *between, f"above {limits[-2]} %"], list_cells
-    )  # fmt: skip
+    return tabular.tabulate(runs, ["refused", f"below {limits[1]} %", *between, f"above {limits[-2]} %"], list_cells)
 
 
 def tabulate_posteriors(runs: Sequence[Run]) -> tabular.Table:
@@ -118,7 +116,7 @@ def format_markdown(runs: Sequence[Run], heading: str) -> str:
     medians = tabular.bracket_shares(tabulate_medians(runs), tabulate_medians(runs, normalised=True), names=2)
     times = tabular.tabulate(
         runs, STAGES, lambda run: (f"{1e3 * s:.1f}" for s in run.compute_median_seconds().values())
-    )  # fmt: skip
+    )
     parts = [f"# {heading}\n", f"{note}\n", tabular.format_markdown(medians)]
     parts += [f"{AMBIGUITY_NOTE}\n", tabular.format_markdown(tabulate_ambiguity(runs))]
     parts += [f"{AREA_NOTE}\n", tabular.format_markdown(tabulate_areas(runs))]
@@ -153,7 +151,7 @@ def write_tables(folder: Path, runs: Sequence[Run], protocol: Mapping[str, Any],
     document = tabular.format_json(record_runs(runs, protocol))
     return tabular.write_texts(
         folder, "results", json=document, csv=format_csv(runs), md=format_markdown(runs, heading)
-    )  # fmt: skip
+    )
 
 
 def _record_run(run: Run) -> dict[str, Any]:

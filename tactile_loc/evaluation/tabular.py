@@ -85,9 +85,7 @@ def list_columns(metres: Statistics, normalised: Statistics) -> dict[str, str]:
     return lengths | {f"{k}_normalised": f"{v:.6g}" for k, v in asdict(normalised).items()}
 
 
-def tabulate(
-    runs: Iterable[EvaluatedObject], heads: Iterable[str], cells: Callable[[Any], Iterable[str]]
-) -> Table:  # fmt: skip
+def tabulate(runs: Iterable[EvaluatedObject], heads: Iterable[str], cells: Callable[[Any], Iterable[str]]) -> Table:
     """Return a row for each run: its object, its encoder, and its `cells` under `heads`."""
     return [["object", "encoder", *heads], *([run.object, run.encoder, *cells(run)] for run in runs)]
 
@@ -116,7 +114,7 @@ def format_csv(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def build_document(
     schema_version: int, protocol: Mapping[str, Any], runs: Sequence[Mapping[str, Any]]
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Return a JSON document of runs, with the time and the library versions."""
     return {
         "schema_version": schema_version,
