@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import product
 
 import numpy as np
 
@@ -54,9 +55,8 @@ def properties(capabilities: Capabilities) -> list[Check]:
 
 def check_output(refiner: Refiner) -> None:
     """`refine` returns a RefinedPose: rigid float64, contact_iou 0 to 1, converged a bool, iterations an integer."""
-    for problem in _list_problems():
-        for offset in OFFSETS:
-            _require_sound(_refine(refiner, problem, offset))
+    for problem, offset in product(_list_problems(), OFFSETS):
+        _require_sound(_refine(refiner, problem, offset))
 
 
 def check_truth_stays(refiner: Refiner) -> None:
@@ -107,9 +107,8 @@ def check_scale(refiner: Refiner) -> None:
 
 def check_object_frame(refiner: Refiner) -> None:
     """The object's own frame is arbitrary: mesh and candidate in another frame give the same answer."""
-    for problem in _list_problems():
-        for offset in OFFSETS:
-            _require_any_frame(refiner, problem, offset, OTHER_FRAME)
+    for problem, offset in product(_list_problems(), OFFSETS):
+        _require_any_frame(refiner, problem, offset, OTHER_FRAME)
 
 
 def check_ignores_masked_pixels(refiner: Refiner) -> None:

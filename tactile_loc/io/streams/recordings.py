@@ -54,7 +54,7 @@ class Message:
         try:
             return read(self.data, topic.type)
         except Exception as error:  # generated code raises anything for damaged bytes
-            raise RecordingError(f"a message of {topic.name} is damaged: it is not a {topic.type}") from error
+            raise RecordingError(f"a message of {topic.name} is not a {topic.type}; record it again") from error
 
 
 @dataclass(frozen=True)

@@ -114,7 +114,7 @@ def read_transform(t_m: NDArray[np.float64], q_xyzw: NDArray[np.float64], name: 
     length = float(np.linalg.norm(q_xyzw))
     if not (np.isfinite(t_m).all() and np.isfinite(length) and length > 1e-6):
         numbers = f"translation {t_m.tolist()} and quaternion {q_xyzw.tolist()}"
-        raise FrameError(f"the transform of {name!r} is not rigid: {numbers}; record it again")
+        raise FrameError(f"the transform of {name!r} is not rigid: {numbers}; check the node that publishes it")
     return make_transform(quaternion_to_rotation(np.roll(q_xyzw / length, 1)), t_m)
 
 

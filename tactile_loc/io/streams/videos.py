@@ -15,7 +15,8 @@ from tactile_loc.core.errors import CalibrationError
 from tactile_loc.io.images import summarize
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".mpg", ".mpeg", ".m4v", ".wmv", ".gif")
-TO_READ = "check the file, or install another reader: pip install 'tactile-loc[video]'"
+TO_INSTALL = "pip install 'tactile-loc[video]'"
+TO_READ = f"check the file, or install another reader: {TO_INSTALL}"
 USUAL_HZ = 30.0  # of a video without a rate
 
 
@@ -88,7 +89,7 @@ def _read_imageio(path: Path) -> Iterator[NDArray[np.uint8]]:
     try:
         import imageio.v3
     except ImportError as error:
-        raise CalibrationError(f"{path} is a video, but no reader is installed; {TO_READ}") from error
+        raise CalibrationError(f"{path} is a video, but no reader of videos is installed: {TO_INSTALL}") from error
     try:
         yield from imageio.v3.imiter(path, **({"mode": "RGB"} if path.suffix.lower() == ".gif" else {}))
     except Exception as error:  # readers of damaged bytes raise anything
